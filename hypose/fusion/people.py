@@ -409,7 +409,7 @@ def find_place(
     residual: largest score, m.
     distinct: largest ratio of the best score to that of the next best different pairing.
     Returns: common_from_sensor (4, 4) and its score in m (median distance of the joints plus the distance of persons
-        that match nobody else's); None where no pairing is clearly the best.
+        that match no tracked one); None where no pairing is clearly the best.
 
     Every pairing of one of the sensor's persons with one tracked person gives a transform; the best one puts all
     persons on tracked persons. All pairings are computed in one batch, so that with many persons no frame is late.
