@@ -305,7 +305,12 @@ def girth_at(vertices: Array, faces: NDArray[np.integer], point: Array, normal: 
 
 
 def cross_section(vertices: Array, faces: NDArray[np.integer], point: Array, normal: Array) -> list[Array]:
-    """Cut a closed mesh by a plane; return the closed loops, each (n, 3)."""
+    """Cut a closed mesh by a plane.
+
+    vertices, faces: (V, 3) m and (F, 3).
+    point, normal: (3,) m in the plane, and (3,) normal of the plane.
+    Returns: the closed loops, each (n, 3) m.
+    """
     height = (np.asarray(vertices, dtype=np.float64) - point) @ normal
     height = np.where(height == 0, 1e-12, height)  # no vertex lies in the plane: every cut face has two cut edges
     above = height > 0

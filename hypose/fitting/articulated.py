@@ -288,8 +288,12 @@ def prior_arrays(priors: Sequence[Quadratic], dof: int) -> tuple[Array, Array]:
 
 
 def with_rows(known: compute.Evaluation, pose: Array, body: Body, rows: Sequence[RowTerm]) -> compute.Evaluation:
-    """Add the cost and derivatives of row terms at a pose (D,) to an evaluation, and the number of their points.
+    """Add the cost and derivatives of row terms to an evaluation.
 
+    known: evaluation of the other evidence at the pose.
+    pose: (D,).
+    rows: the row terms.
+    Returns: the new evaluation; its counts get one more line with the number of points.
     Raises: InputError where residuals have the wrong shape.
     """
     (rotations, centres), twists, moves = (
@@ -338,7 +342,7 @@ class FrameProblem(Problem[Array, compute.Evaluation]):
         return e.cost, lambda: e
 
     def propose(self, state: Array, equations: compute.Evaluation, damping: float) -> tuple[Array, float] | None:
-        """Compute the bounded step, in which no joint turns further than LARGEST_TURN."""
+        """Compute the bounded step from a state, in which no joint turns further than LARGEST_TURN; see `Problem`."""
         step = bounded_step(equations.hessian, equations.gradient, state, self.lower, self.upper, damping)
         if step is None:
             return None

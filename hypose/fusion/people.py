@@ -374,9 +374,10 @@ class PeopleTracker:
 
 
 def is_swapped(joints: Array, like: Array) -> bool:
-    """Return whether joints (15, 3) are nearer to another skeleton (same frame) after exchanging left and right.
+    """Return whether joints are nearer to another skeleton after exchanging left and right, because the sensor sees the
+    back.
 
-    This happens where a sensor sees the back and takes it for the front.
+    joints, like: (15, 3) m of both skeletons, in the same frame.
     """
     a, b = joints - like, joints[MIRROR] - like
     plain, mirrored = float(np.vdot(a, a)), float(np.vdot(b, b))

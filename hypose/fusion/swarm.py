@@ -97,7 +97,7 @@ class SwarmFrame:
 
     positions: (K, J, 3) m registered, NaN where missing.
     moved: (K, J, 3) m, change since each joint was last seen (0 where missing).
-    weights: (K, J) = lambda^-power, 0 where missing.
+    weights: (K, J) = lambda^-power with the noise lambda of each joint, 0 where missing.
     settings: of the swarm.
     """
 
@@ -238,7 +238,7 @@ class SwarmEstimate:
 
 
 def start_swarm(sensors: int, joints: int = 15) -> SwarmState:
-    """Make the memory of the swarm before the first frame."""
+    """Make the memory of the swarm for a number of sensors and joints, before the first frame."""
     return SwarmState(None, np.full((sensors, joints, 3), np.nan), 0, 0.0, 0)
 
 

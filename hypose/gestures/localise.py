@@ -143,7 +143,11 @@ def densities(
     settings: LocaliseSettings,
     scratch: Scratch,
 ) -> list[Density]:
-    """Compute the density of every gesture's votes in one picture alone; `settle` then finds the places."""
+    """Compute the density of every gesture's votes in one picture alone; `settle` then finds the places.
+
+    depth, lens, forest_list, scratch: as in `localise`.
+    Raises: InputError where the forests do not fit each other.
+    """
     s = settings.at(lens)
     if not forest_list:
         raise InputError("There is no forest to look with; train a gesture first.")
@@ -172,6 +176,9 @@ def settle(
 ) -> list[Localisation]:
     """Find the best place of every gesture from the densities of one picture and the memory of the last ones (eq. 3.4).
 
+    maps: density of each gesture, of `densities`.
+    depth, lens, scratch: as in `localise`.
+    Returns: one place per gesture.
     Deviation: alpha is 1 (no memory) unless it is set; `hypose gesture` sets the printed 0.8.
     """
     s, out = settings.at(lens), []
