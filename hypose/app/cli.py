@@ -59,6 +59,7 @@ _COMMANDS = (
     ("view", commands_live.view, "The studio in the browser: look at results, correct, set up."),
     ("export", commands_results.export, "Write TRC, C3D, BVH, GLB, CSV, MOT of a tracked motion."),
     ("play", commands_results.play, "Send a tracked motion to an avatar, as it was (VMC)."),
+    ("explain", commands_results.explain, "Which pass moved a joint of a frame, and why."),
     ("gait", commands_results.gait, "Foot strikes, steps, cadence and speed of a tracked motion."),
     ("compare", commands_results.compare, "How far a result agrees with markers or another motion."),
     ("report", commands_results.report, "Write the report of a result again."),

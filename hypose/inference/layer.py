@@ -158,13 +158,18 @@ class Recipe:
 
 @dataclass(frozen=True)
 class SearchResult:
-    """estimate (*B, D); the weighted set of the last layer it was read from; the selected set to carry to
-    the next frame.
+    """Result of a search in one frame.
+
+    estimate: (*B, D) state
+    weighted: set of the last layer, from which the estimate was read
+    resampled: set to carry to the next frame
+    first: (*B, D) estimate after the first layer, of a recipe that keeps rivals; else the estimate
     """
 
     estimate: FloatArray
     weighted: Hypotheses
     resampled: Hypotheses
+    first: FloatArray
 
 
 def search(h: Hypotheses, recipe: Recipe, frame: Any, rng_of_layer: RngOfLayer) -> SearchResult:
@@ -175,7 +180,7 @@ def search(h: Hypotheses, recipe: Recipe, frame: Any, rng_of_layer: RngOfLayer) 
     it starts at the proposal, so that a frame ends with its own estimate. The estimate is read after the last weighing
     and before its selection, which would only add noise to it.
     """
-    weighted = h
+    weighted, first = h, None
     for index, layer in enumerate(recipe.layers):
         if layer.needed is not None and not layer.needed(h, frame):
             continue
@@ -184,7 +189,10 @@ def search(h: Hypotheses, recipe: Recipe, frame: Any, rng_of_layer: RngOfLayer) 
         if layer.weigh is not None:
             weighted = weighted.reweighted(layer.weigh(weighted, frame))
         h = layer.resample(weighted, rng)
-    return SearchResult(recipe.estimate(weighted), weighted, h)
+        if first is None and recipe.rivals:
+            first = recipe.estimate(weighted)
+    estimate = recipe.estimate(weighted)
+    return SearchResult(estimate, weighted, h, estimate if first is None else first)
 
 
 _WORD = 2**64

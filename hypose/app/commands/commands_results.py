@@ -77,6 +77,18 @@ def report(
     say(f"Report: {written}")
 
 
+def explain(
+    results: Annotated[Path, typer.Argument(help="Results folder of hypose track, or its motion.npz.")],
+    joint: Annotated[str, typer.Option(help="Name of the joint, for example left_wrist.")],
+    frame: Annotated[int, typer.Option(help="Number of the frame in the recording.")],
+) -> None:
+    """Say where a joint of a frame comes from: its evidence, the passes that moved it, where else it may be."""
+    from hypose.app.jobs.explain import explain as explained
+
+    for line in explained(results, joint, frame):
+        say(line)
+
+
 def gait(
     results: Annotated[Path, typer.Argument(help="Results folder of hypose track, or its motion.npz.")],
     out: Annotated[Path | None, typer.Option(help="Folder to write to. [default: the results folder]")] = None,

@@ -36,7 +36,8 @@ from hypose.io.sensors.skeleton_streams import SkeletonRecording
 from hypose.pipeline.assessment import Assessment
 from hypose.pipeline.first_frame import SubjectOptions
 from hypose.pipeline.one_camera import POINT_STARTS, clicks_of, depth_note
-from hypose.pipeline.run import MODES, TrackOptions, TrackResult, check_views, frames_wanted
+from hypose.pipeline.passes import MODES
+from hypose.pipeline.run import TrackOptions, TrackResult, check_views, frames_wanted
 from hypose.pipeline.subject_from_motion import load_subject, subject_file
 from hypose.pipeline.track import track_person
 from hypose.tracking.recipes import RECIPES, citation_of

@@ -595,8 +595,8 @@ def provenance(
 
 
 def provenance_identity(record: Mapping[str, Any]) -> dict[str, Any]:
-    """The part of a provenance that decides the result: all but "run"."""
-    return {k: v for k, v in record.items() if k != "run"}
+    """The part of a provenance that decides the result: all but "run" and the trace of the passes."""
+    return {k: v for k, v in record.items() if k not in ("run", "trace")}
 
 
 def versions() -> dict[str, str]:
