@@ -24,9 +24,10 @@ from hypose.geometry import Array
 from hypose.inference.layer import Recipe
 from hypose.pipeline.first_frame import SubjectOptions, find_subject
 from hypose.pipeline.passes import ClipState, tracker_of
-from hypose.pipeline.run import TrackOptions, finish, track_source
+from hypose.pipeline.run import finish, track_source
 from hypose.pipeline.track import track
 from hypose.pipeline.track_loop import FrameList, track_frames
+from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.metrics import EVALUATED, population_offsets, with_offsets
 from hypose.synthetic.scenes import Scene, make_scene
 from hypose.synthetic.write_recording import write_scene

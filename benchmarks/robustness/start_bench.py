@@ -38,7 +38,7 @@ from hypose.app import cli
 from hypose.app.jobs.job import Job, run_job
 from hypose.io.motions.results import ResultsFolder
 from hypose.io.recordings.recording import load_recording
-from hypose.pipeline.run import TrackOptions
+from hypose.pipeline.track_options import TrackOptions
 
 class First(Exception): pass
 

@@ -10,7 +10,7 @@ import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,7 +41,7 @@ from hypose.pipeline.one_camera import (
 )
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.subject_from_motion import height_sentence, measured_height
-from hypose.pipeline.trace import Change, changes, with_trace
+from hypose.pipeline.trace import Change, list_changes, with_trace
 from hypose.pipeline.track_loop import (
     FrameList,
     FrameSource,
@@ -51,7 +51,8 @@ from hypose.pipeline.track_loop import (
     track_frames,
     tracked_before,
 )
-from hypose.tracking.arm_hypotheses import ORIGINS
+from hypose.pipeline.track_options import TrackOptions
+from hypose.tracking.arm_hypotheses import SEARCH_ROLES
 from hypose.tracking.covariance_calibration import (
     beyond_usual,
     pose_covariance,
@@ -67,9 +68,6 @@ from hypose.tracking.pose_covariance import unpacked
 from hypose.tracking.recipes import recipe
 from hypose.tracking.smooth_motion import Clip, Smoothed
 from hypose.tracking.tracker import RECOVERED, Tracker, TrackerSettings, modes_of, motion_of
-
-if TYPE_CHECKING:
-    from hypose.pipeline.run import TrackOptions
 
 MODES = "modes.npz"
 
@@ -184,7 +182,7 @@ def run_pass(step: Pass, clip: ClipState) -> ClipState:
     if reason is None or before is None or now is None or len(before) != len(now):
         return after
     names, moved = after.who.body.skeleton.joint_names, np.linalg.norm(now - before, axis=-1)
-    return replace(after, trace=(*after.trace, *changes(step.__name__, names, moved, reason)))
+    return replace(after, trace=(*after.trace, *list_changes(step.__name__, names, moved, reason)))
 
 
 # ---- before tracking ---------------------------------------------------------------------------------------
@@ -273,7 +271,7 @@ def track_clip(clip: ClipState) -> ClipState:
     assert done is not None
     if done.error is not None and results is not None:
         with contextlib.suppress(HyposeError):  # the first error is the one to tell
-            save(to_motion(clip))
+            keep_motion(to_motion(clip))
         raise type(done.error)(
             f"{done.error} The {len(done.estimates)} frames before are kept in {results.path}; see --resume."
         ) from done.error
@@ -294,7 +292,7 @@ def _changes_within_frames(clip: ClipState, done: Tracked) -> tuple[Change, ...]
         return ()
     names, moved = clip.who.body.skeleton.joint_names, np.stack([e.moved for e in done.estimates]).astype(np.float64)
     origins = np.array([e.origin for e in done.estimates])
-    found = [changes("track_clip", names, moved, why, origins == o) for o, why in SEARCHES.items()]
+    found = [list_changes("track_clip", names, moved, why, origins == o) for o, why in SEARCHES.items()]
     return tuple(change for each in found for change in each)
 
 
@@ -316,7 +314,7 @@ def _solve_keypoints(clip: ClipState) -> ClipState:
         covariance=solved.covariance,
         notes=(*clip.notes, *solved.notes, *doubts),
         remarks=(*clip.remarks, *([not_shown(never)] if never else [])),
-        trace=(*clip.trace, *changes("smooth", subject.body.skeleton.joint_names, apart, REASONS["smooth"])),
+        trace=(*clip.trace, *list_changes("smooth", subject.body.skeleton.joint_names, apart, REASONS["smooth"])),
     )
 
 
@@ -369,7 +367,7 @@ def place_sensors(clip: ClipState) -> ClipState:
 
 
 def check_height(clip: ClipState) -> ClipState:
-    """Compare the body's height with what is known of it, and with what masks or depth measure."""
+    """Compare the height of the body with the given one, and with the height that masks or depth show."""
     subject, o = clip.who, clip.options
     if o.of_picture or clip.given or clip.tracked is None or subject.keypoints is not None:
         return clip
@@ -537,7 +535,7 @@ def keypoints_in_memory(source: FrameSource) -> Sequence[Keypoints | None] | Non
     return [f.keypoints for f in source.frames] if isinstance(source, FrameList) else None
 
 
-def save(clip: ClipState) -> ClipState:
+def keep_motion(clip: ClipState) -> ClipState:
     """Write the motion with its trace; when it is complete nothing else of the run is left in the folder."""
     assert clip.motion is not None
     clip = replace(clip, motion=with_trace(clip.motion, clip.trace))
@@ -561,7 +559,7 @@ AFTER_TRACKING: tuple[Pass, ...] = (
     smooth,
     mark_anomalies,
     judge_joints,
-    save,
+    keep_motion,
 )
 PASSES = (*BEFORE_TRACKING, *TRACKING, *AFTER_TRACKING)
 """All passes of a clip, in the order in which they run."""
@@ -578,7 +576,7 @@ REASONS = {
 SEARCHES = {
     **dict(
         zip(
-            ORIGINS,
+            SEARCH_ROLES,
             (
                 "the limb search found the limb elsewhere than the solve from the predicted pose",
                 "the table of arm poses found the arm elsewhere in the masks",

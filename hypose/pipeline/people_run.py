@@ -31,7 +31,7 @@ from hypose.pipeline.input_checks import check_depth_inputs, sentences
 from hypose.pipeline.passes import ClipState, tracker_of
 from hypose.pipeline.person_paths import KeypointPeople, Path, PointFrames, follow_places, lasting, padded
 from hypose.pipeline.rough_bodies import RoughTrack, fitted_again, frame_of_person, least_hidden, rough_bodies
-from hypose.pipeline.run import TrackOptions, finish, track_source
+from hypose.pipeline.run import finish, track_source
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.track_loop import Deferred, FrameSource, StageProgress, Tracked
 from hypose.pipeline.track_management import (
@@ -46,6 +46,7 @@ from hypose.pipeline.track_management import (
     update_appearance,
     without_doubles,
 )
+from hypose.pipeline.track_options import TrackOptions
 from hypose.pipeline.tracked_people import (
     Followed,
     OwnFrames,

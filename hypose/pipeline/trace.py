@@ -40,7 +40,7 @@ class Change:
         return {"pass": self.stage, "joint": self.joint, "frames": frames, "moved_mm": moved, "reason": self.reason}
 
 
-def changes(
+def list_changes(
     stage: str, names: Sequence[str], moved: Array, reason: str, at: NDArray[np.bool_] | None = None
 ) -> tuple[Change, ...]:
     """List the stretches of frames in which a pass moved joints by more than SETTINGS.trace_least_m.

@@ -30,7 +30,7 @@ from hypose.tracking.refinement import COMPOSITE, RIVAL, SOLVED, keep_fits, memb
 _SOLVE, _LOOK, _ORDERED = "rivals solved", "arms looked up", "rivals in order"
 """What has been begun next to other layers, and the hypotheses of the last frame, in a frame's `shared`."""
 
-ORIGINS = tuple(FOUND_BY + name for name in ("limb search", "arm table", "rival's arm", "old rival"))
+SEARCH_ROLES = tuple(FOUND_BY + name for name in ("limb search", "arm table", "rival's arm", "old rival"))
 """Roles: where a hypothesis was found."""
 
 DEPTH_KEEPS = 2
@@ -118,7 +118,7 @@ class RefineRivals:
             before[row, self.arms[n][0].own] = last[1 + k, self.arms[n][0].own]
         found = Hypotheses(s.clamp(poses), -scores / c.softness, parents, columns={BEFORE: before})
         row = 1
-        for role, of in zip(ORIGINS, (composite, looked_up, crossed, old), strict=True):
+        for role, of in zip(SEARCH_ROLES, (composite, looked_up, crossed, old), strict=True):
             found = found.marked(role, np.arange(row, row + len(of)))
             row += len(of)
         living = self._living(scores, costs, at.reshape(len(poses), -1, 3), frame)

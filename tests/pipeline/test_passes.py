@@ -5,13 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hypose.app.jobs.explain import explain
+from hypose.app.jobs.explain import explain_joint
 from hypose.io.motions.results import ResultsFolder, load_motion, save_body
 from hypose.pipeline import passes
 from hypose.pipeline.first_frame import SubjectOptions, find_subject
-from hypose.pipeline.run import TrackOptions, track_source
-from hypose.pipeline.trace import Change, changes, later, trace_of, with_trace
+from hypose.pipeline.run import track_source
+from hypose.pipeline.trace import Change, later, list_changes, trace_of, with_trace
 from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.scenes import camera_rig, make_scene
 
 FRAMES = range(5, 8)
@@ -48,7 +49,7 @@ def explained(frames, subject, tmp_path, evidence="silhouettes"):
     options = TrackOptions(evidence=evidence, start="keypoints")
     found = track_source(source, 25.0, options, subject=subject, results=results)
     save_body(found.body, results.file("body.npz"))
-    return explain(tmp_path, JOINT, FRAMES[1])
+    return explain_joint(tmp_path, JOINT, FRAMES[1])
 
 
 @pytest.mark.parametrize("stage", passes.REASONS)
@@ -95,17 +96,17 @@ def test_what_no_pass_moved_is_said_to_be_so(frames, subject, tmp_path):
 def test_changes_are_stretches_of_frames_with_the_largest_displacement():
     moved = np.zeros((10, 2))
     moved[[3, 5], 0], moved[8, 1] = (0.1, 0.3), 0.05
-    found = changes("smooth", ("hip", "knee"), moved, "why")
+    found = list_changes("smooth", ("hip", "knee"), moved, "why")
     assert found == (
         Change("smooth", "hip", range(3, 6), 0.3, "why"),
         Change("smooth", "knee", range(8, 9), 0.05, "why"),
     )
     assert later(found, 4)[0].frames == range(7, 10)
-    only = changes("smooth", ("hip", "knee"), moved, "why", np.arange(10) > 4)
+    only = list_changes("smooth", ("hip", "knee"), moved, "why", np.arange(10) > 4)
     assert [c.frames for c in only] == [range(5, 6), range(8, 9)]
 
 
 def test_a_trace_is_kept_with_its_motion(frames, subject, tmp_path):
     motion = track_source(FrameList(frames), 25.0, TrackOptions(start="keypoints"), subject=subject).motion
-    trace = changes("smooth", ("hip",), np.full((3, 1), 0.1), "why")
+    trace = list_changes("smooth", ("hip",), np.full((3, 1), 0.1), "why")
     assert trace_of(with_trace(motion, trace)) == trace

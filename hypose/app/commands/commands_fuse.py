@@ -130,7 +130,7 @@ def fuse(
             )
         from hypose.app.jobs.job import TrackJob
         from hypose.io.recordings.recording import load_recording
-        from hypose.pipeline.run import TrackOptions
+        from hypose.pipeline.track_options import TrackOptions
 
         filmed = load_recording(cameras)
         results = ResultsFolder(out) if out is not None else ResultsFolder.of(filmed.folder, "fuse-cameras")

@@ -82,8 +82,8 @@ def live(
         from hypose.pipeline.live.live_rig import live_rig
         from hypose.pipeline.live.live_search import LivePersonOptions
         from hypose.pipeline.live.recorder import LiveRecorder
-        from hypose.pipeline.run import TrackOptions
         from hypose.pipeline.subject_from_motion import load_subject
+        from hypose.pipeline.track_options import TrackOptions
     if ended.is_set():
         raise typer.Exit(130)
 

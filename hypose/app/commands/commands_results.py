@@ -83,9 +83,9 @@ def explain(
     frame: Annotated[int, typer.Option(help="Number of the frame in the recording.")],
 ) -> None:
     """Say where a joint of a frame comes from: its evidence, the passes that moved it, where else it may be."""
-    from hypose.app.jobs.explain import explain as explained
+    from hypose.app.jobs.explain import explain_joint
 
-    for line in explained(results, joint, frame):
+    for line in explain_joint(results, joint, frame):
         say(line)
 
 

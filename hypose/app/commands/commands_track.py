@@ -103,7 +103,7 @@ def track_command(
     from hypose.io.recordings.recording import load_recording
     from hypose.pipeline.detect_keypoints import wants_detector
     from hypose.pipeline.one_camera import one_view
-    from hypose.pipeline.run import TrackOptions
+    from hypose.pipeline.track_options import TrackOptions
 
     loaded = choose_frames(load_recording(recording, calibration), frames)
     options = TrackOptions(
@@ -159,7 +159,7 @@ def demo(
     from hypose.io.motions.results import ResultsFolder
     from hypose.io.recordings.recording import load_recording
     from hypose.pipeline.comparison import compare_with
-    from hypose.pipeline.run import TrackOptions
+    from hypose.pipeline.track_options import TrackOptions
     from hypose.synthetic.scenes import make_scene
     from hypose.synthetic.write_recording import check_folder, write_scene
 
@@ -326,7 +326,7 @@ def warm_up_command(threads: Threads = None) -> None:
     from hypose.fusion.live import LiveFuser
     from hypose.io.motions.results import ResultsFolder
     from hypose.io.recordings.recording import load_recording
-    from hypose.pipeline.run import TrackOptions
+    from hypose.pipeline.track_options import TrackOptions
     from hypose.synthetic.scenes import make_scene
     from hypose.synthetic.write_recording import write_scene
 
@@ -388,8 +388,8 @@ def subject(
     from hypose.io.files import claimed
     from hypose.io.recordings.frames import FrameStream
     from hypose.io.recordings.recording import load_recording
-    from hypose.pipeline.run import check_views
     from hypose.pipeline.subject_from_motion import AnthropometryOptions, estimate_subject, save_subject
+    from hypose.pipeline.track_options import check_views
     from hypose.tracking.starts import KNOWN_POSES
 
     if start != "hull" and start not in KNOWN_POSES:

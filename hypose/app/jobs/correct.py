@@ -31,8 +31,9 @@ from hypose.io.recordings.recording import Recording
 from hypose.pipeline.first_frame import GIVEN, SubjectOptions, TrackedSubject, find_subject
 from hypose.pipeline.one_camera import FrameSource
 from hypose.pipeline.person_paths import per_frame
-from hypose.pipeline.run import TrackOptions, frames_wanted, track_source
-from hypose.pipeline.trace import changes, later, trace_of, with_trace
+from hypose.pipeline.run import track_source
+from hypose.pipeline.trace import later, list_changes, trace_of, with_trace
+from hypose.pipeline.track_options import TrackOptions, frames_wanted
 
 _READ_AT_ONCE = 64
 """Frames that are kept in memory when they are tracked backwards."""
@@ -179,7 +180,9 @@ def join(old: Motion, new: Motion, row: int, record: Mapping[str, Any] | None) -
     corrections = [*old.provenance.get("corrections", []), *([] if record is None else [dict(record)])]
     joined = replace(old, **series, provenance={**old.provenance, "corrections": corrections})
     moved = np.linalg.norm(joined.joints - old.joints, axis=-1)
-    corrected = changes("correct", old.skeleton.joint_names, moved, "tracked again from a pose that a person corrected")
+    corrected = list_changes(
+        "correct", old.skeleton.joint_names, moved, "tracked again from a pose that a person corrected"
+    )
     return with_trace(joined, [*trace_of(old), *later(trace_of(new), row), *corrected])
 
 

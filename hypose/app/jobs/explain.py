@@ -19,7 +19,7 @@ from hypose.pipeline.trace import trace_of
 from hypose.tracking.keypoint_evidence import keypoint_model
 
 
-def explain(results: Path, joint: str, frame: int) -> list[str]:
+def explain_joint(results: Path, joint: str, frame: int) -> list[str]:
     """Explain the position of one joint in one frame.
 
     results: folder of a result, or its motion.npz

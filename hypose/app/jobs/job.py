@@ -37,9 +37,10 @@ from hypose.pipeline.assessment import Assessment
 from hypose.pipeline.first_frame import SubjectOptions
 from hypose.pipeline.one_camera import POINT_STARTS, clicks_of, depth_note
 from hypose.pipeline.passes import MODES
-from hypose.pipeline.run import TrackOptions, TrackResult, check_views, frames_wanted
+from hypose.pipeline.run import TrackResult
 from hypose.pipeline.subject_from_motion import load_subject, subject_file
 from hypose.pipeline.track import track_person
+from hypose.pipeline.track_options import TrackOptions, check_views, frames_wanted
 from hypose.tracking.recipes import RECIPES, citation_of
 
 if TYPE_CHECKING:
