@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose.cameras.camera import CameraRig
-from hypose.compute import Glance, glance_at, mask_runs, picture_to_mask
+from hypose.compute import mask_runs, picture_to_mask
+from hypose.compute.glance import Glance, glance_at
 from hypose.compute.mask_runs import MaskRuns
 from hypose.errors import InputError
 from hypose.evidence.background import BackgroundModel
