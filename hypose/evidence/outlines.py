@@ -15,7 +15,6 @@ from hypose.compute.arrays import NOT_KNOWN
 from hypose.compute.mask_distance import shrink_mask, signed_distance
 from hypose.compute.mask_runs import MaskRuns
 from hypose.compute.rows import outline_points
-from hypose.evidence.silhouettes import bounding_box
 from hypose.geometry import Array, Mask
 
 OUTLINE_POINTS = 130
@@ -55,6 +54,17 @@ class Outlines:
     shrunk: Array
     sizes: NDArray[np.int64]
     corners: NDArray[np.int64]
+
+
+def bounding_box(mask: ArrayLike, margin: int = 0) -> tuple[int, int, int, int] | None:
+    """Find the box (y0, y1, x0, x1), half open, around the non-zero pixels of a mask (h, w), and widen it by a margin
+    in px; None where all pixels are zero."""
+    m = np.asarray(mask)
+    h, w = m.shape
+    x, y, width, height = cv2.boundingRect(m if m.dtype == np.uint8 else (m != 0).astype(np.uint8))
+    if width == 0:
+        return None
+    return max(y - margin, 0), min(y + height + margin, h), max(x - margin, 0), min(x + width + margin, w)
 
 
 def view_outline(mask: Mask, count: int = OUTLINE_POINTS, working_height: int | None = None) -> ViewOutline:
