@@ -28,7 +28,7 @@ from hypose.body.default_body import human
 from hypose.body.motion import Motion
 from hypose.calibration.depth_registration import place_error
 from hypose.cameras.camera import CameraRig
-from hypose.compute import covered
+from hypose.compute.parts import covered
 from hypose.errors import HyposeError
 from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.depth_floor import camera_on_floor

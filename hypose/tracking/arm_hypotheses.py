@@ -15,7 +15,8 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.compute import in_background, over_chunks, reach
+from hypose.compute import reach
+from hypose.compute.threads import in_background, over_chunks
 from hypose.evidence.cues import PoseMemory
 from hypose.evidence.terms import Evidence, PointTerm
 from hypose.fitting.articulated import PoseFit, SolveSettings

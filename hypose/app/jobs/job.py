@@ -12,11 +12,11 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hypose import compute
 from hypose.app.commands.console import ProgressCall, ignore
 from hypose.app.reports.summary import DESCRIPTIONS
 from hypose.body.body import Body
 from hypose.body.motion import Motion
+from hypose.compute.warming import warm_up
 from hypose.errors import InputError
 from hypose.io.files import check_writable, read_json
 from hypose.io.motions.export import MOTION_FORMATS, export_motion, known_formats
@@ -157,7 +157,7 @@ def run_job(job: TrackJob, progress: ProgressCall = ignore, seconds: Mapping[str
 def compile_before(progress: ProgressCall, *parts: str) -> None:
     """What a run needs of compute, compiled before it begins; parts: all that following people needs, when none."""
     progress("compile", 0, 1)
-    compute.warm_up(*parts, load=False)
+    warm_up(*parts, load=False)
     progress("compile", 1, 1)
 
 
