@@ -385,7 +385,7 @@ def _folder(path: Path, frame_rate: float, millimetres: float) -> DepthFile:
     places = (f / "calibration.toml" for f in (path, path.parent, path.parent.parent))
     calibration = next((c for c in places if c.is_file()), None)
     if calibration is None:
-        raise InputError(f"{path} has no calibration.toml with the camera's lens; put one beside the maps.")
+        raise InputError(f"{path} has no calibration.toml with the camera's lens; put one next to the maps.")
     rig, _ = read_any(calibration, "auto")
     names = [c.name for c in rig]
     if len(rig) > 1 and path.name not in names:

@@ -391,9 +391,9 @@ def checked_recording(
     """
     if len(rows) > MAX_SENSORS:
         raise InputError(f"{where} has {len(rows)} sensors, at most {MAX_SENSORS} are fused; split the recording.")
-    streams, found = [], [f"{r.name}: nobody was seen, the sensor is left out" for r in rows if not r.times]
+    streams, found = [], [f"{r.name}: no person was seen, the sensor is left out" for r in rows if not r.times]
     if len(found) == len(rows):
-        raise InputError(f"{where} holds no skeleton; give a recording in which somebody was seen.")
+        raise InputError(f"{where} holds no skeleton; give a recording in which a person was seen.")
     for r in (r for r in rows if r.times):
         stream, more = build_stream(r, where)
         streams.append(stream)
@@ -465,7 +465,7 @@ def parse_line(data: bytes | str) -> tuple[SensorReport, str]:
         empty = np.zeros((0, 3))
         return SensorReport(sensor, time, None, (), empty, np.zeros(0, dtype=np.uint8), received), token
     if not isinstance(joints, dict) or not 1 <= len(joints) <= MAX_JOINTS:
-        _bad(f"joints must be an object with 1 to {MAX_JOINTS} joints, or null when nobody is seen")
+        _bad(f"joints must be an object with 1 to {MAX_JOINTS} joints, or null when no person is seen")
     names, scale = tuple(joints), _SCALE[unit]
     _check_names(names)
     table = _whole(joints, scale)

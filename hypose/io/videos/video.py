@@ -30,17 +30,16 @@ from hypose.geometry import Array, Image
 from hypose.io.file_names import natural_key, utf8_path
 from hypose.io.files import atomic_path, open_file, read_bytes
 
-# FFmpeg's own complaints would appear between our sentences; read by OpenCV when it first opens a video.
+# Suppresses FFmpeg's own messages between those of hypose; OpenCV reads this when it first opens a video.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 
 
 VIDEO_ENDINGS = (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".webm", ".mpg", ".mpeg", ".wmv", ".mts")
 IMAGE_ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
-# Encoders by ending, the first that opens is used. Tried with opencv-python-headless 5.0.0.93: the wheel
-# cannot encode H.264 (avc1), the one that both players and browsers show; in .mp4 it writes mp4v, MJPG, VP9
-# and FFV1.
 _MAX_IMAGE_BYTES = 512 << 20
+# Encoders by ending; the first that opens is used. Tested with opencv-python-headless 5.0.0.93: the wheel cannot encode
+# H.264 (avc1), which both players and browsers show; in .mp4 it writes mp4v, MJPG, VP9 and FFV1.
 _CODECS = {
     ".mp4": ("mp4v", "avc1"),
     ".m4v": ("mp4v", "avc1"),
@@ -629,10 +628,10 @@ def read_sound(video: Path) -> Sound:
         done = subprocess.run(command, capture_output=True, check=False, cwd=Path(__file__).parent)
         if done.returncode == 0 and len(done.stdout) > 2:
             return Sound(_RATE, np.frombuffer(done.stdout, np.int16).astype(np.float64) / 32768)
-        raise InputError(f"{video} has no sound that ffmpeg can read; use --by motion, or put {wav.name} beside it.")
+        raise InputError(f"{video} has no sound that ffmpeg can read; use --by motion, or put {wav.name} next to it.")
     raise InputError(
         f"The sound of {video} cannot be read, since ffmpeg is not installed; install it, or write the sound to "
-        f"{wav.name} beside the video (mono or stereo WAV)."
+        f"{wav.name} next to the video (mono or stereo WAV)."
     )
 
 
