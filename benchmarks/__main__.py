@@ -29,9 +29,7 @@ def bench(
         Path | None,
         typer.Option(help="Keep the figures of each part of a long table here, and go on from those kept."),
     ] = None,
-    keep: Annotated[
-        bool, typer.Option("--keep", help="Keep the figures (benchmarks/results; golden.json).")
-    ] = False,
+    keep: Annotated[bool, typer.Option("--keep", help="Keep the figures (benchmarks/results; golden.json).")] = False,
     other: Annotated[bool, typer.Option("--other", help="The second set of golden clips, of other seeds.")] = False,
     threads: Threads = None,
 ) -> None:

@@ -22,11 +22,11 @@ _MOST_ROWS = 4  # of a benchmark, missed targets not counted
 
 _HEAD = """# Benchmarks
 
-Written by `make docs` from `benchmarks/results`. `./run bench NAME --keep` measures again and keeps. The table shows every
-missed target and up to four other figures of each benchmark; the linked file has all figures, the commit, the date and the
-machine. `x / y` as value: the figure and its baseline of the same run, since the machine is shared with other work. DATA is
-the folder of the recordings, PARTS a folder for the finished parts of a long benchmark. A benchmark without a linked file
-is not measured yet in this form. The [accuracy page](accuracy.md) is the summary."""
+Written by `make docs` from `benchmarks/results`. `./run bench NAME --keep` measures again and keeps. The table shows
+every missed target and up to four other figures of each benchmark; the linked file has all figures, the commit, the
+date and the machine. `x / y` as value: the figure and its baseline of the same run, since the machine is shared with
+other work. DATA is the folder of the recordings, PARTS a folder for the finished parts of a long benchmark. A benchmark
+without a linked file is not measured yet in this form. The [accuracy page](accuracy.md) is the summary."""
 
 
 def documents() -> dict[str, Document]:

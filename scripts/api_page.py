@@ -80,4 +80,3 @@ def _first(text: str) -> str:
 def _plain(text: str) -> str:
     """Docstrings are plain text: what Markdown would take for marks is kept."""
     return text.replace("<", "&lt;").replace("*", "\\*")
-
