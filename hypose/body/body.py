@@ -12,9 +12,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hypose import compute
 from hypose.body.skeleton import Skeleton
-from hypose.compute import MeshArrays
+from hypose.compute import kinematics
+from hypose.compute.arrays import MeshArrays
+from hypose.compute.kinematics import forward_kinematics
 from hypose.errors import InputError
 from hypose.geometry import Array
 
@@ -166,8 +167,8 @@ class Body:
         q = np.asarray(poses, dtype=np.float64)
         m = mesh or self.coarse
         flat = np.ascontiguousarray(q.reshape(-1, self.skeleton.dof))
-        rotations, centres = compute.forward_kinematics(flat, self.skeleton.tree)
-        v = compute.skin(rotations, centres, self.skeleton.tree, m.arrays)
+        rotations, centres = forward_kinematics(flat, self.skeleton.tree)
+        v = kinematics.skin(rotations, centres, self.skeleton.tree, m.arrays)
         return v.reshape(*q.shape[:-1], *v.shape[1:])
 
     def landmark_points(self, poses: ArrayLike) -> Array:

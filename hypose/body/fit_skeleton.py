@@ -18,7 +18,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from hypose.body.body import Body, Landmarks, Mesh, Shape, deform
 from hypose.body.skin_weights import vertex_normals
-from hypose.compute import bounded_step, geman_mcclure, weighted_squares
+from hypose.compute.linear import weighted_squares
+from hypose.compute.losses import geman_mcclure
+from hypose.compute.solver import bounded_step
 from hypose.errors import InputError
 from hypose.geometry import Array, rotation_between, so3_exp, so3_log
 

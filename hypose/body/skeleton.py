@@ -14,8 +14,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hypose import compute
-from hypose.compute import BALL, FIXED, HINGES, TreeArrays
+from hypose.compute import kinematics
+from hypose.compute.arrays import BALL, FIXED, HINGES, TreeArrays
+from hypose.compute.kinematics import forward_kinematics
 from hypose.errors import InputError
 from hypose.geometry import Array, nearest_branch, rotation_mean, so3_exp, so3_left_jacobian, so3_log
 
@@ -158,7 +159,7 @@ class Skeleton:
         q = np.asarray(poses, dtype=np.float64)
         if q.shape[-1] != self.dof:
             raise InputError(f"A pose of this skeleton has {self.dof} numbers, got shape {q.shape}.")
-        r, p = compute.forward_kinematics(np.ascontiguousarray(q.reshape(-1, self.dof)), self.tree)
+        r, p = forward_kinematics(np.ascontiguousarray(q.reshape(-1, self.dof)), self.tree)
         j = len(self.joint_names)
         return r.reshape(*q.shape[:-1], j, 3, 3), p.reshape(*q.shape[:-1], j, 3)
 
@@ -218,7 +219,7 @@ class Skeleton:
         """Compute the derivatives (J, 3, D) of the joint centres by the pose (D,), the root's rotation as a small turn
         in the world.
         """
-        return compute.joint_jacobians(pose, self.tree)
+        return kinematics.joint_jacobians(pose, self.tree)
 
     def joint_covariances(self, pose: ArrayLike, covariance: ArrayLike) -> Array:
         """Compute the covariances (J, 3, 3) m^2 of the joint centres, to first order.

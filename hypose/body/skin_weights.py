@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hypose.body.body import Body, Landmarks
 from hypose.body.skeleton import Skeleton
-from hypose.compute import nearest_visible
+from hypose.compute.visibility import nearest_visible
 from hypose.errors import InputError, extra
 from hypose.geometry import Array
 

@@ -21,19 +21,22 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hypose import compute
 from hypose.body.body import Body
-from hypose.compute import (
+from hypose.compute import solver
+from hypose.compute.arrays import (
+    NO_CONTOURS,
+    NO_KEYPOINTS,
+    NO_POINTS,
     Cues,
     PointArrays,
     PriorArrays,
     SolveLimits,
     Workspace,
-    bounded_step,
-    lorentzian,
-    over_chunks,
-    weighted_squares,
 )
+from hypose.compute.linear import weighted_squares
+from hypose.compute.losses import lorentzian
+from hypose.compute.solver import Evaluation, Solution, bounded_step, solve, workspace
+from hypose.compute.threads import over_chunks
 from hypose.errors import InputError, SolverError
 from hypose.evidence.depth_surface import DepthTerm
 from hypose.evidence.terms import ContourTerm, KeypointTerm, PointTerm, RowTerm, Term, checked_joints
@@ -128,9 +131,9 @@ def cues_of(body: Body, evidence: Sequence[Term]) -> tuple[Cues, tuple[RowTerm, 
     for term in rows:
         checked_joints(term, body)
     cues = Cues(
-        contours.arrays if isinstance(contours, ContourTerm) else compute.NO_CONTOURS,
-        keypoints.arrays(body) if isinstance(keypoints, KeypointTerm) else compute.NO_KEYPOINTS,
-        PointArrays._make(map(np.concatenate, zip(*places, strict=True))) if places else compute.NO_POINTS,
+        contours.arrays if isinstance(contours, ContourTerm) else NO_CONTOURS,
+        keypoints.arrays(body) if isinstance(keypoints, KeypointTerm) else NO_KEYPOINTS,
+        PointArrays._make(map(np.concatenate, zip(*places, strict=True))) if places else NO_POINTS,
         depth.arrays(body) if isinstance(depth, DepthTerm) else None,
     )
     return cues, rows
@@ -198,7 +201,7 @@ def workspace_for(body: Body, cues: Cues) -> Workspace:
         kept = known.vertices, known.front, known.start, known.centres, known.twists
         if counts == tuple(map(len, kept)):
             return known
-    _OWN.workspace = made = compute.workspace(tree, mesh, h, w)
+    _OWN.workspace = made = workspace(tree, mesh, h, w)
     return made
 
 
@@ -258,13 +261,13 @@ class _Problem:
             counts[: len(self.cues.contours.sdf)].copy(),
         )
 
-    def _solve(self, q: Array, priors: PriorArrays, ws: Workspace) -> compute.Solution:
+    def _solve(self, q: Array, priors: PriorArrays, ws: Workspace) -> Solution:
         o = self.settings
         if not self.rows:
-            return compute.solve(q, self.tree, self.mesh, self.cues, priors, o, ws)
+            return solve(q, self.tree, self.mesh, self.cues, priors, o, ws)
 
-        def evaluate(pose: Array, coarse: bool) -> compute.Evaluation:
-            known = compute.evaluate(pose, self.tree, self.mesh, self.cues, priors, ws, coarse=coarse)
+        def evaluate(pose: Array, coarse: bool) -> Evaluation:
+            known = solver.evaluate(pose, self.tree, self.mesh, self.cues, priors, ws, coarse=coarse)
             return with_rows(known, pose, self.body, self.rows)
 
         coarse = min(o.coarse_iterations, o.iterations) if len(self.cues.contours.sdf) else 0
@@ -287,7 +290,7 @@ def prior_arrays(priors: Sequence[Quadratic], dof: int) -> tuple[Array, Array]:
     return centre, weight
 
 
-def with_rows(known: compute.Evaluation, pose: Array, body: Body, rows: Sequence[RowTerm]) -> compute.Evaluation:
+def with_rows(known: Evaluation, pose: Array, body: Body, rows: Sequence[RowTerm]) -> Evaluation:
     """Add the cost and derivatives of row terms to an evaluation.
 
     known: evaluation of the other evidence at the pose.
@@ -323,25 +326,25 @@ def with_rows(known: compute.Evaluation, pose: Array, body: Body, rows: Sequence
         count += len(joint)
         hessian += more[0]
         gradient += more[1]
-    return compute.Evaluation(cost, gradient, hessian, np.concatenate([known.counts, [[count, 0]]]))
+    return Evaluation(cost, gradient, hessian, np.concatenate([known.counts, [[count, 0]]]))
 
 
-class FrameProblem(Problem[Array, compute.Evaluation]):
+class FrameProblem(Problem[Array, Evaluation]):
     """Solve of one frame, step by step as in the compiled solve, for an evaluation that needs Python.
 
     evaluation(pose, coarse): cost and derivatives at a pose (D,).
     lower, upper: (D,) joint limits.
     """
 
-    def __init__(self, evaluation: Callable[[Array, bool], compute.Evaluation], lower: Array, upper: Array) -> None:
+    def __init__(self, evaluation: Callable[[Array, bool], Evaluation], lower: Array, upper: Array) -> None:
         self.evaluation, self.lower, self.upper, self.coarse = evaluation, lower, upper, False
 
-    def evaluate(self, state: Array) -> tuple[float, Callable[[], compute.Evaluation]]:
+    def evaluate(self, state: Array) -> tuple[float, Callable[[], Evaluation]]:
         """Compute cost and equations together."""
         e = self.evaluation(state, self.coarse)
         return e.cost, lambda: e
 
-    def propose(self, state: Array, equations: compute.Evaluation, damping: float) -> tuple[Array, float] | None:
+    def propose(self, state: Array, equations: Evaluation, damping: float) -> tuple[Array, float] | None:
         """Compute the bounded step from a state, in which no joint turns further than LARGEST_TURN; see `Problem`."""
         step = bounded_step(equations.hessian, equations.gradient, state, self.lower, self.upper, damping)
         if step is None:
@@ -350,7 +353,7 @@ class FrameProblem(Problem[Array, compute.Evaluation]):
         moved = max(2 * float(np.abs(step[:3]).max()), float(np.abs(step[3:]).max()))
         return np.clip(state + step, self.lower, self.upper), moved
 
-    def solution(self, start: Array, iterations: tuple[int, int], rule: Rule) -> compute.Solution:
+    def solution(self, start: Array, iterations: tuple[int, int], rule: Rule) -> Solution:
         """Solve from a start with a number of coarse and of fine iterations."""
         found, used, evaluations = None, 0, 0
         q = np.clip(start, self.lower, self.upper)
@@ -360,4 +363,4 @@ class FrameProblem(Problem[Array, compute.Evaluation]):
                 q, rule = found.state, replace(rule, damping=found.damping)
                 used, evaluations = used + found.iterations, evaluations + found.evaluations
         assert found is not None
-        return compute.Solution(q, found.equations, used, evaluations, found.converged)
+        return Solution(q, found.equations, used, evaluations, found.converged)

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hypose import compute
 from hypose.body.body import Body
-from hypose.compute import PriorArrays, solve_coupled
+from hypose.compute import solver
+from hypose.compute.arrays import PriorArrays
+from hypose.compute.linear import solve_coupled
 from hypose.errors import SolverError
 from hypose.evidence.terms import Term
 from hypose.fitting.articulated import (
@@ -232,7 +233,7 @@ class _Clip(Problem[Array, tuple[Array, Array]]):
             centre = self.centre.copy()
             centre[:, 3:6] = nearest_branch(centre[:, 3:6], q[k, 3:6])
             (cues, rows), priors = self.cues[k], PriorArrays(centre, self.weight, self.lower, self.upper)
-            e = compute.evaluate(q[k], self.tree, self.mesh, cues, priors, workspace_for(self.body, cues))
+            e = solver.evaluate(q[k], self.tree, self.mesh, cues, priors, workspace_for(self.body, cues))
             if rows:
                 e = with_rows(e, q[k], self.body, rows)
             cost += e.cost

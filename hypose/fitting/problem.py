@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.body import Body, Landmarks, Mesh
-from hypose.compute import SharedEquations, weighted_squares
+from hypose.compute.linear import SharedEquations, weighted_squares
 from hypose.errors import SolverError
 from hypose.geometry import Array
 

@@ -12,7 +12,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hypose.compute import geman_mcclure, lorentzian, outline_rows
+from hypose.compute.losses import geman_mcclure, lorentzian
+from hypose.compute.shape_rows import outline_rows
 from hypose.evidence.depth_surface import DepthTerm
 from hypose.evidence.terms import ContourTerm, KeypointTerm
 from hypose.fitting.problem import Posed, Rows

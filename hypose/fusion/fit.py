@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hypose import compute
+from hypose.compute import fusion
 from hypose.evidence.frame import TRACKED
 from hypose.fusion import joints as jt
 from hypose.geometry import Array
@@ -80,7 +80,7 @@ def remaining_uncertainty(
     alike = np.maximum(_cosine(to[:, None], to)[..., 0], 0.0)
     order = np.argsort(-seen, axis=0, kind="stable")
     systematic, wrong = np.empty(15), np.empty(15)
-    compute.fusion.judge_claims(
+    fusion.judge_claims(
         *(
             points - joints,
             apart,
@@ -278,7 +278,7 @@ def fit_step(
     x = predicted.copy()
     share = np.zeros(weights.shape)
     variance = np.zeros(15)
-    compute.fusion.fit_frame(
+    fusion.fit_frame(
         points,
         weights,
         predicted,

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from hypose.compute import lorentzian_weight
+from hypose.compute.losses import lorentzian_weight
 from hypose.evidence.frame import SensorJoints
 from hypose.fusion.align import Instant, SensorBody
 from hypose.fusion.joints import COMMON, MIRROR, TRUNK_JOINTS

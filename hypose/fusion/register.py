@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hypose.compute import lorentzian_weight
+from hypose.compute.losses import lorentzian_weight
 from hypose.errors import InputError
 from hypose.evidence.frame import INFERRED, TRACKED, SensorJoints
 from hypose.fusion import joints as jt

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hypose.compute import DepthImage
+from hypose.compute.forests import DepthImage
 from hypose.errors import InputError
 
 _SMALLEST, _LARGEST = 32, 4096

@@ -12,7 +12,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.compute import GrowingArrays, Packed, PaddedDepth, forest_votes, forests
+from hypose.compute import forest_votes, forests
+from hypose.compute.forest_votes import Packed
+from hypose.compute.forests import GrowingArrays, PaddedDepth
 from hypose.errors import InputError
 from hypose.gestures.depth_pictures import check_settings
 

@@ -14,7 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.compute import DepthImage, PaddedDepth, ScanPlan, forest_votes, forests
+from hypose.compute import forest_votes, forests
+from hypose.compute.forest_votes import ScanPlan
+from hypose.compute.forests import DepthImage, PaddedDepth
 from hypose.errors import InputError
 from hypose.gestures.depth_pictures import KINECT, DepthLens, check_settings, surface_depth
 from hypose.gestures.forest import Forest, GrowingForest

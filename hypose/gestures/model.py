@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.compute import GrowingArrays
+from hypose.compute.forests import GrowingArrays
 from hypose.errors import InputError
 from hypose.gestures.forest import MAX_CLASSES, Forest, ForestSettings, GrowingForest
 from hypose.gestures.localise import LocaliseSettings

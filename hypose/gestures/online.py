@@ -12,7 +12,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.compute import DepthImage, ScanPlan
+from hypose.compute.forest_votes import ScanPlan
+from hypose.compute.forests import DepthImage
 from hypose.errors import InputError
 from hypose.gestures.depth_pictures import DepthLens, check_settings, surface_depth
 from hypose.gestures.forest import ForestSettings, GrowingForest

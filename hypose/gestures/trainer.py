@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.compute import DepthImage
+from hypose.compute.forests import DepthImage
 from hypose.gestures.depth_pictures import DepthLens
 from hypose.gestures.forest import GrowingForest
 from hypose.gestures.localise import Localisation, LocaliseSettings, localise

@@ -23,6 +23,8 @@ _IntArray = NDArray[np.int32]
 
 BEFORE = "before"
 """Name of the column with the state (D,) that each hypothesis had one step ago."""
+FOUND_BY = "by "
+"""Roles that begin so say which search found a hypothesis: "by limb search"."""
 
 
 def _none() -> _IntArray:
@@ -127,6 +129,10 @@ class Hypotheses:
         chosen[np.asarray(members)] = True
         bit = np.int32(1 << names.index(role))
         return self._with(role=np.where(chosen, self.role | bit, self.role & ~bit), role_names=names)
+
+    def found_by(self, member: int) -> str:
+        """Return the role that says which search found a hypothesis of one population; empty when it has none."""
+        return next((r for r in self.role_names if r.startswith(FOUND_BY) and self.has(r)[member]), "")
 
     @property
     def count(self) -> int:

@@ -179,11 +179,13 @@ class SearchResult:
     estimate: (*B, D) state, read from `weighted`.
     weighted: set of the last layer after weighing.
     resampled: set of the last layer after resampling, to be carried to the next frame.
+    first: (*B, D) estimate after the first layer, of a recipe that keeps rivals; else the estimate.
     """
 
     estimate: FloatArray
     weighted: Hypotheses
     resampled: Hypotheses
+    first: FloatArray
 
 
 def search(h: Hypotheses, recipe: Recipe, frame: Any, rng_of_layer: RngOfLayer) -> SearchResult:
@@ -198,7 +200,7 @@ def search(h: Hypotheses, recipe: Recipe, frame: Any, rng_of_layer: RngOfLayer) 
     Deviation: the cycle of the thesis starts at the weighing; here it starts at the propagation, so that a frame ends
     with its own estimate.
     """
-    weighted = h
+    weighted, first = h, None
     for index, layer in enumerate(recipe.layers):
         if layer.needed is not None and not layer.needed(h, frame):
             continue
@@ -207,7 +209,10 @@ def search(h: Hypotheses, recipe: Recipe, frame: Any, rng_of_layer: RngOfLayer) 
         if layer.weigh is not None:
             weighted = weighted.reweighted(layer.weigh(weighted, frame))
         h = layer.resample(weighted, rng)
-    return SearchResult(recipe.estimate(weighted), weighted, h)
+        if first is None and recipe.rivals:
+            first = recipe.estimate(weighted)
+    estimate = recipe.estimate(weighted)
+    return SearchResult(estimate, weighted, h, estimate if first is None else first)
 
 
 _WORD = 2**64

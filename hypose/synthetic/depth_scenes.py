@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.cameras.camera import Camera, CameraRig
-from hypose.compute import rasterize
+from hypose.compute.zbuffer import rasterize
 from hypose.errors import InputError
 from hypose.geometry import Array, DepthMap, so3_exp
 from hypose.synthetic.corruptions import smooth_noise

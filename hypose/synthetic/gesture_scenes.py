@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.compute import DepthImage, depth_sensor
+from hypose.compute import depth_sensor
+from hypose.compute.forests import DepthImage
 from hypose.errors import InputError
 from hypose.geometry import Array
 from hypose.gestures.depth_pictures import KINECT, DepthLens

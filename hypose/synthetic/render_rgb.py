@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from hypose.body.skin_weights import vertex_normals
 from hypose.cameras.camera import Camera
-from hypose.compute import covered, interpolate, rasterize
+from hypose.compute.parts import covered
+from hypose.compute.zbuffer import interpolate, rasterize
 from hypose.geometry import Array, Image
 from hypose.synthetic.subjects import SyntheticSubject
 

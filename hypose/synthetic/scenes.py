@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose.cameras.camera import Camera, CameraRig
-from hypose.compute import covered, rasterize
+from hypose.compute.parts import covered
+from hypose.compute.zbuffer import rasterize
 from hypose.errors import InputError
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.keypoints import BODY_25, to_keypoints
