@@ -124,7 +124,7 @@ def cues_of(body: Body, evidence: Sequence[Term]) -> tuple[Cues, tuple[RowTerm, 
     once: dict[type[Term], Term] = {}
     for term in evidence:
         if isinstance(term, ContourTerm | KeypointTerm | DepthTerm) and once.setdefault(type(term), term) is not term:
-            raise InputError(f"A frame has one {type(term).__name__} of all its views; join the two.")
+            raise InputError(f"A frame has one {type(term).__name__} of all its views; combine the two.")
     contours, keypoints, depth = (once.get(kind) for kind in (ContourTerm, KeypointTerm, DepthTerm))
     places = [term.arrays(body) for term in evidence if isinstance(term, PointTerm)]
     rows = tuple(term for term in evidence if isinstance(term, RowTerm))

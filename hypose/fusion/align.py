@@ -330,7 +330,7 @@ class Aligner:
             self._forget(it)
             if len(it.tracks) >= s.most_people:
                 raise InputError(
-                    f"The sensor {sensor} reports more than {s.most_people} persons; the rest is left out."
+                    f"The sensor {sensor} reports more than {s.most_people} persons; the others are ignored."
                 )
             track = it.tracks[person] = _Track()
         fresh = track.add(time, *body)
@@ -372,7 +372,7 @@ class Aligner:
         if len(self._sensors) >= s.most_sensors:
             dead = [x for x in self._sensors.values() if now - x.arrival > 10 * s.timeout]
             if not dead:
-                raise InputError(f"There are {s.most_sensors} sensors already; {name} is left out.")
+                raise InputError(f"There are {s.most_sensors} sensors already; {name} is ignored.")
             del self._sensors[min(dead, key=lambda x: x.arrival).name]
         self._sensors[name] = _Sensor(name, s)
         return self._sensors[name]

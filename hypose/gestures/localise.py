@@ -152,7 +152,7 @@ def densities(
     """
     s = settings.at(lens)
     if not forest_list:
-        raise InputError("There is no forest to look with; train a gesture first.")
+        raise InputError("There is no forest to search with; train a gesture first.")
     reach = forest_list[0].settings.reach_mm
     if any(f.settings.reach_mm != reach for f in forest_list):
         raise InputError("The forests have different reaches; train them with the same reach_mm.")
@@ -160,7 +160,7 @@ def densities(
         raise InputError("A forest of several gestures is used alone; give one forest per gesture, or that one.")
     if len(forest_list) > forest_votes.MOST_FORESTS:
         raise InputError(
-            f"{len(forest_list)} forests are too many to look with; give at most {forest_votes.MOST_FORESTS}."
+            f"{len(forest_list)} forests are too many for one search; give at most {forest_votes.MOST_FORESTS}."
         )
     picture = scratch.picture = pad(depth, lens, reach, s.plan.near_mm, scratch.picture)
     if len(forest_list) > 1 or forest_list[0].classes == 2:
