@@ -117,7 +117,7 @@ def _shape_of(log_factors: ArrayLike) -> Shape:
         # along the arm and across it alike: a hand, a foot keep their proportions
         length[f"{side}_wrist"] = girth[f"{side}_wrist"] = f["hands"]  # type: ignore[assignment]
         length[f"{side}_ankle"] = girth[f"{side}_ankle"] = f["feet"]  # type: ignore[assignment]
-        # hips hang on the pelvis and clavicles on the chest: undo the trunk's stretch across the body
+        # hips are children of the pelvis, clavicles of the chest: undo the trunk's stretch across the body
         offset[f"{side}_hip"] = (f["hip width"] / torso, 1 / torso, 1.0)
         offset[f"{side}_clavicle"] = (shoulders / torso, 1 / torso, 1.0)
         offset[f"{side}_shoulder"] = (shoulders, 1.0, 1.0)

@@ -254,7 +254,7 @@ class _Sensor:
         same_clock = self.newest < time and ahead <= s.clock.agree and now - self.arrival < s.clock.window
         if same_clock and time - self.newest <= s.timeout:
             return
-        if not same_clock:  # else the delay of a late line would pass for the clock's offset
+        if not same_clock:  # else the delay of a late line would become the clock's offset
             self.clock, self.newest, self.jumps = SensorClock(s.clock), -math.inf, 0
             self.until = self.since = -math.inf
         self.tracks.clear()

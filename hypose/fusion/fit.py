@@ -255,7 +255,7 @@ def fit_step(
     eyes: (K, 3) m, positions of the sensors, NaN where unknown.
     Returns: the new memory and the fused skeleton.
     """
-    # a joint of a sensor that is not registered has a state but no place
+    # a joint of a sensor that is not registered has a state but no position
     states = np.where(np.isfinite(positions[..., 0]), states, 0).astype(np.uint8)
     side, swapped = state.side, np.zeros(len(positions), dtype=np.bool_)
     if settings.unswap:
