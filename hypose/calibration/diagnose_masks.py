@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.calibration.diagnose_points import sizes, undistorted
-from hypose.calibration.findings import Finding
+from hypose.calibration.findings import INVALID, REVIEW, Finding
 from hypose.calibration.refine_points import apply_parameters
 from hypose.calibration.sync_motion import MaskTrack, tangent_planes
 from hypose.cameras.camera import CameraRig, triangulate
@@ -327,7 +327,7 @@ def focal_findings(found: CommonFocal) -> Iterator[Finding]:
             f"{found.factor * found.sd:.2f}); as they are, the person comes out {found.factor:.2f} times as large"
         )
         cure = "calibrate the lenses again as the videos were filmed (zoom, picture size), or correct all focal lengths"
-        yield Finding("focal", (), text, cure, off, fault=off > CERTAIN * found.sd)
+        yield Finding("focal", (), text, cure, off, severity=INVALID if off > CERTAIN * found.sd else REVIEW)
 
 
 def focal_by_points(rig: CameraRig, pixels: Array) -> CommonFocal:

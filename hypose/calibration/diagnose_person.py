@@ -17,7 +17,7 @@ import numpy as np
 from hypose.body.default_body import human
 from hypose.calibration.diagnose_masks import Alignment
 from hypose.calibration.diagnose_points import undistorted
-from hypose.calibration.findings import Finding, Limits, ViewFile
+from hypose.calibration.findings import REVIEW, Finding, Limits, ViewFile
 from hypose.calibration.refine_points import CameraChange
 from hypose.cameras.camera import CameraRig, triangulate
 from hypose.errors import EvidenceError
@@ -170,7 +170,7 @@ def wrong_way_up(points_world: Array, names: Sequence[str], pixels: Array, rig: 
         # cameras that hang on their side show neither
         text = "All cameras: the person lies in the calibration's world from beginning to end"
         cure = "if they stand, set world_up in recording.toml to the axis along which they do"
-        yield Finding("lying", (), text, cure, 1.0, fault=False)
+        yield Finding("lying", (), text, cure, 1.0, severity=REVIEW)
     sides = _sides(points_world, names, pixels, rig)
     against = -sides[sides < 0].sum()
     if not turned and against > EXCHANGED and against > _WRONG_WAY_SHARE * np.abs(sides).sum():
@@ -358,11 +358,11 @@ def clip_findings(rig: CameraRig, clips: Sequence[ViewFile], frame_rate: float) 
             yield Finding("size", (camera.name,), text + " (turned by 90 degrees)", "turn the video back", 1.0)
         elif clip.accepted:
             words = f": stretched by {fx:.4f} x {fy:.4f}, as accepted"
-            yield Finding("size", (camera.name,), text + words, "nothing", abs(fx / fy - 1), fault=False)
+            yield Finding("size", (camera.name,), text + words, "nothing", abs(fx / fy - 1), severity=REVIEW)
         elif abs(fx / fy - 1) < 0.002:
             cure = 'nothing if the video was only scaled; key points detected in it need keypoint_pixels = "image"'
             yield Finding(
-                "size", (camera.name,), text + f": scaled to {100 * fx:.0f} %", cure, abs(fx - 1), fault=False
+                "size", (camera.name,), text + f": scaled to {100 * fx:.0f} %", cure, abs(fx - 1), severity=REVIEW
             )
         else:
             cure = (
@@ -434,10 +434,10 @@ def height_findings(found: float, height: float | None, o: Limits) -> Iterator[F
             "share of their distances"
         )
         cure = "check the board's square size and the focal lengths"
-        yield Finding("unit", (), text, cure, abs(found / height - 1), fault=False)
+        yield Finding("unit", (), text, cure, abs(found / height - 1), severity=REVIEW)
     elif height is None and not o.usual_heights[0] <= found <= o.usual_heights[1]:
         text = (
             f"All cameras: the person comes out {found:.2f} m tall, as the calibration's unit and focal lengths have it"
         )
         cure = "give the person's height if it is right (--height), else check the board's square size"
-        yield Finding("unit", (), text, cure, abs(float(np.log(found / 1.7))), fault=False)
+        yield Finding("unit", (), text, cure, abs(float(np.log(found / 1.7))), severity=REVIEW)

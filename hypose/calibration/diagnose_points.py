@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.calibration.findings import Finding, Limits, SeenT, Trial
+from hypose.calibration.findings import INVALID, REVIEW, Finding, Limits, SeenT, Trial
 from hypose.calibration.refine_points import (
     CameraChange,
     PointAdjustment,
@@ -345,7 +345,7 @@ def timing_findings(rig: CameraRig, late: Array, sd: Array, fault: bool = True) 
                     f"{name}: {abs(x):.1f} frames {way} against the other views, or more: the clip is too short to tell"
                 )
                 cure = "run hypose sync on more frames, with a larger --largest"
-            yield Finding("late", (name,), text, cure, abs(x), fault)
+            yield Finding("late", (name,), text, cure, abs(x), INVALID if fault else REVIEW)
 
 
 # ---- doctor extrinsics ---------------------------------------------------------------------------------------------
@@ -528,7 +528,7 @@ def _lenses(
         f"{', '.join(off)}: other lens coefficients would fit as well, but the views would hardly agree better "
         f"({freed:.1f} instead of {without:.1f} px)"
     )
-    return [Finding("distortion", tuple(off), text, "nothing, if the lenses were calibrated", largest, fault=False)]
+    return [Finding("distortion", tuple(off), text, "nothing, if the lenses were calibrated", largest, severity=REVIEW)]
 
 
 def _bent_residual(lens: PointAdjustment, pixels: Array, confidence: Array) -> float:

@@ -39,7 +39,7 @@ from hypose.calibration.diagnose_points import (
     timing_findings,
     undistorted,
 )
-from hypose.calibration.findings import Finding, Limits, Trial, ViewFile, depth_findings
+from hypose.calibration.findings import REVIEW, Finding, Limits, Trial, ViewFile, depth_findings
 from hypose.calibration.refine_points import apply_parameters, changes, left_out_residual, point_residual
 from hypose.calibration.sync_motion import MaskTrack, farther, mask_tracks, silhouette_curves, solve_widely
 from hypose.calibration.synchronisation import points_at
@@ -397,7 +397,9 @@ def examine_and_cure(observed: Observed, limits: Limits | None = None) -> tuple[
     o = limits or Limits()
     n = len(observed.rig)
     findings = list(clip_findings(observed.rig, observed.clips, observed.frame_rate))
-    findings += [Finding("people", (), text, "nothing, if that is right", 0.0, fault=False) for text in observed.people]
+    findings += [
+        Finding("people", (), text, "nothing, if that is right", 0.0, severity=REVIEW) for text in observed.people
+    ]
     by_depth = depth_findings(observed.depths)
     findings += by_depth
     if observed.keypoints is None or (observed.keypoints[..., 2] > 0.3).any((1, 2)).sum() < 2:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import cv2
 import numpy as np
@@ -15,6 +15,9 @@ from hypose.errors import EvidenceError
 from hypose.evidence.depth_evidence import Depth, in_world
 from hypose.evidence.depth_floor import camera_on_floor
 from hypose.geometry import transform
+
+INVALID, REVIEW, INFO = "invalid", "review", "info"
+"""Severities of a finding."""
 
 
 @dataclass(frozen=True)
@@ -112,25 +115,41 @@ class Trial(Generic[SeenT]):
 class Finding:
     """One fault.
 
-    kind: one word.
+    kind: one word or two, for programs.
     views: the cameras' names, () = all.
     text: what and the evidence.
-    cure: the next step.
+    cure: the next step; empty where there is none.
     size: how large it is in its own unit.
-    fault: False for what only has to be known.
+    severity: INVALID, the result is not to be trusted; REVIEW, it has to be looked at; INFO, only to be known.
     """
 
     kind: str
     views: tuple[str, ...]
     text: str
-    cure: str
-    size: float
-    fault: bool = True
+    cure: str = ""
+    size: float = 1.0
+    severity: str = INVALID
+
+    @property
+    def fault(self) -> bool:
+        """Whether it makes a result invalid."""
+        return self.severity == INVALID
 
     @property
     def sentence(self) -> str:
         """Return the fault and the next step."""
-        return f"{self.text}. Next: {self.cure}."
+        text = self.text if self.text.endswith((".", ":")) else f"{self.text}."
+        return f"{text} Next: {self.cure}." if self.cure else text
+
+    def document(self) -> dict[str, Any]:
+        """Return the finding as JSON values."""
+        return {**vars(self), "views": list(self.views)}
+
+    @staticmethod
+    def of_document(kept: Mapping[str, Any]) -> Finding:
+        """Read what `document` gave."""
+        texts = {name: str(kept[name]) for name in ("kind", "text", "cure", "severity")}
+        return Finding(views=tuple(map(str, kept["views"])), size=float(kept["size"]), **texts)
 
 
 # ---- doctor depth --------------------------------------------------------------------------------------------------
@@ -205,7 +224,7 @@ def _measuring_nothing(depths: Sequence[Depth]) -> Iterator[Finding]:
         when = "in all frames" if often[c] == 1 else f"in {100 * often[c]:.0f} % of the frames"
         text = f"{name} measures nothing {when} that were looked at: its depth maps are empty"
         cure = "look whether it recorded, and give its maps anew, or take its [[view]] out of recording.toml"
-        yield Finding("blank", (name,), text, cure, float(often[c]), not left.any())
+        yield Finding("blank", (name,), text, cure, float(often[c]), REVIEW if left.any() else INVALID)
 
 
 def _by_floor(depth: Depth, when: str) -> Iterator[Finding]:
@@ -228,7 +247,7 @@ def _by_floor(depth: Depth, when: str) -> Iterator[Finding]:
                 "look whether its maps are in millimetres and whether it has been moved since it was calibrated; "
                 "hypose depth-import finds the cameras' places anew"
             )
-            yield Finding("floor", (camera.name,), text, cure, size, size > PLAINLY)
+            yield Finding("floor", (camera.name,), text, cure, size, INVALID if size > PLAINLY else REVIEW)
 
 
 def seen_past(depth: Depth) -> tuple[int, int]:

@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from hypose.calibration.findings import INFO, Finding
 from hypose.cameras.camera import CameraRig
 from hypose.errors import InputError
 from hypose.evidence.frame import Silhouettes
@@ -214,15 +215,12 @@ def track_one_of(
     one = found.people[0]
     more = found.others
     said = (other_people_note(more, "masks", command),) if more and not places_refuted(run.looked) else ()
-    said = (*said, *(f"Note: {n}." for n in said_of_places(wanted, 1 + more)))
-    faults = one.result.faults
+    notes = said_of_places(wanted, 1 + more)
+    found_so = [*one.result.findings, *said, *(Finding("places", (), f"Note: {n}", severity=INFO) for n in notes)]
     if wanted and wanted[0].place is not None and one.name != wanted[0].name:
-        faults = (
-            *faults,
-            f"{wanted[0].not_found}; the result is that of somebody else instead: correct place and time of the "
-            "[[person]] in recording.toml",
-        )
-    out = replace(one.result, faults=faults, remarks=said, complete=found.complete)
+        text = f"{wanted[0].not_found}; the result is that of another person"
+        found_so.append(Finding("other person", (), text, "correct place and time of the [[person]] in recording.toml"))
+    out = replace(one.result, findings=tuple(found_so), complete=found.complete)
     if results is not None:
         save_motion(out.motion, results.motion)
         if found.complete:

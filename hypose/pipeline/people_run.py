@@ -479,7 +479,7 @@ class PeopleRun:
         clip = ClipState(source, self.frame_rate, self.options, results=p.results, record=self.record)
         known = {"subject": p.subject, "tracker": p.member.tracker, "tracked": tracked, "notes": p.subject.notes}
         clip = replace(clip, **known, shared_masks=shared, progress=self.progress)
-        out = finish(clip.judged_so(self.looked))
+        out = finish(clip.with_findings(*self.looked))
         motion, notes = replace(out.motion, lost=out.motion.lost | ~present), [*out.notes, *p.said]
         if hidden.any():
             motion = replace(

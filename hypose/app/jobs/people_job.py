@@ -25,6 +25,7 @@ from hypose.app.reports.overlay import OverlayRows, PictureRows, colour_of, writ
 from hypose.app.reports.report import report_pictures
 from hypose.app.reports.summary import CONTENT_POLICY, page
 from hypose.app.studio.view_bundle import Rivals, ViewResult, pictured
+from hypose.calibration.findings import REVIEW, Finding
 from hypose.errors import InputError
 from hypose.io.files import check_writable
 from hypose.io.motions.c3d import write_c3d
@@ -91,7 +92,7 @@ def run_people(job: TrackJob, people: str, progress: ProgressCall = ignore) -> O
             files += top
             remove_stale(results, [*top])
     first = shown[0]
-    assessment = Assessment(UNTRUSTED, (absent,)) if absent else worst_assessment(shown)
+    assessment = Assessment(UNTRUSTED, (Finding("absent", (), absent),)) if absent else worst_assessment(shown)
     results.write_json(ASSESSMENT_FILE, assessment.document())
     said = (*notes, *(f"{p.name}: {n}" for p in shown for n in p.result.notes))
     return Outcome(first.result.motion, first.result.body, found.complete, tuple(files), said, None, assessment)
@@ -111,9 +112,13 @@ def worst_assessment(people: Sequence[TrackedPerson]) -> Assessment:
     assessments = {p.name: p.assessment for p in people}
     order = ("good", "look", UNTRUSTED)
     word = max((v.word for v in assessments.values()), key=order.index)
-    because = [f"{name}: {v.sentence}" for name, v in assessments.items() if v.word == word and v.because]
+    found = [
+        Finding("person", (), f"{name}: {v.sentence}", severity=REVIEW)
+        for name, v in assessments.items()
+        if v.word == word and v.because
+    ]
     frames = tuple(r for v in assessments.values() if v.word == word for r in v.frames)
-    return Assessment(word, tuple(because), () if word == UNTRUSTED else frames)
+    return Assessment(word, tuple(found), () if word == UNTRUSTED else frames)
 
 
 def _written(one: TrackedPerson, results: ResultsFolder) -> list[Path]:
