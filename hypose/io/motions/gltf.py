@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from hypose.body.body import Body, Mesh
 from hypose.body.motion import Motion
-from hypose.compute import FIXED
+from hypose.compute.arrays import FIXED
 from hypose.errors import InputError
 from hypose.geometry import Array, quaternion_from_matrix
 from hypose.io.files import write_bytes

@@ -651,8 +651,8 @@ def provenance(
 
 
 def provenance_identity(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Extract the part of a provenance that determines the result: all except "run"."""
-    return {k: v for k, v in record.items() if k != "run"}
+    """Extract the part of a provenance that determines the result: all except "run" and the trace of the passes."""
+    return {k: v for k, v in record.items() if k not in ("run", "trace")}
 
 
 def versions() -> dict[str, str]:

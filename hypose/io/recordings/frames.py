@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import percentile_filter
 
 from hypose.cameras.camera import Camera, CameraRig
-from hypose.compute import default_threads
+from hypose.compute.threads import default_threads
 from hypose.errors import InputError
 from hypose.evidence.background import (
     BackgroundModel,

@@ -13,18 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.cameras.camera import Camera
-from hypose.compute import (
-    Box,
-    Glance,
-    Undistortion,
-    default_threads,
-    differing_box,
-    make_lens,
-    mask_runs,
-    new_picture,
-    shrink_undistort,
-    stored_pixels,
-)
+from hypose.compute import mask_runs
+from hypose.compute.glance import Glance, differing_box, stored_pixels
+from hypose.compute.picture_to_mask import Box, Undistortion, make_lens, new_picture, shrink_undistort
+from hypose.compute.threads import default_threads
 from hypose.errors import InputError
 from hypose.evidence.depth_background import (
     STILL_FRAMES,
