@@ -7,7 +7,7 @@ import importlib
 import re
 from typing import Any
 
-# C0 and C1 but tab and newline, line and paragraph separators, marks that turn the direction, halves of pairs
+# C0 and C1 except tab and newline, line and paragraph separators, marks of direction, single surrogates
 _UNSEEN = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
 
 

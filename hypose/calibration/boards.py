@@ -26,8 +26,8 @@ IntArray = NDArray[np.int64]
 
 _SEARCH_SIZE = 1400  # px: larger pictures are searched in a smaller copy first; corners are refined in the original
 _FLAGS = cv2.CALIB_CB_NORMALIZE_IMAGE
-_MIN_CORNERS = 6  # of a ChArUco board; fewer leave the pose of a plane loose
-_SHEETS = 4  # bright quadrilaterals that are looked at closer
+_MIN_CORNERS = 6  # of a ChArUco board; fewer do not determine the pose of a plane well
+_SHEETS = 4  # bright quadrilaterals that are searched
 
 
 @dataclass(frozen=True)
@@ -248,7 +248,7 @@ def _sheets(gray: Gray) -> list[Array]:
             near = 0.1 * np.sqrt(area)
             if all(np.linalg.norm(centre - q.mean(0)) > near or abs(a / area - 1) > 0.2 for a, q in kept):
                 kept.append((area, quad.astype(np.float64)))
-    # those full of edges first: boards are, walls and lamps are not
+    # those with most edges first: boards have many, walls and lamps few
     busy = cv2.convertScaleAbs(cv2.Laplacian(gray, cv2.CV_16S))
 
     def edges(quad: Array) -> float:
@@ -312,7 +312,7 @@ def _refined(gray: Gray, corners: Array, size: tuple[int, int]) -> Array:
         picture, sheet_from_image, shape, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
     ).astype(np.float32)
     start = cv2.perspectiveTransform(corners.reshape(-1, 1, 2), sheet_from_image).reshape(-1, 2)
-    # neighbours know where a corner that slid away belongs: the lens bends the grid smoothly
+    # a smooth fit of all corners corrects those that drifted: the lens bends the grid smoothly
     x, y = ((flat - flat.mean(0)) / np.abs(flat - flat.mean(0)).max()).T
     smooth = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], 1)
     start = flat + smooth @ np.linalg.lstsq(smooth, start - flat, rcond=None)[0]

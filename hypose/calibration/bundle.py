@@ -303,7 +303,7 @@ class _Problem(SharedProblem[list[Camera]]):
             pose = se3(so3_exp(d[:3]) @ pose[:3, :3], pose[:3, 3] + d[3:6])
             k, distortion = camera.K, camera.distortion
             if free:
-                # a wild step must not make a camera that cannot exist
+                # limit large steps, so that the camera stays possible
                 f = np.exp(np.clip(d[6:8] / np.diag(k)[:2], -0.5, 0.5)) * np.diag(k)[:2]
                 k = np.array([[f[0], 0, k[0, 2] + d[8]], [0, f[1], k[1, 2] + d[9]], [0, 0, 1.0]])
                 n = _lens_size(camera)
@@ -323,7 +323,7 @@ class _Problem(SharedProblem[list[Camera]]):
             return 1.0
         noise = np.empty(len(self.o))
         noise[self.order] = self.noise
-        share = np.minimum(np.linalg.norm(residuals, axis=1) / noise, self.robust)  # outliers are no noise
+        share = np.minimum(np.linalg.norm(residuals, axis=1) / noise, self.robust)  # outliers do not count as noise
         return max(float(np.sqrt((share**2).sum() / freedom)), 1 / 3)
 
     def deviations(self, cameras: Sequence[Camera], equations: SharedEquations) -> tuple[Array, Array]:
@@ -361,7 +361,7 @@ def _lens_size(camera: Camera) -> int:
 
 MAX_VIEWS = 40
 _MIN_VIEWS = 4
-_DISTINCT = 0.03  # of the picture's width: boards nearer to each other than this say the same
+_DISTINCT = 0.03  # of the picture's width: boards nearer to each other than this give the same information
 FOCAL_SD = 0.03
 """Relative standard deviation above which a focal length counts as undetermined."""
 
@@ -498,6 +498,7 @@ def board_poses(camera: Camera, sighting: BoardDetection, points: Array) -> list
     """Compute the two poses of a board that explain its picture (Collins and Bartoli 2014, infinitesimal plane-based
     pose).
 
+    sighting: the detected board.
     points: (N, 3) corners of the board, m.
     Returns: camera_from_board (4, 4) and rms error, px, of each pose, the better one first.
     """

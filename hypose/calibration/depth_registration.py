@@ -70,7 +70,7 @@ def rough_registration(times_a: Array, joints_a: Array, times_b: Array, joints_b
     weight = np.ones(len(a))
     motion = np.eye(4)
     away = weight
-    for _ in range(8):  # lost limbs count less
+    for _ in range(8):  # wrong limbs get less weight
         motion = _level(b, a, weight)
         away = np.linalg.norm(transform(motion, b) - a, axis=1)
         weight = 1 / (1 + (away / 0.05) ** 2)
@@ -120,7 +120,7 @@ def refine_registration(
     """
     weight = np.full(body.skeleton.dof, _POSE_SD**-2)
     weight[:6] = 0
-    # rows of a frame err together: as in the pose solver the anatomy counts with that weight
+    # the errors of a frame's rows are correlated, so the anatomical prior has the same weight as in the pose solver
     usual = Quadratic(np.zeros(body.skeleton.dof), anatomical_prior(body.skeleton).weight)
     anchor = Quadratic(np.array(poses, dtype=np.float64), weight)
     frames = [[_cue(sensor[f], s) for s, sensor in enumerate(seen)] for f in range(len(poses))]
@@ -166,7 +166,7 @@ class _SensorProblem(PoseProblem[Array]):
     ) -> tuple[Array, Array, Sequence[Array]]:
         by_frame = []
         for r in rows:
-            # a sensor that turns and moves in the world moves its points: the residual sees it the other way
+            # a moving sensor moves its points in the world, so the derivative has the opposite sign
             by_all = np.zeros((len(r.view), len(shared), len(_ON_FLOOR)))
             wrench = np.concatenate([np.cross(r.point, r.slope), r.slope], 1)
             by_all[np.arange(len(r.view)), r.view] = -wrench[:, _ON_FLOOR]

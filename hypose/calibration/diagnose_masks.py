@@ -263,7 +263,7 @@ def _regressed(found: LimbOffsets, scale_px: float) -> tuple[Array, Array, float
         s = np.einsum("ri,r,r->i", rows[mine], weight[mine], r[mine])
         spread += np.outer(s, s)
     by_limb = np.diag(inverse @ spread @ inverse) * len(limbs) / max(len(limbs) - 2, 1)
-    # and as if every second frame gave one independent limb
+    # lower bound: as if every second frame gave one independent limb
     frames = max(len(np.unique(found.frame)) / 2, 1.0)
     noise = float((weight * r**2).sum() / max(weight.sum(), 1e-9))
     by_frame = np.diag(inverse) * noise * len(y) / frames
@@ -271,7 +271,7 @@ def _regressed(found: LimbOffsets, scale_px: float) -> tuple[Array, Array, float
 
 
 def view_masks(silhouettes: Sequence[Silhouettes | None], view: int) -> list[NDArray[np.uint8] | None]:
-    """List the usable masks of one view, without padding; None for unusable frames."""
+    """List the usable masks (h, w) of one view in each frame, without padding; None where there is none."""
     out: list[NDArray[np.uint8] | None] = []
     for s in silhouettes:
         if s is None or not s.usable[view]:
@@ -300,6 +300,8 @@ def tangency(rig: CameraRig, tracks: Sequence[MaskTrack]) -> dict[tuple[int, int
 def tangency_by_view(pairs: dict[tuple[int, int], Array], n_views: int) -> Array:
     """Summarise the disagreement of tangent planes per view.
 
+    pairs: result of `tangency`.
+    n_views: number of views.
     Returns: (C,) median over a view's pairs of the median over frames and tangents, px; NaN without data.
     """
     out = np.full(n_views, np.nan)
@@ -311,7 +313,7 @@ def tangency_by_view(pairs: dict[tuple[int, int], Array], n_views: int) -> Array
 
 
 # ---- common focal --------------------------------------------------------------------------------------------------
-# By which factor all focal lengths together are wrong, as far as a moving person tells.
+# The common factor by which all focal lengths are wrong, estimated from a moving person.
 #
 # Cameras whose focal lengths are all too long by the same factor show a smaller world: a person who stays where all
 # of them look only becomes shorter, and no view contradicts another. Off that middle the rays miss each other, along
@@ -354,7 +356,7 @@ standard deviations."""
 
 
 def focal_findings(found: CommonFocal) -> Iterator[Finding]:
-    """Report a common focal factor as a finding, where it is significant."""
+    """Yield the finding of a common focal factor, where it is significant."""
     off = abs(float(np.log(found.factor)))
     if off > _FAULT_LOG_FACTOR and off > LIKELY * found.sd and found.sd < KNOWN:
         text = (
@@ -366,7 +368,10 @@ def focal_findings(found: CommonFocal) -> Iterator[Finding]:
 
 
 def focal_by_points(rig: CameraRig, pixels: Array) -> CommonFocal:
-    """Estimate the common focal factor from key points (C, T, K, 3), px of the calibrated, distorted pictures."""
+    """Estimate the common focal factor from key points.
+
+    pixels: (C, T, K, 3) px of the calibrated, distorted pictures, and confidence.
+    """
     size = np.maximum(sizes(pixels), 1.0)
 
     def rows(moved: CameraRig, views: list[int]) -> Array:
@@ -385,7 +390,11 @@ def focal_by_points(rig: CameraRig, pixels: Array) -> CommonFocal:
 
 
 def focal_by_masks(rig: CameraRig, tracks: Sequence[MaskTrack]) -> CommonFocal:
-    """Estimate the common focal factor from tangent planes of pairs of views. rig: the cameras of the masks."""
+    """Estimate the common focal factor from tangent planes of pairs of views.
+
+    rig: the cameras of the masks.
+    tracks: mask track of each view.
+    """
     size = np.maximum([t.size for t in tracks], 1.0)
 
     def rows(moved: CameraRig, views: list[int]) -> Array:
@@ -398,11 +407,11 @@ def focal_by_masks(rig: CameraRig, tracks: Sequence[MaskTrack]) -> CommonFocal:
 
 def _factor(rig: CameraRig, rows: FactorRows) -> CommonFocal:
     views = list(range(len(rig)))
-    found = _solve(rig, rows, views, 0.0) if len(views) > 2 else None  # of two views, a wrong pose looks the same
+    found = _solve(rig, rows, views, 0.0) if len(views) > 2 else None  # with two views, a wrong pose looks the same
     if found is None or abs(found[0]) >= _LARGEST:
         return CommonFocal(1.0, float("inf"))
     x, slope, residual, weight = found
-    # kinds of rows err by themselves, and so do views
+    # errors of kinds of rows are independent, and so are those of views
     own = np.nansum(weight * slope * residual, 0) / max(float(np.nansum(weight * slope**2)), 1e-12)
     left = [_solve(rig, rows, [v for v in views if v != c], x, once=True) for c in views]
     moves = np.array([f[0] - x for f in left if f is not None])

@@ -51,7 +51,7 @@ EXCHANGED = 7.0
 _DEFINED = 0.05
 """Share of a leg within which detectors differ on the position of a joint, in every view and frame alike; it
 corresponds to a knee bent by 11 degrees."""
-_MOST_OF_ONE = 3.0  # what one point can say in one frame: it may be wrong in ways that noise is not
+_MOST_OF_ONE = 3.0  # largest contribution of one point in one frame, because it may be wrong by more than noise
 _SIDED = (
     *(f"{s}_{n}" for s in ("left", "right") for n in ("shoulder", "hip", "knee", "ankle", "heel", "big_toe", "ear")),
     "nose",
@@ -174,7 +174,7 @@ def wrong_way_up(points_world: Array, names: Sequence[str], pixels: Array, rig: 
             cure = f"set world_up in recording.toml so that what is now {sign}{axis} points up"
             yield Finding("up", (), text, cure, 1.0)
     elif (np.abs(up) < _UPRIGHT).mean() > _WRONG_WAY_SHARE and not in_images > _UPRIGHT:
-        # cameras that hang on their side show neither
+        # cameras mounted on their side show neither
         text = "All cameras: the person lies in the calibration's world from beginning to end"
         cure = "if they stand, set world_up in recording.toml to the axis along which they do"
         yield Finding("lying", (), text, cure, 1.0, fault=False)
@@ -300,7 +300,7 @@ def _unit(vectors: Array) -> Array:
 
 
 # ---- doctor report -------------------------------------------------------------------------------------------------
-# What the doctor says: findings with their evidence and next step, and the checks that need no geometry.
+# The report of the diagnostics: findings with their evidence and next step, and the checks that need no geometry.
 
 
 UNIT_ERRORS = (
@@ -413,6 +413,7 @@ def person_findings(
     """Check the person: key-point set, up, left and right, and size, which shows wrong units and a wrong scale.
 
     pixels: (C, T, K, 3) distorted px, and confidence.
+    names: K names of the key points.
     height: known height, m.
     o: limits.
     Returns: an iterator over findings.

@@ -75,6 +75,7 @@ def geometric_trials(
 def gross_finding(rig: CameraRig, trial: Trial[Any], before: float, after: float, who: str = "views") -> Finding:
     """Make the finding of a confirmed fault.
 
+    trial: the suspected fault.
     before, after: disagreement with and without the fault, in shares of the person's size.
     who: what agrees without the fault, for the sentence.
     """
@@ -87,7 +88,11 @@ def gross_finding(rig: CameraRig, trial: Trial[Any], before: float, after: float
 
 
 def mirrored_names(names: Sequence[str]) -> list[int]:
-    """Find for each key point the index of the one on the other side of the body."""
+    """Find for each key point the index of the same point on the other side of the body, by its name (left_...,
+    right_...).
+
+    Returns: K indices; a point without another side keeps its own.
+    """
     other = {"left": "right", "right": "left"}
     out = []
     for k, n in enumerate(names):
@@ -141,8 +146,11 @@ def undistorted(rig: CameraRig, pixels: Array) -> tuple[Array, Array]:
 
 
 def sizes(pixels: Array) -> Array:
-    """Compute the person's size in each view: the median over frames of the longer side, px (C,); 0 without a
-    person."""
+    """Compute the person's size in each view: the median over frames of the longer side.
+
+    pixels: (C, T, K, 3) px, and confidence.
+    Returns: (C,) px; 0 where no person is seen.
+    """
     out = np.zeros(len(pixels))
     for c, view in enumerate(pixels):
         found = [np.ptp(p[p[:, 2] > 0.3, :2], axis=0).max() for p in view if (p[:, 2] > 0.3).sum() > 5]
@@ -172,7 +180,7 @@ def trials(
         words = "the videos belong to other cameras: their order is shifted by one"
         cure = 'give each view its camera = "..." in recording.toml'
         yield Trial("swapped", every, words, cure, rig, pixels[np.roll(np.arange(len(rig)), shift)])
-    # a mirrored picture shows the other side; an axis counted the other way has its names right
+    # a mirrored picture exchanges left and right; a reversed axis alone does not
     for kind, words, factor, other, cure in (
         (
             "mirrored",
@@ -264,6 +272,8 @@ def best_trial(
 
     Trials that make the agreement of all views together worse are rejected.
 
+    pixels: (C, T, K, 3) distorted px, and confidence.
+    names: K names of the key points.
     stored: as in `trials`.
     every: only every n-th frame is used.
     Returns: the trial (None without one), and the disagreement before and after it, in shares of the person's size.
@@ -276,7 +286,7 @@ def best_trial(
         if trial.views not in before:
             before[trial.views] = disagreement(rig, few, trial.views)
         scored.append((disagreement(trial.rig, trial.seen, trial.views), before[trial.views], k))
-    # the camera that is worst off is looked at first: its fault disturbs the others
+    # the camera with the largest disagreement is tested first, because its fault affects the others
     worst = max((b for _, b, _ in scored), default=0.0)
     order = sorted(scored, key=lambda x: x[0] / max(x[1], 1e-6))
     for after, was, k in order[:6]:
@@ -289,7 +299,7 @@ def best_trial(
 
 
 # ---- doctor timing -------------------------------------------------------------------------------------------------
-# Which views are not in step with the others, by their key points.
+# Views that are not synchronous with the others, found by their key points.
 
 
 _LEAST_FRAMES = 24
@@ -361,7 +371,11 @@ def _by_first_of_two(frames: Array) -> Array:
 
 
 def timing_findings(rig: CameraRig, late: Array, sd: Array, fault: bool = True) -> Iterator[Finding]:
-    """Yield a finding for each view that `late_views` found to be late or early."""
+    """Yield a finding for each view that is late or early.
+
+    late, sd: (C,) results of `late_views`, frames.
+    fault: whether the findings are faults.
+    """
     for name, x, s in zip(rig.names, late, sd, strict=True):
         if x != 0:
             way, cure = "late" if x > 0 else "early", "run hypose sync, and track what it writes"
@@ -375,7 +389,7 @@ def timing_findings(rig: CameraRig, late: Array, sd: Array, fault: bool = True) 
 
 
 # ---- doctor extrinsics ---------------------------------------------------------------------------------------------
-# Are the cameras where the calibration says? Refined quickly on some frames' key points, judged on others.
+# Check of the camera poses: a fast refinement on the key points of some frames, judged on others.
 
 
 AGREE = 0.02
@@ -452,7 +466,7 @@ def judge_extrinsics(rig: CameraRig, pixels: Array, o: Limits) -> Extrinsics | N
         against = _witnesses(confidence)
         unsure = []
         for k, m in enumerate(moved):
-            if own[k] > max(o.moved, 0.2 * np.nanmax(own)):  # a little of it always goes to the others
+            if own[k] > max(o.moved, 0.2 * np.nanmax(own)):  # a part of the movement always goes to the other cameras
                 if against[k] < 2:
                     unsure.append(k)
                     continue

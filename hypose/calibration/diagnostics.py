@@ -51,10 +51,10 @@ from hypose.evidence.hull import visual_hull
 from hypose.geometry import Array
 
 # ---- doctor silhouettes --------------------------------------------------------------------------------------------
-# The doctor's checks on silhouettes alone: tangent planes of pairs of views in place of key points.
+# Checks with silhouettes alone: tangent planes of pairs of views in place of key points.
 #
-# They know less than key points: two planes per pair and frame. Mirrored, turned and exchanged views, timing, wrong
-# poses and units can be found; lens coefficients cannot.
+# They give less information than key points: two planes per pair and frame. Mirrored, turned and exchanged views,
+# timing, wrong poses and units can be found; lens coefficients cannot.
 
 
 _SCATTER = 0.08
@@ -94,12 +94,12 @@ def examine_silhouettes(
     timed = list(findings)
     late = _timing(rig, small, tracks, size, timed, o)
     in_step = [_delayed(t, x) for t, x in zip(tracks, late, strict=True)]
-    # a person who walks straight on looks through a late camera as through one that stands elsewhere
+    # for a person who walks straight, a late camera has the same effect as a displaced one
     left = _score(small, _few(in_step, _JUDGED), size)
     placed = _displaced(rig, small, tracks, size, silhouettes, left, o) if not findings else None
     if placed is None:
         findings, tracks = timed, in_step
-    else:  # a camera that stands elsewhere sees the person move at other times: reported as moved
+    else:  # a displaced camera also seems late: it is reported as displaced
         findings.append(placed[0])
         small = placed[1]
         late = _timing(rig, small, tracks, size, findings, o)
@@ -118,10 +118,11 @@ def examine_silhouettes(
 def gross_silhouettes(rig: CameraRig, silhouettes: Sequence[Silhouettes | None], o: Limits) -> tuple[Finding, ...]:
     """Find gross faults from the silhouettes of a few frames, which need not be consecutive.
 
-    These are mirrored, rotated and exchanged views, tangent planes that never agree, and a wrong unit.
+    The faults are mirrored, rotated and exchanged views, tangent planes that never agree, and a wrong unit.
 
     rig: the cameras of the silhouettes.
     o: limits.
+    Returns: the findings; none where there is only one view or no silhouette.
     """
     tracks = mask_tracks(silhouettes)
     size = _sizes(tracks)
@@ -266,7 +267,10 @@ def _poses(
 
 
 def _scattered(small: CameraRig, tracks: Sequence[MaskTrack], size: Array, before: float) -> Finding:
-    """Make the finding that masks do not show one person; it names a view without which the others agree."""
+    """Make the finding that masks do not show one person; it names a view without which the others agree.
+
+    before: disagreement of the tangent planes, share of the person's size.
+    """
     disagree = f"the silhouettes' tangent planes disagree by {100 * before:.0f} % of the person's size"
     seen = np.flatnonzero(size > 0)
     for c in seen if len(seen) > 3 else ():
@@ -409,16 +413,24 @@ class _State:
 
 
 def examine(observed: Observed, limits: Limits | None = None) -> PersonReport:
-    """Run all checks for which there is evidence, and return the report.
+    """Diagnose the calibration of a recording: run all checks for which there is evidence.
 
+    observed: evidence of consecutive frames.
+    limits: limits above which a fault is reported; the defaults where None.
+    Returns: the report.
     Raises: EvidenceError where there are neither key points nor silhouettes.
     """
     return examine_and_cure(observed, limits)[0]
 
 
 def examine_and_cure(observed: Observed, limits: Limits | None = None) -> tuple[PersonReport, Cured]:
-    """Run all checks as `examine` does, and return the report and the evidence after the faults were undone, for a
-    refinement."""
+    """Diagnose the calibration of a recording as `examine` does, and undo the faults for a refinement.
+
+    observed: evidence of consecutive frames.
+    limits: limits above which a fault is reported; the defaults where None.
+    Returns: the report, and the evidence after the faults were undone.
+    Raises: EvidenceError where there are neither key points nor silhouettes.
+    """
     o = limits or Limits()
     n = len(observed.rig)
     findings = list(clip_findings(observed.rig, observed.clips, observed.frame_rate))
@@ -432,7 +444,7 @@ def examine_and_cure(observed: Observed, limits: Limits | None = None) -> tuple[
                 "its calibration."
             )
         found, views, late = examine_silhouettes(observed.rig, observed.silhouettes, o)
-        # of cameras that measure, masks tell nothing better: their faults are those of the depth maps, guessed
+        # for depth cameras, masks give no better information: their faults follow from those of the depth maps
         findings += [] if any(f.fault for f in by_depth) else found
         return PersonReport(tuple(findings), views), Cured(observed.rig, observed.keypoints, late, np.zeros((n, 2)), 0)
     state = _State(observed.rig, observed.keypoints)
@@ -448,7 +460,7 @@ def examine_and_cure(observed: Observed, limits: Limits | None = None) -> tuple[
     extrinsics = None
     focal = list(focal_findings(focal_by_points(state.rig, pixels))) if n > 1 and not gross else []
     findings += focal
-    later = bool((np.isinf(sd) & (late != 0)).any())  # by how much is not known: cameras would take the blame for it
+    later = bool((np.isinf(sd) & (late != 0)).any())  # an unknown delay would look like wrong camera poses
     if not focal and n > 1 and not gross & {"inverted"}:
         extrinsics = judge_extrinsics(state.rig, pixels, o)
         if extrinsics is not None and later:
@@ -456,7 +468,7 @@ def examine_and_cure(observed: Observed, limits: Limits | None = None) -> tuple[
         elif extrinsics is not None:
             state.rig = extrinsics.lens_cured
             findings += extrinsics.findings
-    if any(f.kind == "scatter" for f in findings):  # what never meets tells no time, and says nothing of a body
+    if any(f.kind == "scatter" for f in findings):  # views that never agree give no delay and no body size
         findings = [f for f in findings if f.kind != "late"]
         late, pixels = np.zeros(n), state.pixels
     elif not later:
@@ -529,7 +541,7 @@ def _against_masks(
         spread = np.maximum(spread, 0.0025)
         least = np.maximum(np.maximum(o.shift_sd * sd, o.shift * size[c]), o.shift_spread * spread * size[c])
         least = np.maximum(least, o.shift_px * ratio)
-        least[1] *= 1.5  # limbs hang: few of them show the vertical place
+        least[1] *= 1.5  # limbs are mostly vertical, so few of them show a vertical shift
         significant = np.abs(move) > least
         if significant.any():
             shift[c] = np.where(significant, move, 0.0)
@@ -562,7 +574,7 @@ def _own_shifts(made: Sequence[Alignment | None], rig: CameraRig, small: CameraR
             own[c] = a.shift * np.array(rig[c].size) / np.array(small[c].size)
     known = np.isfinite(own[:, 0])
     if known.any():
-        # limbs hang, so the vertical shift is the one that detectors get wrong alike, in two views already
+        # limbs are mostly vertical, so detectors have a common vertical error, even with only two views
         own[:, 1] -= np.nanmedian(own[:, 1])
         if known.sum() > 2:
             own[:, 0] -= np.nanmedian(own[:, 0])

@@ -139,8 +139,8 @@ class Finding:
 
 
 # ---- doctor depth --------------------------------------------------------------------------------------------------
-# What depth maps say of their cameras: whether they measure at all, the floor that each sees, and people whom one sees
-# at a place that another one sees to be empty.
+# Checks of depth cameras by their maps: whether they measure at all, the floor that each sees, and people whom one sees
+# at a place that is empty for another one.
 
 
 FLOOR_M, FLOOR_DEGREES, PLAINLY = 0.03, 1.5, 4.0
@@ -175,6 +175,7 @@ def depth_findings(depths: Sequence[Depth]) -> tuple[Finding, ...]:
         cameras that see through the person whom another camera sees.
 
     depths: depth maps of some instants, in the order of time.
+    Returns: the findings.
     """
     floors: dict[tuple[str, ...], Finding] = {}
     for depth, when in zip([*depths[:1], *depths[-1:]], ("", " at the end"), strict=False):
@@ -242,9 +243,10 @@ def _by_floor(depth: Depth, when: str) -> Iterator[Finding]:
 
 
 def seen_past(depth: Depth) -> tuple[int, int]:
-    """Count points on people beyond which another camera sees, so that no person is there.
+    """Count the points on people beyond which another camera sees, which shows that no person is there.
 
-    Returns: number of points that another camera can see, and number of those beyond which it sees.
+    depth: depth maps of all cameras at one instant.
+    Returns: number of points at which another camera looks, and number of those beyond which it sees.
     """
     surface, looked, past = depth.surface, 0, 0
     for a, b in permutations(np.flatnonzero(depth.usable).tolist(), 2):
@@ -287,7 +289,7 @@ def _by_people(depths: Sequence[Depth]) -> Iterator[Finding]:
     text = f"{who} do not see the person at one place: one sees past {100 * share:.0f} % of what the other sees of them"
     best = min([_CURED, *(left + _AS_LIKELY)])
     likely = [trials[k] for k in np.argsort(left, kind="stable") if left[k] < best]
-    if likely:  # two cameras whose maps are exchanged see the same as two that are mirrored, turned about the scene
+    if likely:  # exchanged maps of two cameras look like mirrored maps, rotated about the scene
         text += f"; that is not so if {' or if '.join(t.words for t in likely)}"
         cure = "look which it is, and " * (len(likely) > 1) + ", or ".join(t.cure for t in likely)
         views = tuple(depths[0].rig.names[c] for c in likely[0].views) if len(likely) == 1 else tuple(names)

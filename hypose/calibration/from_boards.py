@@ -21,15 +21,15 @@ from hypose.geometry import Array, Image, rotation_between, se3, se3_inverse, so
 from hypose.io.videos.video import open_video
 
 # ---- surroundings --------------------------------------------------------------------------------------------------
-# Which way round two cameras see a board that looks the same turned by 180 degrees and lies still: seen from above,
+# The orientation of a still board that looks the same when turned by 180 degrees, in two cameras: seen from above,
 # the floor around it must look the same in both pictures (what stands on the floor does not, but seldom says the
 # opposite).
 
 
 _REACH = 4.0  # board lengths around its middle
 _CELLS = 320
-_MIN_SHARE = 0.06  # of the square: less common floor says nothing
-_LEAST_RISE = 0.12  # sine of the lowest viewing angle: floor seen flatter is a smear
+_MIN_SHARE = 0.06  # of the square: less common floor is not enough
+_LEAST_RISE = 0.12  # sine of the lowest viewing angle: below, the floor is too blurred
 
 
 def floor_likelihood(
@@ -73,7 +73,7 @@ def _from_above(image: Image, camera: Camera, board: Board) -> tuple[NDArray[np.
     x, y = np.meshgrid(line + middle[0], line + middle[1])
     points = np.stack([x, y, np.zeros_like(x)], -1)
     uv = camera.project(points)
-    # a lens model says anything far outside the picture: only points whose pinhole image is near count
+    # a lens model is meaningless far outside the picture: only points whose pinhole image is near count
     plain = camera.project_pinhole(points)
     size = np.array(camera.size)
     with np.errstate(invalid="ignore"):
@@ -205,7 +205,7 @@ def _common_up(rig: CameraRig) -> Array:
     mean = -np.stack([c.camera_from_world[1, :3] for c in rig]).mean(0)
     _, s, vt = np.linalg.svd(right)
     up = vt[-1]
-    if len(rig) < 2 or s[1] < 0.2 * s[0]:  # x axes all alike leave it open
+    if len(rig) < 2 or s[1] < 0.2 * s[0]:  # parallel x axes do not determine it
         up = mean
     up = up / np.linalg.norm(up)
     return up if up @ mean >= 0 else -up
@@ -275,6 +275,8 @@ def calibrate_from_boards(
 
     With a single source only its lens is calibrated, and the board on the floor gives its pose.
 
+    sources: board pictures of each camera.
+    options: the defaults where None.
     lens_sources: further board pictures per camera, by the same names, for the lens only.
     Raises: BoardsNotFound (a CalibrationError) with a description of each camera's pictures.
     """
@@ -348,7 +350,7 @@ def _lens(
         if given is None and len(o.lenses) == len(views) and not set(o.lenses.names) & {v.name for v in views}:
             given = replace(o.lenses[i], name=view.name)
         if given is None:
-            o.lenses.select([view.name])  # its error lists the cameras there are
+            o.lenses.select([view.name])  # its error lists the existing cameras
         assert given is not None
         camera = replace(_scaled(given, view, "the given lens"), camera_from_world=np.eye(4))
         errors = [board_poses(camera, s, board.points)[0][1] for s in view.sightings.values()]

@@ -42,9 +42,9 @@ from hypose.geometry import Array, rotation_between, se3, skew
 from hypose.tracking.subject import shape_from_keypoints
 
 WALK = "film a person who walks about irregularly, turns both ways and raises an arm now and then, for 20 s"
-_MOMENTS, _STEP = 120, 2.0  # frames that are looked at; over how many frames a point's speed is taken
-_WIDER = 6  # times that offsets are looked for, each time twice as far as before
-_CLEAR, _CLOSE, _DUEL = 0.65, 0.3, 0.1  # depth of a clear minimum; rivals that are so near are tried, and must be worse
+_MOMENTS, _STEP = 120, 2.0  # number of frames that are used; number of frames over which a point's speed is computed
+_WIDER = 6  # number of searches for offsets, each with twice the range of the one before
+_CLEAR, _CLOSE, _DUEL = 0.65, 0.3, 0.1  # depth of a clear minimum; nearness and least excess of alternatives
 _FEWEST_S, _SHORT_S, _SPREAD_M, _DOUBT = 1.0, 10.0, 0.25, 3.0  # approximate results; their sd are multiplied by _DOUBT
 _ANGLE_DEG, _NARROW_DEG, _RESIDUAL, _FOCAL_SD, _PLACE_SD = (
     10.0,
@@ -152,7 +152,7 @@ class _Search:
         curves = self.curves(largest_s)
         late = solve_offsets(curves, len(self.raw)).frames
         best = self.rig(late)
-        if not self.known:  # essential matrices tell offsets better than fundamental ones
+        if not self.known:  # essential matrices determine offsets better than fundamental ones
             curves = epipolar_curves(self.points, [c.K for c in best[1]], self.sd, int(curves.lags[-1]))
             late = solve_offsets(curves, len(self.raw)).frames
         rival = rival_offsets(curves, late)
@@ -181,7 +181,7 @@ class _Search:
             tried.append(epipolar_curves(self.points, lenses, self.sd, largest))
             group = np.arange(len(self.raw))
             for (a, b), cost in zip(tried[-1].pairs, tried[-1].cost, strict=True):
-                inside = abs(tried[-1].lags[cost.argmin()]) < largest - 2  # at the end the minimum lies farther
+                inside = abs(tried[-1].lags[cost.argmin()]) < largest - 2  # at the end the minimum may be farther away
                 if inside and cost.min() < _CLEAR * np.median(cost):
                     group[group == group[b]] = group[a]
             if (group == group[0]).all():
@@ -290,7 +290,7 @@ class _Search:
                 "points on average, which is wrong when the person leans",
             ),
         )
-        if upright:  # limbs and the head's height above the floor tell the scale equally well
+        if upright:  # limbs and the head's height above the floor determine the scale equally well
             head = [k for k, n in enumerate(self.names) if n in _HEAD]
             tall = float(np.median(np.nanmedian(points[:, head] @ up - floor, axis=0) / self.rest()[head]))
             rig, middle, floor = scale_rig(rig, tall**-0.5), middle * tall**-0.5, floor * tall**-0.5
@@ -336,15 +336,15 @@ class _Search:
 
 
 # ---- uncertainty ----
-# How far cameras that were found from a moving person may be off: a sandwich covariance.
+# The uncertainty of cameras that were found from a moving person: a sandwich covariance.
 # The errors of a detector are far from independent: a joint is set too high in one view all the time, and a whole arm
 # is misplaced for some frames. Scores are therefore summed over clusters, (view, key point) and (view, limb, block of
-# time), before they are squared; a plain Hessian is several times too sure. Source: Huber 1967; White 1980; Cameron,
+# time), before they are squared; plain Hessians give several times too little. Source: Huber 1967; White 1980; Cameron,
 # Gelbach & Miller 2011, "Robust inference with multiway clustering" (here the two clusterings are added, which is the
 # cautious side).
 
 
-_BLOCK = 12  # moments that err together
+_BLOCK = 12  # consecutive instants with correlated errors
 _PARTS = (
     ("nose", "eye", "ear", "head", "mouth"),
     ("elbow", "wrist", "pinky", "index", "thumb", "hand"),
@@ -382,6 +382,7 @@ def uncertainty(
     """Compute the uncertainty of cameras and offsets at a solution of `adjust`, as a sandwich covariance with clusters.
 
     bundle: the least-squares problem.
+    radial: (C,) radial term of each camera.
     points: (N, 3) m.
     velocity: (C, N, 2) velocity of the detections, px per frame, because the offsets are unknown as well.
     labels: (N, 3) instant, key point and limb of each point.

@@ -19,7 +19,7 @@ from hypose.io.files import read_toml
 
 _LEAST_KNOWN, _LEAST_UNKNOWN = 4, 6  # points for a camera with a known and with an unknown lens
 _CLICK_PX = 1.0
-# few points cannot tell a lens from a place: little distortion is assumed, and square pixels
+# few points cannot separate lens and pose: little distortion is assumed, and square pixels
 _PRIOR = LensPrior(centre=0.02, aspect=0.003, radial=0.1, tangential=0.001, k3=0.02)
 
 
@@ -106,8 +106,9 @@ def _vectors(path: Path, table: str, entries: Any, length: int) -> dict[str, Arr
 
 
 def calibrate_from_points(scene: ScenePoints, lenses: CameraRig | None = None) -> PointCalibration:
-    """Calibrate cameras in the world of the measured points.
+    """Calibrate cameras in the world of measured points.
 
+    scene: the points and their positions in the pictures.
     lenses: K and distortion by camera name, kept. Without them a camera needs six points that are not in one plane, and
         its lens is assumed to have square pixels and little distortion.
     Raises: CalibrationError where there are too few points, they lie in a line or plane, or no pose explains the

@@ -84,17 +84,19 @@ def change_from(old: Camera, new: Camera) -> Array:
 
 
 def transform_rig(rig: CameraRig, new_from_old: Array) -> CameraRig:
-    """Transform the rig as the whole world moves rigidly: points x -> new_from_old x."""
+    """Copy the rig after the whole world was moved rigidly: points x -> new_from_old x, with new_from_old (4, 4)."""
     back = se3_inverse(new_from_old)
     return CameraRig(tuple(replace(c, camera_from_world=c.camera_from_world @ back) for c in rig))
 
 
 def gauge(new: CameraRig, old: CameraRig, points_new: Array) -> Array:
-    """Compute the rigid motion old_from_new (4, 4) that aligns a refined rig and its world with the old one.
+    """Compute the rigid motion that aligns a refined rig and its world with the old one.
 
     Cameras are compared by four points each: the centre, and three where they look, at the person's distance.
 
+    new, old: the refined and the old rig.
     points_new: (N, 3) points of the person in the refined world, m.
+    Returns: (4, 4) old_from_new.
     Why: the weights are 1 / distance, so that a camera that really moved has little influence.
     """
     middle = np.nanmedian(points_new, axis=0)
@@ -194,7 +196,10 @@ class CameraUnknowns:
         )
 
     def held(self, cameras: Sequence[Camera], radial: Array | None = None) -> tuple[Array, float]:
-        """Compute the differences (C, P) from the start, and the cost of the prior."""
+        """Compute the differences of cameras from the start, and the cost of the prior.
+
+        Returns: (C, P) parameters, and the cost.
+        """
         x = np.stack([change_from(a, b) for a, b in zip(self.start, cameras, strict=True)])[:, : 6 + self.focal]
         if radial is not None and self.radial:
             x = np.concatenate([x, radial[:, None]], 1)
@@ -270,9 +275,9 @@ def adjust(
 
 
 def default_scale(pixels: Array, confidence: Array) -> float:
-    """Estimate the standard deviation of a detection, px: 0.8 % of the person's size.
+    """Estimate the standard deviation of a detection, px: 0.8 % of the person's size in the median view.
 
-    The size is four standard deviations of a view's points; the median of the views is used.
+    The size is taken as four standard deviations of the points (C, N, 2) with confidence (C, N) above 0.
     """
     spread = [np.std(p[c > 0], axis=0).max() * 4 for p, c in zip(pixels, confidence, strict=True) if (c > 0).sum() > 9]
     return max(0.008 * float(np.median(spread)) if spread else 2.0, 0.5)
@@ -292,7 +297,12 @@ class PointBundle(SharedProblem[_Shared]):
         self.free, self.limited, self.largest = unknowns.free, unknowns.turns, 0.2
 
     def residuals(self, cameras: list[Camera], radial: Array, points: Array) -> tuple[Array, Array, float]:
-        """Compute residuals (C, N, 2), px, weights (C, N) of squared px, and the robust cost."""
+        """Compute residuals and robust weights.
+
+        radial: (C,) radial term of each camera.
+        points: (N, 3) m.
+        Returns: residuals (C, N, 2), px; weights (C, N) of squared px; the robust cost.
+        """
         r = np.zeros_like(self.uv)
         for c, camera in enumerate(cameras):
             r[c] = bent(camera, camera.project_pinhole(points), radial[c]) - self.uv[c]

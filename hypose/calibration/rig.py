@@ -31,7 +31,7 @@ from hypose.errors import CalibrationError
 from hypose.geometry import Array, se3_inverse, so3_log, transform
 
 # ---- board timing --------------------------------------------------------------------------------------------------
-# Pictures that were not taken quite at the same instant: how far a moving board can be believed.
+# Pictures that were not taken at exactly the same instant: the uncertainty of a moving board's corners.
 #
 # Webcams and phones without a trigger expose within a part of a frame of each other, differently in every frame, so
 # a corner is uncertain by the distance it moves in that time. Boards held still then decide, as they should.
@@ -43,7 +43,7 @@ from hypose.geometry import Array, se3_inverse, so3_log, transform
 
 OFFSET_SD = 0.1
 """Standard deviation of a picture's instant, frames."""
-_REACH = 2  # frames: a neighbour farther away says nothing about the velocity
+_REACH = 2  # frames: a neighbour farther away gives no velocity
 
 
 def motion_noise(
@@ -276,7 +276,7 @@ def _tree(
     for link in sorted(sure, key=lambda k: (-min(k.agreeing, 10), k.error)):
         if group[link.c] != group[link.d]:
             join(link)
-    # the others: decided by what lies around the board, the clearest first
+    # the others: decided by the floor around the board, the clearest first
     unsure = [k for k in links if k.other is not None]
     weighed = []
     for link in unsure:

@@ -236,6 +236,7 @@ def _majority(masks: Sequence[NDArray[np.uint8] | None], t: int) -> NDArray[np.u
 def tangent_planes(rig: CameraRig, tracks: Sequence[MaskTrack], a: int, b: int) -> tuple[Array, Array]:
     """Compute the two planes through the baseline of views a and b that are tangent to the person, in each view.
 
+    tracks: mask track of each view.
     Returns: angles about the baseline (2, T, 2), rad, and pixels per radian (2, T, 2), for view a and view b; NaN where
         a view has no mask, is cut by the image border, or contains the epipole.
     """
@@ -256,6 +257,7 @@ def silhouette_curves(rig: CameraRig, tracks: Sequence[MaskTrack], largest: floa
     """Compute the curves of disagreement from silhouettes: their frontier planes, and where along the pencil they
     change.
 
+    tracks: mask track of each view.
     largest: largest offset, frames.
     scale_px: standard deviation of a tangent, px.
     """
@@ -297,6 +299,8 @@ def solve_offsets(curves: Curves, n_views: int) -> Offsets:
 
     The method is coordinate descent on whole frames from several starts, then a continuous search.
 
+    curves: disagreement of pairs of views over the offset.
+    n_views: number of views.
     Raises: EvidenceError where no pair of views has motion in common.
     """
     from scipy.optimize import minimize  # takes long to import
@@ -378,13 +382,23 @@ def solve_widely(curves_of: Callable[[float], Curves], n_views: int, largest: fl
 
 
 def at_the_end(found: Offsets, reach: float) -> bool:
-    """Test whether two views are as far apart as the searched range, `reach` frames."""
+    """Test whether two views are as far apart as the searched range, so that their true offset may be larger.
+
+    found: offsets of all views; views without a finite standard deviation do not count.
+    reach: largest offset that was searched, frames.
+    """
     sure = found.frames[np.isfinite(found.sd)]
     return len(sure) > 1 and float(np.ptp(sure)) > reach - 0.5
 
 
 def farther(found: Offsets, frames: Array, reach: float) -> NDArray[np.bool_]:
-    """Mark the views (C,) whose delay (C,) in frames may be larger, because it is at the end of the searched range."""
+    """Mark the late views whose true delay may be larger, because the offsets are at the end of the searched range.
+
+    found: offsets of all views.
+    frames: (C,) delay of each view, frames.
+    reach: largest offset that was searched, frames.
+    Returns: (C,) True where the delay may be larger.
+    """
     return np.asarray(at_the_end(found, reach) & (np.abs(frames) > 0.5 * reach))
 
 
@@ -412,7 +426,7 @@ def _running_mean(e: Array, known: NDArray[np.bool_], scale: float) -> Array:
 
 
 def offsets_within(largest: float, frames: int) -> float:
-    """Limit the largest offset to what this number of frames allows."""
+    """Limit the largest offset, frames, to what a clip of this many frames allows: (frames - 12) / 3."""
     return min(float(largest), (frames - 12) / 3)
 
 

@@ -84,7 +84,11 @@ def offsets_from_motion(
 
 
 def point_sd(pixels: Array, confidence: Array) -> float:
-    """Estimate the usual error of a detection, px: 1.6 % of the person's size in the median view."""
+    """Estimate the usual error of a detection: 1.6 % of the person's size in the median view, px.
+
+    pixels: (C, T, K, 2) px.
+    confidence: (C, T, K).
+    """
     sizes = []
     for p, c in zip(pixels, confidence, strict=True):
         seen = c > 0.3
@@ -161,7 +165,8 @@ class Resampled:
         return self._kept[index]
 
     def frame(self, index: int, /) -> Frame:
-        """Compute a frame of the common clock; a view without images at that time is not usable, with a reason."""
+        """Compute frame `index` of the common clock; a view without images at that time is not usable, with a
+        reason."""
         here = self._get(index)
         n = len(self.source)
         silhouettes, keypoints = here.silhouettes, here.keypoints
@@ -214,13 +219,14 @@ def _why(a: Silhouettes, b: Silhouettes, c: int, index: int, late: float, inside
 # taken, which is no better than the exposure is long.
 
 
-_RATE = 8000  # Hz: what sounds are compared at
-_LEAST_PEAK = 6.0  # a peak of the correlation in its own sd, below which there is no common sound
+_RATE = 8000  # Hz: sampling rate at which sounds are compared
+_LEAST_PEAK = 6.0  # least peak of the correlation, in its standard deviations, for a common sound
 
 
 def offsets_from_sound(sounds: Sequence[Sound], names: Sequence[str], largest_s: float = 10.0) -> tuple[Array, Array]:
     """Estimate the delay of each view from the sound, by cross-correlation.
 
+    sounds: sound of each view.
     names: names of the views.
     largest_s: largest offset, s.
     Returns: (C,) delay against the median view, s; (C,) peak of the correlation with the others, in standard
@@ -278,7 +284,7 @@ def _pair(a: Array, b: Array, largest_s: float) -> tuple[float, float]:
     n = 1 << int(np.ceil(np.log2(len(a) + len(b))))
     cross = np.fft.rfft(b, n) * np.conj(np.fft.rfft(a, n))
     size = np.abs(cross)
-    # half whitened: fully whitened, the quiet frequencies' noise would count like the sound
+    # half whitened: with full whitening, noise at quiet frequencies would count as much as the sound
     r = np.fft.irfft(cross / np.maximum(size, 1e-3 * size.max()) ** 0.7, n)
     most = min(int(largest_s * _RATE), n // 2 - 2)
     r = np.r_[r[-most:], r[: most + 1]]
@@ -310,6 +316,8 @@ def offsets_from_light(brightness: Sequence[Array], names: Sequence[str]) -> tup
 def light_event(brightness: Array, name: str) -> tuple[float, str]:
     """Find the largest change of the light in one view.
 
+    brightness: (T,) mean brightness of every frame.
+    name: name of the view.
     Returns: its time, frames, fractional; "lamp" where the light stayed changed, "flash" where not.
     Raises: EvidenceError where there is no clear change.
     """

@@ -27,9 +27,9 @@ SEEN_CONFIDENCE = 0.3  # confidence above which a key point counts
 LOOSE_PX = (2.0, 5.0, 0.7)  # sd (rad, m, share of the focal length) within which a rig from scratch may move
 FOCAL_FACTORS = (0.55, 0.75, 1.0, 1.35, 1.8, 2.4)  # focal lengths that are tried, in pictures' longer sides
 _COARSE = 3  # frames between the offsets that are tried first
-_FEWEST_PAIRS, _MANY = 500, 4000  # correspondences that an epipolar geometry is found from, and judged by
+_FEWEST_PAIRS, _MANY = 500, 4000  # correspondences that estimate an epipolar geometry, and that judge it
 _LEAST_PAIRS = 40
-_POINTS, _TRIES = 1500, 4  # that a start is made from, and pairs of views that it is begun with
+_POINTS, _TRIES = 1500, 4  # points for a start rig, and pairs of views from which it is tried
 
 
 def on_common_clock(points: Array, late: Array, frames: NDArray[np.int64]) -> Array:
@@ -82,6 +82,7 @@ def epipolar_curves(points: Array, lenses: Sequence[Array] | None, sd: float, la
 def rival_offsets(curves: Curves, frames: Array, apart: float = 5.0) -> tuple[float, Array] | None:
     """Find the best alternative offsets, in which at least one pair differs by more than `apart` frames.
 
+    curves: disagreement of pairs of views over the offset.
     frames: (C,) the offsets found.
     Returns: relative increase of the disagreement, and the alternative offsets (C,); None where there are none.
     """
@@ -207,7 +208,7 @@ def _epipolar(
 
 
 def _disagreement(fundamental: Array, xa: Array, xb: Array, sd: float) -> float:
-    """Compute the mean robust Sampson error."""
+    """Compute the mean robust Sampson error of corresponding points xa, xb (N, 2), px."""
     ha, hb = np.c_[xa, np.ones(len(xa))], np.c_[xb, np.ones(len(xb))]
     lines_b, lines_a = ha @ fundamental.T, hb @ fundamental
     size = np.sqrt((lines_b[:, :2] ** 2).sum(1) + (lines_a[:, :2] ** 2).sum(1) + 1e-12)

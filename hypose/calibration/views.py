@@ -25,7 +25,7 @@ _COLOURS = {
     False: "the board is printed white on black: give --inverted",
     True: "the board is printed black on white: leave --inverted out",
 }
-_COARSE = 4  # every 4th frame is looked at first, the others only next to a frame that shows the board
+_COARSE = 4  # every 4th frame is searched first, the others only next to a frame that shows the board
 _STILL = 3.0  # mean difference in grey levels between two pictures of a scene in which nothing moves
 _STILL_FRAMES = 60
 
@@ -165,6 +165,7 @@ def look_for_board(
 ) -> tuple[CameraViews, ...]:
     """Search for the board in the pictures of all cameras.
 
+    sources: board pictures of each camera.
     max_frames: largest number of pictures per camera, evenly spread.
     together: the cameras recorded at the same time, so the same frames are searched in all.
     progress: called with stage, number done and total.
@@ -276,6 +277,7 @@ def diagnose(views: CameraViews, board: Board, pictures: int = 6) -> str:
 
     Tested are another number of corners, other markers, inverted colours and a mirrored picture.
 
+    views: the results of the search in the camera's pictures.
     pictures: number of pictures that are tested.
     Returns: the explanation; empty where there is none.
     """
@@ -373,6 +375,7 @@ def _diagnose_markers(grays: Sequence[Gray], board: Board) -> str:
 def positions(sightings: Mapping[int, BoardDetection], size: tuple[int, int]) -> Array:
     """Describe the position of each board in the picture.
 
+    sightings: F detected boards by frame number.
     size: width and height, px.
     Returns: (F, 4) centre x and y, size and slant, in units of the picture's width (slant: rad).
     """
@@ -384,7 +387,7 @@ def positions(sightings: Mapping[int, BoardDetection], size: tuple[int, int]) ->
 
 
 # ---- counted corners -----------------------------------------------------------------------------------------------
-# Which chessboard is it? Its corners, counted in the pictures, so that the user need not count them.
+# Identification of a chessboard: its corners are counted in the pictures, so that the user need not count them.
 
 
 _PICTURES = 8

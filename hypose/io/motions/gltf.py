@@ -214,7 +214,7 @@ def read_skin(data: bytes, where: str) -> Skinned | None:
 
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # what it warns of becomes an error below, in words
+            warnings.simplefilter("ignore")  # its warnings become an error below
             gltf = GLTF2.load_from_bytes(data)
         if gltf is None or not gltf.skins:
             return None

@@ -261,7 +261,7 @@ def _same_turn(f: NDArray[np.int64], source: str) -> NDArray[np.int64]:
     same = edges[one, 0] == edges[other, 0]
     if not same.any():
         return f
-    # every face stands twice, as it is and turned (+ count); what fits together hangs together
+    # every face is in the graph twice, as it is and reversed (+ count); consistent neighbours are connected
     count = len(f)
     a, b = one % count, other % count + count * same
     a, b = np.concatenate([a, a + count]), np.concatenate([b, (b + count) % (2 * count)])

@@ -37,7 +37,7 @@ from hypose.io.videos.video import (
     read_image_file,
 )
 
-_LOOKED_AT = 9  # images of a folder that tell what it holds
+_LOOKED_AT = 9  # number of images that identify the kind of masks
 _MOST_OBJECTS = 32  # objects
 Objects = Mapping[str, Mask]
 """Mask (h, w) of 0 and 1 of each object that is present, by the object's name."""
@@ -171,7 +171,7 @@ def _of_labels(path: Path, images: list[Path]) -> ObjectMasks | None:
     levels = sorted(areas)
     if not 2 <= len(levels) <= _MOST_OBJECTS:
         return None
-    if not any(indexed):  # a white mask may have soft edges, or grey where it is not sure
+    if not any(indexed):  # a white mask may have soft edges, or grey for uncertain pixels
         full = 65535 if levels[-1] > 255 else 255
         white = areas[levels[-1]] if levels[-1] > 0.9 * full else 0
         if set(levels) <= {127, 128, full} or sum(areas.values()) < 1.5 * white:
