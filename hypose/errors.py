@@ -72,7 +72,7 @@ def extra(module: str, needed_by: str, name: str, package: str = "", or_else: st
             what, cure = "is not installed", f'run: pip install "hypose[{name}]"'
         else:
             reason = f"{type(error).__name__}: {error}".partition("\n")[0].rstrip(".: ")
-            what, cure = f"cannot be loaded ({reason})", f"install what that names, or {package} again"
+            what, cure = f"cannot be loaded ({reason})", f"install what the reason names, or {package} again"
         raise InputError(
             f"{needed_by} needs {package}, which {what}; {cure}{or_else and f', or {or_else}'}."
         ) from error

@@ -494,13 +494,13 @@ def _no_one_person(rig: CameraRig, pixels: Array, before: float, after: float) -
     )
     c = int(np.argmin(without)) if without else -1
     if c < 0 or not without[c] < AGREE or sum(w < max(AGREE, 2 * without[c]) for w in without) > 1:
-        cure = "look whether video and key points of every view are of this recording and show the same person"
+        cure = "check whether video and key points of every view are of this recording and show the same person"
         return Finding("scatter", (), f"All cameras: {said}", cure, before)
     text = (
         f"{rig.names[c]}: {said}; without this view the others agree to {100 * without[c]:.1f} % of the person's size"
     )
     cure = (
-        "look whether its video and key points are of this recording, of the same person, and not mirrored or turned; "
+        "check whether its video and key points are of this recording, of the same person, and not mirrored or turned; "
         "else calibrate this camera again, or leave the view out"
     )
     return Finding("scatter", (rig.names[c],), text, cure, before)

@@ -215,7 +215,7 @@ def _measuring_nothing(depths: Sequence[Depth]) -> Iterator[Finding]:
         name = depths[0].rig.names[c]
         when = "in all frames" if often[c] == 1 else f"in {100 * often[c]:.0f} % of the frames"
         text = f"{name} measures nothing {when} that were looked at: its depth maps are empty"
-        cure = "look whether it recorded, and give its maps again, or take its [[view]] out of recording.toml"
+        cure = "check whether it recorded, and give its maps again, or take its [[view]] out of recording.toml"
         yield Finding("blank", (name,), text, cure, float(often[c]), not left.any())
 
 
@@ -236,7 +236,7 @@ def _by_floor(depth: Depth, when: str) -> Iterator[Finding]:
             where = f"{1e3 * abs(away):.0f} mm {'above' if away > 0 else 'below'} z = 0, tilted by {tilt:.1f} degrees"
             text = f"{camera.name} sees the floor{when} {where}"
             cure = (
-                "look whether its maps are in millimetres and whether it has been moved since it was calibrated; "
+                "check whether its maps are in millimetres and whether it has been moved since it was calibrated; "
                 "hypose depth-import finds the cameras' places again"
             )
             yield Finding("floor", (camera.name,), text, cure, size, size > PLAINLY)
@@ -291,12 +291,12 @@ def _by_people(depths: Sequence[Depth]) -> Iterator[Finding]:
     likely = [trials[k] for k in np.argsort(left, kind="stable") if left[k] < best]
     if likely:  # exchanged maps of two cameras look like mirrored maps, rotated about the scene
         text += f"; that is not so if {' or if '.join(t.words for t in likely)}"
-        cure = "look which it is, and " * (len(likely) > 1) + ", or ".join(t.cure for t in likely)
+        cure = "check which it is, and " * (len(likely) > 1) + ", or ".join(t.cure for t in likely)
         views = tuple(depths[0].rig.names[c] for c in likely[0].views) if len(likely) == 1 else tuple(names)
         yield Finding(likely[0].kind if len(likely) == 1 else "places", views, text, cure, share)
         return
     cure = (
-        "look whether every camera has its own maps, not mirrored, of one and the same recording, and whether they all "
+        "check whether every camera has its own maps, not mirrored, of the same recording, and whether they all "
         "began at the same time; hypose depth-import finds the cameras' places again"
     )
     yield Finding("places", tuple(names), text, cure, share)

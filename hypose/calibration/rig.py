@@ -294,9 +294,9 @@ def _tree(
         if ratio < _DECIDED:
             raise CalibrationError(
                 "The board looks the same turned by 180 degrees and did not move, so it is open which way round camera "
-                f"{names[link.d]} sees it compared with {names[link.c]}, and the floor around it does not tell; move "
-                "the board to a second place, use a board with one even and one odd number of corners, or a ChArUco "
-                "board."
+                f"{names[link.d]} sees it compared with {names[link.c]}, and the floor around it does not show it; "
+                "move the board to a second place, use a board with one even and one odd number of corners, or a "
+                "ChArUco board."
             )
         notes.append(
             f"Which way round {names[link.d]} sees the board, which looks the same turned by 180 degrees, was decided "

@@ -307,7 +307,7 @@ def cannot_write(path: Path, error: OSError) -> str:
             free = ""
         return (
             f"{path} cannot be written because the disk is full{free}; what was written before is intact: "
-            "free some space and run the same command again, with --resume where it knows that."
+            "free some space and run the same command again, with --resume where it has that option."
         )
     return (
         f"{path} cannot be written ({reason_of(error)}); what was written before is intact: choose a folder that you "

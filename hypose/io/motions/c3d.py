@@ -252,8 +252,8 @@ def _layout(head: bytes, parameters: Mapping[str, tuple[Any, ...]], order: str, 
     block = int(_first(parameters.get("POINT:DATA_START"), words[8])) & 0xFFFF
     if points == 0 and _first(parameters.get("ROTATION:USED"), 0):
         raise InputError(
-            f"{path} holds turns and places of segments, as Theia3D writes them, and no points; export joint centres "
-            "as points, from Visual3D for example."
+            f"{path} holds rotations and positions of segments, as Theia3D writes them, and no points; export joint "
+            "centres as points, from Visual3D for example."
         )
     if points == 0 or last < first or block < 2:
         raise InputError(f"{path} holds no points: {points} markers, frames {first} to {last}; a recording is needed.")

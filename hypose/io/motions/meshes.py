@@ -119,7 +119,7 @@ def _read_smpl(path: Path, data: bytes) -> PersonMesh:
     except InputError:
         raise
     except KeyError as error:
-        raise InputError(f"{path} is not an SMPL-format model: it needs {wanted}, and {error} lacks.") from None
+        raise InputError(f"{path} is not an SMPL-format model: it needs {wanted}, and {error} is missing.") from None
     except ValueError as error:
         raise InputError(
             f"{path}: an array holds Python objects or is damaged ({error}); save {wanted} as plain numbers "

@@ -285,7 +285,7 @@ def _of_coco(path: Path) -> ObjectMasks:
     count = max(len(order), 1 + max(frames))
     if len(names) > 4 * _MOST_OBJECTS:
         raise InputError(
-            f"{path} gives every mask another id, so that no person can be followed; export track_id with the masks."
+            f"{path} gives every mask its own id, so that no person can be followed; export track_id with the masks."
         )
     return ObjectMasks(path, size, count, tuple(names), load)
 

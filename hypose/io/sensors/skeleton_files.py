@@ -504,7 +504,7 @@ def read_skeletons(path: str | Path) -> SkeletonRecording:
     what = "does not exist" if not p.exists() else "holds no skeletons" if p.is_dir() else "has no known form"
     raise InputError(
         f"{p} {what}; give a folder with session.json or .skeleton files, or a .csv, .skeleton, .json or .jsonl file "
-        "(.gz is fine; of an archive the folder that is unpacked)."
+        "(.gz is allowed; other archives must be unpacked first)."
     )
 
 

@@ -212,7 +212,7 @@ class _MotionJpeg:
             raise InputError(f"{self._what} cannot be opened ({reason}); check the address.") from None
         except (http.client.HTTPException, ValueError):  # their texts would show the address with the password
             raise InputError(
-                f"{self._what} cannot be opened (that is no address, or no camera answers there); check the address. "
+                f"{self._what} cannot be opened (the address is not valid, or no camera answers); check the address. "
                 "In names and passwords / is written %2F, @ %40, # %23."
             ) from None
         self._answer, self._line = answer, b""  # a line that was read ahead and belongs to the next header
