@@ -50,7 +50,7 @@ class Observations:
         return len(self.camera)
 
     def keep(self, mask: NDArray[np.bool_]) -> Observations:
-        """Select the corners of a mask (M,)."""
+        """Select the corners for which a mask (M,) is True."""
         return Observations(self.camera[mask], self.frame[mask], self.corner[mask], self.pixels[mask])
 
 

@@ -129,7 +129,7 @@ def _disorder(points_world: Array, names: Sequence[str]) -> float:
 
 @cache
 def _template(names: tuple[str, ...]) -> dict[tuple[str, str], float]:
-    """Compute the lengths of the template's bones between key points of these names, m."""
+    """Compute the length of the template's bone between each pair of key points that has one, m."""
     body = human()
     joint, offset, known = landmark_of(names, body)
     at = body.skeleton.rest_joints[joint] + offset
@@ -190,7 +190,8 @@ def wrong_way_up(points_world: Array, names: Sequence[str], pixels: Array, rig: 
 
 
 def up_by_cameras(rig: CameraRig) -> Iterator[Finding]:
-    """Test whether the images' up directions agree on an axis of the world other than z, and yield the finding."""
+    """Test whether the upward directions of the cameras' images agree on an axis of the world other than z, and yield
+    the finding."""
     mean = cameras_up(rig)
     agreed = float(np.linalg.norm(mean))
     if agreed > 0.75 and mean[2] / agreed < 0.3:
@@ -202,7 +203,7 @@ def up_by_cameras(rig: CameraRig) -> Iterator[Finding]:
 
 
 def cameras_up(rig: CameraRig) -> Array:
-    """Compute the mean direction (3,) in the world of the images' upward directions."""
+    """Compute the mean upward direction (3,) of the cameras' images in the world."""
     return np.mean([-c.camera_from_world[1, :3] for c in rig], axis=0)
 
 

@@ -372,7 +372,10 @@ class Uncertainty:
 
 
 def limbs_of(names: Sequence[str]) -> Array:
-    """Assign each key point to a part of the body: head, arms, legs or trunk, as numbers (K,)."""
+    """Assign each key point to a part of the body by its name.
+
+    Returns: (K,) 0 for head, 1 for arms, 2 for legs, 3 for the trunk.
+    """
     return np.array([next((k for k, words in enumerate(_PARTS) if any(w in n for w in words)), 3) for n in names])
 
 

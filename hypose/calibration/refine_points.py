@@ -387,7 +387,10 @@ class PointBundle(SharedProblem[_Shared]):
 
 
 def bent(camera: Camera, pixels: Array, radial: float) -> Array:
-    """Apply a camera's radial term to the pixels (N, 2) of a pinhole camera."""
+    """Apply a radial term to the pixels (N, 2) of a pinhole camera.
+
+    The offset from the principal point is multiplied by 1 + radial r^2, where r is the offset in focal lengths.
+    """
     if radial == 0:
         return pixels
     centre = camera.K[:2, 2]

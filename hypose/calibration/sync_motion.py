@@ -166,7 +166,7 @@ class MaskTrack:
     cut: NDArray[np.bool_]
 
     def at(self, frames: NDArray[np.int64]) -> MaskTrack:
-        """Select frames of the track; frames outside of it have no mask."""
+        """Select the frames (n,) of the track; frames outside of it have no mask."""
         n = len(self.area)
         inside, near = (frames >= 0) & (frames < n), np.clip(frames, 0, n - 1)
         shown = list(zip(near.tolist(), inside.tolist(), strict=True))

@@ -99,7 +99,7 @@ class RigFile:
         self._cameras, self._guessed = list[Camera](), list[str]()
 
     def where(self, name: str) -> str:
-        """Start of messages about a camera."""
+        """Format the start of messages about a camera."""
         return f"{self.path}, camera {name}"
 
     def add(

@@ -585,7 +585,10 @@ def read_keypoint_folder(folder: Path) -> KeypointTable:
 
 
 def numbered_files(paths: list[Path]) -> dict[int, Path]:
-    """Number files by the last number in their names, or by their order where these numbers are not unique."""
+    """Number files by the last number in their names, or by their order where these numbers are not unique.
+
+    Returns: files by frame number.
+    """
     # OpenPose's names end in _keypoints; a number of the view may stand before the frame's
     numbers = [last_number(p.stem) for p in paths]
     if None in numbers or len(set(numbers)) < len(numbers):

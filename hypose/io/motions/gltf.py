@@ -171,7 +171,7 @@ def _normals(vertices: Array, faces: np.ndarray) -> Array:
 
 
 def _animate(whole: dict[str, Any], store: _BinaryBuffer, motion: Motion, poses: Array, first: int) -> None:
-    """Add the motion of the skeleton whose root is node `first` to an animation."""
+    """Add the motion of the skeleton whose root is node `first` to the animation `whole`."""
     skeleton = motion.skeleton
     # frames at equal steps: time stamps of real files may repeat, which glTF forbids
     times = np.arange(len(poses)) / motion.frame_rate

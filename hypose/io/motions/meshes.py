@@ -277,7 +277,7 @@ def _holes_closed(
 ) -> tuple[Array, NDArray[np.int64], NDArray[np.int64], list[str]]:
     """Close small holes with a fan of triangles around their centre.
 
-    Small means a rim of at most a quarter of the mesh's height, about a tenth of the height across.
+    A hole is small when its rim is at most a quarter of the mesh's largest extent long.
 
     Returns: vertices, faces, for each new vertex the index of a vertex whose weights it takes, and notes.
     Raises: InputError for larger holes.

@@ -439,7 +439,7 @@ class FrameStream:
 
     @property
     def tells_apart(self) -> bool:
-        """Whether the masks of a view separate several objects."""
+        """Whether the masks of at least one view separate several objects."""
         return any(s.objects is not None and len(s.objects.objects) > 1 for s in self._sources)
 
     @property

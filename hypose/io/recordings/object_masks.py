@@ -320,8 +320,8 @@ def _coco_mask(path: Path, piece: Any, size: tuple[int, int]) -> Mask:
 
 
 def _run_lengths(text: str) -> list[int]:
-    """Decode COCO's run lengths from text: groups of five bits, each number from the third on relative to the one two
-    before."""
+    """Decode COCO's run lengths from text: groups of five bits; from the fourth number on, each is a difference from
+    the number two before it."""
     out: list[int] = []
     at = 0
     while at < len(text):

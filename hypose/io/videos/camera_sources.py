@@ -184,7 +184,7 @@ def _stream(address: str) -> _Captured:
 
 
 def without_password(address: str) -> str:
-    """Replace the password in an address, so that it can be shown, whatever characters the password has."""
+    """Replace the password in an address by dots, so that the address can be shown."""
     return re.sub(r"(://[^/:@]*):.*@", r"\1:...@", address)
 
 
