@@ -22,7 +22,12 @@ from hypose.geometry import Array
 
 @dataclass(frozen=True)
 class LiveSettings:
-    """Settings of alignment, identities and fit."""
+    """Settings of the live fusion.
+
+    align: of clocks, rates and output instants.
+    people: of identities and sensor positions.
+    fit: of the articulated fit of one skeleton.
+    """
 
     align: AlignSettings = field(default_factory=AlignSettings)
     people: PeopleSettings = field(default_factory=PeopleSettings)

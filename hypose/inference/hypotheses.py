@@ -124,7 +124,7 @@ class Hypotheses:
         """
         names = self.role_names if role in self.role_names else (*self.role_names, role)
         if len(names) > 31:
-            raise ValueError(f"a set of hypotheses knows at most 31 roles, '{role}' is one more")
+            raise ValueError(f"a set of hypotheses has at most 31 roles, '{role}' would be one more")
         chosen = np.zeros(self.role.shape, np.bool_)
         chosen[np.asarray(members)] = True
         bit = np.int32(1 << names.index(role))
