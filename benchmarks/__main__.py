@@ -5,32 +5,30 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
+from click.exceptions import Exit
 
-from hypose.app.cli import run_cli
+from hypose.app.cli import make_command, run_cli
 from hypose.app.commands.commands_track import set_threads
-from hypose.app.commands.console import Stages, Threads, number, say
+from hypose.app.commands.console import Stages, say
+from hypose.options import Option, Threads
 
-app = typer.Typer(name="benchmarks", add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
 
-
-@app.command()
 def bench(
-    name: Annotated[str, typer.Argument(help="Name of the benchmark; a wrong one lists them.")] = "",
-    quick: Annotated[bool, typer.Option("--quick", help="At most a minute on two cores; small, and says so.")] = False,
-    seeds: Annotated[int, number("Repetitions; 0 = the benchmark's own number.", 0, 100_000)] = 0,
+    name: Annotated[str, Option("Name of the benchmark; a wrong one lists them.", argument=True)] = "",
+    quick: Annotated[bool, Option("At most a minute on two cores; small, and says so.")] = False,
+    seeds: Annotated[int, Option("Repetitions; 0 = the benchmark's own number.", 0, 100_000)] = 0,
     first_seed: Annotated[
         int | None,
-        number("First seed, where a benchmark has several. [default: the benchmark's own]", 0, 10**9),
+        Option("First seed, where a benchmark has several. [default: the benchmark's own]", 0, 10**9),
     ] = None,
-    data: Annotated[Path | None, typer.Option(help="Folder with the real recordings, for real-* benchmarks.")] = None,
-    json: Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")] = None,
+    data: Annotated[Path | None, Option("Folder with the real recordings, for real-* benchmarks.")] = None,
+    json: Annotated[Path | None, Option("Write the figures to this file.")] = None,
     parts: Annotated[
         Path | None,
-        typer.Option(help="Keep the figures of each part of a long table here, and go on from those kept."),
+        Option("Keep the figures of each part of a long table here, and go on from those kept."),
     ] = None,
-    keep: Annotated[bool, typer.Option("--keep", help="Keep the figures (benchmarks/results; golden.json).")] = False,
-    other: Annotated[bool, typer.Option("--other", help="The second set of golden clips, of other seeds.")] = False,
+    keep: Annotated[bool, Option("Keep the figures (benchmarks/results; golden.json).")] = False,
+    other: Annotated[bool, Option("The second set of golden clips, of other seeds.")] = False,
     threads: Threads = None,
 ) -> None:
     """Measure accuracy and speed."""
@@ -59,7 +57,7 @@ def bench(
         status, lines = conclude(report, keep)
         for line in lines:
             say(line)
-        raise typer.Exit(status)
+        raise Exit(status)
     if keep:
         from benchmarks.pages import RESULTS
 
@@ -101,4 +99,4 @@ def _number(value: Any) -> str:
 
 
 if __name__ == "__main__":
-    run_cli(command=app, name="benchmarks")
+    run_cli(command=make_command("benchmarks", bench), name="benchmarks")

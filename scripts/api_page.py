@@ -1,7 +1,4 @@
-"""Make docs/api.md, the reference of the public interface, from the docstrings; `scripts.docs` writes it.
-
-The page is not kept, so that it cannot go stale.
-"""
+"""Make docs/api.md, the reference of the public interface, from the docstrings; the site's build does (scripts/site_files.py)."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ from benchmarks.bench_report import BenchOptions, BenchReport, Row
 from benchmarks.robustness.small_recordings import small_scene, write_masks
 from hypose.app.commands.console import print_note
 from hypose.body.default_body import human
-from hypose.compute import VARIABLE
+from hypose.compute.compiled import VARIABLE
 from hypose.errors import InputError
 from hypose.io.motions.results import save_body
 
@@ -38,7 +38,7 @@ from hypose.app import cli
 from hypose.app.jobs.job import Job, run_job
 from hypose.io.motions.results import ResultsFolder
 from hypose.io.recordings.recording import load_recording
-from hypose.pipeline.run import TrackOptions
+from hypose.pipeline.track_options import TrackOptions
 
 class First(Exception): pass
 

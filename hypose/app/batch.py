@@ -31,7 +31,7 @@ from hypose.io.motions.results import ResultsFolder, provenance_identity, to_jso
 from hypose.io.recordings.pose2sim import is_project
 from hypose.io.recordings.recording import load_recording
 from hypose.pipeline.comparison import compare_with
-from hypose.pipeline.run import TrackOptions
+from hypose.pipeline.track_options import TrackOptions
 
 if TYPE_CHECKING:
     from distributed import Client, Future

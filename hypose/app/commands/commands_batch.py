@@ -7,33 +7,32 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from click.exceptions import Exit
 
 from hypose.app.commands.commands_track import split_names, stopping
-from hypose.app.commands.console import Stages, number, print_note, say
+from hypose.app.commands.console import Stages, print_note, say
 from hypose.errors import InputError
+from hypose.options import Option
 
 _GO_ON = "Stopped. Go on with the same command."
 
 
 def batch(
     recordings: Annotated[
-        list[Path],
-        typer.Argument(help="A table (CSV) of recordings and options, see docs/batch.md; or folders of recordings."),
+        tuple[Path, ...],
+        Option("A table (CSV) of recordings and options, see docs/batch.md; or folders of recordings.", argument=True),
     ],
     workers: Annotated[
-        int | None, number("Processes of this computer. [default: the number of cores]", 1, 1024)
+        int | None, Option("Processes of this computer. [default: the number of cores]", 1, 1024)
     ] = None,
-    threads: Annotated[int | None, number("Threads of each worker. [default: the cores shared]", 1, 256)] = None,
-    scheduler: Annotated[
-        str | None, typer.Option(help="Address of a running Dask scheduler, tcp://HOST:8786, instead.")
-    ] = None,
+    threads: Annotated[int | None, Option("Threads of each worker. [default: the cores shared]", 1, 256)] = None,
+    scheduler: Annotated[str | None, Option("Address of a running Dask scheduler, tcp://HOST:8786, instead.")] = None,
     out: Annotated[
-        Path | None, typer.Option(help="Results folder. [default: TABLE-results beside the table, else batch-results]")
+        Path | None, Option("Results folder. [default: TABLE-results beside the table, else batch-results]")
     ] = None,
-    formats: Annotated[str, typer.Option(help="Motion files to write.")] = "trc,csv",
-    overlay: Annotated[bool, typer.Option("--overlay", help="Write overlay.mp4 as well.")] = False,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be done, and do nothing.")] = False,
+    formats: Annotated[str, Option("Motion files to write.")] = "trc,csv",
+    overlay: Annotated[bool, Option("Write overlay.mp4 as well.")] = False,
+    dry_run: Annotated[bool, Option("Say what would be done, and do nothing.")] = False,
 ) -> None:
     """Track many recordings, each with options of its own; finished tasks are skipped, begun ones are resumed."""
     if scheduler is not None and (workers is not None or threads is not None):
@@ -66,7 +65,7 @@ def batch(
         if row["state"] == "failed":
             print_note(f"{row['recording']}, {row['name']}: {row['message']}")
     if dry_run:
-        raise typer.Exit(1 if refused else 0)  # as the batch itself would end
+        raise Exit(1 if refused else 0)  # as the batch itself would end
     states = [row["state"] for row in rows]
     before = sum(row.get("before", False) for row in rows)
     parts = [f"{states.count('done')} of {len(rows)} done ({before} were before)"]
@@ -75,6 +74,6 @@ def batch(
     say(f"Table: {results / 'results.csv'}")
     if "stopped" in states:
         say(_GO_ON)
-        raise typer.Exit(130)
+        raise Exit(130)
     if "failed" in states:
-        raise typer.Exit(1)
+        raise Exit(1)

@@ -7,10 +7,9 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
-from hypose.app.commands.console import HEIGHT, MOST_FRAMES, Stages, number, print_note, print_table, say
+from hypose.app.commands.console import Stages, print_note, print_table, say
 from hypose.errors import CalibrationError, InputError
+from hypose.options import HEIGHT, MOST_FRAMES, Option, Yes
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -24,54 +23,45 @@ if TYPE_CHECKING:
 
 def calibrate(
     sources: Annotated[
-        list[Path] | None,
-        typer.Argument(
-            help="Board videos or photo folders, one per camera, or a folder that holds them; a recording for "
-            "--from-person."
+        tuple[Path, ...],
+        Option(
+            "Board videos or photo folders, one per camera, or a folder that holds them; a recording for "
+            "--from-person.",
+            argument=True,
         ),
-    ] = None,
+    ] = (),
     chessboard: Annotated[
         str | None,
-        typer.Option(help="Inner corners of the chessboard, for example 9x6. [default: counted in the pictures]"),
+        Option("Inner corners of the chessboard, for example 9x6. [default: counted in the pictures]"),
     ] = None,
-    charuco: Annotated[str | None, typer.Option(help="Squares of the ChArUco board, for example 5x7.")] = None,
-    square: Annotated[str | None, typer.Option(help="Side of a square with its unit: 115mm, 4.5cm, 1in.")] = None,
-    marker: Annotated[str | None, typer.Option(help="Side of a ChArUco marker with its unit.")] = None,
-    dictionary: Annotated[str, typer.Option(help="Markers of the ChArUco board.")] = "DICT_4X4_1000",
-    inverted: Annotated[bool, typer.Option("--inverted", help="The board is printed white on black.")] = False,
-    legacy: Annotated[
-        bool, typer.Option("--legacy", help="The ChArUco board was made with OpenCV before 4.6.")
-    ] = False,
+    charuco: Annotated[str | None, Option("Squares of the ChArUco board, for example 5x7.")] = None,
+    square: Annotated[str | None, Option("Side of a square with its unit: 115mm, 4.5cm, 1in.")] = None,
+    marker: Annotated[str | None, Option("Side of a ChArUco marker with its unit.")] = None,
+    dictionary: Annotated[str, Option("Markers of the ChArUco board.")] = "DICT_4X4_1000",
+    inverted: Annotated[bool, Option("The board is printed white on black.")] = False,
+    legacy: Annotated[bool, Option("The ChArUco board was made with OpenCV before 4.6.")] = False,
     intrinsics: Annotated[
         Path | None,
-        typer.Option(
-            help="Calibration file whose lenses are kept, or a folder with board videos or photos for the lenses."
-        ),
+        Option("Calibration file whose lenses are kept, or a folder with board videos or photos for the lenses."),
     ] = None,
-    refine_lenses: Annotated[
-        bool, typer.Option("--refine-lenses", help="Refine the lenses of the --intrinsics file as well.")
-    ] = False,
-    fisheye: Annotated[bool, typer.Option("--fisheye", help="The lenses are fisheyes.")] = False,
+    refine_lenses: Annotated[bool, Option("Refine the lenses of the --intrinsics file as well.")] = False,
+    fisheye: Annotated[bool, Option("The lenses are fisheyes.")] = False,
     floor: Annotated[
         int | None,
-        number("Frame in which the board lies on the floor. [default: where it lies still]", 0, MOST_FRAMES),
+        Option("Frame in which the board lies on the floor. [default: where it lies still]", 0, MOST_FRAMES),
     ] = None,
-    lag: Annotated[
-        list[str] | None, typer.Option(help="CAMERA=FRAMES: its video is so many frames late (may be repeated).")
-    ] = None,
-    frames: Annotated[int, number("Pictures looked at per camera.", 1, 100_000)] = 120,
+    lag: Annotated[tuple[str, ...], Option("CAMERA=FRAMES: its video is so many frames late (may be repeated).")] = (),
+    frames: Annotated[int, Option("Pictures looked at per camera.", 1, 100_000)] = 120,
     points: Annotated[
-        Path | None, typer.Option(help="Instead of a board: a TOML file of measured points and their clicks.")
+        Path | None, Option("Instead of a board: a TOML file of measured points and their clicks.")
     ] = None,
-    convert: Annotated[Path | None, typer.Option(help="Instead: a calibration file of another program.")] = None,
-    unit: Annotated[str, typer.Option(help="Unit of the file given with --convert: auto, m, cm or mm.")] = "auto",
-    from_person: Annotated[
-        bool, typer.Option("--from-person", help="Instead of a board: by the person who walks about in a recording.")
-    ] = False,
-    height: Annotated[float | None, number("Of that person: how tall, in metres.", *HEIGHT, unit="metres")] = None,
+    convert: Annotated[Path | None, Option("Instead: a calibration file of another program.")] = None,
+    unit: Annotated[str, Option("Unit of the file given with --convert: auto, m, cm or mm.")] = "auto",
+    from_person: Annotated[bool, Option("Instead of a board: by the person who walks about in a recording.")] = False,
+    height: Annotated[float | None, Option("Of that person: how tall, in metres.", *HEIGHT, unit="metres")] = None,
     largest: Annotated[
         float | None,
-        number(
+        Option(
             "Of --from-person: videos start within so many seconds. [default: found out]",
             0,
             600,
@@ -79,16 +69,16 @@ def calibrate(
             unit="seconds",
         ),  # fmt: skip
     ] = None,
-    yes: Annotated[bool, typer.Option("--yes", help="Fetch the detector's models, once, without asking.")] = False,
+    yes: Yes = False,
     target: Annotated[
         Path | None,
-        typer.Option(
-            "--out",
-            help="File to write; its ending tells the format (see docs/calibration.md). [default: calibration.toml, of "
+        Option(
+            "File to write; its ending tells the format (see docs/calibration.md). [default: calibration.toml, of "
             "--from-person in the recording's folder]",
+            flag="--out",
         ),
     ] = None,
-    sheet: Annotated[Path | None, typer.Option(help="Picture of what was seen. [default: beside --out, .png]")] = None,
+    sheet: Annotated[Path | None, Option("Picture of what was seen. [default: beside --out, .png]")] = None,
 ) -> None:
     """Calibrate cameras: lenses and places from a board, from measured points, or from a person; or convert."""
     from hypose.io.calibrations.calibration_formats import check_format, write_any

@@ -6,10 +6,11 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from click.exceptions import Exit
 
-from hypose.app.commands.console import HEIGHT, Stages, number, out, say
+from hypose.app.commands.console import Stages, out, say
 from hypose.errors import EvidenceError, InputError
+from hypose.options import HEIGHT, CalibrationFile, Option, RecordingPath
 
 if TYPE_CHECKING:
     from hypose.app.commands.console import ProgressCall
@@ -23,43 +24,37 @@ _REFINE = "Refine"
 
 
 def check(
-    recording: Annotated[Path, typer.Argument(help="Folder with recording.toml, that file, or a Pose2Sim project.")],
+    recording: RecordingPath,
     sheet: Annotated[
-        Path | None, typer.Option("--out", help="Contact sheet to write. [default: results/check.png there]")
+        Path | None, Option("Contact sheet to write. [default: results/check.png there]", flag="--out")
     ] = None,
-    samples: Annotated[int, number("Frames whose common volume is looked at.", 1, 10_000)] = 5,
-    frames: Annotated[int, number("Consecutive frames that the doctor looks at; 0: skip it.", 0, 100_000)] = 100,
-    calibration: Annotated[
-        Path | None, typer.Option(help="Use this calibration file instead of the recording's.")
-    ] = None,
+    samples: Annotated[int, Option("Frames whose common volume is looked at.", 1, 10_000)] = 5,
+    frames: Annotated[int, Option("Consecutive frames that the doctor looks at; 0: skip it.", 0, 100_000)] = 100,
+    calibration: CalibrationFile = None,
     refine: Annotated[
         bool,
-        typer.Option("--refine", help="Find the cameras' poses from the moving person.", rich_help_panel=_REFINE),
+        Option("Find the cameras' poses from the moving person.", group=_REFINE, flag="--refine"),
     ] = False,
     using: Annotated[
         str,
-        typer.Option("--from", help="keypoints, silhouettes, both, or auto.", rich_help_panel=_REFINE),
+        Option("keypoints, silhouettes, both, or auto.", group=_REFINE, flag="--from"),
     ] = "auto",
     far: Annotated[
         bool,
-        typer.Option(
-            "--far", help="Also cameras more than 10 degrees or 0.5 m off (--refine=far).", rich_help_panel=_REFINE
-        ),
+        Option("Also cameras more than 10 degrees or 0.5 m off (--refine=far).", group=_REFINE, flag="--far"),
     ] = False,
-    focal: Annotated[bool, typer.Option("--focal", help="Focal lengths too.", rich_help_panel=_REFINE)] = False,
+    focal: Annotated[bool, Option("Focal lengths too.", group=_REFINE)] = False,
     keep: Annotated[
-        list[str] | None,
-        typer.Option(help="Camera that stays as it is (may be repeated).", rich_help_panel=_REFINE),
+        tuple[str, ...],
+        Option("Camera that stays as it is (may be repeated).", group=_REFINE),
     ] = None,
     height: Annotated[
         float | None,
-        number("The person's height in metres: sets the scale.", *HEIGHT, unit="metres", rich_help_panel=_REFINE),
+        Option("The person's height in metres: sets the scale.", *HEIGHT, unit="metres", group=_REFINE),
     ] = None,
     to: Annotated[
         Path | None,
-        typer.Option(
-            help="New calibration file. [default: results/calibration_refined.toml there]", rich_help_panel=_REFINE
-        ),
+        Option("New calibration file. [default: results/calibration_refined.toml there]", group=_REFINE),
     ] = None,
 ) -> None:
     """Check whether the views agree, name the cause and the camera, and correct it with --refine.
@@ -107,7 +102,7 @@ def check(
         _refine(loaded, cured, using, focal, tuple(keep or ()), height, to, far)
         return
     if found.warnings or (report is not None and not report.healthy):
-        raise typer.Exit(1)
+        raise Exit(1)
     say("No problem found.", "green")
 
 
@@ -157,7 +152,7 @@ def _refine(
     better = _tell(result)
     if not better:
         say("The refined calibration is not better on frames that it was not found on; nothing is written.", "yellow")
-        raise typer.Exit(1)
+        raise Exit(1)
     if result.far and not far:
         say(
             f"The refinement takes {' and '.join(result.far)} more than 10 degrees or 0.5 m away from where the "
@@ -165,7 +160,7 @@ def _refine(
             "take it with --refine=far.",
             "yellow",
         )
-        raise typer.Exit(1)
+        raise Exit(1)
     target.parent.mkdir(parents=True, exist_ok=True)
     write_calibration(result.rig, target)
     say(f"Refined calibration: {target} (metres, world as before, z up)", "green")
@@ -220,15 +215,15 @@ def _free_name(path: Path) -> Path:
 
 
 def sync(
-    recording: Annotated[Path, typer.Argument(help="Folder with recording.toml, that file, or a Pose2Sim project.")],
-    by: Annotated[str, typer.Option(help="motion, sound or flash.")] = "motion",
-    offsets: Annotated[str | None, typer.Option(help="Known offsets in frames instead, one per view: 0,-2.5,1")] = None,
+    recording: RecordingPath,
+    by: Annotated[str, Option("motion, sound or flash.")] = "motion",
+    offsets: Annotated[str | None, Option("Known offsets in frames instead, one per view: 0,-2.5,1")] = None,
     largest: Annotated[
-        float, number("Largest offset that is looked for, in seconds.", 0, 600, above=True, unit="seconds")
+        float, Option("Largest offset that is looked for, in seconds.", 0, 600, above=True, unit="seconds")
     ] = 0.5,
-    frames: Annotated[int, number("Consecutive frames that motion is taken from.", 24, 100_000)] = 250,
+    frames: Annotated[int, Option("Consecutive frames that motion is taken from.", 24, 100_000)] = 250,
     to: Annotated[
-        Path | None, typer.Option("--out", help="New folder for masks, depth maps and key points that are in step.")
+        Path | None, Option("New folder for masks, depth maps and key points that are in step.", flag="--out")
     ] = None,
 ) -> None:
     """How many frames each view is late. With --out, masks, depth maps and key points in step are written."""

@@ -8,29 +8,22 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from hypose.app.commands.commands_track import detect, detected, open_network_asking, set_threads, stopping
-from hypose.app.commands.console import Seconds, Seed, Stages, Threads, number, print_note, say
+from hypose.app.commands.console import Stages, print_note, say
 from hypose.errors import EvidenceError, InputError
+from hypose.options import FrameRange, Option, RecordingPath, Resume, Seconds, Seed, Threads, Yes
 
 if TYPE_CHECKING:
     pass
 
-Yes = Annotated[bool, typer.Option("--yes", help="Fetch the detector's models, once, without asking.")]
-
 
 def silhouettes(
-    recording: Annotated[Path, typer.Argument(help="Folder with recording.toml, that file, or a Pose2Sim project.")],
+    recording: RecordingPath,
     folder: Annotated[
-        Path | None, typer.Option("--out", help="Folder to write to. [default: results/silhouettes there]")
+        Path | None, Option("Folder to write to. [default: results/silhouettes there]", flag="--out")
     ] = None,
-    frames: Annotated[
-        str | None, typer.Option(help="first:stop, counted from 0. [default: recording.toml's, else all]")
-    ] = None,
-    detector: Annotated[
-        bool, typer.Option("--detector", help="By hypose's detector of people, whatever tells the empty room.")
-    ] = False,
+    frames: FrameRange = None,
+    detector: Annotated[bool, Option("By hypose's detector of people, whatever tells the empty room.")] = False,
     yes: Yes = False,
 ) -> None:
     """Write the masks of the person as PNG, one folder per view, and a contact sheet."""
@@ -66,32 +59,26 @@ def silhouettes(
 
 
 def synth(
-    folder: Annotated[Path, typer.Argument(metavar="OUT", help="Folder to write the recording to.")],
-    motion: Annotated[
-        str, typer.Option(help="walk, jog, box, wave, cross_arms, punch, sit_down, serve or combo.")
-    ] = "walk",
-    subject: Annotated[str, typer.Option(help="Name or number of a subject. [default: chosen by the seed]")] = "",
-    rig: Annotated[str, typer.Option(help="humaneva-4, humaneva-7, ixmas-5, court-4 or ring-N.")] = "humaneva-4",
+    folder: Annotated[Path, Option("Folder to write the recording to.", value="OUT", argument=True)],
+    motion: Annotated[str, Option("walk, jog, box, wave, cross_arms, punch, sit_down, serve or combo.")] = "walk",
+    subject: Annotated[str, Option("Name or number of a subject. [default: chosen by the seed]")] = "",
+    rig: Annotated[str, Option("humaneva-4, humaneva-7, ixmas-5, court-4 or ring-N.")] = "humaneva-4",
     sensors: Annotated[
         str,
-        typer.Option(help="Depth cameras instead of a rig: depth-1 (in front), depth-2 (and beside), depth-3 (round)."),
+        Option("Depth cameras instead of a rig: depth-1 (in front), depth-2 (and beside), depth-3 (round)."),
     ] = "",
     seconds: Seconds = 4.0,
-    frame_rate: Annotated[float, number("Frames per second.", 1, 1000)] = 25.0,
+    frame_rate: Annotated[float, Option("Frames per second.", 1, 1000)] = 25.0,
     corruption: Annotated[
-        list[str] | None,
-        typer.Option(help="What goes wrong: level-1, shadow, desync, ... (may be repeated)."),
+        tuple[str, ...],
+        Option("What goes wrong: level-1, shadow, desync, ... (may be repeated)."),
     ] = None,
-    clothing: Annotated[float, number("Thickness of the clothes in metres.", 0, 0.04, unit="metres")] = 0.02,
-    distorted: Annotated[bool, typer.Option(help="Lenses with distortion.")] = True,
-    keypoints: Annotated[
-        bool, typer.Option("--keypoints", help="Write 2D key points (OpenPose JSON) as well.")
-    ] = False,
+    clothing: Annotated[float, Option("Thickness of the clothes in metres.", 0, 0.04, unit="metres")] = 0.02,
+    distorted: Annotated[bool, Option("Lenses with distortion.")] = True,
+    keypoints: Annotated[bool, Option("Write 2D key points (OpenPose JSON) as well.")] = False,
     raw: Annotated[
         bool,
-        typer.Option(
-            "--raw", help="As it is filmed: videos of a board, the empty room and the person, to practise on."
-        ),
+        Option("As it is filmed: videos of a board, the empty room and the person, to practise on.", flag="--raw"),
     ] = False,
     seed: Seed = 0,
     threads: Threads = None,
@@ -155,18 +142,18 @@ def _subject_name(text: str) -> str:
 
 def depth_import(
     sources: Annotated[
-        list[Path],
-        typer.Argument(help="One per camera: Azure Kinect .mkv, RealSense .bag, Record3D .r3d, or a folder of maps."),
+        tuple[Path, ...],
+        Option("One per camera: Azure Kinect .mkv, RealSense .bag, Record3D .r3d, or a folder of maps.", argument=True),
     ],
-    out: Annotated[Path, typer.Option(help="Folder to write the recording to.")],
+    out: Annotated[Path, Option("Folder to write the recording to.")],
     empty: Annotated[
-        list[Path] | None, typer.Option(help="The empty room, one per camera in the same order (may be repeated).")
-    ] = None,
+        tuple[Path, ...], Option("The empty room, one per camera in the same order (may be repeated).")
+    ] = (),
     frame_rate: Annotated[
-        float | None, number("Frames per second of folders of maps, which do not tell it. [default: 30]", 1, 1000)
+        float | None, Option("Frames per second of folders of maps, which do not tell it. [default: 30]", 1, 1000)
     ] = None,
     millimetres: Annotated[
-        float, number("Millimetres that one step of a value stands for, of folders of maps.", 0, 100, above=True)
+        float, Option("Millimetres that one step of a value stands for, of folders of maps.", 0, 100, above=True)
     ] = 1.0,
     seed: Seed = 0,
 ) -> None:
@@ -192,16 +179,16 @@ def depth_import(
 
 
 def keypoints(
-    recording: Annotated[Path, typer.Argument(help="Folder with recording.toml, that file, or a Pose2Sim project.")],
+    recording: RecordingPath,
     detector: Annotated[
         str | None,
-        typer.Option(help="Your own detector instead, FILE.py:NAME or MODULE:NAME (docs/recordings.md)."),
+        Option("Your own detector instead, FILE.py:NAME or MODULE:NAME (docs/recordings.md)."),
     ] = None,
     yes: Yes = False,
     folder: Annotated[
-        Path | None, typer.Option("--out", help="Folder to write to. [default: keypoints in the recording's folder]")
+        Path | None, Option("Folder to write to. [default: keypoints in the recording's folder]", flag="--out")
     ] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on where an interrupted run stopped.")] = False,
+    resume: Resume = False,
     threads: Threads = None,
 ) -> None:
     """Detect 2D key points and masks of people in the videos, which `hypose track` then uses."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from click.exceptions import Exit
 
 from hypose.app.commands.commands_track import (
     print_assessments,
@@ -15,8 +15,9 @@ from hypose.app.commands.commands_track import (
     split_names,
     stopping,
 )
-from hypose.app.commands.console import Seed, Stages, Threads, number, print_note, say
+from hypose.app.commands.console import Stages, print_note, say
 from hypose.errors import InputError
+from hypose.options import Option, Seed, Threads
 
 if TYPE_CHECKING:
     from hypose.app.jobs.fuse_job import FuseOutcome
@@ -27,68 +28,56 @@ _RECORDED, _LIVE = "Recorded", "Live"
 def fuse(
     recording: Annotated[
         Path | None,
-        typer.Argument(help="Folder with session.json, a .csv, .skeleton or .jsonl file; nothing with --live."),
+        Option("Folder with session.json, a .csv, .skeleton or .jsonl file; nothing with --live.", argument=True),
     ] = None,
     method: Annotated[
         str,
-        typer.Option(
-            help="fit, swarm, published, published-window.",
-            rich_help_panel=_RECORDED,
-        ),
+        Option("fit, swarm, published, published-window.", group=_RECORDED),
     ] = "fit",
     out: Annotated[
         Path | None,
-        typer.Option(help="Results folder. [default: results/fuse-METHOD beside it]", rich_help_panel=_RECORDED),
+        Option("Results folder. [default: results/fuse-METHOD beside it]", group=_RECORDED),
     ] = None,
-    formats: Annotated[str, typer.Option(help="Motion files to write.", rich_help_panel=_RECORDED)] = "trc,c3d,csv",
+    formats: Annotated[str, Option("Motion files to write.", group=_RECORDED)] = "trc,c3d,csv",
     reference: Annotated[
         str | None,
-        typer.Option(help="Sensor that the others are registered to. [default: the first]", rich_help_panel=_RECORDED),
+        Option("Sensor that the others are registered to. [default: the first]", group=_RECORDED),
     ] = None,
     up: Annotated[
         str,
-        typer.Option(help="What is up: the person on average, or the sensor's y axis.", rich_help_panel=_RECORDED),
+        Option("What is up: the person on average, or the sensor's y axis.", group=_RECORDED),
     ] = "person",
     diagnose: Annotated[
         bool,
-        typer.Option("--diagnose", help="Add the swarm's choice of sensors to sensors.csv.", rich_help_panel=_RECORDED),
+        Option("Add the swarm's choice of sensors to sensors.csv.", group=_RECORDED, flag="--diagnose"),
     ] = False,
     cameras: Annotated[
         Path | None,
-        typer.Option(
-            help="Recording of depth or colour cameras that saw the same; all is then solved together.",
-            rich_help_panel=_RECORDED,
-        ),
+        Option("Recording of depth or colour cameras that saw the same; all is then solved together.", group=_RECORDED),
     ] = None,
     seed: Seed = 0,
     rate: Annotated[
-        float | None, number("Frames per second of the result. [default: the sensor's; live: 30]", 1, 1000)
+        float | None, Option("Frames per second of the result. [default: the sensor's; live: 30]", 1, 1000)
     ] = None,
     live: Annotated[
         bool,
-        typer.Option("--live", help="Take skeletons from the network and send the fused ones.", rich_help_panel=_LIVE),
+        Option("Take skeletons from the network and send the fused ones.", group=_LIVE, flag="--live"),
     ] = False,
-    udp: Annotated[
-        int | None, number("UDP port for skeletons. [default: 9870]", 0, 65535, rich_help_panel=_LIVE)
-    ] = None,
+    udp: Annotated[int | None, Option("UDP port for skeletons. [default: 9870]", 0, 65535, group=_LIVE)] = None,
     ws: Annotated[
         int | None,
-        number("WebSocket port: /in takes skeletons, /out sends. [default: 9871]", 0, 65535, rich_help_panel=_LIVE),
+        Option("WebSocket port: /in takes skeletons, /out sends. [default: 9871]", 0, 65535, group=_LIVE),
     ] = None,
-    osc: Annotated[str | None, typer.Option(help="HOST:PORT to send OSC to.", rich_help_panel=_LIVE)] = None,
+    osc: Annotated[str | None, Option("HOST:PORT to send OSC to.", group=_LIVE)] = None,
     host: Annotated[
-        str, typer.Option(help="Address to listen on; others than this computer need the token.", rich_help_panel=_LIVE)
+        str, Option("Address to listen on; others than this computer need the token.", group=_LIVE)
     ] = "127.0.0.1",
     token: Annotated[
         str | None,
-        typer.Option(help="What senders must show. [default: none on this computer, else made]", rich_help_panel=_LIVE),
+        Option("What senders must show. [default: none on this computer, else made]", group=_LIVE),
     ] = None,
-    wait: Annotated[
-        float, number("Milliseconds that a frame waits for late sensors.", 0, 10_000, rich_help_panel=_LIVE)
-    ] = 5.0,
-    record: Annotated[
-        Path | None, typer.Option(help="New folder to record the skeletons to.", rich_help_panel=_LIVE)
-    ] = None,
+    wait: Annotated[float, Option("Milliseconds that a frame waits for late sensors.", 0, 10_000, group=_LIVE)] = 5.0,
+    record: Annotated[Path | None, Option("New folder to record the skeletons to.", group=_LIVE)] = None,
     threads: Threads = None,
 ) -> None:
     """Fuse the skeletons of several depth sensors, and what cameras saw besides: one skeleton per person with its
@@ -130,7 +119,7 @@ def fuse(
             )
         from hypose.app.jobs.job import TrackJob
         from hypose.io.recordings.recording import load_recording
-        from hypose.pipeline.run import TrackOptions
+        from hypose.pipeline.track_options import TrackOptions
 
         filmed = load_recording(cameras)
         results = ResultsFolder(out) if out is not None else ResultsFolder.of(filmed.folder, "fuse-cameras")
@@ -158,7 +147,7 @@ def fuse(
         outcome = run_fuse(fusing, progress)
     _closing(outcome, loaded.name, len(loaded.streams), results.path)
     if not outcome.complete:
-        raise typer.Exit(130)
+        raise Exit(130)
     if all(p.motion.lost.all() for p in outcome.people):
         require_found(outcome.people[0].motion, loaded.name, results.path)
     names = [f"person-{n + 1}" if len(outcome.people) > 1 else "" for n in range(len(outcome.people))]

@@ -11,11 +11,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from click.exceptions import Exit
 
 from hypose.app.commands.commands_track import set_threads
-from hypose.app.commands.console import HEIGHT, Seed, Stages, Threads, ended_by_signals, number, print_note, say
+from hypose.app.commands.console import Stages, ended_by_signals, print_note, say
 from hypose.errors import InputError
+from hypose.options import HEIGHT, Option, Seed, Threads
 
 if TYPE_CHECKING:
     from hypose.pipeline.live.engine import LiveResult, LiveStatus
@@ -29,44 +30,41 @@ _REPORT_S = 10.0
 
 def live(
     rig: Annotated[
-        Path, typer.Argument(help="Calibration file, or a recording, whose videos are played without --source.")
+        Path, Option("Calibration file, or a recording, whose videos are played without --source.", argument=True)
     ],
     source: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="CAMERA=WHERE: number of a device (0), http:// (motion JPEG), rtsp://, a video, a folder of pictures. "
+        tuple[str, ...],
+        Option(
+            "CAMERA=WHERE: number of a device (0), http:// (motion JPEG), rtsp://, a video, a folder of pictures. "
             "Once for each camera."
         ),
     ] = None,
     rate: Annotated[
-        float | None, number("Pictures per second of the cameras. [default: 30, or the recording's]", 1, 240)
+        float | None, Option("Pictures per second of the cameras. [default: 30, or the recording's]", 1, 240)
     ] = None,
     countdown: Annotated[
-        float, number("Seconds in which to leave the view before the empty room is learnt.", 0, 600)
+        float, Option("Seconds in which to leave the view before the empty room is learnt.", 0, 600)
     ] = 5.0,
     detector: Annotated[
         bool | None,
-        typer.Option(
-            "--detector/--no-detector",
-            help="Find people by hypose's detector: no person has to leave the view. [default: where a recording is "
+        Option(
+            "Find people by hypose's detector: no person has to leave the view. [default: where a recording is "
             "played that shows no empty room]",
         ),
     ] = None,
-    people: Annotated[int, number("Follow so many people at most.", 1, 8)] = 1,
-    height: Annotated[float | None, number("The person's height in metres, when known.", *HEIGHT)] = None,
+    people: Annotated[int, Option("Follow so many people at most.", 1, 8)] = 1,
+    height: Annotated[float | None, Option("The person's height in metres, when known.", *HEIGHT)] = None,
     subject: Annotated[
-        Path | None, typer.Option(help="The person's body, as hypose subject writes it; else it is fitted on the way.")
+        Path | None, Option("The person's body, as hypose subject writes it; else it is fitted on the way.")
     ] = None,
-    seconds: Annotated[float, number("Stop after so many seconds; 0 = never.", 0, 10**6)] = 0.0,
-    ws: Annotated[int, number("WebSocket port on this computer: /out (JSON).", 0, 65535, rich_help_panel=_OUT)] = 9872,
-    udp: Annotated[str | None, typer.Option(help="HOST:PORT for a JSON line per pose.", rich_help_panel=_OUT)] = None,
-    osc: Annotated[str | None, typer.Option(help="HOST:PORT to send OSC to.", rich_help_panel=_OUT)] = None,
-    vmc: Annotated[
-        str | None, typer.Option(help="HOST:PORT of a program that moves an avatar (VMC).", rich_help_panel=_OUT)
-    ] = None,
+    seconds: Annotated[float, Option("Stop after so many seconds; 0 = never.", 0, 10**6)] = 0.0,
+    ws: Annotated[int, Option("WebSocket port on this computer: /out (JSON).", 0, 65535, group=_OUT)] = 9872,
+    udp: Annotated[str | None, Option("HOST:PORT for a JSON line per pose.", group=_OUT)] = None,
+    osc: Annotated[str | None, Option("HOST:PORT to send OSC to.", group=_OUT)] = None,
+    vmc: Annotated[str | None, Option("HOST:PORT of a program that moves an avatar (VMC).", group=_OUT)] = None,
     record: Annotated[
         Path | None,
-        typer.Option(help="New folder for a recording that hypose track solves again.", rich_help_panel=_OUT),
+        Option("New folder for a recording that hypose track solves again.", group=_OUT),
     ] = None,
     seed: Seed = 0,
     threads: Threads = None,
@@ -82,10 +80,10 @@ def live(
         from hypose.pipeline.live.live_rig import live_rig
         from hypose.pipeline.live.live_search import LivePersonOptions
         from hypose.pipeline.live.recorder import LiveRecorder
-        from hypose.pipeline.run import TrackOptions
         from hypose.pipeline.subject_from_motion import load_subject
+        from hypose.pipeline.track_options import TrackOptions
     if ended.is_set():
-        raise typer.Exit(130)
+        raise Exit(130)
 
     cameras = live_rig(rig, _sources(source or []), rate)
     for text in cameras.notes:
@@ -201,21 +199,17 @@ _NETWORK = "Network"
 
 
 def view(
-    what: Annotated[
-        Path, typer.Argument(help="Results folder, recording, or a folder that holds such.", show_default="this folder")
-    ] = Path(),
-    port: Annotated[int, number("Port to listen on; 0 takes any free one.", 0, 65535, rich_help_panel=_NETWORK)] = 8765,
+    what: Annotated[Path, Option("Results folder, recording, or a folder that holds such.", argument=True)] = Path(),
+    port: Annotated[int, Option("Port to listen on; 0 takes any free one.", 0, 65535, group=_NETWORK)] = 8765,
     host: Annotated[
         str,
-        typer.Option(help="Address to listen on; others than this computer need the token.", rich_help_panel=_NETWORK),
+        Option("Address to listen on; others than this computer need the token.", group=_NETWORK),
     ] = "127.0.0.1",
     token: Annotated[
         str | None,
-        typer.Option(
-            help="What pages must show. [default: none on this computer, else made]", rich_help_panel=_NETWORK
-        ),
+        Option("What pages must show. [default: none on this computer, else made]", group=_NETWORK),
     ] = None,
-    no_browser: Annotated[bool, typer.Option("--no-browser", help="Do not open the page.")] = False,
+    no_browser: Annotated[bool, Option("Do not open the page.")] = False,
     threads: Threads = None,
 ) -> None:
     """Open the studio: results in 3D with their pictures, corrections by clicks, gestures, new recordings."""

@@ -9,11 +9,12 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from click.exceptions import Exit
 
 from hypose.app.commands.commands_track import set_threads, split_names, stopping
-from hypose.app.commands.console import Stages, Threads, number, print_note, say
+from hypose.app.commands.console import Stages, print_note, say
 from hypose.errors import HyposeError, InputError
+from hypose.options import MOST_FRAMES, Option, Threads
 
 if TYPE_CHECKING:
     from pythonosc.osc_message import OscMessage
@@ -24,9 +25,9 @@ if TYPE_CHECKING:
 
 
 def export(
-    results: Annotated[Path, typer.Argument(help="Results folder of hypose track, or its motion.npz.")],
-    formats: Annotated[str, typer.Option(help="Motion files to write; also osim, rrd.")] = "trc,c3d,bvh,glb,csv,mot",
-    out: Annotated[Path | None, typer.Option(help="Folder to write to. [default: the results folder]")] = None,
+    results: Annotated[Path, Option("Results folder of hypose track, or its motion.npz.", argument=True)],
+    formats: Annotated[str, Option("Motion files to write; also osim, rrd.")] = "trc,c3d,bvh,glb,csv,mot",
+    out: Annotated[Path | None, Option("Folder to write to. [default: the results folder]")] = None,
 ) -> None:
     """Write motion files (TRC, C3D, BVH, GLB, CSV, MOT; OpenSim, Rerun) from a tracked motion."""
     from hypose.io.files import claimed
@@ -46,10 +47,10 @@ def export(
 
 
 def report(
-    results: Annotated[Path, typer.Argument(help="Results folder of hypose track or hypose fuse, or its motion.npz.")],
-    out: Annotated[
-        Path | None, typer.Option(help="File to write. [default: report.html in the results folder]")
-    ] = None,
+    results: Annotated[
+        Path, Option("Results folder of hypose track or hypose fuse, or its motion.npz.", argument=True)
+    ],
+    out: Annotated[Path | None, Option("File to write. [default: report.html in the results folder]")] = None,
     threads: Threads = None,
 ) -> None:
     """Write the report of a result again: one file that opens from disk and loads nothing."""
@@ -77,9 +78,21 @@ def report(
     say(f"Report: {written}")
 
 
+def explain(
+    results: Annotated[Path, Option("Results folder of hypose track, or its motion.npz.", argument=True)],
+    joint: Annotated[str, Option("Name of the joint, for example left_wrist.")],
+    frame: Annotated[int, Option("Number of the frame in the recording.", 0, MOST_FRAMES)],
+) -> None:
+    """Say where a joint of a frame comes from: its evidence, the passes that moved it, where else it may be."""
+    from hypose.app.jobs.explain import explain_joint
+
+    for line in explain_joint(results, joint, frame):
+        say(line)
+
+
 def gait(
-    results: Annotated[Path, typer.Argument(help="Results folder of hypose track, or its motion.npz.")],
-    out: Annotated[Path | None, typer.Option(help="Folder to write to. [default: the results folder]")] = None,
+    results: Annotated[Path, Option("Results folder of hypose track, or its motion.npz.", argument=True)],
+    out: Annotated[Path | None, Option("Folder to write to. [default: the results folder]")] = None,
 ) -> None:
     """Write strikes, steps, cadence and speed (CSV, C3D with events), and joint angles over the gait cycle."""
     from hypose.io.files import claimed
@@ -159,41 +172,36 @@ def _table(path: Path, header: str, rows: Sequence[Sequence[object]]) -> None:
 
 def compare(
     files: Annotated[
-        list[Path],
-        typer.Argument(
-            help="RESULT OTHER [RESULT OTHER ...]: a results folder, then what to compare it with: .c3d, .trc, .mot, "
-            ".sto or another result."
+        tuple[Path, ...],
+        Option(
+            "RESULT OTHER [RESULT OTHER ...]: a results folder, then what to compare it with: .c3d, .trc, .mot, "
+            ".sto or another result.",
+            argument=True,
         ),
     ],
     joint: Annotated[
-        list[str] | None,
-        typer.Option(help="JOINT=MARKER+MARKER: the joint is the middle of these markers (may be repeated)."),
+        tuple[str, ...],
+        Option("JOINT=MARKER+MARKER: the joint is the middle of these markers (may be repeated)."),
     ] = None,
-    subject: Annotated[
-        str | None, typer.Option(help="Whose points, where a file names several people's SUBJECT:POINT.")
-    ] = None,
+    subject: Annotated[str | None, Option("Whose points, where a file names several people's SUBJECT:POINT.")] = None,
     offset: Annotated[
         float | None,
-        number("Seconds to add to the other's times. [default: found]", -100_000, 100_000, unit="seconds"),
+        Option("Seconds to add to the other's times. [default: found]", -100_000, 100_000, unit="seconds"),
     ] = None,
-    no_align: Annotated[
-        bool, typer.Option("--no-align", help="Both have the same world: do not move the other onto the result.")
-    ] = False,
-    all_frames: Annotated[
-        bool, typer.Option("--all-frames", help="Also frames in which the person was lost or only predicted.")
-    ] = False,
+    no_align: Annotated[bool, Option("Both have the same world: do not move the other onto the result.")] = False,
+    all_frames: Annotated[bool, Option("Also frames in which the person was lost or only predicted.")] = False,
     max_mm: Annotated[
         float | None,
-        number("Exit with 1 if the RMSE of the joints, offsets aside, is larger.", 0, 10_000, unit="millimetres"),
+        Option("Exit with 1 if the RMSE of the joints, offsets aside, is larger.", 0, 10_000, unit="millimetres"),
     ] = None,
     max_degrees: Annotated[
-        float | None, number("Exit with 1 if an angle's RMSE, its offset aside, is larger.", 0, 360, unit="degrees")
+        float | None, Option("Exit with 1 if an angle's RMSE, its offset aside, is larger.", 0, 360, unit="degrees")
     ] = None,
     min_coverage: Annotated[
-        float | None, number("Exit with 1 if a smaller share lies in the 90 % regions (0.8, for example).", 0, 1)
+        float | None, Option("Exit with 1 if a smaller share lies in the 90 % regions (0.8, for example).", 0, 1)
     ] = None,
     out: Annotated[
-        Path | None, typer.Option(help="Folder for compare.csv and compare.html. [default: the first results folder]")
+        Path | None, Option("Folder for compare.csv and compare.html. [default: the first results folder]")
     ] = None,
 ) -> None:
     """Compare results with markers or other motions: errors per joint and angle, one table, one page."""
@@ -240,14 +248,16 @@ def compare(
     for text in failed:
         say(text, "yellow")
     if failed:
-        raise typer.Exit(1)
+        raise Exit(1)
 
 
 def play(
-    results: Annotated[Path, typer.Argument(help="Results folder of hypose track or hypose fuse, or its motion.npz.")],
-    vmc: Annotated[str, typer.Option(help="HOST:PORT that the program listens on.")] = "127.0.0.1:39539",
-    speed: Annotated[float, number("How many times as fast as it was.", 0.01, 100)] = 1.0,
-    loop: Annotated[bool, typer.Option("--loop", help="Over and over, until Ctrl-C.")] = False,
+    results: Annotated[
+        Path, Option("Results folder of hypose track or hypose fuse, or its motion.npz.", argument=True)
+    ],
+    vmc: Annotated[str, Option("HOST:PORT that the program listens on.")] = "127.0.0.1:39539",
+    speed: Annotated[float, Option("How many times as fast as it was.", 0.01, 100)] = 1.0,
+    loop: Annotated[bool, Option("Over and over, until Ctrl-C.")] = False,
 ) -> None:
     """Send a tracked motion to an avatar (VMC protocol): VSeeFace, Warudo, Unity, Unreal, Blender. See docs/live.md."""
     from hypose.app.live.osc import OscTarget
@@ -302,9 +312,9 @@ def play_motion(
 
 def cite(
     method: Annotated[
-        str, typer.Argument(help="A results folder, or a recipe or method by name; a wrong one lists them.")
+        str, Option("A results folder, or a recipe or method by name; a wrong one lists them.", argument=True)
     ] = "default",
-    bibtex: Annotated[bool, typer.Option("--bibtex", help="As BibTeX.")] = False,
+    bibtex: Annotated[bool, Option("As BibTeX.")] = False,
 ) -> None:
     """Print the papers behind the method that gave a result."""
     from hypose.app.jobs.cite import formatted_papers, papers_of

@@ -13,10 +13,24 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+import click
+from click.exceptions import Exit
 
-from hypose.app.commands.console import HEIGHT, MOST_FRAMES, Seconds, Seed, Stages, Threads, number, print_note, say
+from hypose.app.commands.console import Stages, print_note, say
 from hypose.errors import InputError
+from hypose.options import (
+    HEIGHT,
+    MOST_FRAMES,
+    CalibrationFile,
+    FrameRange,
+    Option,
+    RecordingPath,
+    Resume,
+    Seconds,
+    Seed,
+    Threads,
+    Yes,
+)
 
 if TYPE_CHECKING:
     from hypose.app.jobs.job import Outcome, TrackJob
@@ -27,71 +41,60 @@ if TYPE_CHECKING:
     from hypose.pipeline.subject_from_motion import SubjectEstimate
 
 
-def track_command(
-    context: typer.Context,
-    recording: Annotated[Path, typer.Argument(help="Folder with recording.toml, that file, or a Pose2Sim project.")],
-    recipe: Annotated[
-        str, typer.Option(help="default, hpf, apf, sir, partitioned, or with one camera monocular.")
-    ] = "default",
-    refine: Annotated[bool, typer.Option("--refine", help="Contour refinement after a published recipe.")] = False,
+def track(
+    recording: RecordingPath,
+    recipe: Annotated[str, Option("default, hpf, apf, sir, partitioned, or with one camera monocular.")] = "default",
+    refine: Annotated[bool, Option("Contour refinement after a published recipe.")] = False,
     evidence: Annotated[
         str | None,
-        typer.Option(
-            help="silhouettes, keypoints or both; with monocular also auto or edges. [default: silhouettes; without "
+        Option(
+            "silhouettes, keypoints or both; with monocular also auto or edges. [default: silhouettes; without "
             "pictures keypoints; both by a detector where nothing tells the person; with monocular all there is]"
         ),
     ] = None,
     start: Annotated[
         str,
-        typer.Option(
-            help="auto, keypoints, hull, or the first frame's pose: a, t, standing, hands-up; with one camera "
+        Option(
+            "auto, keypoints, hull, or the first frame's pose: a, t, standing, hands-up; with one camera "
             "keypoints or a file of clicked joints."
         ),
     ] = "auto",
     height: Annotated[
         float | None,
-        number("The subject's height in metres. [default: recording.toml's, else estimated]", *HEIGHT, unit="metres"),
+        Option("The subject's height in metres. [default: recording.toml's, else estimated]", *HEIGHT, unit="metres"),
     ] = None,
     subject: Annotated[
-        Path | None, typer.Option(help="The person's body: the folder or body.npz that hypose subject wrote.")
+        Path | None, Option("The person's body: the folder or body.npz that hypose subject wrote.")
     ] = None,
     people: Annotated[
         str | None,
-        typer.Option(
-            help="Several people: all, how many at most, or the name of one in recording.toml. Results: a folder for "
+        Option(
+            "Several people: all, how many at most, or the name of one in recording.toml. Results: a folder for "
             "each. [default: one]"
         ),
     ] = None,
     no_smooth: Annotated[
-        bool, typer.Option("--no-smooth", help="Each frame as it was tracked, without solving all together at the end.")
+        bool, Option("Each frame as it was tracked, without solving all together at the end.")
     ] = False,
     seed: Seed = 0,
-    frames: Annotated[
-        str | None, typer.Option(help="first:stop, counted from 0. [default: recording.toml's, else all]")
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option(help="Results folder. [default: results/RECIPE in the recording's folder]")
-    ] = None,
-    formats: Annotated[str, typer.Option(help="Motion files to write.")] = "trc,c3d,bvh,glb,csv,mot,osim",
-    no_overlay: Annotated[bool, typer.Option("--no-overlay", help="Do not write overlay.mp4.")] = False,
-    no_report: Annotated[bool, typer.Option("--no-report", help="Do not write report.html.")] = False,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on where an interrupted run stopped.")] = False,
+    frames: FrameRange = None,
+    out: Annotated[Path | None, Option("Results folder. [default: results/RECIPE in the recording's folder]")] = None,
+    formats: Annotated[str, Option("Motion files to write.")] = "trc,c3d,bvh,glb,csv,mot,osim",
+    no_overlay: Annotated[bool, Option("Do not write overlay.mp4.")] = False,
+    no_report: Annotated[bool, Option("Do not write report.html.")] = False,
+    resume: Resume = False,
     threads: Threads = None,
-    calibration: Annotated[
-        Path | None, typer.Option(help="Use this calibration file instead of the recording's.")
-    ] = None,
-    camera: Annotated[str | None, typer.Option(help="Only this camera of the recording, for monocular.")] = None,
+    calibration: CalibrationFile = None,
+    camera: Annotated[str | None, Option("Only this camera of the recording, for monocular.")] = None,
     hypotheses: Annotated[
-        int | None, number("How many hypotheses are followed. [default: the recipe's own number]", 1, 100_000)
+        int | None, Option("How many hypotheses are followed. [default: the recipe's own number]", 1, 100_000)
     ] = None,
-    colours: Annotated[
-        bool, typer.Option("--colours", help="Ask the pictures where arms are, from silhouettes; slower.")
-    ] = False,
+    colours: Annotated[bool, Option("Ask the pictures where arms are, from silhouettes; slower.")] = False,
     floor: Annotated[
         float | None,
-        number("With monocular: height of the floor in the world, in metres.", -100, 100, unit="metres"),
+        Option("With monocular: height of the floor in the world, in metres.", -100, 100, unit="metres"),
     ] = None,
-    yes: Annotated[bool, typer.Option("--yes", help="Fetch the detector's models, once, without asking.")] = False,
+    yes: Yes = False,
 ) -> None:
     """Track the person in a recording, or several: poses with uncertainty, motion files, overlay video, report.
 
@@ -103,7 +106,7 @@ def track_command(
     from hypose.io.recordings.recording import load_recording
     from hypose.pipeline.detect_keypoints import wants_detector
     from hypose.pipeline.one_camera import one_view
-    from hypose.pipeline.run import TrackOptions
+    from hypose.pipeline.track_options import TrackOptions
 
     loaded = choose_frames(load_recording(recording, calibration), frames)
     options = TrackOptions(
@@ -142,12 +145,11 @@ def track_command(
         run={"threads": threads},
         people=people,
     )
-    report_outcome(job, run_shown(job, list(context.find_root().obj or [])))
+    report_outcome(job, run_shown(job, list(click.get_current_context().find_root().obj or [])))
 
 
 def demo(
-    context: typer.Context,
-    out: Annotated[Path, typer.Option(help="Folder to write to.")] = Path("demo"),
+    out: Annotated[Path, Option("Folder to write to.")] = Path("demo"),
     seconds: Seconds = 4.0,
     seed: Seed = 1,
     threads: Threads = None,
@@ -159,7 +161,7 @@ def demo(
     from hypose.io.motions.results import ResultsFolder
     from hypose.io.recordings.recording import load_recording
     from hypose.pipeline.comparison import compare_with
-    from hypose.pipeline.run import TrackOptions
+    from hypose.pipeline.track_options import TrackOptions
     from hypose.synthetic.scenes import make_scene
     from hypose.synthetic.write_recording import check_folder, write_scene
 
@@ -172,7 +174,7 @@ def demo(
     recording = load_recording(out)
     results = ResultsFolder.of(recording.folder, "default")
     job = TrackJob(recording, TrackOptions(), results, run={"threads": threads}, truth=compare_with(out / "truth.npz"))
-    report_outcome(job, run_shown(job, list(context.find_root().obj or [])))
+    report_outcome(job, run_shown(job, list(click.get_current_context().find_root().obj or [])))
 
 
 def run_shown(job: TrackJob, arguments: list[str]) -> tuple[Outcome, dict[str, float]]:
@@ -206,7 +208,7 @@ def stopping(text: str | Callable[[], str] = "") -> Iterator[None]:
     except KeyboardInterrupt:
         if text:
             say(text if isinstance(text, str) else text())
-        raise typer.Exit(130) from None
+        raise Exit(130) from None
     finally:
         signal.signal(signal.SIGTERM, previous)
 
@@ -261,7 +263,7 @@ def print_assessments(assessments: Mapping[str, Assessment]) -> None:
     for name, assessment in assessments.items():
         say(f"Assessment{' on ' if name else ''}{name}: {assessment.sentence}", "bold")
     if any(assessment.word == UNTRUSTED for assessment in assessments.values()):
-        raise typer.Exit(EXIT_UNTRUSTED)
+        raise Exit(EXIT_UNTRUSTED)
 
 
 def split_names(text: str) -> tuple[str, ...]:
@@ -284,13 +286,13 @@ def set_threads(count: int | None) -> None:
 
 
 def correct(
-    results: Annotated[Path, typer.Argument(help="Results folder of hypose track.")],
-    clicks: Annotated[Path, typer.Argument(help="The corrected pose: starts/NAME.json, saved in hypose view.")],
+    results: Annotated[Path, Option("Results folder of hypose track.", argument=True)],
+    clicks: Annotated[Path, Option("The corrected pose: starts/NAME.json, saved in hypose view.", argument=True)],
     until: Annotated[
-        int | None, number("Track again up to this frame of the recording. [default: to the end]", 1, MOST_FRAMES)
+        int | None, Option("Track again up to this frame of the recording. [default: to the end]", 1, MOST_FRAMES)
     ] = None,
-    out: Annotated[Path | None, typer.Option(help="Results folder. [default: RESULTS-corrected]")] = None,
-    formats: Annotated[str, typer.Option(help="Motion files to write.")] = "trc,c3d,bvh,glb,csv,mot",
+    out: Annotated[Path | None, Option("Results folder. [default: RESULTS-corrected]")] = None,
+    formats: Annotated[str, Option("Motion files to write.")] = "trc,c3d,bvh,glb,csv,mot",
     threads: Threads = None,
 ) -> None:
     """Track a result again from a frame whose pose was corrected; the frames before stay as they are."""
@@ -317,61 +319,58 @@ def correct(
     require_found(motion, recording.name, folder.path)
 
 
-def warm_up_command(threads: Threads = None) -> None:
+def warm_up(threads: Threads = None) -> None:
     """Compile what tracking, fusing and live need, so that the first run of each begins at once; once per machine, and
     again after an update. Ends with a third of a second of a made-up person tracked, report and all."""
     set_threads(threads)
-    from hypose import compute
     from hypose.app.jobs.job import TrackJob, run_job
+    from hypose.compute.compiled import VARIABLE, cache_folder
+    from hypose.compute.warming import TRACKING_KERNELS, kept, warm_up
     from hypose.fusion.live import LiveFuser
     from hypose.io.motions.results import ResultsFolder
     from hypose.io.recordings.recording import load_recording
-    from hypose.pipeline.run import TrackOptions
+    from hypose.pipeline.track_options import TrackOptions
     from hypose.synthetic.scenes import make_scene
     from hypose.synthetic.write_recording import write_scene
 
-    folder, parts = compute.cache_folder(), (*compute.TRACKING_KERNELS, "monocular", "depth")
+    folder, parts = cache_folder(), (*TRACKING_KERNELS, "monocular", "depth")
     if folder is None:
-        raise InputError(f"There is no place for what is compiled; name a folder with {compute.VARIABLE}.")
-    before = compute.kept(*parts)
+        raise InputError(f"There is no place for what is compiled; name a folder with {VARIABLE}.")
+    before = kept(*parts)
     with tempfile.TemporaryDirectory(prefix="hypose-warm-up-") as temporary, Stages() as progress:
         progress("compile", 0, 1)
-        compute.warm_up(*parts, load=False)
+        warm_up(*parts, load=False)
         LiveFuser()
         progress("compile", 1, 1)
         scene, place = make_scene("walk", rig="humaneva-4", seconds=0.32, seed=1), Path(temporary)
         write_scene(scene, place, progress=lambda done, total: progress("render", done, total))
         run_job(TrackJob(load_recording(place), TrackOptions(), ResultsFolder(place / "results")), progress)
-    if not compute.kept(*parts):
+    if not kept(*parts):
         raise InputError(
             f"What was compiled could not all be kept in {folder}; make space there, see that it can be written, or "
-            f"name another folder with {compute.VARIABLE}, and run this again."
+            f"name another folder with {VARIABLE}, and run this again."
         )
     say("All of it had been compiled." if before else f"Compiled; kept in {folder}")
 
 
 def subject(
     recording: Annotated[
-        Path | None, typer.Argument(help="Folder with recording.toml, that file, or a Pose2Sim project.")
+        Path | None, Option("Folder with recording.toml, that file, or a Pose2Sim project.", argument=True)
     ] = None,
     mesh: Annotated[
-        Path | None, typer.Option(help="A scan of the person instead of a recording: obj, ply, stl, off, glb or npz.")
+        Path | None, Option("A scan of the person instead of a recording: obj, ply, stl, off, glb or npz.")
     ] = None,
-    unit: Annotated[str, typer.Option(help="The scan's unit: m, cm, mm or in.")] = "m",
+    unit: Annotated[str, Option("The scan's unit: m, cm, mm or in.")] = "m",
     height: Annotated[
-        float | None, number("The person's height in metres, when known.", 0.5, 2.5, unit="metres")
+        float | None, Option("The person's height in metres, when known.", 0.5, 2.5, unit="metres")
     ] = None,
     mass: Annotated[
-        float | None, number("The person's mass in kilograms, when known.", 8, 350, unit="kilograms")
+        float | None, Option("The person's mass in kilograms, when known.", 8, 350, unit="kilograms")
     ] = None,
-    start: Annotated[
-        str, typer.Option(help="The first frame's pose: hull (find out), a, t, standing, hands-up.")
-    ] = "hull",
-    frames: Annotated[str | None, typer.Option(help="first:stop, counted from 0. [default: all]")] = None,
-    poses: Annotated[int, number("How many different poses are fitted.", 1, 60)] = 10,
-    out: Annotated[
-        Path | None, typer.Option(help="Folder to write. [default: subject in the recording's folder]")
-    ] = None,
+    start: Annotated[str, Option("The first frame's pose: hull (find out), a, t, standing, hands-up.")] = "hull",
+    frames: Annotated[str | None, Option("first:stop, counted from 0. [default: all]")] = None,
+    poses: Annotated[int, Option("How many different poses are fitted.", 1, 60)] = 10,
+    out: Annotated[Path | None, Option("Folder to write. [default: subject in the recording's folder]")] = None,
     seed: Seed = 0,
     threads: Threads = None,
 ) -> None:
@@ -388,8 +387,8 @@ def subject(
     from hypose.io.files import claimed
     from hypose.io.recordings.frames import FrameStream
     from hypose.io.recordings.recording import load_recording
-    from hypose.pipeline.run import check_views
     from hypose.pipeline.subject_from_motion import AnthropometryOptions, estimate_subject, save_subject
+    from hypose.pipeline.track_options import check_views
     from hypose.tracking.starts import KNOWN_POSES
 
     if start != "hull" and start not in KNOWN_POSES:
@@ -516,8 +515,8 @@ def open_network_asking(yes: bool, why: str = "Finding people in pictures") -> P
         if not yes:
             if not sys.stdin.isatty():
                 raise InputError(f"{why} fetches {what}, once, by pip; run the command again with --yes to agree.")
-            if not typer.confirm(f"Fetch {what}?"):
-                raise typer.Exit(1)
+            if not click.confirm(f"Fetch {what}?"):
+                raise Exit(1)
         say(f"Fetching {what} ...")
         fetch_models()
     return opened()

@@ -12,11 +12,11 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hypose import compute
 from hypose.app.commands.console import ProgressCall, ignore
 from hypose.app.reports.summary import DESCRIPTIONS
 from hypose.body.body import Body
 from hypose.body.motion import Motion
+from hypose.compute.warming import warm_up
 from hypose.errors import InputError
 from hypose.io.files import check_writable, read_json
 from hypose.io.motions.export import MOTION_FORMATS, export_motion, known_formats
@@ -36,9 +36,11 @@ from hypose.io.sensors.skeleton_streams import SkeletonRecording
 from hypose.pipeline.assessment import Assessment
 from hypose.pipeline.first_frame import SubjectOptions
 from hypose.pipeline.one_camera import POINT_STARTS, clicks_of, depth_note
-from hypose.pipeline.run import MODES, TrackOptions, TrackResult, check_views, frames_wanted
+from hypose.pipeline.passes import MODES
+from hypose.pipeline.run import TrackResult
 from hypose.pipeline.subject_from_motion import load_subject, subject_file
 from hypose.pipeline.track import track_person
+from hypose.pipeline.track_options import TrackOptions, check_views, frames_wanted
 from hypose.tracking.recipes import RECIPES, citation_of
 
 if TYPE_CHECKING:
@@ -155,7 +157,7 @@ def run_job(job: TrackJob, progress: ProgressCall = ignore, seconds: Mapping[str
 def compile_before(progress: ProgressCall, *parts: str) -> None:
     """What a run needs of compute, compiled before it begins; parts: all that following people needs, when none."""
     progress("compile", 0, 1)
-    compute.warm_up(*parts, load=False)
+    warm_up(*parts, load=False)
     progress("compile", 1, 1)
 
 
