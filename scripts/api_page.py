@@ -1,4 +1,4 @@
-"""Make docs/api.md, the reference of the public interface, from the docstrings; the site's build does (scripts/site_files.py)."""
+"""Make the site's reference of the public interface from docstrings; nothing of it is kept in docs/."""
 
 from __future__ import annotations
 

@@ -11,9 +11,9 @@ from hypose.app.cli import COMMANDS, app
 
 _HEAD = """# Commands
 
-`hypose COMMAND --help` prints the same. Exit codes: 0 done; 1 `check` has warnings, `compare` is beyond a limit, a part of a
-`batch` failed (or a bug, which is then reported); 2 unusable input, or no person found; 3 the result is not to be trusted;
-130 stopped by Ctrl-C. An error is one sentence; `--debug` shows where it came from.
+`hypose COMMAND --help` prints the same. Exit codes: 0 done; 1 `check` has warnings, `compare` is beyond a limit, a part
+of a `batch` failed (or a bug, which is then reported); 2 unusable input, or no person found; 3 the result is not to be
+trusted; 130 stopped by Ctrl-C. An error is one sentence; `--debug` shows where it came from.
 
 `./run bench NAME` measures accuracy or speed; a wrong name lists the [benchmarks](benchmarks.md)."""
 
@@ -38,7 +38,11 @@ def _entries(name: str, command: click.Command | None, level: str) -> list[str]:
         return out
     context = click.Context(command, info_name=name)
     usage = " ".join(p.make_metavar(context) for p in command.params if isinstance(p, click.Argument))
-    out = [f"{level} {name}", f"```\n{name} {usage}\n```".replace(" \n", "\n"), _plain(inspect.cleandoc(command.help or ""))]
+    out = [
+        f"{level} {name}",
+        f"```\n{name} {usage}\n```".replace(" \n", "\n"),
+        _plain(inspect.cleandoc(command.help or "")),
+    ]
     records = [r for p in command.params if isinstance(p, click.Option) and (r := p.get_help_record(context))]
     if records:
         rows = [f"| `{flags.replace('|', ' or ')}` | {_plain(' '.join(text.split()))} |" for flags, text in records]
