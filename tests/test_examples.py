@@ -169,7 +169,7 @@ def test_files_that_the_architecture_names_exist():
     named = re.findall(r"`((?:hypose|tests|web|benchmarks)/[\w/.]+)`", text)
     assert len(named) > 30 and [n for n in named if "NAME" not in n and not (ROOT / n).exists()] == []
     where = {file: (ROOT / file).read_text() for file in named if (ROOT / file).is_file()}
-    for name, file in re.findall(r"`([A-Za-z_]+)`, `([\w/.]+)`", text):
+    for name, file in re.findall(r"`([A-Za-z_]+)`, `([\w/]+\.\w+)`", text):
         assert re.search(rf"\b{name}\b", where[file]), f"{name} is not in {file}"
 
 
