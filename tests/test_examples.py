@@ -1,5 +1,6 @@
 """Examples run, commands in the documentation exist with their options, and the generated reference is up to date."""
 
+import ast
 import importlib.util
 import re
 import shlex
@@ -192,6 +193,24 @@ def test_pages_of_figures_have_the_kept_numbers():
 
 def test_pages_use_plain_words():
     assert [f"{p.name}:{n}: {w}" for p in PAGES for n, w in found_in_page(p.read_text())] == []
+
+
+def test_python_in_the_documentation_imports_names_that_exist():
+    for page in PAGES:
+        for block in re.findall(r"```python\n(.*?)```", page.read_text(), re.DOTALL):
+            for node in ast.walk(ast.parse(block)):
+                if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("hypose"):
+                    module = importlib.import_module(node.module)
+                    assert [a.name for a in node.names if not hasattr(module, a.name)] == [], page.name
+
+
+def test_modules_and_names_in_the_documentation_exist():
+    for page in PAGES:
+        for module, name in re.findall(r"`(hypose(?:\.[a-z]\w*)+)(?:[:.](\w+))?(?:\([^`]*\))?`", page.read_text()):
+            path = ROOT / module.replace(".", "/")
+            if not name and not path.is_dir() and not path.with_suffix(".py").is_file():  # a function
+                module, _, name = module.rpartition(".")
+            assert not name or hasattr(importlib.import_module(module), name), f"{page.name}: {module}:{name}"
 
 
 def test_toml_in_the_documentation_is_toml():
