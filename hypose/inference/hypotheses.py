@@ -24,8 +24,8 @@ _IntArray = NDArray[np.int32]
 BEFORE = "before"
 """Name of the column with the state (D,) that each hypothesis had one step ago."""
 FOUND_BY = "by "
-"""Start of the names of roles for the search that found a hypothesis: "by limb search"."""
 """Prefix of the role that names the search by which a hypothesis was found, such as `by limb search`."""
+
 
 def _none() -> _IntArray:
     return np.zeros((), np.int32)
