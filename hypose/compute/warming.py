@@ -186,27 +186,32 @@ TRACKING_KERNELS = ("solver", "scorer", "outlines", "shape", "pictures")
 """The parts of the room that following a person in silhouettes needs."""
 
 
-def warm_up(*names: str, load: bool = True) -> float:
+def warm_up(*names: str, load: bool = True, progress: Callable[[int, int], None] | None = None) -> float:
     """Compile groups of kernels (names in KERNEL_GROUPS; default: TRACKING_KERNELS), in one process per core where
     that is worth it; return the seconds it took.
 
     The first time on a machine this takes some tens of seconds; afterwards the compiled code is on disk. load: have it
-    in this process as well when it was on disk; without, kernels are read when they are first called.
+    in this process as well when it was on disk; without, kernels are read when they are first called. progress: is
+    told how many of the groups that have to be compiled are done, when there are any.
     """
     start = time.perf_counter()
     parts = [part for part in KERNEL_GROUPS if part in (names or TRACKING_KERNELS)]
     missing = [part for part in parts if not _is_ready(part)]
+    report = progress if progress is not None and missing else lambda done, total: None
+    report(0, len(missing))
     # in a program that Python is embedded in or frozen into, sys.executable is that program
     if len(missing) > 1 and _can_keep() and Path(sys.executable or "").name.lower().startswith("python"):
         began: list[subprocess.Popen[bytes]] = []
         with ThreadPoolExecutor(default_threads()) as pool:
             try:
-                list(pool.map(lambda part: _in_another_process(part, began), missing))
+                for done, _ in enumerate(pool.map(lambda part: _in_another_process(part, began), missing)):
+                    report(done, len(missing))  # the last is the check that all is there
             finally:
                 pool.shutdown(wait=False, cancel_futures=True)
                 for process in began:
                     process.kill()
     _run([part for part in parts if load or not _is_ready(part)])
+    report(len(missing), len(missing))
     return time.perf_counter() - start
 
 

@@ -28,9 +28,10 @@ from hypose.io.motions.results import ResultsFolder, provenance_identity, save_m
 from hypose.pipeline.first_frame import SubjectOptions, TrackedSubject, find_subject, keep_subject, kept_subject
 from hypose.pipeline.frame_anomalies import as_now, in_words, looked_at, mask_change
 from hypose.pipeline.input_checks import check_depth_inputs, sentences
+from hypose.pipeline.options import TrackOptions
 from hypose.pipeline.person_paths import KeypointPeople, Path, PointFrames, follow_places, lasting, padded
 from hypose.pipeline.rough_bodies import RoughTrack, fitted_again, frame_of_person, least_hidden, rough_bodies
-from hypose.pipeline.run import TrackOptions, finish, track_source, tracker_of
+from hypose.pipeline.run import finish, track_source, tracker_of
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.track_loop import Deferred, FrameSource, StageProgress, Tracked
 from hypose.pipeline.track_management import (

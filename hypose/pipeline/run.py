@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -45,6 +45,7 @@ from hypose.pipeline.one_camera import (
     subject_in_picture,
     tracked_frames,
 )
+from hypose.pipeline.options import TrackOptions
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.subject_from_motion import height_sentence, measured_height
 from hypose.pipeline.track_loop import (
@@ -68,73 +69,11 @@ from hypose.tracking.joint_features import audit_frame
 from hypose.tracking.keypoint_clip import track_keypoint_clip
 from hypose.tracking.keypoint_evidence import keypoint_model
 from hypose.tracking.pose_covariance import unpacked
-from hypose.tracking.recipes import RECIPES, Preset, recipe
+from hypose.tracking.recipes import recipe
 from hypose.tracking.smooth_motion import Clip, Smoothed
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerSettings, modes_of, motion_of
 
 MODES = "modes.npz"
-
-
-@dataclass(frozen=True)
-class TrackOptions:
-    """What a user chooses. recipe: a preset's name; refine: contour refinement after a published recipe; evidence: one
-    of the preset's, None = its usual one; start, height, girths: see SubjectOptions and, for the picture of one camera,
-    `picture_start`; subject: the file of a given body; smooth: solve all frames together at the end, if the recipe
-    does; checkpoint_every: frames; sure_start: a person says that the start is the right way round; particles: how many
-    hypotheses, None = the recipe's own number; own: options that only this recipe has, by name (`Preset.make`)."""
-
-    recipe: str = "default"
-    refine: bool = False
-    evidence: str | None = None
-    seed: int = 0
-    start: str = "auto"
-    height: float | None = None
-    girths: bool = True
-    subject: str | None = None
-    smooth: bool = True
-    checkpoint_every: int = 25
-    sure_start: bool = False
-    particles: int | None = None
-    own: Mapping[str, Any] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        self.preset.check(self.recipe, self.looks_at, self.own)
-
-    @property
-    def preset(self) -> Preset:
-        """The preset of the recipe; that of the default recipe when no recipe has this name (the wrong name is refused
-        later)."""
-        return RECIPES.get(self.recipe, RECIPES["default"])
-
-    @property
-    def looks_at(self) -> str:
-        """The evidence."""
-        return self.evidence or self.preset.evidence[0]
-
-    @property
-    def of_picture(self) -> bool:
-        """The recipe looks at the picture of one camera."""
-        return "picture" in self.preset.needs
-
-    @property
-    def whole_clip(self) -> bool:
-        """All frames are solved on their key points together, instead of one after the other and then together."""
-        return self.looks_at == "keypoints" and self.smooth and self.preset.whole_clip
-
-    def suited_to(self, recording: Recording) -> TrackOptions:
-        """With the evidence that a recording has, where none was asked for: key points where there are no pictures, key
-        points and masks where a detector found both."""
-        usual = "both" if recording.detected else "keypoints"
-        if self.evidence is None and (recording.detected or not recording.has_pictures):
-            if usual in self.preset.evidence and not self.of_picture:
-                return replace(self, evidence=usual)
-        return self
-
-    def settings(self) -> dict[str, Any]:
-        """The choices that decide the result."""
-        left_out = ("checkpoint_every", "sure_start", "particles", "own")
-        chosen = {k: v for k, v in asdict(self).items() if k not in left_out} | {"evidence": self.looks_at}
-        return chosen | ({} if self.particles is None else {"particles": self.particles}) | dict(self.own)
 
 
 def frames_wanted(recording: Recording, options: TrackOptions) -> FrameSettings | None:

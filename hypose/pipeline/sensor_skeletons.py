@@ -37,7 +37,8 @@ from hypose.io.sensors.skeleton_streams import (
     shifted,
 )
 from hypose.pipeline.assessment import Assessment, assess
-from hypose.pipeline.run import TrackOptions, TrackResult, track_source
+from hypose.pipeline.options import TrackOptions
+from hypose.pipeline.run import TrackResult, track_source
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.track_loop import FrameSource, StageProgress
 from hypose.tracking.refinement import KEYPOINT_SHARE, anatomical_prior

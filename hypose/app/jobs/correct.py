@@ -30,8 +30,9 @@ from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording
 from hypose.pipeline.first_frame import GIVEN, SubjectOptions, TrackedSubject, find_subject
 from hypose.pipeline.one_camera import FrameSource
+from hypose.pipeline.options import TrackOptions
 from hypose.pipeline.person_paths import per_frame
-from hypose.pipeline.run import TrackOptions, frames_wanted, track_source
+from hypose.pipeline.run import frames_wanted, track_source
 
 _READ_AT_ONCE = 64
 """Frames that are kept in memory when they are tracked backwards."""

@@ -8,6 +8,7 @@ are asked for, where a run was resumed, or the number of threads.
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor
@@ -276,6 +277,7 @@ def build_backgrounds(
     keypoints: Sequence[Keypoints] | None = None,
     covers: Covers | None = None,
     views: Collection[int] | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
 ) -> tuple[BackgroundModel | None, ...]:
     """One background per view, None for views with masks of their own or without pictures, and for those that are not
     among `views`, where these are given: all at once hold many pictures.
@@ -283,27 +285,34 @@ def build_backgrounds(
     A clip of the empty room is used as it is. Photos are combined with the recording itself; without
     either the recording alone is used (hypose.evidence.background.from_recording), with the key points'
     thick skeleton or the `covers` telling where the person is. At most options.background_frames frames
-    are held per view.
+    are held per view. progress: is told of each picture that is read, as of the stage "background".
     """
     o = options or FrameSettings()
+    wanted = [
+        c
+        for c, v in enumerate(recording.views)
+        if v.masks is None and v.depth is None and v.source is not None and (views is None or c in views)
+    ]
+    total, pictures = len(wanted) * o.background_frames, itertools.count(1)
+
+    def counted(image: Image) -> Image:
+        if progress is not None:
+            progress("background", min(next(pictures), total - 1), total)
+        return image
+
     small = _rig_of(recording, o)
     skeletons = _skeletons(keypoints, recording.frames[0]) if keypoints else None
 
     def build(c: int) -> BackgroundModel | None:
         view = recording.views[c]
-        if (
-            view.masks is not None
-            or view.depth is not None
-            or view.source is None
-            or (views is not None and c not in views)
-        ):
+        if c not in wanted or view.source is None:
             return None
         prepare = Preparer(recording.rig[c], small[c], view.image_shift)
         plate = None
         if view.background is not None:
             with open_video(view.background) as reader:
                 chosen = evenly_spread(0, reader.n_frames, o.background_frames)
-                images = [prepare(reader.read(i)) for i in chosen]
+                images = [counted(prepare(reader.read(i))) for i in chosen]
                 if reader.n_frames >= _CLIP:
                     return from_frames(images)
                 plate = from_plates(images)
@@ -312,7 +321,7 @@ def build_backgrounds(
             frames, hidden = [], []
             for frame in evenly_spread(recording.frames.start, recording.frames.stop, o.background_frames):
                 try:
-                    frames.append(source.image(frame))
+                    frames.append(counted(source.image(frame)))
                 except InputError:
                     if not frames:
                         raise
@@ -326,7 +335,10 @@ def build_backgrounds(
         return from_recording([f for f, _ in known], np.stack([h for _, h in known]), plate)
 
     with ThreadPoolExecutor(len(recording.views)) as pool:
-        return tuple(pool.map(build, range(len(recording.views))))
+        made = tuple(pool.map(build, range(len(recording.views))))
+    if progress is not None and wanted:
+        progress("background", total, total)
+    return made
 
 
 class FrameStream:
@@ -337,8 +349,8 @@ class FrameStream:
     usual area (the median over about the last two seconds at 25 fps, at the start over the first) is not
     usable; the reason names camera and frame. rig: pinhole cameras of the working size. notes: sentences
     for the user about doubtful backgrounds. options: by default the usual ones, with the recording's way to
-    make masks. doubted: the key points (None without any) with those of views that do not fit, for the question whether
-    the calibration is right.
+    make masks. progress: as of `build_backgrounds`. doubted: the key points (None without any) with those of views that
+    do not fit, for the question whether the calibration is right.
     """
 
     def __init__(
@@ -347,6 +359,7 @@ class FrameStream:
         options: FrameSettings | None = None,
         backgrounds: Sequence[BackgroundModel | None] | None = None,
         covers: Covers | None = None,
+        progress: Callable[[str, int, int], None] | None = None,
     ) -> None:
         self.recording, self.options = recording, options or FrameSettings(silhouettes=recording.silhouettes)
         if self.options.people and self.options.silhouettes is not None:
@@ -377,12 +390,16 @@ class FrameStream:
         self._last = -1
         self._areas: dict[int, NDArray[np.int64]] = {}
         if self.options.silhouettes is not None and recording.has_pictures:
-            self._open(backgrounds)
+            self._open(backgrounds, progress)
 
-    def _open(self, backgrounds: Sequence[BackgroundModel | None] | None) -> None:
+    def _open(
+        self,
+        backgrounds: Sequence[BackgroundModel | None] | None,
+        progress: Callable[[str, int, int], None] | None,
+    ) -> None:
         r = self.recording
         self.backgrounds = (
-            build_backgrounds(r, self.options, self.keypoints, self._covers)
+            build_backgrounds(r, self.options, self.keypoints, self._covers, progress=progress)
             if backgrounds is None
             else tuple(backgrounds)
         )
