@@ -22,12 +22,11 @@ def bench(
     ] = None,
     data: Annotated[Path | None, Option("Folder with the real recordings, for real-* benchmarks.")] = None,
     json: Annotated[Path | None, Option("Write the figures to this file.")] = None,
-    plot: Annotated[Path | None, Option("Draw the figures to this file (.png, .svg or .pdf).")] = None,
     parts: Annotated[
         Path | None,
         Option("Keep the figures of each part of a long table here, and go on from those kept."),
     ] = None,
-    keep: Annotated[bool, Option("Keep the figures (benchmarks/results, docs/benchmarks.md; golden.json).")] = False,
+    keep: Annotated[bool, Option("Keep the figures (benchmarks/results; golden.json).")] = False,
     other: Annotated[bool, Option("The second set of golden clips, of other seeds.")] = False,
     threads: Threads = None,
 ) -> None:
@@ -36,13 +35,8 @@ def bench(
     from hypose.io.files import atomic_path, check_writable
     from hypose.io.motions.results import to_json
 
-    if plot is not None:
-        from benchmarks.bench_plot import check_plot_path
-
-        check_plot_path(plot)
-    for file, option in ((json, "--json"), (plot, "--plot")):
-        if file is not None:
-            check_writable(file.parent, option)
+    if json is not None:
+        check_writable(json.parent, "--json")
     if keep and name != "golden":
         from benchmarks.pages import check_keep
 
@@ -55,11 +49,6 @@ def bench(
         with atomic_path(json) as temporary:
             temporary.write_text(to_json(report), encoding="utf-8", newline="\n")
         say(f"Written: {json}")
-    if plot is not None:
-        from benchmarks.pages import draw
-
-        draw(report, plot)
-        say(f"Drawn: {plot}")
     if name == "golden":
         from benchmarks.golden import conclude
 
@@ -68,10 +57,12 @@ def bench(
             say(line)
         raise Exit(status)
     if keep:
-        from benchmarks.pages import keep_report
+        from benchmarks.pages import RESULTS
 
-        for path in keep_report(report):
-            say(f"Written: {path}")
+        path = RESULTS / f"{name}.json"
+        with atomic_path(path) as temporary:
+            temporary.write_text(to_json(report), encoding="utf-8", newline="\n")
+        say(f"Written: {path}. make docs writes the pages.")
 
 
 def _show(report: dict[str, Any]) -> None:

@@ -19,7 +19,7 @@ from benchmarks.bench_report import BenchOptions, BenchReport
 from benchmarks.multiview.action_scenes import action_scene, known_subject
 from benchmarks.multiview.scorer_speed import opencv_unit, silhouette_scorer
 from benchmarks.multiview.solve_speed import contour_solve
-from hypose.compute import warm_up
+from hypose.compute.warming import warm_up
 
 BASELINE = Path(__file__).with_name("baseline.json")
 ATTEMPTS = 3

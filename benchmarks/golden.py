@@ -19,7 +19,7 @@ from benchmarks.bench_report import BenchOptions, BenchReport, Row
 from benchmarks.golden_clips import CLIPS, VERDICTS, Clip, Outcome
 from benchmarks.multiview.doubt_fit import ece
 from benchmarks.multiview.doubt_scenes import DATA
-from hypose import compute
+from hypose.compute.warming import warm_up
 from hypose.errors import HyposeError
 from hypose.io.files import write_text
 from hypose.io.motions.results import to_json
@@ -48,7 +48,7 @@ def golden(options: BenchOptions) -> BenchReport:
     found: dict[str, Mapping[str, float]] = {}
     failed: dict[str, str] = {}
     skipped = [n for n, clip in chosen.items() if clip.recording and not (data / clip.recording).exists()]
-    compute.warm_up()
+    warm_up()
     for n, name in enumerate(name for name in chosen if name not in skipped):
         options.progress(name, n, len(chosen))
         try:

@@ -4,7 +4,7 @@ import numpy as np
 
 from hypose.body.body import Body
 from hypose.cameras.camera import Camera, CameraRig
-from hypose.compute import rasterize
+from hypose.compute.zbuffer import rasterize
 from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import make_silhouettes

@@ -30,8 +30,9 @@ from hypose.cameras.camera import CameraRig
 from hypose.errors import HyposeError
 from hypose.evidence.frame import Frame
 from hypose.geometry import Array
-from hypose.pipeline.run import TrackOptions, track_source
+from hypose.pipeline.run import track_source
 from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.metrics import carriers, population_offsets, with_offsets
 
 RATE, SECONDS = 60.0, 2.0

@@ -12,7 +12,7 @@ import numpy as np
 from benchmarks.bench_report import BenchOptions, BenchReport, row
 from benchmarks.depth_gestures.gesture_data import SEEDS
 from benchmarks.depth_gestures.gesture_sessions import PUBLISHED, example, live_step, session_frames, test_frames
-from hypose.compute import DepthImage
+from hypose.compute.forests import DepthImage
 from hypose.gestures.depth_pictures import KINECT
 from hypose.gestures.events import EventSettings, EventState, detect_events
 from hypose.gestures.forest import Forest

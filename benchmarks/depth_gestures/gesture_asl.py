@@ -13,7 +13,7 @@ from benchmarks.bench_report import BenchOptions, BenchReport, Row, row
 from benchmarks.depth_gestures.gesture_data import SEEDS, TESTED, TRAINED, teach
 from benchmarks.depth_gestures.gesture_pictures import CLUTTERED, GestureFrame, picture
 from benchmarks.depth_gestures.gesture_scores import Judged, judge
-from hypose.compute import DepthImage
+from hypose.compute.forests import DepthImage
 from hypose.errors import InputError
 from hypose.gestures.depth_pictures import KINECT
 from hypose.gestures.forest import ForestSettings

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hypose.compute import DepthImage
+from hypose.compute.forests import DepthImage
 from hypose.errors import InputError
 from hypose.geometry import Array
 from hypose.gestures.depth_pictures import KINECT

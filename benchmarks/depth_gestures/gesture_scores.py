@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.depth_gestures.gesture_pictures import GestureFrame
-from hypose.compute import ScanPlan
+from hypose.compute.forest_votes import ScanPlan
 from hypose.geometry import Array
 from hypose.gestures.depth_pictures import KINECT, DepthLens
 from hypose.gestures.events import RADIUS_M, average_precision, precision_recall

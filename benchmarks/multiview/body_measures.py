@@ -13,7 +13,7 @@ from benchmarks.multiview.action_scenes import action_scene, subject_of_seed, tr
 from hypose.body.anthropometry import Sizes, measure, sizes_of
 from hypose.body.body import Body
 from hypose.body.default_body import human
-from hypose.compute import covered
+from hypose.compute.parts import covered
 from hypose.geometry import Array
 from hypose.pipeline.subject_from_motion import AnthropometryOptions, SubjectEstimate, estimate_subject
 from hypose.synthetic.performance import Angles, Performance, Stance, perform

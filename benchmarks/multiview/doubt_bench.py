@@ -31,11 +31,11 @@ from benchmarks.multiview.doubt_scenes import (
 from benchmarks.multiview.real_recordings import balancing_recording, clicked_joints, uu4cam_recording
 from benchmarks.multiview.real_regions import errors_of_points, regions_of_balancing
 from benchmarks.multiview.spread_fit import as_told, held_rows, plain_enough, squares
-from hypose import compute
 from hypose.body.default_body import JOINT_NAMES, human
 from hypose.body.joint_angles import ANGLE_NAMES, joint_angles
 from hypose.body.motion import Motion
 from hypose.cameras.camera import CameraRig
+from hypose.compute.warming import warm_up
 from hypose.evidence.frame import Frame, Keypoints
 from hypose.evidence.keypoints import BODY_25B
 from hypose.geometry import Array, se3
@@ -44,8 +44,9 @@ from hypose.io.recordings.recording import Recording
 from hypose.pipeline.assessment import GOOD, UNTRUSTED, assess
 from hypose.pipeline.frame_anomalies import against_the_clip
 from hypose.pipeline.input_checks import check_inputs
-from hypose.pipeline.run import TrackOptions, TrackResult, track_source
+from hypose.pipeline.run import TrackResult, track_source
 from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.metrics import EVALUATED
 from hypose.tracking.error_model import WRONG_M, error_models, needs_review
 from hypose.tracking.joint_features import audit_frame
@@ -300,7 +301,7 @@ def _tracked(recording: Recording, evidence: str) -> tuple[TrackResult, list[Fra
     with FrameStream(recording, FrameSettings(silhouettes=None) if evidence == "keypoints" else None) as stream:
         frames = [stream.frame(i) for i in range(len(stream))]
     begin: list[float] = []
-    compute.warm_up()  # what is compiled is no tracking
+    warm_up()  # what is compiled is no tracking
 
     def progress(stage: str, done: int, total: int) -> None:
         if stage == "track" and not begin:

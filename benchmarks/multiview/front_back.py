@@ -14,8 +14,9 @@ from hypose.body.default_body import human
 from hypose.geometry import Array
 from hypose.pipeline.first_frame import SubjectOptions, TrackedSubject, find_subject
 from hypose.pipeline.left_right import FrameRange, correct_left_right
-from hypose.pipeline.run import TrackOptions, tracker_of
+from hypose.pipeline.passes import tracker_of
 from hypose.pipeline.track_loop import FrameList, track_frames
+from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.metrics import joint_errors, population_offsets
 from hypose.synthetic.scenes import Scene, camera_rig, make_scene
 from hypose.tracking.left_right import turned_around

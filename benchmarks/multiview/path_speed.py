@@ -19,7 +19,7 @@ from benchmarks.multiview.action_scenes import action_scene, known_subject
 from benchmarks.multiview.clip_speed import keypoint_clip_rows
 from benchmarks.multiview.real_recordings import balancing_recording
 from hypose.cameras.camera import CameraRig
-from hypose.compute import default_threads
+from hypose.compute.threads import default_threads
 from hypose.evidence.background import BackgroundModel
 from hypose.evidence.frame import Frame
 from hypose.evidence.outlines import WORKING_HEIGHT

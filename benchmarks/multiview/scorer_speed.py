@@ -10,8 +10,10 @@ from scipy.stats import spearmanr
 from benchmarks.bench_report import BenchOptions, BenchReport, Row
 from benchmarks.multiview.action_scenes import action_scene, known_subject
 from benchmarks.short_calls import best
-from hypose import compute
 from hypose.body.body import Body, Mesh
+from hypose.compute.arrays import PreparedMasks, prepare_masks
+from hypose.compute.parts import covered, projected
+from hypose.compute.scorer import silhouette_xor
 from hypose.evidence.frame import Frame
 from hypose.evidence.prefetch import prepared_masks
 from hypose.geometry import Array
@@ -34,18 +36,18 @@ def silhouette_scorer(options: BenchOptions) -> BenchReport:
     poses = around(body, subject.start, 2 * body.skeleton.sigma, n)
     modes = ways_to_count(body, masks)
     views, repeats = len(masks.masks), 7 if options.quick else 25
-    compute.silhouette_xor(poses[:8], tree, mesh, masks)
+    silhouette_xor(poses[:8], tree, mesh, masks)
     opencv = best(_opencv_call(body, poses[:4], masks), 5) / (4 * views) * 1e6
     against = {"baseline": "OpenCV fillConvexPoly per front triangle, 1 thread", "baseline_value": opencv}
     rows = []
     for threads in (1, 2):
-        seconds = best(lambda t=threads: compute.silhouette_xor(poses, tree, mesh, masks, threads=t), repeats)
+        seconds = best(lambda t=threads: silhouette_xor(poses, tree, mesh, masks, threads=t), repeats)
         value = seconds / (n * views) * 1e6
         rows.append(Row("us_per_silhouette", f"{threads}t", value, "us", n=n, **against))
         rows.append(Row("ratio_to_opencv", f"{threads}t", value / opencv, "1"))
     for case, more in (*list(modes.items())[1:], ("fine", {})):
         arrays = body.fine.arrays if case == "fine" else mesh
-        seconds = best(lambda m=more, a=arrays: compute.silhouette_xor(poses, tree, a, masks, threads=1, **m), repeats)
+        seconds = best(lambda m=more, a=arrays: silhouette_xor(poses, tree, a, masks, threads=1, **m), repeats)
         rows.append(Row("us_per_silhouette", f"1t,{case}", seconds / (n * views) * 1e6, "us", n=n))
     rest = body.skeleton.rest_pose()
     rest[:6] = subject.start[:6]
@@ -68,7 +70,7 @@ def around(body: Body, pose: Array, sd: Array, n: int) -> Array:
     return body.skeleton.clamp(pose + np.random.default_rng(0).standard_normal((n, len(pose))) * sd)
 
 
-def ways_to_count(body: Body, masks: compute.PreparedMasks) -> dict[str, dict]:
+def ways_to_count(body: Body, masks: PreparedMasks) -> dict[str, dict]:
     """Whole images, a box per view (half the person's), only head and trunk, both, and one arm over the rest."""
     boxes = []
     for mask in masks.masks:
@@ -86,11 +88,11 @@ def ways_to_count(body: Body, masks: compute.PreparedMasks) -> dict[str, dict]:
 
 
 def _silhouette(vertices: Array, faces: np.ndarray, projection: Array, size: tuple[int, int]) -> np.ndarray:
-    uv, z, _ = compute.projected(vertices, projection)
-    return compute.covered(uv, z, faces, size[::-1])
+    uv, z, _ = projected(vertices, projection)
+    return covered(uv, z, faces, size[::-1])
 
 
-def _ranking(body: Body, pose: Array, masks: compute.PreparedMasks, n: int) -> float:
+def _ranking(body: Body, pose: Array, masks: PreparedMasks, n: int) -> float:
     """Spearman's correlation of XORs by the coarse and by the fine mesh, poses 2 degrees and 1 cm around one; the masks
     are the fine mesh's own at that pose."""
     vertices = body.skin(pose, body.fine)
@@ -98,18 +100,18 @@ def _ranking(body: Body, pose: Array, masks: compute.PreparedMasks, n: int) -> f
         _silhouette(vertices, body.fine.faces, p, (int(w), int(h)))
         for p, (w, h) in zip(masks.projections, masks.sizes, strict=True)
     ]
-    prepared = compute.prepare_masks(np.stack(own), np.ones(len(own), bool), masks.sizes, masks.projections)
+    prepared = prepare_masks(np.stack(own), np.ones(len(own), bool), masks.sizes, masks.projections)
     sd = np.where(np.arange(len(pose)) < 3, 0.01, np.deg2rad(2))
     poses = around(body, pose, sd, n)
 
     def energies(level: Mesh) -> Array:
-        counts = compute.silhouette_xor(poses, body.skeleton.tree, level.arrays, prepared)
+        counts = silhouette_xor(poses, body.skeleton.tree, level.arrays, prepared)
         return (counts[..., 0] / prepared.areas).sum(1)
 
     return float(spearmanr(energies(body.coarse), energies(body.fine)).statistic)  # pyright: ignore[reportAttributeAccessIssue]
 
 
-def _opencv_call(body: Body, poses: Array, masks: compute.PreparedMasks):  # noqa: ANN202 - () -> counts
+def _opencv_call(body: Body, poses: Array, masks: PreparedMasks):  # noqa: ANN202 - () -> counts
     """The obvious way: project, fill every front-facing triangle with OpenCV, XOR. (Skinning, which is numpy's and
     slower than all of the scorer, is not counted.)"""
     vertices, faces = body.skin(poses), body.coarse.faces

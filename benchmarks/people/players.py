@@ -22,8 +22,9 @@ from hypose.evidence.frame import Frame
 from hypose.geometry import Array
 from hypose.pipeline.assessment import assess
 from hypose.pipeline.people_run import PeopleRun
-from hypose.pipeline.run import TrackOptions, TrackResult, track_source
+from hypose.pipeline.run import TrackResult, track_source
 from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.track_options import TrackOptions
 from hypose.pipeline.tracked_people import TrackedPerson
 from hypose.synthetic.metrics import joint_errors, population_offsets
 from hypose.synthetic.scenes import Scene

@@ -19,17 +19,18 @@ from numpy.typing import NDArray
 from benchmarks.bench_report import BenchOptions, BenchReport, Row, row
 from benchmarks.multiview.action_scenes import captured, subject_of_seed
 from benchmarks.synthetic.retarget import retarget
-from hypose import compute
 from hypose.body.default_body import human
 from hypose.body.motion import Motion
+from hypose.compute.warming import warm_up
 from hypose.errors import HyposeError
 from hypose.evidence.association import people_of
 from hypose.evidence.keypoints import BODY_25, to_keypoints
 from hypose.geometry import Array
 from hypose.pipeline.people_run import PeopleRun
 from hypose.pipeline.person_paths import KeypointPeople
-from hypose.pipeline.run import TrackOptions, track_source
+from hypose.pipeline.run import track_source
 from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.track_options import TrackOptions
 from hypose.pipeline.tracked_people import TrackedPerson
 from hypose.synthetic.corruptions import keypoint_detections
 from hypose.synthetic.metrics import joint_errors, population_offsets
@@ -169,7 +170,7 @@ SEED = 300
 @cache
 def _warm() -> None:
     """What is compiled or loaded at the first call belongs to nobody's time."""
-    compute.warm_up()
+    warm_up()
     scenes = [make_scene(p, s, RIGS["4"], seconds=0.6, seed=7) for s, p in SETTINGS["beside"].make(1, None)]
     frames = list(replace(scenes[0], others=((scenes[1].subject, scenes[1].performance),)).mask_frames(1.0))[:15]
     with contextlib.suppress(HyposeError):

@@ -26,7 +26,7 @@ import cv2
 
 from benchmarks.robustness.circumstances import USUAL, Circumstances
 from benchmarks.robustness.programs import Ended
-from hypose import compute
+from hypose.compute.warming import warm_up
 
 _PIPE_BYTES = 1 << 20  # what a command may print before it would have to wait for a reader
 _MODULES = (
@@ -115,7 +115,7 @@ def serve(warm: bool) -> None:
     for name in _MODULES:
         importlib.import_module(f"hypose.app.{name}")
     if warm:
-        compute.warm_up("solver", "scorer", "outlines", "pictures", "monocular")
+        warm_up("solver", "scorer", "outlines", "pictures", "monocular")
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)
     print("ready", file=answers, flush=True)

@@ -24,7 +24,7 @@ from benchmarks.robustness.circumstances import USUAL, Circumstances
 from benchmarks.robustness.fork_server import ForkServer
 from benchmarks.robustness.long_commands import LongCommand, long_commands
 from benchmarks.robustness.programs import Ended
-from hypose.compute import VARIABLE, cache_folder
+from hypose.compute.compiled import VARIABLE, cache_folder
 from hypose.errors import InputError
 
 _VARIES = {"provenance.json", "report.html", "task.json", "results.csv", "results.html"}

@@ -21,7 +21,7 @@ from benchmarks.bench_report import BenchOptions, BenchReport, Row
 from benchmarks.robustness.small_recordings import small_scene, write_masks
 from hypose.app.commands.console import print_note
 from hypose.body.default_body import human
-from hypose.compute import VARIABLE
+from hypose.compute.compiled import VARIABLE
 from hypose.errors import InputError
 from hypose.io.motions.results import save_body
 

@@ -65,6 +65,7 @@ CLI_COMMANDS: CommandTable = {
     "Results": {
         "report": ("commands_results:report", "Write the report of a result again."),
         "correct": ("commands_track:correct", "Track a result again from a frame corrected in the studio."),
+        "explain": ("commands_results:explain", "Which pass moved a joint of a frame, and why."),
         "gait": ("commands_results:gait", "Foot strikes, steps, cadence and speed of a tracked motion."),
         "compare": (
             "commands_results:compare",

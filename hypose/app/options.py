@@ -24,7 +24,7 @@ from hypose.options import (
     Threads,
     Yes,
 )
-from hypose.pipeline.options import CompareOptions, TrackOptions
+from hypose.pipeline.track_options import CompareOptions, TrackOptions
 
 _REFINE, _BOARD, _PERSON, _OUTPUT, _RECORDED, _LIVE = "Refine", "Board", "From a person", "Output", "Recorded", "Live"
 

@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from hypose.calibration.boards import Board, BoardDetection, IntArray
 from hypose.calibration.views import positions
 from hypose.cameras.camera import Camera
-from hypose.compute import SharedEquations, huber
+from hypose.compute.linear import SharedEquations
+from hypose.compute.losses import huber
 from hypose.errors import CalibrationError, SolverError
 from hypose.fitting.problem import Rule, SharedProblem
 from hypose.geometry import Array, se3, skew, so3_exp

@@ -21,7 +21,8 @@ from hypose.calibration.findings import Finding
 from hypose.calibration.refine_points import apply_parameters
 from hypose.calibration.sync_motion import MaskTrack, tangent_planes
 from hypose.cameras.camera import CameraRig, triangulate
-from hypose.compute import lorentzian_weight, weighted_squares
+from hypose.compute.linear import weighted_squares
+from hypose.compute.losses import lorentzian_weight
 from hypose.evidence.frame import Silhouettes
 from hypose.geometry import Array
 

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.cameras.camera import Camera, CameraRig, triangulate
-from hypose.compute import SharedEquations, lorentzian
+from hypose.compute.linear import SharedEquations
+from hypose.compute.losses import lorentzian
 from hypose.errors import EvidenceError
 from hypose.fitting.problem import Rule, SharedProblem
 from hypose.geometry import Array, procrustes, se3, se3_inverse, so3_exp, so3_log, transform

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from hypose.cameras.camera import CameraRig
-from hypose.compute import lorentzian, lorentzian_weight
+from hypose.compute.losses import lorentzian, lorentzian_weight
 from hypose.errors import EvidenceError
 from hypose.evidence.frame import Silhouettes
 from hypose.evidence.silhouettes import biggest_parts

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 from scipy.signal import butter, resample_poly, sosfiltfilt
 
-from hypose import compute
 from hypose.calibration.boards import Board, BoardDetection
 from hypose.calibration.bundle import board_poses
 from hypose.calibration.sync_motion import (
@@ -30,6 +29,7 @@ from hypose.calibration.sync_motion import (
     solve_offsets,
 )
 from hypose.cameras.camera import Camera, CameraRig
+from hypose.compute.mask_distance import signed_distance
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.geometry import Array, transform
@@ -126,7 +126,7 @@ def mask_between(before: NDArray[np.uint8], after: NDArray[np.uint8], share: flo
         return after
     h, w = before.shape
     size = np.array([[w, h], [w, h]])
-    d = compute.signed_distance(np.stack([before, after]).astype(np.uint8), size)
+    d = signed_distance(np.stack([before, after]).astype(np.uint8), size)
     mixed = ((1 - share) * d[0] + share * d[1] < 0).astype(np.uint8)
     return mixed if mixed.any() else (before if share < 0.5 else after)
 

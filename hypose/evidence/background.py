@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hypose.compute import order_statistic
+from hypose.compute.picture_to_mask import order_statistic
 from hypose.errors import InputError
 from hypose.geometry import Image
 

@@ -16,7 +16,7 @@ from scipy import ndimage
 
 from hypose.body.body import Body
 from hypose.cameras.camera import CameraRig
-from hypose.compute import rasterize
+from hypose.compute.zbuffer import rasterize
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.frame import Detections, Silhouettes
 from hypose.evidence.hull import Hull, visual_hull

@@ -14,9 +14,17 @@ from typing import Any, Generic, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose import compute
 from hypose.body.body import Body
-from hypose.compute import MeshArrays, PreparedMasks, SeenDepth, StandingDepth, TreeArrays
+from hypose.compute.arrays import MeshArrays, PreparedMasks, TreeArrays
+from hypose.compute.depth_costs import (
+    SeenDepth,
+    StandingDepth,
+    depth_energy,
+    limb_depth_energy,
+    limb_shown,
+    standing_depth,
+)
+from hypose.compute.scorer import silhouette_xor
 from hypose.errors import EvidenceError
 from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.depth_surface import depth_term, shrunk
@@ -111,7 +119,7 @@ class SilhouetteEvidence(Evidence):
         def count(of: Array) -> NDArray[np.int64]:
             flat = np.ascontiguousarray(of, dtype=np.float64)
             moving, rest = (None, None) if limb is None else limb[:2]
-            return compute.silhouette_xor(flat, *given, moving=moving, rest=rest)
+            return silhouette_xor(flat, *given, moving=moving, rest=rest)
 
         return count(poses) if limb is not None else self._counts.all(body, poses, count)
 
@@ -171,7 +179,7 @@ class DepthEvidence(Evidence):
             return np.zeros(len(poses))
 
         def measured(of: Array) -> Array:
-            return np.asarray(SHARE * compute.depth_energy(of, *self._about(body)).sum(1))
+            return np.asarray(SHARE * depth_energy(of, *self._about(body)).sum(1))
 
         return self._costs.all(body, poses, measured)
 
@@ -196,7 +204,7 @@ class DepthEvidence(Evidence):
         standing = standing or self.standing(body, poses[-1], moving)
 
         def limb(chosen: NDArray[np.intp], rough: bool = False) -> Array:
-            return SHARE * compute.limb_depth_energy(poses[chosen], *self._about(body), standing, rough).sum(1)
+            return SHARE * limb_depth_energy(poses[chosen], *self._about(body), standing, rough).sum(1)
 
         out = np.full(len(poses), np.inf)
         here = limb(np.zeros(1, np.intp))
@@ -212,14 +220,14 @@ class DepthEvidence(Evidence):
 
     def standing(self, body: Body, pose: Array, moving: NDArray[np.bool_]) -> StandingDepth:
         """What depth cameras would see of a body at a pose (D,) without what the joints `moving` (J,) move."""
-        return compute.standing_depth(pose, *self._about(body), moving)
+        return standing_depth(pose, *self._about(body), moving)
 
     def shows_arm(self, body: Body, standing: StandingDepth, shoulder: int) -> bool:
         """Whether depth cameras show an arm where it is in the pose that the rest of the body stands in (`standing`),
         and nothing in its reach that the body does not explain. shoulder: its joint."""
         at = standing.pose[:3] + standing.centres[shoulder]
         given = body.skeleton.tree, body.coarse.arrays, self.maps
-        in_sight, agreed, nearby = compute.limb_shown(*given, standing, at, ARM_REACH_M, EXPLAINED_M).T
+        in_sight, agreed, nearby = limb_shown(*given, standing, at, ARM_REACH_M, EXPLAINED_M).T
         shown = (in_sight >= LEAST_SHOWN * ARM_M2) & (agreed >= AGREED * in_sight)
         return bool(shown.any() and (nearby <= NEARBY * ARM_M2).all())
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.cameras.camera import Camera
-from hypose.compute import before_room, holes_filled, middle_of_piece, things_before
+from hypose.compute.depth_points import before_room, holes_filled, middle_of_piece, things_before
 from hypose.errors import InputError
 from hypose.evidence.depth_evidence import JUMP_M, Depth, DepthNoise, back_projected, in_world
 from hypose.evidence.frame import Expected, Silhouettes

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose.cameras.camera import Camera, CameraRig
-from hypose.compute import points_of_surface
+from hypose.compute.depth_points import points_of_surface
 from hypose.errors import InputError
 from hypose.geometry import Array
 

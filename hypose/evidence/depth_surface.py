@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.body import Body
-from hypose.compute import DepthArrays
+from hypose.compute.arrays import DepthArrays
 from hypose.errors import InputError
 from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.terms import Term

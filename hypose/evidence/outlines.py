@@ -10,9 +10,11 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hypose import compute
+from hypose.compute import mask_runs
+from hypose.compute.arrays import NOT_KNOWN
+from hypose.compute.mask_distance import shrink_mask, signed_distance
 from hypose.compute.mask_runs import MaskRuns
-from hypose.evidence.silhouettes import bounding_box
+from hypose.compute.rows import outline_points
 from hypose.geometry import Array, Mask
 
 OUTLINE_POINTS = 130
@@ -25,9 +27,9 @@ WORKING_HEIGHT = 170
 
 @dataclass(frozen=True)
 class ViewOutline:
-    """Of one mask: distance (h, w) float32 px to its edge, negative inside (compute.signed_distance), in the part of
+    """Of one mask: distance (h, w) float32 px to its edge, negative inside (`signed_distance`), in the part of
     the image that begins at corner (x, y); points (K, 2) float32 px on the edge, away from the image border
-    (compute.outline_points); found: how many edge pixels there are; shrunk: the factor, a multiple of 1/2, by which the
+    (`outline_points`); found: how many edge pixels there are; shrunk: the factor, a multiple of 1/2, by which the
     mask was shrunk before, so that all these are in shrunk pixels; extent: longer side of the mask's box in its own
     pixels; working_height: as asked for. A mask that is too small has no outline: zeros."""
 
@@ -54,6 +56,17 @@ class Outlines:
     corners: NDArray[np.int64]
 
 
+def bounding_box(mask: ArrayLike, margin: int = 0) -> tuple[int, int, int, int] | None:
+    """Find the box (y0, y1, x0, x1), half open, around the non-zero pixels of a mask (h, w), and widen it by a margin
+    in px; None where all pixels are zero."""
+    m = np.asarray(mask)
+    h, w = m.shape
+    x, y, width, height = cv2.boundingRect(m if m.dtype == np.uint8 else (m != 0).astype(np.uint8))
+    if width == 0:
+        return None
+    return max(y - margin, 0), min(y + height + margin, h), max(x - margin, 0), min(x + width + margin, w)
+
+
 def view_outline(mask: Mask, count: int = OUTLINE_POINTS, working_height: int | None = None) -> ViewOutline:
     """Outline of a mask (h, w), in its own size, without padding. working_height px: for tracking, see
     `outline_in_box`."""
@@ -64,8 +77,8 @@ def view_outline(mask: Mask, count: int = OUTLINE_POINTS, working_height: int | 
     if extent <= SMALLEST:
         return _no_outline(mask.shape, count, extent, None)
     size = (mask.shape[1], mask.shape[0])
-    distance = compute.signed_distance(mask[None], np.array([size]))[0]
-    points, found = compute.outline_points(distance, size, count)
+    distance = signed_distance(mask[None], np.array([size]))[0]
+    points, found = outline_points(distance, size, count)
     return ViewOutline(distance, points, found, extent)
 
 
@@ -87,7 +100,7 @@ def outline_in_box(
 
 def outline_of_runs(runs: MaskRuns, count: int, working_height: int) -> ViewOutline:
     """The same of a packed mask."""
-    draw = partial(compute.mask_runs.draw, runs)
+    draw = partial(mask_runs.draw, runs)
     return _outline_around(draw, runs.box, runs.shape, count, working_height)
 
 
@@ -108,8 +121,8 @@ def _outline_around(
     put(mask, (y0, x0))
     small = _shrink(mask, halves) if halves > 2 else mask
     size = (small.shape[1], small.shape[0])
-    distance = compute.signed_distance(small[None], np.array([size]), max(size))[0]
-    points, found = compute.outline_points(distance, size, count)
+    distance = signed_distance(small[None], np.array([size]), max(size))[0]
+    points, found = outline_points(distance, size, count)
     corner = (2 * x0 // halves, 2 * y0 // halves)
     points += np.array(corner, np.float32)
     return ViewOutline(distance, points, found, extent, halves / 2, corner, working_height)
@@ -140,7 +153,7 @@ def shared_outline(
     """Outline of a mask (h, w) in which the pixels `ignored` (h, w) say nothing, of a person expected in box (y0, y1,
     x0, x1) px; working_height as for `outline_in_box`.
 
-    Distances that depend on ignored pixels are compute.NOT_KNOWN, outline points next to them are marked (-1e6): the
+    Distances that depend on ignored pixels are NOT_KNOWN, outline points next to them are marked (-1e6): the
     outline there may be another person's."""
     whose = tuple(int(n) for n in np.asarray(box))
     extent = max(whose[1] - whose[0], whose[3] - whose[2])
@@ -156,8 +169,8 @@ def shared_outline(
         least, most = _shrink(least, halves), _shrink(most, halves)
     size = (least.shape[1], least.shape[0])
     reach = None if working_height is None else max(size)
-    low = compute.signed_distance(least[None], np.array([size]), reach)[0]
-    points, found = compute.outline_points(low, size, count)
+    low = signed_distance(least[None], np.array([size]), reach)[0]
+    points, found = outline_points(low, size, count)
     if not found:
         return nothing
     open_pixels = most - least
@@ -165,8 +178,8 @@ def shared_outline(
     if not cv2.countNonZero(open_pixels):  # no person is ignored so near to the person
         points += np.array(corner, np.float32)
         return ViewOutline(low, points, found, extent, halves / 2, corner, working_height)
-    high = compute.signed_distance(most[None], np.array([size]), reach)[0]
-    distance = np.where(low - high > KNOWN_PX, np.float32(compute.NOT_KNOWN), low)  # as it is in all open pixels
+    high = signed_distance(most[None], np.array([size]), reach)[0]
+    distance = np.where(low - high > KNOWN_PX, np.float32(NOT_KNOWN), low)  # as it is in all open pixels
     nearby = cv2.dilate(open_pixels, _NEARBY)
     at = np.clip(np.rint(points), 0, np.array(size) - 1).astype(int)
     own = nearby[at[:, 1], at[:, 0]] == 0
@@ -187,7 +200,7 @@ def _shrink(mask: Mask, halves: int) -> Mask:
     h, w = 2 * (mask.shape[0] // halves), 2 * (mask.shape[1] // halves)
     mask = mask[: h * halves // 2, : w * halves // 2]
     if halves % 2:
-        return compute.shrink_mask(mask, halves)
+        return shrink_mask(mask, halves)
     share = cv2.resize(mask * np.uint8(254), (w, h), interpolation=cv2.INTER_AREA)  # faster, for whole factors only
     return np.asarray(share >= 127).view(np.uint8)
 

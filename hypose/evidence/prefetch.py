@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hypose import compute
+from hypose.compute.arrays import PreparedMasks, prepare_masks
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.outlines import (
     OUTLINE_POINTS,
@@ -37,7 +37,7 @@ class _Made:
 
     views: _Views | None = None
     stacked: Outlines | None = None
-    masks: compute.PreparedMasks | None = None
+    masks: PreparedMasks | None = None
 
 
 _NOTHING = _Made()
@@ -117,7 +117,7 @@ def pack_once(silhouettes: Silhouettes) -> None:
         _keep(silhouettes, replace(known, masks=prepared_masks(silhouettes)))
 
 
-def prepared_masks(silhouettes: Silhouettes) -> compute.PreparedMasks:
+def prepared_masks(silhouettes: Silhouettes) -> PreparedMasks:
     """The masks of one frame as compute's silhouette scorer takes them.
 
     A view without foreground is left out, never divided by zero (Alcoverro 2014, after eq. 2.8, says nothing of it).
@@ -130,7 +130,5 @@ def prepared_masks(silhouettes: Silhouettes) -> compute.PreparedMasks:
     if silhouettes.ignored is not None and silhouettes.expected is not None:
         expected = np.maximum(silhouettes.expected.areas, LEAST_AREA)
         norm = np.where(silhouettes.shared, expected, np.nan)
-    made = compute.prepare_masks(
-        silhouettes.masks, silhouettes.usable, rig.sizes, rig.projections, silhouettes.ignored, norm
-    )
+    made = prepare_masks(silhouettes.masks, silhouettes.usable, rig.sizes, rig.projections, silhouettes.ignored, norm)
     return made._replace(usable=made.usable & (made.areas > 0))

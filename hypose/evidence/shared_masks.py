@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.cameras.camera import CameraRig
-from hypose.compute import covered
+from hypose.compute.parts import covered
 from hypose.evidence.frame import Expected, Silhouettes
 from hypose.geometry import Array
 

@@ -16,11 +16,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose.cameras.camera import CameraRig
-from hypose.compute import Glance, glance_at, mask_runs, picture_to_mask
+from hypose.compute import mask_runs, picture_to_mask
+from hypose.compute.glance import Glance, glance_at
 from hypose.compute.mask_runs import MaskRuns
 from hypose.errors import InputError
 from hypose.evidence.background import BackgroundModel
 from hypose.evidence.frame import Silhouettes
+from hypose.evidence.outlines import bounding_box
 from hypose.geometry import Image, Mask
 
 _RANGES = {
@@ -203,17 +205,6 @@ def _mog2(background: BackgroundModel, options: SilhouetteSettings) -> _Differ:
         return mask_runs.bits_of(found)
 
     return differ
-
-
-def bounding_box(mask: ArrayLike, margin: int = 0) -> tuple[int, int, int, int] | None:
-    """(y0, y1, x0, x1), half open, around the non-zero pixels of mask (h, w) plus a margin; None when
-    there are none."""
-    m = np.asarray(mask)
-    h, w = m.shape
-    x, y, width, height = cv2.boundingRect(m if m.dtype == np.uint8 else (m != 0).astype(np.uint8))
-    if width == 0:
-        return None
-    return max(y - margin, 0), min(y + height + margin, h), max(x - margin, 0), min(x + width + margin, w)
 
 
 def clean_mask(mask: Mask, options: SilhouetteSettings | None = None) -> Mask:

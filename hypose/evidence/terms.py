@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose.body.body import Body
-from hypose.compute import ContourArrays, KeypointArrays, PointArrays, Standing
+from hypose.compute.arrays import ContourArrays, KeypointArrays, PointArrays, Standing
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.frame import Silhouettes
 from hypose.evidence.outlines import OUTLINE_POINTS as REFERENCE_OUTLINE

@@ -1,13 +1,14 @@
-"""Fitting a pose to contours, key points and 3D points: bounded damped Gauss-Newton on robust rows.
+"""Fit a pose to contours, key points and 3D points: bounded damped Gauss-Newton on robust rows.
 
-Every cue is a sum of rows (point, direction, residual, weight, joint); rows become 6 x 6 sums per joint that are folded
-up the joint tree (hypose.compute.rows, hypose.compute.solver), so a whole solve is one compiled call without the GIL.
-The cost is F(q) = 1/2 sum of weighted robust squares + 1/2 sum of the priors' quadratics; gradient and (Gauss-Newton)
-Hessian of the result are those of F. With weights that are inverse variances its inverse is the pose's covariance.
+Every cue is a sum of rows (point, direction, residual, weight, joint). Rows become 6 x 6 sums per joint that are folded
+up the joint tree (hypose.compute.rows, hypose.compute.solver), so that a whole solve is one compiled call without the
+GIL. The cost is F(q) = 1/2 sum of weighted robust squares + 1/2 sum of the priors' quadratics; gradient and
+(Gauss-Newton) Hessian of the result are those of F. Where weights are inverse variances, the inverse Hessian is the
+covariance of the pose.
 
 Sources: two-way contour distances with a robust weight as in the silhouette trackers of Alcoverro 2014, chapter 4, and
-Gall et al. 2009; Geman & McClure 1985; the spatial (wrench) form of the sums follows Featherstone 2008, chapter 6.
-Deviation: outline association is by nearest point of the visible outline, not along normals.
+    Gall et al. 2009; Geman & McClure 1985; the spatial (wrench) form of the sums follows Featherstone 2008, chapter 6.
+Deviation: outlines are associated by the nearest point of the visible outline, not along normals.
 """
 
 from __future__ import annotations
@@ -20,19 +21,22 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hypose import compute
 from hypose.body.body import Body
-from hypose.compute import (
+from hypose.compute import solver
+from hypose.compute.arrays import (
+    NO_CONTOURS,
+    NO_KEYPOINTS,
+    NO_POINTS,
     Cues,
     PointArrays,
     PriorArrays,
     SolveLimits,
     Workspace,
-    bounded_step,
-    lorentzian,
-    over_chunks,
-    weighted_squares,
 )
+from hypose.compute.linear import weighted_squares
+from hypose.compute.losses import lorentzian
+from hypose.compute.solver import Evaluation, Solution, bounded_step, solve, workspace
+from hypose.compute.threads import over_chunks
 from hypose.errors import InputError, SolverError
 from hypose.evidence.depth_surface import DepthTerm
 from hypose.evidence.terms import ContourTerm, KeypointTerm, PointTerm, RowTerm, Term, checked_joints
@@ -40,14 +44,20 @@ from hypose.fitting.problem import Problem, Quadratic, Rule
 from hypose.geometry import Array, nearest_branch, so3_turns
 
 LARGEST_TURN = 0.35
-"""rad: steps that turn a joint further are shortened, as in the compiled solve"""
+"""rad; steps that turn a joint further are shortened, as in the compiled solve."""
 
 
 @dataclass(frozen=True)
 class SolveSettings:
-    """iterations: all, the first coarse_iterations of them with the contours' coarse scale; tolerance: stop when no dof
-    moves further than this (rad; twice the metres); damping: initial, relative to the Hessian's diagonal;
-    tries: of a step, each with more damping, before the solve ends there (a coarse one: goes on with the fine ones)."""
+    """Settings of the solve of one pose.
+
+    iterations: number of iterations, coarse and fine together.
+    coarse_iterations: number of them, at the start, with the coarse scale of the contours.
+    tolerance: stop when no degree of freedom moves further (rad; for metres half as much).
+    damping: initial damping, relative to the diagonal of the Hessian.
+    tries: number of attempts at a step, each with more damping, before the solve ends (a coarse solve: goes on to the
+        fine one).
+    """
 
     iterations: int = 8
     coarse_iterations: int = 4
@@ -58,12 +68,19 @@ class SolveSettings:
 
 @dataclass(frozen=True)
 class PoseFit:
-    """Result of one solve.
+    """Result of the solve of one pose.
 
-    pose (D,), the root's rotation vector on the branch of the start; solved (D,): the same pose on the branch on which
-    it was solved; cost F; hessian (D, D), Gauss-Newton, and gradient (D,) of F in the coordinates of `solved`;
-    iterations; evaluations; converged: the last step was below the tolerance; rows: number of rows of evidence (0: only
-    the priors spoke); view_rows (C, 2): contour rows of each view, forward and reverse."""
+    pose: (D,), the root's rotation vector on the branch of the start.
+    solved: (D,) the same pose on the branch on which it was solved.
+    cost: F.
+    hessian: (D, D) Gauss-Newton Hessian of F in the coordinates of `solved`.
+    gradient: (D,) of F in the same coordinates.
+    iterations: number of iterations.
+    evaluations: number of evaluations of F.
+    converged: whether the last step was below the tolerance.
+    rows: number of rows of evidence (0: only the priors determine the pose).
+    view_rows: (C, 2) number of contour rows of each view, forward and reverse.
+    """
 
     pose: Array
     solved: Array
@@ -78,15 +95,20 @@ class PoseFit:
 
     @cached_property
     def information(self) -> Array:
-        """(D, D) the Hessian by the pose's coordinates, the root's rotation as a small turn in the world: the same for
-        every branch of its rotation vector."""
+        """(D, D) Hessian by the pose's coordinates, with the root's rotation as a small turn in the world: the same for
+        every branch of its rotation vector.
+        """
         return by_turns(self.hessian, self.solved)
 
 
 def by_turns(hessian: Array, pose: Array) -> Array:
-    """(D, D): a Hessian taken at a pose (D,) by its coordinates, with the root's rotation vector replaced by a small
-    turn in the world. An inverse covariance of poses is kept like this: rotation vectors of one rotation have two
-    branches, a turn has none."""
+    """Convert a Hessian by pose coordinates to one in which the root's rotation is a small turn in the world.
+
+    hessian: (D, D).
+    pose: (D,) at which it was computed.
+    Why: inverse covariances of poses are kept in this form, because one rotation has two rotation vectors but only one
+    turn.
+    """
     turns, out = so3_turns(pose[3:6]), hessian.copy()
     out[3:6] = turns.T @ out[3:6]
     out[:, 3:6] = out[:, 3:6] @ turns
@@ -94,8 +116,11 @@ def by_turns(hessian: Array, pose: Array) -> Array:
 
 
 def cues_of(body: Body, evidence: Sequence[Term]) -> tuple[Cues, tuple[RowTerm, ...]]:
-    """The terms of evidence as the flat arrays of the compiled solve, and those that need Python. An InputError when
-    there are two of a kind that a frame has once, or a joint is none of the body's."""
+    """Convert terms of evidence to the flat arrays of the compiled solve.
+
+    Returns: the arrays, and the terms that need Python.
+    Raises: InputError where there are two terms of a kind that a frame has once, or a joint is not one of the body's.
+    """
     once: dict[type[Term], Term] = {}
     for term in evidence:
         if isinstance(term, ContourTerm | KeypointTerm | DepthTerm) and once.setdefault(type(term), term) is not term:
@@ -106,9 +131,9 @@ def cues_of(body: Body, evidence: Sequence[Term]) -> tuple[Cues, tuple[RowTerm, 
     for term in rows:
         checked_joints(term, body)
     cues = Cues(
-        contours.arrays if isinstance(contours, ContourTerm) else compute.NO_CONTOURS,
-        keypoints.arrays(body) if isinstance(keypoints, KeypointTerm) else compute.NO_KEYPOINTS,
-        PointArrays._make(map(np.concatenate, zip(*places, strict=True))) if places else compute.NO_POINTS,
+        contours.arrays if isinstance(contours, ContourTerm) else NO_CONTOURS,
+        keypoints.arrays(body) if isinstance(keypoints, KeypointTerm) else NO_KEYPOINTS,
+        PointArrays._make(map(np.concatenate, zip(*places, strict=True))) if places else NO_POINTS,
         depth.arrays(body) if isinstance(depth, DepthTerm) else None,
     )
     return cues, rows
@@ -122,11 +147,19 @@ def fit_pose(
     priors: Sequence[Quadratic] = (),
     options: SolveSettings | None = None,
 ) -> PoseFit:
-    """The pose near start (D,) that explains the evidence best, inside the joint limits.
+    """Find the pose near a start that explains the evidence best, within the joint limits.
 
-    A SolverError when the start has the wrong size or its cost is not finite. A step is taken when its cost is finite
-    and at most 0.2 % higher (contour costs jump when the outline changes); no joint turns more than 0.35 rad per
-    step."""
+    body: the body.
+    start: (D,) pose.
+    evidence: terms of one frame.
+    priors: quadratic costs on the pose.
+    options: settings of the solve.
+    Returns: the pose with cost, Hessian and counts.
+    Raises: SolverError where the start has the wrong size or its cost is not finite.
+
+    A step is accepted where its cost is finite and at most 0.2 % higher (contour costs jump when the outline changes);
+    no joint turns more than 0.35 rad per step.
+    """
     return fit_poses(body, [start], evidence, priors=priors, options=options)[0]
 
 
@@ -138,8 +171,10 @@ def fit_poses(
     priors: Sequence[Quadratic] = (),
     options: SolveSettings | None = None,
 ) -> list[PoseFit]:
-    """Independent solves from starts (N, D) on the same evidence, over threads; the same results for any number of
-    them."""
+    """Fit poses from several starts (N, D) to the same evidence, in parallel threads; otherwise as `fit_pose`.
+
+    Returns: one result per start, the same for any number of threads.
+    """
     problem = _Problem(body, evidence, priors, options or SolveSettings())
     fits: list[PoseFit | None] = [None] * len(starts)
 
@@ -155,8 +190,10 @@ _OWN = threading.local()
 
 
 def workspace_for(body: Body, cues: Cues) -> Workspace:
-    """This thread's scratch memory for fits of this body to images of this size: to make it and touch its pages takes
-    as long as two evaluations."""
+    """Return this thread's scratch memory for fits of this body to images of this size.
+
+    Why: allocating it and touching its pages takes as long as two evaluations.
+    """
     (w, h), mesh, tree = cues.contours.sizes.max(0, initial=2), body.coarse.arrays, body.skeleton.tree
     known: Workspace | None = getattr(_OWN, "workspace", None)
     counts = len(mesh.vertices), len(mesh.faces), len(mesh.edges), len(tree.parents), len(tree.axes)
@@ -164,12 +201,12 @@ def workspace_for(body: Body, cues: Cues) -> Workspace:
         kept = known.vertices, known.front, known.start, known.centres, known.twists
         if counts == tuple(map(len, kept)):
             return known
-    _OWN.workspace = made = compute.workspace(tree, mesh, h, w)
+    _OWN.workspace = made = workspace(tree, mesh, h, w)
     return made
 
 
 class _Problem:
-    """Evidence and priors as the flat arrays of the kernel, made once for any number of starts."""
+    """Evidence and priors as flat arrays of the kernel, made once for any number of starts."""
 
     def __init__(
         self, body: Body, evidence: Sequence[Term], priors: Sequence[Quadratic], options: SolveSettings
@@ -188,7 +225,9 @@ class _Problem:
         )
 
     def start(self, start: ArrayLike) -> Array:
-        """The start with its root's rotation vector inside +-pi, where the exponential map is far from singular."""
+        """Check a start pose, and move its root's rotation vector inside +-pi, where the exponential map is far from
+        singular.
+        """
         q = np.array(start, dtype=np.float64)
         if q.shape != (self.body.skeleton.dof,):
             raise SolverError(f"A start pose of this body has {self.body.skeleton.dof} numbers, got shape {q.shape}.")
@@ -222,13 +261,13 @@ class _Problem:
             counts[: len(self.cues.contours.sdf)].copy(),
         )
 
-    def _solve(self, q: Array, priors: PriorArrays, ws: Workspace) -> compute.Solution:
+    def _solve(self, q: Array, priors: PriorArrays, ws: Workspace) -> Solution:
         o = self.settings
         if not self.rows:
-            return compute.solve(q, self.tree, self.mesh, self.cues, priors, o, ws)
+            return solve(q, self.tree, self.mesh, self.cues, priors, o, ws)
 
-        def evaluate(pose: Array, coarse: bool) -> compute.Evaluation:
-            known = compute.evaluate(pose, self.tree, self.mesh, self.cues, priors, ws, coarse=coarse)
+        def evaluate(pose: Array, coarse: bool) -> Evaluation:
+            known = solver.evaluate(pose, self.tree, self.mesh, self.cues, priors, ws, coarse=coarse)
             return with_rows(known, pose, self.body, self.rows)
 
         coarse = min(o.coarse_iterations, o.iterations) if len(self.cues.contours.sdf) else 0
@@ -237,7 +276,10 @@ class _Problem:
 
 
 def prior_arrays(priors: Sequence[Quadratic], dof: int) -> tuple[Array, Array]:
-    """Centres (P, D) and weights (P, D) of the priors."""
+    """Stack the centres (P, D) and weights (P, D) of P priors.
+
+    Raises: InputError where a shape is wrong or a weight is negative or NaN.
+    """
     centre, weight = np.zeros((len(priors), dof)), np.zeros((len(priors), dof))
     for i, p in enumerate(priors):
         if np.shape(p.centre) != (dof,) or np.shape(p.weight) != (dof,):
@@ -248,9 +290,11 @@ def prior_arrays(priors: Sequence[Quadratic], dof: int) -> tuple[Array, Array]:
     return centre, weight
 
 
-def with_rows(known: compute.Evaluation, pose: Array, body: Body, rows: Sequence[RowTerm]) -> compute.Evaluation:
-    """Add cost and derivatives of rows at a pose (D,), and how many points there were. An InputError names residuals
-    of the wrong shape."""
+def with_rows(known: Evaluation, pose: Array, body: Body, rows: Sequence[RowTerm]) -> Evaluation:
+    """Add the cost and derivatives of row terms at a pose (D,) to an evaluation, and the number of their points.
+
+    Raises: InputError where residuals have the wrong shape.
+    """
     (rotations, centres), twists, moves = (
         body.skeleton.forward(pose),
         body.skeleton.world_twists(pose),
@@ -278,22 +322,26 @@ def with_rows(known: compute.Evaluation, pose: Array, body: Body, rows: Sequence
         count += len(joint)
         hessian += more[0]
         gradient += more[1]
-    return compute.Evaluation(cost, gradient, hessian, np.concatenate([known.counts, [[count, 0]]]))
+    return Evaluation(cost, gradient, hessian, np.concatenate([known.counts, [[count, 0]]]))
 
 
-class FrameProblem(Problem[Array, compute.Evaluation]):
-    """The compiled solve's steps, one by one, for an evaluation that needs Python: evaluation(pose, coarse)."""
+class FrameProblem(Problem[Array, Evaluation]):
+    """Solve of one frame, step by step as in the compiled solve, for an evaluation that needs Python.
 
-    def __init__(self, evaluation: Callable[[Array, bool], compute.Evaluation], lower: Array, upper: Array) -> None:
+    evaluation(pose, coarse): cost and derivatives at a pose (D,).
+    lower, upper: (D,) joint limits.
+    """
+
+    def __init__(self, evaluation: Callable[[Array, bool], Evaluation], lower: Array, upper: Array) -> None:
         self.evaluation, self.lower, self.upper, self.coarse = evaluation, lower, upper, False
 
-    def evaluate(self, state: Array) -> tuple[float, Callable[[], compute.Evaluation]]:
-        """Cost and equations at once."""
+    def evaluate(self, state: Array) -> tuple[float, Callable[[], Evaluation]]:
+        """Compute cost and equations together."""
         e = self.evaluation(state, self.coarse)
         return e.cost, lambda: e
 
-    def propose(self, state: Array, equations: compute.Evaluation, damping: float) -> tuple[Array, float] | None:
-        """The bounded step, no joint turning further than LARGEST_TURN."""
+    def propose(self, state: Array, equations: Evaluation, damping: float) -> tuple[Array, float] | None:
+        """Compute the bounded step, in which no joint turns further than LARGEST_TURN."""
         step = bounded_step(equations.hessian, equations.gradient, state, self.lower, self.upper, damping)
         if step is None:
             return None
@@ -301,8 +349,8 @@ class FrameProblem(Problem[Array, compute.Evaluation]):
         moved = max(2 * float(np.abs(step[:3]).max()), float(np.abs(step[3:]).max()))
         return np.clip(state + step, self.lower, self.upper), moved
 
-    def solution(self, start: Array, iterations: tuple[int, int], rule: Rule) -> compute.Solution:
-        """Solve with so many coarse and fine iterations."""
+    def solution(self, start: Array, iterations: tuple[int, int], rule: Rule) -> Solution:
+        """Solve from a start with a number of coarse and of fine iterations."""
         found, used, evaluations = None, 0, 0
         q = np.clip(start, self.lower, self.upper)
         for self.coarse, n in zip((True, False), iterations, strict=True):
@@ -311,4 +359,4 @@ class FrameProblem(Problem[Array, compute.Evaluation]):
                 q, rule = found.state, replace(rule, damping=found.damping)
                 used, evaluations = used + found.iterations, evaluations + found.evaluations
         assert found is not None
-        return compute.Solution(q, found.equations, used, evaluations, found.converged)
+        return Solution(q, found.equations, used, evaluations, found.converged)

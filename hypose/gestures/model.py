@@ -1,4 +1,4 @@
-"""A trained gesture as arrays and plain values: what a model file holds, checked when it comes back."""
+"""Trained gestures as arrays and plain values: the content of a model file, and its check on loading."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.compute import GrowingArrays
+from hypose.compute.forests import GrowingArrays
 from hypose.errors import InputError
 from hypose.gestures.forest import MAX_CLASSES, Forest, ForestSettings, GrowingForest
 from hypose.gestures.localise import LocaliseSettings
@@ -25,8 +25,10 @@ _KINDS = {
 
 
 def check_gesture_name(name: str) -> None:
-    """Raise InputError for text that is no name: names go into files and, as words, to commands, which must not take
-    one for an option of theirs."""
+    """Raise InputError where a text is not a valid name of a gesture.
+
+    Why: names become parts of file names and arguments of commands, which must not mistake one for an option.
+    """
     if not 1 <= len(name) <= 64 or not all(c.isalnum() or c in "_-" for c in name) or name.startswith("-"):
         raise InputError(
             f"{name[:80]!r} is no name for a gesture; use up to 64 letters, digits, - and _, and no - in front."
@@ -35,14 +37,15 @@ def check_gesture_name(name: str) -> None:
 
 @dataclass(frozen=True)
 class GestureModel:
-    """Gesture model.
+    """Trained model of one or several gestures.
 
     names: of gesture 1, 2, ...
     forest: finished or still growing.
-    thresholds: per gesture (cm^2), None = not known yet.
-    settings: how it looks.
-    learner: what teaching needs to go on (None for a finished forest).
-    history: what it was trained on, plain values.
+    thresholds: score per gesture (cm^2), None = not known yet.
+    settings: of the localisation.
+    learner: state needed to continue the training (None for a finished forest).
+    history: sessions that it was trained on, plain values.
+    Raises: InputError where the numbers of names, thresholds and classes disagree, or a name is not valid.
     """
 
     names: tuple[str, ...]
@@ -62,12 +65,12 @@ class GestureModel:
             check_gesture_name(name)
 
     def learned(self, content: str) -> bool:
-        """Has it learned from the session with this content?"""
+        """Return whether the model has learned from the session with this content (a hash)."""
         return bool(content) and any(entry.get("content") == content for entry in self.history)
 
 
 def to_arrays(model: GestureModel) -> dict[str, NDArray]:
-    """Arrays for an .npz: the forest's, and "description", one JSON text."""
+    """Convert a model to arrays for an .npz file: those of the forest, and "description", a JSON text."""
     f = model.forest
     growing = isinstance(f, GrowingForest)
     if growing:
@@ -99,7 +102,10 @@ def to_arrays(model: GestureModel) -> dict[str, NDArray]:
 
 
 def from_arrays(arrays: Mapping[str, NDArray]) -> GestureModel:
-    """Return the model of `to_arrays`; ValueError with a short reason when it is none or cannot be walked safely."""
+    """Make a model from the arrays of `to_arrays`.
+
+    Raises: ValueError with a short reason where the arrays are not a model, or following them would leave an array.
+    """
     value = _description(arrays)
     settings = _made(ForestSettings, value.get("forest"))
     growing = value.get("growing") is True
@@ -162,7 +168,7 @@ def _array(arrays: Mapping[str, NDArray], name: str) -> NDArray:
 
 
 def _check_trees(a: Mapping[str, NDArray], s: ForestSettings) -> None:
-    """Nothing that the compiled code follows may lead outside an array or run in a circle."""
+    """Raise ValueError where compiled code that follows the trees would leave an array or run in a circle."""
     test, left, seen, size = a["test"], a["left"], a["seen"], a["size"]
     nt, n = left.shape
     if nt != s.trees or n < 1 or test.shape != (nt, n, 5) or seen.shape[:2] != (nt, n) or size.shape != (nt,):

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.body import Body
-from hypose.compute import in_background
+from hypose.compute.threads import in_background
 from hypose.evidence.frame import Frame
 from hypose.evidence.prefetch import look_ahead
 from hypose.geometry import Array

@@ -28,8 +28,8 @@ from hypose.geometry import Array, procrustes, transform
 from hypose.io.motions.c3d import read_c3d
 from hypose.io.motions.marker_files import read_mot, read_trc
 from hypose.io.motions.results import load_archive, load_result
-from hypose.pipeline.options import CompareOptions
 from hypose.pipeline.settings import SETTINGS
+from hypose.pipeline.track_options import CompareOptions
 from hypose.synthetic.metrics import carriers, coverage, joint_errors, population_offsets
 
 # ---- compared files ------------------------------------------------------------------------------------------------

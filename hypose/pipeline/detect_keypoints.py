@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from hypose.cameras.camera import Camera
-from hypose.compute import default_threads
+from hypose.compute.threads import default_threads
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.detector import PoseDetector, openpose_document
 from hypose.evidence.pose_network import Crop, mask_of_people

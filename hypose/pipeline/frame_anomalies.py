@@ -18,7 +18,7 @@ from scipy.ndimage import binary_closing, binary_opening, median_filter
 from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.body.skeleton import Skeleton
-from hypose.compute import projected, touched_area
+from hypose.compute.parts import projected, touched_area
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.evidence.prefetch import prepared_masks
 from hypose.geometry import Array

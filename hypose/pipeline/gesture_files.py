@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from hypose.compute import DepthImage
+from hypose.compute.forests import DepthImage
 from hypose.errors import InputError
 from hypose.gestures import model as model_arrays
 from hypose.gestures.depth_pictures import DepthLens, millimetres

@@ -27,13 +27,13 @@ from hypose.io.recordings.recording import Recording
 from hypose.io.recordings.recording_people import load_person
 from hypose.pipeline.assessment import other_people_note
 from hypose.pipeline.input_checks import places_refuted
-from hypose.pipeline.options import TrackOptions
 from hypose.pipeline.people_run import PeopleRun
 from hypose.pipeline.person_paths import KeypointPeople, count_people
 from hypose.pipeline.run import TrackResult
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.subject_from_motion import load_subject
 from hypose.pipeline.track_loop import FrameSource, StageProgress
+from hypose.pipeline.track_options import TrackOptions
 from hypose.pipeline.tracked_people import Wanted, said_of_places
 
 

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose import compute
 from hypose.body.body import Body
+from hypose.compute.part_colours import shown_parts
 from hypose.evidence.colours import COLOURS
 from hypose.evidence.frame import Frame
 from hypose.geometry import Array
@@ -94,7 +94,7 @@ def appearance_in(body: Body, pose: Array, frame: Frame) -> Appearance:
     given = s.informative
     for c in np.flatnonzero(s.usable & colours.seen).tolist():
         w, h = s.rig[c].size
-        shown, box = compute.shown_parts(vertices, faces, part, s.rig.projections[c], (h, w))
+        shown, box = shown_parts(vertices, faces, part, s.rig.projections[c], (h, w))
         found = counted_colours(shown[box], given[c][box].astype(np.uint8), colours.codes[c][box])
         out = out + Appearance(np.stack([found[list(zone)].sum(0) for zone in ZONES]))
     return out

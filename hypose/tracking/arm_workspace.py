@@ -12,10 +12,11 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose import compute
 from hypose.body.body import Body
 from hypose.body.skeleton import Skeleton
-from hypose.compute import FIXED, TreeArrays, reach
+from hypose.compute import reach
+from hypose.compute.arrays import FIXED, PreparedMasks, Standing, TreeArrays
+from hypose.compute.kinematics import forward_kinematics
 from hypose.geometry import Array
 from hypose.tracking.frame_evidence import PreparedFrame
 
@@ -61,14 +62,12 @@ class ArmReach:
     def _way(self) -> _Way:
         return _way_to(self.chain[2], self.own, self.body.skeleton.tree)
 
-    def score(self, points: Array, pose: Array, frame: PreparedFrame, rest: compute.Standing, cutoff: float) -> Array:
+    def score(self, points: Array, pose: Array, frame: PreparedFrame, rest: Standing, cutoff: float) -> Array:
         """(N,) m^2: what of an arm at points (N, 8, 3) of a body at a pose (D,) lies outside the masks, less what of it
         explains them, summed over the views; no more than `above cutoff` where it lies above."""
         return self.score_in(points, pose, frame.silhouettes.masks, rest, cutoff)
 
-    def score_in(
-        self, points: Array, pose: Array, masks: compute.PreparedMasks, rest: compute.Standing, cutoff: float
-    ) -> Array:
+    def score_in(self, points: Array, pose: Array, masks: PreparedMasks, rest: Standing, cutoff: float) -> Array:
         """`score` against masks."""
         rotation, centre = self.body.skeleton.forward(pose)
         return reach.score_points(points, self.area, rotation[self.parent], centre[self.parent], masks, rest, cutoff)
@@ -142,7 +141,7 @@ def _points(
     poses = np.zeros((len(values), len(tree.axes)))
     poses[:, own] = values
     # nothing else is turned, so the parent's frame is that of the world
-    rotations, centres = compute.forward_kinematics(poses, tree)
+    rotations, centres = forward_kinematics(poses, tree)
     at = centres[:, [*map(way.index, chain), -1]]
     at[:, 3] += np.einsum("nij,j->ni", rotations[:, -1], tip)
     begin = at[:, _PART]

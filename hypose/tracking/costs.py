@@ -8,8 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose import compute
 from hypose.body.body import Body
+from hypose.compute.arrays import Standing
+from hypose.compute.depth_costs import StandingDepth
+from hypose.compute.scorer import limb_energies
 from hypose.evidence.cues import MEASURED
 from hypose.evidence.terms import Evidence, Limb
 from hypose.geometry import Array
@@ -36,7 +38,7 @@ def frame_energy(
     poses: Array,
     frame: PreparedFrame,
     moving: NDArray[np.bool_] | None = None,
-    rest: compute.Standing | None = None,
+    rest: Standing | None = None,
 ) -> Array:
     """(N,) what poses (N, D) of the frame's body cost by all its evidence: eq. 2.8, what depth cameras say, and the
     user's own. moving (J,) bool: the joints that differ in the poses; everything else stands as in the last one and is
@@ -57,9 +59,9 @@ def limb_energy(
     poses: Array,
     frame: PreparedFrame,
     moving: NDArray[np.bool_],
-    rest: compute.Standing | None = None,
+    rest: Standing | None = None,
     slack: float = 1.0,
-    rest_depth: compute.StandingDepth | None = None,
+    rest_depth: StandingDepth | None = None,
 ) -> Array:
     """`frame_energy` where only what costs at most `slack` times as much as the first pose counts: others may be
     infinite. rest_depth: as rest, before depth cameras."""
@@ -71,7 +73,7 @@ def limb_energy(
     given = poses, body.skeleton.tree, body.coarse.arrays, silhouettes.masks, moving, rest
 
     def outlines(slack: float, more: float = 0.0) -> Array:
-        return compute.limb_energies(*given, slack, more + slack * float(other[0]) - float(other.min())) + other
+        return limb_energies(*given, slack, more + slack * float(other[0]) - float(other.min())) + other
 
     return depth.limb_energy(body, poses, moving, outlines, rest_depth) if depth.seen else outlines(slack)
 

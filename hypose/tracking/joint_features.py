@@ -21,16 +21,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose.body.body import Body
-from hypose.compute import (
-    PreparedMasks,
-    draw_parts,
-    mask_of,
-    parts_against_mask,
-    projected,
-    reach,
-    silhouette_xor,
-    skin,
-)
+from hypose.compute import reach
+from hypose.compute.arrays import PreparedMasks
+from hypose.compute.kinematics import skin
+from hypose.compute.mask_runs import mask_of
+from hypose.compute.parts import draw_parts, parts_against_mask, projected
+from hypose.compute.scorer import silhouette_xor
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.evidence.prefetch import prepared_masks
 from hypose.geometry import Array

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from hypose.body.body import Body
-from hypose.compute import lorentzian_weight
+from hypose.compute.losses import lorentzian_weight
 from hypose.errors import EvidenceError
 from hypose.evidence.frame import Keypoints
 from hypose.evidence.keypoints import triangulate_keypoints

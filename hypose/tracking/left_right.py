@@ -17,7 +17,7 @@ import numpy as np
 
 from hypose.body.body import Body
 from hypose.body.skeleton import Skeleton
-from hypose.compute import over_chunks
+from hypose.compute.threads import over_chunks
 from hypose.evidence.cues import KeypointEvidence
 from hypose.evidence.terms import PointTerm
 from hypose.fitting.articulated import SolveSettings, fit_pose

@@ -21,9 +21,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose import compute
 from hypose.body.body import Body
 from hypose.compute import reach
+from hypose.compute.arrays import PreparedMasks
+from hypose.compute.part_colours import colour_sums, rim_edges, shown_parts
 from hypose.evidence.colours import COLOURS, SHADES
 from hypose.evidence.terms import PointTerm
 from hypose.geometry import Array
@@ -130,11 +131,11 @@ class ColourSettings:
 class KnownColours:
     """Prior knowledge of a person's colours, and what a frame shows of them. codes (C, h, w); table (C, P, COLOURS):
     log-likelihood ratios of each colour, in a part against anywhere on the person; masks: usable where there is a
-    picture; edges: of `compute.rim_edges`."""
+    picture; edges: of `rim_edges`."""
 
     codes: NDArray[np.uint16]
     table: NDArray[np.float32]
-    masks: compute.PreparedMasks
+    masks: PreparedMasks
     edges: tuple[NDArray[np.float32], ...]
 
 
@@ -145,7 +146,7 @@ def known_colours(frame: PreparedFrame, settings: ColourSettings) -> KnownColour
         if counts is not None and colours is not None and len(counts) == len(masks.masks):
             seen = masks._replace(usable=masks.usable & colours.seen)
             if seen.usable.any():
-                table, edges = table_of(counts, settings), compute.rim_edges(seen, colours.edges)
+                table, edges = table_of(counts, settings), rim_edges(seen, colours.edges)
                 known = KnownColours(colours.codes, table, seen, edges)
         frame.shared["known colours"] = known
     return frame.shared["known colours"]
@@ -162,7 +163,7 @@ def colour_scores(poses: Array, frame: PreparedFrame, settings: ColourSettings) 
     faces, part, arm = part_layout(frame.body)
     limb = (1 + arm).astype(np.uint8)
     about = known.masks, known.codes, known.table, limb, known.edges
-    sums, rims = compute.colour_sums(frame.body.skin(poses), faces, part, *about)
+    sums, rims = colour_sums(frame.body.skin(poses), faces, part, *about)
     use = known.masks.usable
     area = np.maximum(known.masks.areas[use], 1)
     return -(sums[:, use] / area + settings.edges * rims[:, use] / np.sqrt(area)).mean(1)
@@ -197,7 +198,7 @@ class LearnColours:
         found = np.zeros((len(use), len(PARTS), COLOURS), np.float32)
         for c in np.flatnonzero(use).tolist():
             w, height = masks.sizes[c].tolist()
-            shown, box = compute.shown_parts(vertices, faces, part, masks.projections[c], (height, w))
+            shown, box = shown_parts(vertices, faces, part, masks.projections[c], (height, w))
             found[c] = counted_colours(shown[box], masks.masks[c][box], colours.codes[c][box])
         before = memory.get(COUNTS)
         if before is None or before.shape != found.shape:

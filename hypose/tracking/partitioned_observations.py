@@ -18,10 +18,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose import compute
 from hypose.body.body import Body
 from hypose.body.skeleton import Skeleton
 from hypose.cameras.camera import CameraRig
+from hypose.compute.scorer import silhouette_xor
 from hypose.evidence.cues import OwnCue
 from hypose.geometry import Array, nearest_branch, so3_exp, so3_log
 from hypose.inference.hypotheses import Hypotheses
@@ -196,5 +196,5 @@ def partitioned_energy(
     if not use.any():
         return np.zeros(len(poses))
     flat = np.ascontiguousarray(poses, dtype=np.float64)
-    counts = compute.silhouette_xor(flat, body.skeleton.tree, body.coarse.arrays, masks, boxes, faces=faces)
+    counts = silhouette_xor(flat, body.skeleton.tree, body.coarse.arrays, masks, boxes, faces=faces)
     return (counts[:, use, 0] / pixels[use]).sum(1)

@@ -9,9 +9,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hypose import compute
 from hypose.body.body import Body
 from hypose.body.motion import Modes
+from hypose.compute.kinematics import joint_covariances
 from hypose.fitting.articulated import SolveSettings
 from hypose.geometry import Array, so3_exp, so3_log
 from hypose.inference.hypotheses import Hypotheses
@@ -86,7 +86,7 @@ def joint_covariance_of(body: Body, pose: Array, information: Array, evidence: s
     """(J, 3, 3) m^2: covariances of the joint centres at a solved pose (D,) from the information on it, (D, D), see
     `PoseFit.information`; evidence: what the cost was made of, one of CURVATURE_FACTOR."""
     factor = _factors(evidence, tuple(body.skeleton.joint_names))
-    curvature = compute.joint_covariances(pose, body.skeleton.tree, information)
+    curvature = joint_covariances(pose, body.skeleton.tree, information)
     return (factor[:, None, None] ** 2 * curvature + FLOOR**2 * np.eye(3)).astype(np.float32)
 
 

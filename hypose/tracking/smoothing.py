@@ -18,7 +18,7 @@ from scipy.ndimage import uniform_filter1d
 
 from hypose.body.body import Body
 from hypose.body.skeleton import Skeleton
-from hypose.compute import frame_covariances
+from hypose.compute.linear import frame_covariances
 from hypose.evidence.terms import PointTerm
 from hypose.fitting import SolveSettings, fit_clip
 from hypose.fitting.clip_solve import Coupling, Gaussian, pose_steps

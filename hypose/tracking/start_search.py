@@ -14,8 +14,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from hypose import compute
 from hypose.body.body import Body
+from hypose.compute.scorer import silhouette_xor
 from hypose.errors import EvidenceError
 from hypose.evidence.hull import Hull
 from hypose.evidence.terms import PointTerm
@@ -64,7 +64,7 @@ def mask_cost(body: Body, poses: Array, frame: PreparedFrame) -> Array:
     Where depth cameras see, also how far the body is off."""
     masks = frame.silhouettes.masks
     flat = np.ascontiguousarray(poses, dtype=np.float64)
-    counts = compute.silhouette_xor(flat, body.skeleton.tree, body.coarse.arrays, masks)
+    counts = silhouette_xor(flat, body.skeleton.tree, body.coarse.arrays, masks)
     use = masks.usable
     area, whole = masks.areas[use].astype(np.float64), masks.norm[use]
     bare = area - counts[:, use, 2]

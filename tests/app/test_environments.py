@@ -13,9 +13,9 @@ from benchmarks.robustness.circumstances import Circumstances, possible
 from benchmarks.robustness.fork_server import ForkServer
 from benchmarks.robustness.programs import Program, run
 from benchmarks.robustness.small_recordings import small_scene, write_masks, write_skeletons
-from hypose import compute
 from hypose.body.default_body import human
 from hypose.compute.compiled import cache_folder
+from hypose.compute.warming import warm_up
 from hypose.io.motions.results import save_body
 from tests import missing
 from tests.conftest import HANG_S
@@ -180,7 +180,7 @@ ENVIRONMENTS = YOUNG | {
 @pytest.fixture(scope="module")
 def warm():
     """The folder of the cache, with all that is compiled."""
-    compute.warm_up()
+    warm_up()
     folder = cache_folder()
     for thing in (Circumstances(obeys=True), Circumstances(small_disk=(str(folder), 1 << 14))):
         if folder is None or not possible(thing):

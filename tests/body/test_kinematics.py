@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from hypose import compute
+from hypose.compute.kinematics import forward_kinematics, skin
 from hypose.geometry import skew, so3_exp, so3_log, transform
 from tests import reference
 from tests.capsule_person import capsule_person, random_pose
@@ -33,10 +33,10 @@ def test_kernels_are_the_reference(body, poses):
     tree, mesh = body.skeleton.tree, body.coarse.arrays
     r0, p0 = reference.forward_kinematics(poses, tree)
     v0 = reference.skin(r0, p0, tree, mesh)
-    r1, p1 = compute.forward_kinematics(poses, tree)
+    r1, p1 = forward_kinematics(poses, tree)
     np.testing.assert_allclose(r1, r0, atol=1e-12)
     np.testing.assert_allclose(p1, p0, atol=1e-12)
-    np.testing.assert_allclose(compute.skin(r1, p1, tree, mesh), v0, atol=1e-12)
+    np.testing.assert_allclose(skin(r1, p1, tree, mesh), v0, atol=1e-12)
 
 
 def test_forward_is_the_product_of_twist_exponentials(body, poses):

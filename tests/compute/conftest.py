@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from hypose import compute
 from hypose.body.body import Body
 from hypose.cameras.camera import CameraRig
+from hypose.compute.arrays import prepare_masks
 from tests import reference
 from tests.capsule_person import capsule_person
 
@@ -20,4 +20,4 @@ def prepared_masks(body, rig: CameraRig, pose, usable=None):
     v = body.skin(pose)
     masks = [reference.rasterize(v, body.coarse.faces, c.projection, c.size) for c in rig]
     there = np.ones(len(masks), bool) if usable is None else np.array(usable)
-    return compute.prepare_masks(np.stack(masks), there, rig.sizes, rig.projections)
+    return prepare_masks(np.stack(masks), there, rig.sizes, rig.projections)

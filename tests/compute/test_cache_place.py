@@ -114,7 +114,7 @@ PROGRAM = """
 import resource
 resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
 import numpy as np
-from hypose.compute import signed_distance
+from hypose.compute.mask_distance import signed_distance
 print(signed_distance(np.ones((1, 8, 8), np.uint8), np.array([[8, 8]])).shape[0])
 from hypose.compute.compiled import kernel
 print(kernel(lambda a: a + 1)(1))

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from hypose import compute
 from hypose.body.default_body import human
-from hypose.compute import SeenDepth
+from hypose.compute.depth_costs import SeenDepth, depth_energy, limb_depth_energy, limb_shown, standing_depth
 from hypose.tracking.starts import known_pose
 from tests.depth_pictures import drawn, sensors
 
@@ -40,7 +39,7 @@ def some_poses(pose, rng, count=6):
 
 
 def energy(poses, seen, **more):
-    return compute.depth_energy(poses, BODY.skeleton.tree, BODY.coarse.arrays, seen, MOST, **more)
+    return depth_energy(poses, BODY.skeleton.tree, BODY.coarse.arrays, seen, MOST, **more)
 
 
 def test_the_energy_is_what_the_renderer_says(case, rng):
@@ -67,7 +66,7 @@ def limb(*names):
 
 def limb_energy(poses, seen, moving, **more):
     given = BODY.skeleton.tree, BODY.coarse.arrays, seen, MOST
-    return compute.limb_depth_energy(poses, *given, compute.standing_depth(poses[-1], *given, moving), **more)
+    return limb_depth_energy(poses, *given, standing_depth(poses[-1], *given, moving), **more)
 
 
 def test_a_limb_that_moves_alone_costs_as_the_whole_body(case, rng):
@@ -91,9 +90,9 @@ def test_a_rough_look_ranks_limbs_as_a_close_one_does(case, rng):
 
 def shown(pose, seen, moving):
     given = BODY.skeleton.tree, BODY.coarse.arrays, seen
-    standing = compute.standing_depth(pose, *given, MOST, moving)
+    standing = standing_depth(pose, *given, MOST, moving)
     shoulder = pose[:3] + standing.centres[BODY.skeleton.joint("left_shoulder")]
-    return compute.limb_shown(*given, standing, shoulder, 0.75, 0.08)
+    return limb_shown(*given, standing, shoulder, 0.75, 0.08)
 
 
 def test_an_arm_is_shown_where_it_is_and_beside_it_where_it_is_not(case):

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from hypose import compute
+from hypose.compute.depth_points import holes_filled, middle_of_piece
 
 
 @pytest.fixture(params=[(1, 1), (3, 40), (40, 3), (61, 47)])
@@ -19,7 +19,7 @@ def test_holes_that_a_mask_closes_over_are_filled(mask):
     solid = rng.random(mask.shape) > 0.5
     narrow, wide = (cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((k, k), np.uint8)) for k in (3, 5))
     expected = mask | (np.where(solid, wide, narrow) & (depth == 0))
-    np.testing.assert_array_equal(compute.holes_filled(mask, depth, solid), expected)
+    np.testing.assert_array_equal(holes_filled(mask, depth, solid), expected)
 
 
 @pytest.mark.parametrize("count", [1, 2, 7, 100])
@@ -28,4 +28,4 @@ def test_the_middle_of_a_piece_is_the_median(count):
     labels = np.ones_like(depth, dtype=np.int32)
     labels[0, :2] = 2
     depth[0, 2] = 0  # a hole
-    assert compute.middle_of_piece(labels, 1, depth) == np.median(depth[0, 3:])
+    assert middle_of_piece(labels, 1, depth) == np.median(depth[0, 3:])

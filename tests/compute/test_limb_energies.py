@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from hypose import compute
+from hypose.compute.arrays import prepare_masks
+from hypose.compute.scorer import limb_energies, silhouette_xor
 from tests import reference
 from tests.capsule_person import random_pose, ring
 from tests.compute.conftest import prepared_masks
@@ -24,11 +25,11 @@ def scene(body, rng, views=3, joints=ARM, spread=0.4, n=150):
 
 
 def energies(body, poses, moving, prepared, **options):
-    return compute.limb_energies(poses, body.skeleton.tree, body.coarse.arrays, prepared, moving, **options)
+    return limb_energies(poses, body.skeleton.tree, body.coarse.arrays, prepared, moving, **options)
 
 
 def all_energies(body, poses, moving, prepared):
-    counts = compute.silhouette_xor(poses, body.skeleton.tree, body.coarse.arrays, prepared, moving=moving)
+    counts = silhouette_xor(poses, body.skeleton.tree, body.coarse.arrays, prepared, moving=moving)
     use = prepared.usable
     return (counts[:, use, 0] / prepared.norm[use]).sum(1)
 
@@ -49,7 +50,7 @@ def test_pixels_that_say_nothing_bound_nothing(body, rng):
     poses, moving, prepared = scene(body, rng)
     ignored = np.zeros_like(prepared.masks)
     ignored[:, :, 95:125] = 1
-    masked = compute.prepare_masks(prepared.masks, prepared.usable, prepared.sizes, prepared.projections, ignored)
+    masked = prepare_masks(prepared.masks, prepared.usable, prepared.sizes, prepared.projections, ignored)
     found, known = energies(body, poses, moving, masked), all_energies(body, poses, moving, masked)
     told = np.isfinite(found)
     np.testing.assert_array_equal(found[told], known[told])

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from hypose import compute
 from hypose.body.default_body import human
 from hypose.cameras.camera import CameraRig
 from hypose.compute import mono
+from hypose.compute.warming import warm_up
 from hypose.evidence.frame import Frame, Keypoints, Picture
 from hypose.inference.hypotheses import Hypotheses
 from hypose.tracking.monocular.picture_search import PictureSearch
@@ -17,7 +17,7 @@ from tests.monocular.pictures import camera, mask, picture, wall
 
 @pytest.mark.slow
 def test_nothing_is_compiled_again() -> None:
-    compute.warm_up("solver", "scorer", "pictures", "monocular")
+    warm_up("solver", "scorer", "pictures", "monocular")
     body = human()
     view, pose = camera(body), body.skeleton.rest_pose()
     image, shape = picture(body, pose, view, wall()), mask(body, pose, view)

@@ -6,7 +6,8 @@ import pytest
 from numpy.typing import ArrayLike
 
 from hypose.body.default_body import human
-from hypose.compute import covered, draw_parts, mask_of, parts_against_mask, projected
+from hypose.compute.mask_runs import mask_of
+from hypose.compute.parts import covered, draw_parts, parts_against_mask, projected
 
 PARTS = 5
 

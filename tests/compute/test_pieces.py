@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import label
 
-from hypose.compute import touched_area
+from hypose.compute.parts import touched_area
 
 
 def expected(picture: np.ndarray, cells: np.ndarray) -> tuple[int, int]:

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from hypose import compute
 from hypose.compute import lane_mesh, reach
+from hypose.compute.arrays import Standing, prepare_masks
+from hypose.compute.scorer import silhouette_xor
 from tests import reference
 from tests.capsule_person import random_pose, ring
 from tests.compute.conftest import prepared_masks
@@ -59,7 +60,7 @@ def test_the_rest_is_the_body_without_the_limb(body, rig, rng):
         mask = prepared.masks[c, :h, :w] > 0
         assert np.abs(fast.counts[c] - [drawn.sum(), (drawn & mask).sum()]).max() <= 2
     assert not fast.bits[1].any() and fast.counts[0, 0] > 500
-    whole = compute.silhouette_xor(pose[None], body.skeleton.tree, body.coarse.arrays, prepared)[0]
+    whole = silhouette_xor(pose[None], body.skeleton.tree, body.coarse.arrays, prepared)[0]
     assert (fast.counts[[0, 2], 0] < whole[[0, 2], 1]).all()
 
 
@@ -72,8 +73,8 @@ def test_a_drawn_rest_changes_no_score_of_silhouettes(body, rig, rng):
     rest = standing(body, poses[-1], prepared)
     before = rest.bits.copy()
     np.testing.assert_array_equal(
-        compute.silhouette_xor(*args, moving=moving(body), rest=rest),
-        compute.silhouette_xor(*args, moving=moving(body)),
+        silhouette_xor(*args, moving=moving(body), rest=rest),
+        silhouette_xor(*args, moving=moving(body)),
     )
     np.testing.assert_array_equal(rest.bits, before)
 
@@ -99,10 +100,10 @@ def test_a_point_counts_by_what_it_lies_on(body):
     rig = ring(1, f=210.0, size=(203, 230))
     mask = np.zeros((1, 230, 203), np.uint8)
     mask[0, 100:120, 80:120] = 1
-    prepared = compute.prepare_masks(mask, np.array([True]), rig.sizes, rig.projections)
+    prepared = prepare_masks(mask, np.array([True]), rig.sizes, rig.projections)
     bits = np.zeros_like(prepared.bits)
     bits[0, 100:120, 12] = 255  # columns 96 to 103
-    rest = compute.Standing(bits, np.zeros((1, 2), np.int64))
+    rest = Standing(bits, np.zeros((1, 2), np.int64))
     camera = rig.projections[0]
     pixels = {(90, 110): -2.0, (100, 110): 0.0, (50, 50): 2.0, (400, 110): 0.0}
     centre = -np.linalg.solve(camera[:, :3], camera[:, 3])

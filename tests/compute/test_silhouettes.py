@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 from scipy.ndimage import distance_transform_edt
 
-from hypose import compute
+from hypose.compute.arrays import prepare_masks
+from hypose.compute.mask_distance import signed_distance
+from hypose.compute.rows import outline_points
+from hypose.compute.scorer import silhouette_xor
 from tests import reference
 from tests.capsule_person import look_at, random_pose, ring
 
@@ -23,7 +26,7 @@ def masks_at(body, pose, rig):
 
 def both(body, poses, prepared, **options):
     tree, mesh = body.skeleton.tree, body.coarse.arrays
-    return reference.silhouette_xor(poses, tree, mesh, prepared, **options), compute.silhouette_xor(
+    return reference.silhouette_xor(poses, tree, mesh, prepared, **options), silhouette_xor(
         poses, tree, mesh, prepared, **options
     )
 
@@ -31,7 +34,7 @@ def both(body, poses, prepared, **options):
 @pytest.fixture
 def scene(body, rig, rng):
     poses = np.stack([random_pose(body, rng) for _ in range(12)])
-    prepared = compute.prepare_masks(masks_at(body, poses[0], rig), np.ones(3, bool), rig.sizes, rig.projections)
+    prepared = prepare_masks(masks_at(body, poses[0], rig), np.ones(3, bool), rig.sizes, rig.projections)
     return poses, prepared
 
 
@@ -106,7 +109,7 @@ def test_bodies_through_and_behind_the_camera_plane(body, rng, distance):
     projection = (k @ m[:3])[None]
     mask = np.zeros((1, SIZE[1], SIZE[0]), np.uint8)
     mask[0, 30:90, 20:50] = 1
-    prepared = compute.prepare_masks(mask, [True], [SIZE], projection)
+    prepared = prepare_masks(mask, [True], [SIZE], projection)
     slow, fast = both(body, pose[None], prepared)
     # cut edges come as close as 0.05 m, where float32 moves a pixel more
     assert np.abs(slow - fast).max() <= 4
@@ -118,10 +121,10 @@ def test_views_of_different_size_and_unusable_views(body, scene, rig):
     poses, prepared = scene
     masks = np.zeros((3, 140, 130), np.uint8)
     masks[:, : SIZE[1], : SIZE[0]] = prepared.masks
-    padded = compute.prepare_masks(masks, [True, False, True], rig.sizes, rig.projections)
+    padded = prepare_masks(masks, [True, False, True], rig.sizes, rig.projections)
     tree, mesh = body.skeleton.tree, body.coarse.arrays
-    whole = compute.silhouette_xor(poses, tree, mesh, prepared)
-    some = compute.silhouette_xor(poses, tree, mesh, padded)
+    whole = silhouette_xor(poses, tree, mesh, prepared)
+    some = silhouette_xor(poses, tree, mesh, padded)
     np.testing.assert_array_equal(some[:, [0, 2]], whole[:, [0, 2]])
     np.testing.assert_array_equal(some[:, 1], 0)
 
@@ -129,9 +132,9 @@ def test_views_of_different_size_and_unusable_views(body, scene, rig):
 def test_same_counts_for_any_number_of_threads(body, scene):
     poses = np.repeat(scene[0], 4, 0)
     tree, mesh = body.skeleton.tree, body.coarse.arrays
-    one = compute.silhouette_xor(poses, tree, mesh, scene[1], threads=1)
+    one = silhouette_xor(poses, tree, mesh, scene[1], threads=1)
     for threads in (2, 3, 5):
-        np.testing.assert_array_equal(compute.silhouette_xor(poses, tree, mesh, scene[1], threads=threads), one)
+        np.testing.assert_array_equal(silhouette_xor(poses, tree, mesh, scene[1], threads=threads), one)
 
 
 def test_signed_distance_and_outline_of_a_disc():
@@ -140,13 +143,13 @@ def test_signed_distance_and_outline_of_a_disc():
     mask = (radius < 25).astype(np.uint8)
     padded = np.zeros((1, 100, 130), np.uint8)
     padded[0, :90, :120] = mask
-    sdf = compute.signed_distance(padded, [(120, 90)])
+    sdf = signed_distance(padded, [(120, 90)])
     exact = np.where(mask, 0.5 - distance_transform_edt(mask), distance_transform_edt(1 - mask) - 0.5)
     near = np.abs(exact) < 30
     assert np.abs(sdf[0, :90, :120] - exact)[near].max() < 0.7  # chamfer distance: 2 %
     assert (np.sign(sdf[0, :90, :120]) == np.where(mask, -1, 1)).all()
     assert not sdf[0, 90:].any() and not sdf[0, :, 120:].any()
-    points, n = compute.outline_points(sdf[0], (120, 90), 64)
+    points, n = outline_points(sdf[0], (120, 90), 64)
     assert n >= 64
     r = np.hypot(points[:, 0] - 60, points[:, 1] - 44)
     assert np.abs(r - 24.9).max() < 0.8
@@ -156,8 +159,8 @@ def test_signed_distance_and_outline_of_a_disc():
 def test_outlines_cut_by_the_image_border_are_left_out():
     mask = np.zeros((1, 60, 80), np.uint8)
     mask[0, 20:40, :50] = 1
-    sdf = compute.signed_distance(mask, [(80, 60)])
-    points, n = compute.outline_points(sdf[0], (80, 60), 500)
+    sdf = signed_distance(mask, [(80, 60)])
+    points, n = outline_points(sdf[0], (80, 60), 500)
     assert 0 < n < 500
     assert points[:, 0].min() >= 2.5
     np.testing.assert_array_equal(points[n : 2 * n], points[: len(points[n : 2 * n])])
@@ -166,7 +169,7 @@ def test_outlines_cut_by_the_image_border_are_left_out():
 def test_distance_of_empty_and_full_masks_is_finite():
     masks = np.zeros((2, 40, 50), np.uint8)
     masks[1] = 1
-    sdf = compute.signed_distance(masks, [(50, 40)] * 2)
+    sdf = signed_distance(masks, [(50, 40)] * 2)
     assert np.isfinite(sdf).all() and (sdf[0] > 50).all() and (sdf[1] < -50).all()
-    points, n = compute.outline_points(sdf[0], (50, 40), 8)
+    points, n = outline_points(sdf[0], (50, 40), 8)
     assert n == 0 and (points < -1e5).all()

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from scipy.stats import spearmanr
 
-from hypose import compute
 from hypose.body.default_body import human
 from hypose.compute import lane_mesh
+from hypose.compute.arrays import MeshArrays, prepare_masks
+from hypose.compute.scorer import silhouette_xor
 from hypose.errors import InputError
 from tests import reference
 from tests.capsule_person import random_pose, ring
@@ -33,7 +34,7 @@ def upper_faces(body):
 
 
 def score(body, poses, prepared, mesh=None, **options):
-    return compute.silhouette_xor(poses, body.skeleton.tree, mesh or body.coarse.arrays, prepared, **options)
+    return silhouette_xor(poses, body.skeleton.tree, mesh or body.coarse.arrays, prepared, **options)
 
 
 def defined(body, poses, prepared, mesh=None, **options):
@@ -119,7 +120,7 @@ def copies(body, n, spread):
     """n copies of the coarse mesh in one, scaled by 1 to 1 + spread."""
     m = body.coarse.arrays
     shift = np.repeat(np.arange(n), 1)[:, None, None]
-    return compute.MeshArrays(
+    return MeshArrays(
         np.concatenate([m.vertices * np.float32(1 + spread * k / n) for k in range(n)]),
         (m.faces + len(m.vertices) * shift).reshape(-1, 3).astype(np.int32),
         (m.edges + np.array([len(m.vertices)] * 2 + [len(m.faces)] * 2) * shift).reshape(-1, 4).astype(np.int32),
@@ -133,7 +134,7 @@ def test_lists_that_are_full_are_drawn_again(body, rng):
     """A narrow image and 12 bodies: more crossings than the lists hold."""
     rig = ring(1, f=300.0, size=(16, 400))
     pose = random_pose(body, rng)
-    prepared = compute.prepare_masks(np.ones((1, 400, 16), np.uint8), [True], rig.sizes, rig.projections)
+    prepared = prepare_masks(np.ones((1, 400, 16), np.uint8), [True], rig.sizes, rig.projections)
     many = score(body, pose[None], prepared, copies(body, 12, 0.0))
     one = score(body, pose[None], prepared)
     assert one[0, 0, 1] > 1000
@@ -159,7 +160,7 @@ def test_the_coarse_mesh_ranks_poses_as_the_fine_one():
     pose[2] = 0.95
     v = body.skin(pose, body.fine)
     masks = np.stack([reference.rasterize(v, body.fine.faces, c.projection, c.size) for c in rig])
-    prepared = compute.prepare_masks(masks, np.ones(4, bool), rig.sizes, rig.projections)
+    prepared = prepare_masks(masks, np.ones(4, bool), rig.sizes, rig.projections)
     sd = np.where(np.arange(body.skeleton.dof) < 3, 0.01, np.deg2rad(2))
     poses = body.skeleton.clamp(pose + rng.standard_normal((300, body.skeleton.dof)) * sd)
     energies = [score(body, poses, prepared, m.arrays)[..., 0].sum(1) for m in (body.coarse, body.fine)]

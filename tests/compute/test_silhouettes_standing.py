@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hypose import compute
+from hypose.compute.scorer import silhouette_xor
 from tests import reference
 from tests.capsule_person import random_pose, ring
 from tests.compute.conftest import prepared_masks
@@ -26,7 +26,7 @@ def limb_poses(body, rng, joints, n=37):
 
 
 def score(body, poses, prepared, **options):
-    return compute.silhouette_xor(poses, body.skeleton.tree, body.coarse.arrays, prepared, **options)
+    return silhouette_xor(poses, body.skeleton.tree, body.coarse.arrays, prepared, **options)
 
 
 def defined(body, poses, prepared, moving, boxes=None):

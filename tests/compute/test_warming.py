@@ -6,8 +6,8 @@ import sys
 
 import pytest
 
-from hypose import compute
 from hypose.compute import compiled, warming
+from hypose.compute.warming import TRACKING_KERNELS, kept, warm_up
 
 
 @pytest.fixture
@@ -32,32 +32,32 @@ def parts(tmp_path, monkeypatch):
 
 def test_what_is_there_is_not_done_again_and_nothing_twice(parts):
     here, others = parts
-    compute.warm_up("solver", load=False)  # nothing to share out
+    warm_up("solver", load=False)  # nothing to share out
     assert (here, others) == (["solver"], [])
-    compute.warm_up("solver", "scorer", "outlines", load=False)
+    warm_up("solver", "scorer", "outlines", load=False)
     assert (here, sorted(others)) == (["solver"], ["outlines", "scorer"])
-    compute.warm_up("scorer")
-    assert here == ["solver", "scorer"] and compute.kept("solver", "scorer")
+    warm_up("scorer")
+    assert here == ["solver", "scorer"] and kept("solver", "scorer")
 
 
 def test_what_another_process_could_not_do_is_done_here(parts):
     here, others = parts
-    compute.warm_up(load=False)
-    assert here == ["shape"] and sorted(others) == sorted(compute.TRACKING_KERNELS)
+    warm_up(load=False)
+    assert here == ["shape"] and sorted(others) == sorted(TRACKING_KERNELS)
 
 
 @pytest.mark.parametrize("change", [(compiled, "cache_folder", lambda: None), (sys, "executable", "/opt/bin/studio")])
 def test_where_nothing_can_be_kept_or_python_is_embedded_only_this_process_compiles(parts, monkeypatch, change):
     here, others = parts
     monkeypatch.setattr(*change)
-    compute.warm_up("solver", "scorer", load=False)
-    assert (here, others) == (["solver", "scorer"], []) and compute.kept("solver") == (change[0] is sys)
+    warm_up("solver", "scorer", load=False)
+    assert (here, others) == (["solver", "scorer"], []) and kept("solver") == (change[0] is sys)
 
 
 def test_what_could_not_be_kept_is_not_said_to_be_there(parts, monkeypatch):
     monkeypatch.setitem(warming.KERNEL_GROUPS, "solver", (lambda: warming.failures.append(OSError()),))
-    compute.warm_up("solver", load=False)
-    assert not compute.kept("solver")
+    warm_up("solver", load=False)
+    assert not kept("solver")
 
 
 @pytest.mark.skipif(not hasattr(os, "getuid"), reason="rights as on POSIX")

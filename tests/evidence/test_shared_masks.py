@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hypose import compute
 from hypose.body.default_body import human
 from hypose.compute import reach
+from hypose.compute.arrays import NOT_KNOWN
+from hypose.compute.scorer import silhouette_xor
 from hypose.evidence.frame import Expected
 from hypose.evidence.hull import visual_hull
 from hypose.evidence.outlines import WORKING_HEIGHT
@@ -52,7 +53,7 @@ def test_the_scorer_counts_nothing_where_pixels_are_ignored(body, pair):
     prepared = prepared_masks(own)
     tried = np.stack([poses[0], poses[0] + 0.03, poses[1]])
     arm = np.array([name.startswith("left_") for name in body.skeleton.joint_names])
-    found = compute.silhouette_xor(tried, body.skeleton.tree, body.coarse.arrays, prepared)
+    found = silhouette_xor(tried, body.skeleton.tree, body.coarse.arrays, prepared)
     defined = reference.silhouette_xor(tried, body.skeleton.tree, body.coarse.arrays, prepared)
     assert np.abs(found - defined).max() <= 2
     for c, (w, h) in enumerate(own.rig.sizes.tolist()):
@@ -66,8 +67,8 @@ def test_the_scorer_counts_nothing_where_pixels_are_ignored(body, pair):
     # the same when one limb is searched and the rest stands
     turned = np.repeat(poses[:1], 3, 0)
     turned[:2, body.skeleton.dofs_of("left_shoulder")[0]] += (0.4, 0.9)
-    by_limb = compute.silhouette_xor(turned, body.skeleton.tree, body.coarse.arrays, prepared, moving=arm)
-    whole = compute.silhouette_xor(turned, body.skeleton.tree, body.coarse.arrays, prepared)
+    by_limb = silhouette_xor(turned, body.skeleton.tree, body.coarse.arrays, prepared, moving=arm)
+    whole = silhouette_xor(turned, body.skeleton.tree, body.coarse.arrays, prepared)
     assert np.abs(by_limb - whole).max() <= 2
 
 
@@ -94,7 +95,7 @@ def test_distances_that_depend_on_ignored_pixels_are_not_known(pair):
     assert own.ignored is not None
     made = outlines(own, working_height=WORKING_HEIGHT)
     for c in np.flatnonzero(own.ignored.any((1, 2))):
-        assert (made.distance[c] >= compute.NOT_KNOWN).any()
+        assert (made.distance[c] >= NOT_KNOWN).any()
         kept = made.points[c][made.points[c][:, 0] > -1e5]
         assert 8 <= len(kept) < len(made.points[c])
         at = np.rint(kept * made.shrunk[c]).astype(int)

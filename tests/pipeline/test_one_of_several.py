@@ -6,7 +6,8 @@ import pytest
 from hypose.calibration.findings import Finding
 from hypose.pipeline import one_of_several
 from hypose.pipeline.one_of_several import track_one_of
-from hypose.pipeline.run import TrackOptions, TrackResult
+from hypose.pipeline.run import TrackResult
+from hypose.pipeline.track_options import TrackOptions
 from hypose.pipeline.tracked_people import Followed, PeopleResult, TrackedPerson, Wanted, makes_room
 
 ANNA, BERT = Wanted("Anna", place=(1.0, 2.5), time=0.5), Wanted("Bert")

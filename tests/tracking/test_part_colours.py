@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hypose import compute
+from hypose.compute.part_colours import shown_parts
 from hypose.evidence.colours import COLOURS
 from hypose.evidence.frame import Colours, Frame
 from hypose.evidence.silhouettes import make_silhouettes
@@ -46,7 +46,7 @@ def painted(body):
     def paint(pose, index=0, clothes=CLOTHES):
         part, v = part_of_face(body), body.skin(pose)
         shown = [
-            compute.shown_parts(v, body.coarse.faces, part, p, camera.size[::-1])[0]
+            shown_parts(v, body.coarse.faces, part, p, camera.size[::-1])[0]
             for camera, p in zip(cameras, cameras.projections, strict=True)
         ]
         codes = np.array([0, *clothes], np.uint16)[np.stack(shown)]
@@ -129,7 +129,7 @@ def with_edges(frame, body, pose):
     arm, v = part_labels(body), body.skin(pose)
     edges = np.zeros((len(frame.colours.codes), 2, *frame.colours.codes.shape[1:]), np.uint8)
     for c, p in enumerate(frame.silhouettes.rig.projections):
-        shown, _ = compute.shown_parts(v, body.coarse.faces, arm, p, edges.shape[2:])
+        shown, _ = shown_parts(v, body.coarse.faces, arm, p, edges.shape[2:])
         edges[c, 0, :, :-1] = 200 * ((shown[:, 1:] != shown[:, :-1]) & (shown[:, 1:] * shown[:, :-1] > 0))
         edges[c, 1, :-1] = 200 * ((shown[1:] != shown[:-1]) & (shown[1:] * shown[:-1] > 0))
     return replace(frame, colours=replace(frame.colours, edges=edges))

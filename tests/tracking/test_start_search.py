@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hypose.cameras.camera import CameraRig
-from hypose.compute import covered
+from hypose.compute.parts import covered
 from hypose.errors import EvidenceError
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.geometry import so3_exp, so3_log

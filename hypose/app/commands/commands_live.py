@@ -40,8 +40,8 @@ def live(c: LiveCommand) -> None:
         from hypose.pipeline.live.live_rig import live_rig
         from hypose.pipeline.live.live_search import LivePersonOptions
         from hypose.pipeline.live.recorder import LiveRecorder
-        from hypose.pipeline.options import TrackOptions
         from hypose.pipeline.subject_from_motion import load_subject
+        from hypose.pipeline.track_options import TrackOptions
     if ended.is_set():
         raise Exit(130)
 

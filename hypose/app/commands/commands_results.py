@@ -15,7 +15,7 @@ from hypose.app.commands.commands_track import stopping
 from hypose.app.commands.console import Stages, print_note, print_notes, say
 from hypose.app.options import CompareCommand
 from hypose.errors import HyposeError, InputError
-from hypose.options import Option, Threads
+from hypose.options import MOST_FRAMES, Option, Threads
 
 if TYPE_CHECKING:
     from pythonosc.osc_message import OscMessage
@@ -76,6 +76,18 @@ def report(
         progress("report", 1, 1)
     print_notes(shown.notes)
     say(f"Report: {written}")
+
+
+def explain(
+    results: Annotated[Path, Option("Results folder of hypose track, or its motion.npz.", argument=True)],
+    joint: Annotated[str, Option("Name of the joint, for example left_wrist.")],
+    frame: Annotated[int, Option("Number of the frame in the recording.", 0, MOST_FRAMES)],
+) -> None:
+    """Say where a joint of a frame comes from: its evidence, the passes that moved it, where else it may be."""
+    from hypose.app.jobs.explain import explain_joint
+
+    for line in explain_joint(results, joint, frame):
+        say(line)
 
 
 def gait(

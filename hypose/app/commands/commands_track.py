@@ -190,28 +190,27 @@ def correct(
 def warm_up_command(threads: Threads = None) -> None:
     """Compile what tracking, fusing and live need, so that the first run of each begins at once; once per machine, and
     again after an update. Ends with a third of a second of a made-up person tracked, report and all."""
-    from hypose import compute
     from hypose.app.jobs.job import job_of, run_job
+    from hypose.compute.compiled import VARIABLE, cache_folder
+    from hypose.compute.warming import TRACKING_KERNELS, kept, warm_up
     from hypose.fusion.live import LiveFuser
     from hypose.synthetic.scenes import make_scene
     from hypose.synthetic.write_recording import write_scene
 
-    folder, parts = compute.cache_folder(), (*compute.TRACKING_KERNELS, "monocular", "depth")
+    folder, parts = cache_folder(), (*TRACKING_KERNELS, "monocular", "depth")
     if folder is None:
-        raise InputError(f"There is no place for what is compiled; name a folder with {compute.VARIABLE}.")
-    before = compute.kept(*parts)
+        raise InputError(f"There is no place for what is compiled; name a folder with {VARIABLE}.")
+    before = kept(*parts)
     with tempfile.TemporaryDirectory(prefix="hypose-warm-up-") as temporary, Stages() as progress:
-        progress("compile", 0, 1)
-        compute.warm_up(*parts, load=False)
+        warm_up(*parts, load=False, progress=lambda done, total: progress("compile", done, total))
         LiveFuser()
-        progress("compile", 1, 1)
         scene, place = make_scene("walk", rig="humaneva-4", seconds=0.32, seed=1), Path(temporary)
         write_scene(scene, place, progress=lambda done, total: progress("render", done, total))
         run_job(job_of(TrackCommand(recording=place)), progress)
-    if not compute.kept(*parts):
+    if not kept(*parts):
         raise InputError(
             f"What was compiled could not all be kept in {folder}; make space there, see that it can be written, or "
-            f"name another folder with {compute.VARIABLE}, and run this again."
+            f"name another folder with {VARIABLE}, and run this again."
         )
     say("All of it had been compiled." if before else f"Compiled; kept in {folder}")
 

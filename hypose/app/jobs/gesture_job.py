@@ -21,7 +21,7 @@ import numpy as np
 from hypose.app.live.gesture_sources import GestureSource, Taken
 from hypose.app.live.osc import OscTarget, osc_message
 from hypose.app.live.servers import SocketListeners
-from hypose.compute import ScanPlan
+from hypose.compute.forest_votes import ScanPlan
 from hypose.errors import EvidenceError, InputError
 from hypose.gestures.depth_pictures import surface_depth
 from hypose.gestures.events import Event, EventSettings, EventState, average_precision, detect_events

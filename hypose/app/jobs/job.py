@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hypose import compute
 from hypose.app.commands.console import ProgressCall, ignore
 from hypose.app.options import TrackCommand
 from hypose.app.reports.summary import DESCRIPTIONS
 from hypose.body.body import Body
 from hypose.body.motion import Motion
+from hypose.compute.warming import warm_up
 from hypose.errors import InputError
 from hypose.io.files import check_writable, read_json
 from hypose.io.motions.export import export_motion, known_formats
@@ -37,10 +37,11 @@ from hypose.io.sensors.skeleton_streams import SkeletonRecording
 from hypose.pipeline.assessment import Assessment
 from hypose.pipeline.first_frame import SubjectOptions
 from hypose.pipeline.one_camera import POINT_STARTS, clicks_of, depth_note, one_view
-from hypose.pipeline.options import TrackOptions
-from hypose.pipeline.run import MODES, TrackResult, check_views, frames_wanted
+from hypose.pipeline.passes import MODES
+from hypose.pipeline.run import TrackResult
 from hypose.pipeline.subject_from_motion import load_subject, subject_file
 from hypose.pipeline.track import track_person
+from hypose.pipeline.track_options import TrackOptions, check_views, frames_wanted
 from hypose.tracking.recipes import citation_of
 
 if TYPE_CHECKING:
@@ -177,7 +178,7 @@ def run_job(job: TrackJob, progress: ProgressCall = ignore, seconds: Mapping[str
 
 def compile_before(progress: ProgressCall, *parts: str) -> None:
     """What a run needs of compute, compiled before it begins; parts: all that following people needs, when none."""
-    compute.warm_up(*parts, load=False, progress=lambda done, total: progress("compile", done, total))
+    warm_up(*parts, load=False, progress=lambda done, total: progress("compile", done, total))
 
 
 def _kernels(recording: Recording, options: TrackOptions) -> tuple[str, ...]:

@@ -35,7 +35,7 @@ from hypose.pipeline.assessment import UNTRUSTED, Assessment
 from hypose.pipeline.frame_anomalies import in_words
 from hypose.pipeline.one_of_several import chosen_people, keypoint_people, people_frames, wanted_of
 from hypose.pipeline.people_run import PeopleRun
-from hypose.pipeline.run import check_views
+from hypose.pipeline.track_options import check_views
 from hypose.pipeline.tracked_people import TrackedPerson, Wanted, said_of_places
 from hypose.tracking.contacts import runs
 from hypose.tracking.recipes import citation_of

@@ -44,13 +44,13 @@ from hypose.io.recordings.recording_people import candidates_of
 from hypose.pipeline.detect_keypoints import detect_keypoints
 from hypose.pipeline.mesh_subject import subject_from_mesh
 from hypose.pipeline.recording_diagnostics import window
-from hypose.pipeline.run import check_views
 from hypose.pipeline.subject_from_motion import (
     AnthropometryOptions,
     SubjectEstimate,
     estimate_subject,
     save_subject,
 )
+from hypose.pipeline.track_options import check_views
 from hypose.tracking.starts import KNOWN_POSES
 
 _MOST_SECONDS = 60

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hypose.compute import DepthImage
+from hypose.compute.forests import DepthImage
 from hypose.errors import InputError
 from hypose.gestures.depth_pictures import KINECT, DepthLens, millimetres
 

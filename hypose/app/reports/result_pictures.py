@@ -14,9 +14,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose import compute
 from hypose.body.body import Body, Mesh
 from hypose.cameras.camera import Camera
+from hypose.compute.parts import covered, projected
 from hypose.errors import InputError, visible
 from hypose.evidence.frame import Silhouettes
 from hypose.geometry import Array, Image
@@ -161,7 +161,7 @@ def draw_mask(image: Image, outlines: Sequence[NDArray[np.int32]]) -> None:
 def draw_body(image: Image, camera: Camera, vertices: Array, mesh: Mesh, colour: tuple[int, int, int] = BODY) -> None:
     """The silhouette of a mesh with vertices (V, 3) m, world, as a tint with a bright edge; the camera's pixels are
     those of the image."""
-    directions, depth, _ = compute.projected(vertices, camera.camera_from_world[:3])
+    directions, depth, _ = projected(vertices, camera.camera_from_world[:3])
     uv = camera.through_lens(directions)
     across, down = np.ascontiguousarray(uv.T)
     reach = np.array([[across.min(), down.min()], [across.max(), down.max()]])
@@ -170,7 +170,7 @@ def draw_body(image: Image, camera: Camera, vertices: Array, mesh: Mesh, colour:
     (x, y), (right, bottom) = np.clip(np.floor(reach) + [[0], [2]], 0, camera.size).astype(int).tolist()
     if x == right or y == bottom:
         return
-    shape = compute.covered(uv - [x, y], depth, mesh.faces, (bottom - y, right - x), closed=True)
+    shape = covered(uv - [x, y], depth, mesh.faces, (bottom - y, right - x), closed=True)
     window = image[y:bottom, x:right]
     plain = cv2.repeat(np.array([[colour]], np.uint8), bottom - y, right - x)
     # sums of twentieths, rounded down; looking them up (cv2.LUT) takes three times as long

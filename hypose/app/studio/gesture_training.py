@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from hypose.app.jobs.gesture_job import growing_model, loaded_forests, new_learner, thresholds
 from hypose.app.live.gesture_sources import Taken
 from hypose.app.studio.gesture_start import STUDIO_PHASES, Controls, GestureFeed, SessionRequest
-from hypose.compute import DepthImage
+from hypose.compute.forests import DepthImage
 from hypose.gestures.depth_pictures import DepthLens, surface_depth
 from hypose.gestures.events import (
     RADIUS_M,

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.app.studio.catalog import Catalog
-from hypose.compute import DepthImage
+from hypose.compute.forests import DepthImage
 from hypose.errors import HyposeError
 from hypose.gestures.depth_pictures import surface_depth
 from hypose.io.files import read_bytes, read_json

@@ -22,8 +22,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose import compute
 from hypose.cameras.camera import CameraRig
+from hypose.compute.warming import warm_up
 from hypose.errors import HyposeError, InputError
 from hypose.evidence.background import BackgroundModel
 from hypose.evidence.depth_background import DepthBackground
@@ -407,7 +407,7 @@ class CaptureProcess:
 
 def _see(pipe: Connection, rig: CameraRig, views: tuple[LiveView, ...], options: CaptureOptions) -> None:
     belong_to_parent()
-    compute.warm_up("outlines", "pictures")  # the first pictures are not late
+    warm_up("outlines", "pictures")  # the first pictures are not late
     try:
         eyes = Capture(rig, views, options)
     except HyposeError as error:

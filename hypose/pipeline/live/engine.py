@@ -14,8 +14,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose import compute
 from hypose.cameras.camera import CameraRig
+from hypose.compute.warming import TRACKING_KERNELS, warm_up
 from hypose.errors import InputError
 from hypose.evidence.frame import Frame
 from hypose.evidence.prefetch import make_ahead
@@ -148,9 +148,9 @@ class LiveEngine:
 
     def start(self) -> None:
         """Open the cameras and begin; an InputError when one cannot be opened."""
-        parts = (*compute.TRACKING_KERNELS, *(("depth",) if any_depth(self.views) else ()))
-        compute.warm_up(*parts, load=False)  # the other process finds the compiled kernels
-        warm = self._executor.submit(compute.warm_up, *parts)
+        parts = (*TRACKING_KERNELS, *(("depth",) if any_depth(self.views) else ()))
+        warm_up(*parts, load=False)  # the other process finds the compiled kernels
+        warm = self._executor.submit(warm_up, *parts)
         self._eyes = CaptureProcess(self.rig, self.views, self.options.eyes, self._stop)
         if self._stop.is_set():
             self._eyes.close()

@@ -6,8 +6,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose import compute
-from hypose.compute import GAUSSIAN, LECLERC, LORENTZIAN, EdgeArrays, FlowArrays, MarkArrays, MaskArrays
+from hypose.compute.mask_distance import signed_distance
+from hypose.compute.mono_terms import GAUSSIAN, LECLERC, LORENTZIAN, EdgeArrays, FlowArrays, MarkArrays, MaskArrays
+from hypose.compute.rows import outline_points
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.edges_flow import Flow
 from hypose.evidence.frame import Frame, Picture
@@ -105,8 +106,8 @@ def mask_arrays(mask: NDArray[np.uint8] | None, settings: CueSettings, sample_px
         return MaskArrays(empty, np.zeros((0, 2), np.float32), 0.0, 0.0, form, sigma, sample_px)
     h, w = mask.shape
     binary = (mask != 0).astype(np.uint8)
-    distance = compute.signed_distance(binary[None], np.array([[w, h]]))[0]
-    outline, found = compute.outline_points(distance, (w, h), OUTLINE)
+    distance = signed_distance(binary[None], np.array([[w, h]]))[0]
+    outline, found = outline_points(distance, (w, h), OUTLINE)
     return MaskArrays(
         np.ascontiguousarray(distance),
         outline if found else outline[:0],

@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 from hypose.body.body import Body
 from hypose.body.motion import Modes
 from hypose.cameras.camera import Camera
-from hypose.compute import MonoProblem, MonoWorkspace, default_threads, mono, over_chunks
+from hypose.compute import mono
+from hypose.compute.mono_terms import MonoProblem, MonoWorkspace
+from hypose.compute.threads import default_threads, over_chunks
 from hypose.errors import InputError
 from hypose.evidence.edges_flow import Flow, optical_flow
 from hypose.evidence.frame import Frame, Picture

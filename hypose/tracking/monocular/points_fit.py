@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 
 from hypose.body.body import Body
 from hypose.cameras.camera import Camera
-from hypose.compute import FloorArrays, bounded_step, lorentzian
+from hypose.compute.losses import lorentzian
+from hypose.compute.mono_terms import FloorArrays
+from hypose.compute.solver import bounded_step
 from hypose.fitting.problem import Problem, Rule
 from hypose.geometry import Array
 from hypose.tracking.monocular.points import MonoPoints

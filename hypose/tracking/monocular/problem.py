@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from hypose.body.body import BONE_END, Body, Mesh
 from hypose.body.skeleton import Skeleton
 from hypose.cameras.camera import Camera
-from hypose.compute import FloorArrays, MonoModel, MonoPriors, MonoProblem, SphereArrays, mono
+from hypose.compute import mono
+from hypose.compute.mono_terms import FloorArrays, MonoModel, MonoPriors, MonoProblem, SphereArrays
 from hypose.errors import InputError
 from hypose.evidence.edges_flow import Flow, edge_field
 from hypose.evidence.frame import Picture

@@ -1,4 +1,4 @@
-"""What a user chooses when a recording is tracked."""
+"""Options of a run: what a user chooses, and what a recording must have for it."""
 
 from __future__ import annotations
 
@@ -6,9 +6,11 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Annotated, Any
 
+from hypose.errors import InputError
 from hypose.options import HEIGHT, RESEARCH, Option, Seed, declared
 
 if TYPE_CHECKING:  # what chooses imports nothing that computes
+    from hypose.io.recordings.frames import FrameSettings
     from hypose.io.recordings.recording import Recording
     from hypose.tracking.recipes import Preset
 
@@ -128,3 +130,34 @@ class CompareOptions:
     ] = None
     align: Annotated[bool, Option("Both have the same world: do not move the other onto the result.")] = True
     all_frames: Annotated[bool, Option("Also frames in which the person was lost or only predicted.")] = False
+
+
+def frames_wanted(recording: Recording, options: TrackOptions) -> FrameSettings | None:
+    """How the frames of a recording are read for a run, None: as is usual; an InputError when a recipe that looks at
+    the picture of one camera cannot have what it is to look at."""
+    from hypose.io.recordings.frames import FrameSettings
+    from hypose.pipeline.one_camera import picture_options
+
+    if options.of_picture:
+        return picture_options(recording, options.start, options.looks_at)
+    if options.looks_at == "keypoints":  # they need no image, so nothing is decoded
+        return FrameSettings(silhouettes=None)
+    if options.looks_at == "silhouettes" and "colours" in options.preset.likes and options.own.get("colours"):
+        return FrameSettings(silhouettes=recording.silhouettes, colours=True)
+    return None
+
+
+def check_views(recording: Recording, of_picture: bool = False) -> None:
+    """An InputError when nothing can be done with that number of cameras: two or more, or the picture of one."""
+    from hypose.pipeline.one_camera import one_view
+
+    if of_picture:
+        view = one_view(recording, None).views[0]
+        if view.depth is not None:
+            raise InputError(f"{view.name} is a depth camera, and this recipe looks at pictures; leave --recipe out.")
+    elif len(recording.views) == 1 and recording.views[0].depth is None:
+        name = recording.views[0].name
+        raise InputError(
+            f"{recording.name} has one camera, {name}, and this needs two or more; track one with --recipe monocular "
+            f"--camera {name}, or add the others as [[view]] in recording.toml."
+        )
