@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from hypose.geometry import Array
     from hypose.io.recordings.recording import Recording
     from hypose.io.recordings.recording_people import RecordedPerson
+    from hypose.io.recordings.recording_views import ViewSettings
     from hypose.pipeline.recording_diagnostics import Refinement
 
 _REFINE = "Refine"
@@ -224,8 +226,15 @@ def sync(
     by: Annotated[str, typer.Option(help="motion, sound or flash.")] = "motion",
     offsets: Annotated[str | None, typer.Option(help="Known offsets in frames instead, one per view: 0,-2.5,1")] = None,
     largest: Annotated[
-        float, number("Largest offset that is looked for, in seconds.", 0, 600, above=True, unit="seconds")
-    ] = 0.5,
+        float | None,
+        number(
+            "Largest offset that is looked for, in seconds. [default: as many as needed]",
+            0,
+            600,
+            above=True,
+            unit="seconds",
+        ),
+    ] = None,  # fmt: skip
     frames: Annotated[int, number("Consecutive frames that motion is taken from.", 24, 100_000)] = 250,
     to: Annotated[
         Path | None, typer.Option("--out", help="New folder for masks, depth maps and key points that are in step.")
@@ -248,9 +257,9 @@ def sync(
         if offsets is not None:
             late, words = _given(offsets, loaded), ["as given"] * len(loaded.views)
         elif by == "motion":
-            late, words = _by_motion(loaded, largest * loaded.frame_rate, frames, progress)
+            late, words = _by_motion(loaded, largest, frames, progress)
         elif by == "sound":
-            late, words = _by_sound(loaded, largest)
+            late, words = _by_sound(loaded, largest or _LARGEST_S[-1])
         else:
             late, words = _by_light(loaded, progress)
     for view, x, word in zip(loaded.views, late, words, strict=True):
@@ -264,21 +273,26 @@ def sync(
     say(f"Evidence in step: {path}", "green")
 
 
-def keep_offsets(recording: Recording, by: str, late: list[float], words: list[str]) -> None:
-    """results/sync.json, for the studio; where it cannot be written, the printed text has to do."""
+def keep_offsets(
+    recording: Recording, by: str, late: list[float], words: list[str], folder: Path | None = None
+) -> None:
+    """results/sync.json, for the studio, in the recording's folder or another; where it cannot be written, the printed
+    text has to do."""
     import contextlib
 
     from hypose.io.files import write_text
 
     views = [{"name": v.name, "late": x, "told": w} for v, x, w in zip(recording.views, late, words, strict=True)]
     with contextlib.suppress(OSError, InputError):
-        write_text(recording.folder / "results" / "sync.json", json.dumps({"by": by, "views": views}) + "\n")
+        write_text(
+            (folder or recording.folder) / "results" / "sync.json", json.dumps({"by": by, "views": views}) + "\n"
+        )
 
 
 def _unfinished(folder: Path) -> bool:
     """True for an empty folder, and for one that this command has begun and not finished."""
     return folder.is_dir() and all(
-        p.name in ("masks", "depth", "keypoints") or p.name[0] == "." for p in folder.iterdir()
+        p.name in ("masks", "depth", "keypoints", "videos", "results") or p.name[0] == "." for p in folder.iterdir()
     )
 
 
@@ -300,15 +314,36 @@ def _given(text: str, recording: Recording) -> list[float]:
     return out
 
 
+_LARGEST_S = (0.5, 2.0, 10.0)
+"""Offsets that are looked for one after the other, seconds, where the user names none."""
+
+
 def _by_motion(
-    recording: Recording, largest: float, frames: int, progress: ProgressCall
+    recording: Recording, largest_s: float | None, frames: int, progress: ProgressCall
 ) -> tuple[list[float], list[str]]:
+    import contextlib
+
+    rate = recording.frame_rate
+    within = [largest_s] if largest_s else [s for s in _LARGEST_S if 3 * s * rate <= len(recording.frames)]
+    *nearer, last = within or _LARGEST_S[:1]
+    for seconds in nearer:
+        with contextlib.suppress(EvidenceError):
+            late, words, sure = _by_motion_within(recording, seconds * rate, frames, progress)
+            if sure:
+                return late, words
+    return _by_motion_within(recording, last * rate, frames, progress)[:2]
+
+
+def _by_motion_within(
+    recording: Recording, largest: float, frames: int, progress: ProgressCall
+) -> tuple[list[float], list[str], bool]:
+    """How late each view is, frames, within `largest` frames, what is said of it, and whether all lie well within."""
     from hypose.calibration.diagnose_points import undistorted
     from hypose.calibration.sync_motion import at_the_end, offsets_within
     from hypose.calibration.synchronisation import offsets_from_motion
     from hypose.pipeline.recording_diagnostics import observe_recording
 
-    seen = observe_recording(recording, frames, progress)
+    seen = observe_recording(recording, max(frames, math.ceil(4 * largest)), progress)
     points = None if seen.keypoints is None else undistorted(seen.rig, seen.keypoints)
     found = offsets_from_motion(seen.rig.pinhole(), points, seen.silhouettes, largest=largest)
     if found.gain < 0:
@@ -325,10 +360,11 @@ def _by_motion(
     ]
     total = points[0].shape[1] if points is not None else len(seen.silhouettes or ())
     reach = offsets_within(largest, total)
-    if at_the_end(found, reach):
+    ended = at_the_end(found, reach)
+    if ended:
         what = "a larger --largest" if reach >= largest - 0.5 else "more frames, and a larger --largest"
         words[0] += f"; views are {reach:.1f} frames apart or more: give {what}"
-    return [float(x) for x in found.frames], words
+    return [float(x) for x in found.frames], words, all(reported) and not ended
 
 
 def _by_sound(recording: Recording, largest: float) -> tuple[list[float], list[str]]:
@@ -401,28 +437,41 @@ def _write(recording: Recording, late: list[float], folder: Path, progress: Prog
             maps = _depth_in_step(view.depth, recording.frames, late[c], folder_for(folder / "depth", view.name))
             views.append(replace(view, depth=maps, keypoints=keypoints))
             continue
-        views.append(
-            replace(
-                view,
-                video=None,
-                images=None,
-                background=None,
-                masks=masks[c],
-                keypoints=keypoints,
-                image_shift=(0.0, 0.0),
-                accept_scaled=False,
-            )
-        )
+        video = None if view.source is None else _video_in_step(view, recording, late[c], folder / "videos")
+        views.append(replace(view, video=video, images=None, background=None, masks=masks[c], keypoints=keypoints))
+    first, stop = math.ceil(max(0.0, -min(late))), len(recording.frames) - math.ceil(max(0.0, *late))
     made = replace(
         recording,
         views=tuple(views),
-        frame_range=None,
+        frame_range=(first, stop) if (first, stop) != (0, len(recording.frames)) else None,
         n_frames=len(recording.frames),
         keypoint_lag=0,
         keypoint_pixels="calibration",
         name=f"{recording.name} in step",
     )
+    keep_offsets(made, "given", [0.0] * len(views), ["in step"] * len(views), folder)
     return write_recording(made, folder)
+
+
+def _video_in_step(view: ViewSettings, recording: Recording, late: float, folder: Path) -> Path:
+    """Pictures of a view on the common clock, of the nearest frame, to look at; returns where they are."""
+    from hypose.io.file_names import file_name
+    from hypose.io.videos.video import VideoWriter, open_video
+
+    assert view.source is not None
+    path, frames = folder / f"{file_name(view.name)}.mp4", recording.frames
+    folder.mkdir(parents=True, exist_ok=True)
+    with (
+        open_video(view.source, rate=view.rate) as reader,
+        VideoWriter(path, recording.frame_rate, reader.size) as writer,
+    ):
+        before, image = -1, None
+        for i in range(len(frames)):
+            nearest = min(max(round(i + late), 0), len(frames) - 1)
+            if image is None or nearest != before:
+                before, image = nearest, reader.read(frames[nearest])
+            writer.write(image)
+    return path
 
 
 def _depth_in_step(depth: Path, frames: range, late: float, folder: Path) -> Path:
