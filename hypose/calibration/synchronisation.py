@@ -8,10 +8,10 @@ masks), which is right for parts that move less than their width between two fra
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from math import gcd
-from typing import Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -167,47 +167,63 @@ class Resampled:
     def frame(self, index: int, /) -> Frame:
         """Compute frame `index` of the common clock; a view without images at that time is not usable, with a
         reason."""
-        here = self._get(index)
-        n = len(self.source)
-        silhouettes, keypoints = here.silhouettes, here.keypoints
-        masks = points = None
-        usable: NDArray[np.bool_] = np.zeros(0, dtype=bool)
-        reasons: list[str] = []
-        if silhouettes is not None:
-            if len(self.late) != len(silhouettes.rig):
-                raise InputError(f"{len(self.late)} offsets are given for {len(silhouettes.rig)} views; give one each.")
-            masks, usable, reasons = silhouettes.masks.copy(), silhouettes.usable.copy(), list(silhouettes.reasons)
-        if keypoints is not None:
-            points = keypoints.points.copy()
-        for c, late in enumerate(self.late):
-            if late == 0:
-                continue
+        here, n, views = self._get(index), len(self.source), list[_Between]()
+        for c, late in enumerate(self.late.tolist()):
             low = int(np.floor(index + late))
             share = index + late - low
             inside = 0 <= low and low + (share > 0) < n
             a = self._get(min(max(low, 0), n - 1))
             b = self._get(min(max(low + 1, 0), n - 1)) if share > 0 else a
-            if masks is not None and a.silhouettes is not None and b.silhouettes is not None:
-                fine = inside and bool(a.silhouettes.usable[c]) and bool(b.silhouettes.usable[c])
-                usable[c] = fine
-                reasons[c] = "" if fine else _why(a.silhouettes, b.silhouettes, c, index, late, inside)
-                masks[c] = mask_between(a.silhouettes.masks[c], b.silhouettes.masks[c], share) if fine else 0
-            if points is not None and a.keypoints is not None and b.keypoints is not None:
-                pair = np.stack([a.keypoints.points[c], b.keypoints.points[c]])
-                points[c] = points_at(pair, share)[0] if inside else 0.0
-        new_masks = (
-            None
-            if silhouettes is None or masks is None
-            else Silhouettes(masks, silhouettes.rig, usable, tuple(reasons))
-        )
-        new_points = None if keypoints is None or points is None else Keypoints(points, keypoints.names, keypoints.rig)
-        return Frame(here.time, here.index, new_masks, new_points, here.detections, here.sensor_joints)
+            views.append(_Between(index, c, late, a, b, share, inside))
+        kept = {name: _IN_STEP[name](piece, views) for name, piece in here.pieces.items() if name in _IN_STEP}
+        return Frame(here.time, here.index, **kept)
 
 
-def _why(a: Silhouettes, b: Silhouettes, c: int, index: int, late: float, inside: bool) -> str:
-    if not inside:
-        return f"{a.rig.names[c]}, frame {index}: the view has no image {late:+.2f} frames from here"
-    return a.reasons[c] or b.reasons[c]
+class _Between(NamedTuple):
+    """Where an instant of the common clock lies in one view: at a share of the way between two frames; inside: the view
+    has both of them."""
+
+    here: int
+    view: int
+    late: float
+    before: Frame
+    after: Frame
+    share: float
+    inside: bool
+
+
+def _masks_in_step(here: Silhouettes, views: Sequence[_Between]) -> Silhouettes:
+    if len(views) != len(here.rig):
+        raise InputError(f"{len(views)} offsets are given for {len(here.rig)} views; give one each.")
+    masks, usable, reasons = here.masks.copy(), here.usable.copy(), list(here.reasons)
+    for v in views:
+        c = v.view
+        for a, b in zip(v.before.of(Silhouettes), v.after.of(Silhouettes), strict=False) if v.late else ():
+            usable[c] = v.inside and bool(a.usable[c]) and bool(b.usable[c])
+            reasons[c] = "" if usable[c] else a.reasons[c] or b.reasons[c]
+            if not v.inside:
+                where = f"{here.rig.names[c]}, frame {v.here}"
+                reasons[c] = f"{where}: the view has no image {v.late:+.2f} frames from here"
+            masks[c] = mask_between(a.masks[c], b.masks[c], v.share) if usable[c] else 0
+    return Silhouettes(masks, here.rig, usable, tuple(reasons))
+
+
+def _points_in_step(here: Keypoints, views: Sequence[_Between]) -> Keypoints:
+    points = here.points.copy()
+    for v in views:
+        c = v.view
+        for a, b in zip(v.before.of(Keypoints), v.after.of(Keypoints), strict=False) if v.late else ():
+            points[c] = points_at(np.stack([a.points[c], b.points[c]]), v.share)[0] if v.inside else 0.0
+    return replace(here, points=points)
+
+
+_IN_STEP: dict[str, Callable[[Any, Sequence[_Between]], Any]] = {
+    "silhouettes": _masks_in_step,
+    "keypoints": _points_in_step,
+    "detections": lambda here, _: here,
+    "sensor_joints": lambda here, _: here,
+}
+"""What becomes of each piece of a frame on the common clock; the others, which are of one instant, are left out."""
 
 
 # ---- sync events ---------------------------------------------------------------------------------------------------

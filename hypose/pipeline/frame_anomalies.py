@@ -27,7 +27,6 @@ from hypose.pipeline.settings import SETTINGS
 from hypose.tracking.contacts import runs
 from hypose.tracking.covariance_calibration import beyond_usual
 from hypose.tracking.joint_features import audit_frame, more_than_body
-from hypose.tracking.several import visible_share
 from hypose.tracking.tracker import FrameEstimate, Tracker
 
 
@@ -77,7 +76,7 @@ def view_statistics(
         return np.zeros((0, 3), np.float32)
     out = np.full((len(silhouettes.masks), 3), np.nan, np.float32)
     seen = (
-        visible_share(frame)[: len(estimate.overlap)] >= SETTINGS.doubts_shown
+        frame.visible_share[: len(estimate.overlap)] >= SETTINGS.doubts_shown
     )  # an arm's breadth among others is not significant
     out[: len(estimate.overlap), 0] = np.where(seen, estimate.overlap, np.nan)
     change = mask_change(frame, last) if change is None else change

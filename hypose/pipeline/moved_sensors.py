@@ -18,7 +18,7 @@ from hypose.body.body import Body
 from hypose.calibration.depth_registration import in_camera, place_error, refine_registration
 from hypose.calibration.findings import REVIEW, Finding
 from hypose.evidence.depth_evidence import Depth, SurfacePoints
-from hypose.evidence.frame import Frame
+from hypose.evidence.frame import Frame, Silhouettes
 from hypose.fitting.articulated import SolveSettings
 from hypose.geometry import Array
 from hypose.pipeline.one_camera import FrameSource
@@ -112,8 +112,7 @@ def _cameras(depth: Depth) -> Array:
 
 def placed(frame: Frame, camera_from_world: Array) -> Frame:
     """The frame of cameras that stand there, (C, 4, 4)."""
-    depth, silhouettes = frame.depth, frame.silhouettes
-    assert depth is not None and silhouettes is not None
+    depth, silhouettes = frame.the(Depth), frame.the(Silhouettes)
     cameras = (replace(c, camera_from_world=e) for c, e in zip(depth.rig, camera_from_world, strict=True))
     rig = type(depth.rig)(tuple(cameras))
     return replace(frame, silhouettes=replace(silhouettes, rig=rig), depth=replace(depth, rig=rig))
@@ -134,23 +133,22 @@ def _refined(
     source: FrameSource, body: Body, poses: Array, frames: NDArray[np.intp], reported: Array, iterations: int
 ) -> Array:
     """The cameras' places (C, 4, 4) by some frames and the poses (F, D) in them."""
-    depths = [source.frame(int(t)).depth for t in frames]
-    usable = np.stack([np.zeros(len(reported), np.bool_) if d is None else d.usable for d in depths])
-    views = np.flatnonzero(usable.any(0))
-    seen = [[_surface(d, int(c), reported[c]) for d in depths] for c in views]
+    depths = [source.frame(int(t)).of(Depth) for t in frames]
+    views = np.flatnonzero(np.any([np.zeros(len(reported), np.bool_), *(d.usable for own in depths for d in own)], 0))
+    seen = [[_surface(own, int(c), reported[c]) for own in depths] for c in views]
     out = reported.copy()
     out[views] = refine_registration(body, poses, seen, reported[views], iterations).camera_from_world
     return out
 
 
-def _surface(depth: Depth | None, view: int, camera_from_world: Array) -> SurfacePoints:
-    """What one camera of a frame shows, in its own frame."""
-    if depth is None:
-        none = np.zeros((0, 3))
-        return SurfacePoints(none, none, np.zeros(0), np.zeros(2, np.int64))
-    s = depth.surface
-    own = slice(int(s.first[view]), int(s.first[view + 1]))
-    alone = SurfacePoints(s.points[own], s.normals[own], s.sd[own], np.array([0, own.stop - own.start]))
+def _surface(depths: Sequence[Depth], view: int, camera_from_world: Array) -> SurfacePoints:
+    """Select the points that one camera of a frame shows, and turn them into the camera's own frame. depths: the depth
+    maps of the frame, one or none."""
+    none = np.zeros((0, 3))
+    alone = SurfacePoints(none, none, np.zeros(0), np.zeros(2, np.int64))
+    for s in (depth.surface for depth in depths):
+        own = slice(int(s.first[view]), int(s.first[view + 1]))
+        alone = SurfacePoints(s.points[own], s.normals[own], s.sd[own], np.array([0, own.stop - own.start]))
     return in_camera(alone, camera_from_world)
 
 
@@ -159,7 +157,7 @@ def _changes(source: FrameSource, body: Body, poses: Array, first: Array, last: 
     gain = np.zeros(len(poses))
     for t, pose in enumerate(poses):
         frame = source.frame(t)
-        if frame.depth is None or frame.depth.usable.sum() < 2:
+        if all(depth.usable.sum() < 2 for depth in frame.of(Depth)):
             continue
         costs = [
             refine(body, pose[None], prepare(placed(frame, places), body, pose), _LONG_SOLVE)[0].cost

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from hypose.calibration.findings import INFO, Finding
 from hypose.cameras.camera import CameraRig
 from hypose.errors import InputError
-from hypose.evidence.frame import Silhouettes
+from hypose.evidence.frame import Silhouettes, pieces_of
 from hypose.evidence.keypoints import keypoint_names
 from hypose.io.motions.results import ResultsFolder, save_motion
 from hypose.io.recordings.frames import FrameSettings, FrameStream
@@ -143,7 +143,7 @@ def frames_to_examine(recording: Recording) -> tuple[FrameStream, bool]:
         (one if several else all_people).close()
         return (all_people, True) if several else (one, False)
     rows = np.unique(np.linspace(0, len(all_people) - 1, SETTINGS.several_looks).astype(int)).tolist()
-    masks = [s for i in rows if (s := all_people.frame(i).silhouettes) is not None]
+    masks = pieces_of((all_people.frame(i) for i in rows), Silhouettes)
     several = several_apart(masks)
     if not several and several_apart(
         masks, SETTINGS.several_now_and_then

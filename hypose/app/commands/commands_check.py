@@ -10,6 +10,7 @@ from click.exceptions import Exit
 
 from hypose.app.commands.console import Stages, out, say
 from hypose.errors import EvidenceError, InputError
+from hypose.evidence.frame import Silhouettes
 from hypose.options import HEIGHT, CalibrationFile, Option, RecordingPath
 
 if TYPE_CHECKING:
@@ -379,9 +380,7 @@ def _write(recording: Recording, late: list[float], folder: Path, progress: Prog
         masks = [None if v.depth is not None else mask_folder(folder / "masks", v.name, c) for v, c in named]
         for i in range(len(source)):
             progress("masks", i, len(source))
-            silhouettes = source.frame(i).silhouettes
-            assert silhouettes is not None
-            write_frame_masks(silhouettes, masks, i)
+            write_frame_masks(source.frame(i).the(Silhouettes), masks, i)
         progress("masks", len(source), len(source))
     people = _people(raw_person(recording))
     views = []
