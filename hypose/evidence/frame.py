@@ -17,7 +17,6 @@ from hypose.geometry import Array
 
 if TYPE_CHECKING:
     from hypose.body.body import Body
-    from hypose.evidence.terms import Evidence
 
 _Piece = TypeVar("_Piece")
 NOT_TRACKED, INFERRED, TRACKED = 0, 1, 2
@@ -59,8 +58,8 @@ class Silhouettes:
     """what hypose.evidence.prefetch keeps of these very masks, so that it is made once; a copy begins without"""
 
     def unseen(self) -> Silhouettes:
-        """Return the masks with no usable view, for nobody is expected in them."""
-        reasons = tuple(r or f"{n}: nobody is expected" for n, r in zip(self.rig.names, self.reasons, strict=True))
+        """Return the masks with no usable view, where no person is expected."""
+        reasons = tuple(r or f"{n}: no person is expected" for n, r in zip(self.rig.names, self.reasons, strict=True))
         return replace(self, usable=np.zeros_like(self.usable), reasons=reasons, ignored=None, expected=None)
 
     @cached_property
@@ -219,7 +218,7 @@ class Colours:
 class Piece(Protocol):
     """What a frame carries of one more cue, as it was measured: a file that defines it is all that a new cue needs."""
 
-    def prepared(self, body: Body) -> Evidence:
+    def prepared(self, body: Body) -> Any:  # noqa: ANN401 (an Evidence, whose module imports this one)
         """Prepare it for a search and for solves of a body."""
         ...
 

@@ -219,7 +219,7 @@ class _Sensor:
     """State that the aligner keeps of one sensor.
 
     newest: time of the latest report, on the sensor's clock.
-    until, since: times of the sensor's clock between which it was silent the last time.
+    until, since: start and end of its last silence, on the sensor's clock.
     """
 
     def __init__(self, name: str, s: AlignSettings) -> None:
@@ -271,7 +271,9 @@ class _Sensor:
 
 
 class Aligner:
-    """Brings the reports of all sensors to the output instants n / rate after the first report.
+    """Buffer that brings the reports of all sensors to the output instants n / rate after the first report.
+
+    settings: of the output instants.
 
     Call `push` for every report and `poll` at the time `due()` or more often. A frame is made as soon as every living
     sensor has reported from its instant or later, and at the latest `wait` after its instant: late sensors are

@@ -71,7 +71,9 @@ class LiveFrame:
 
 
 class LiveFuser:
-    """Fuses the skeletons of several people from several sensors while they arrive.
+    """Live fusion of the skeletons of several people from several sensors.
+
+    settings: of alignment, identities and fit.
 
     Call `push` for every report as it arrives, and `poll` at the time `due()` or more often. All times are s of one
     monotonic host clock.

@@ -139,7 +139,7 @@ class _Link:
 
 
 class PeopleTracker:
-    """Tracks persons over several sensors; call `update` for every instant in order.
+    """Tracker of persons over several sensors; call `update` for every instant in order.
 
     settings: of the matching.
     transforms: common_from_sensor (4, 4) by sensor name, of sensors whose position is known; these are not estimated.

@@ -382,9 +382,12 @@ def heading(rotation: Array) -> float:
 
 
 def chain(name: str, parts: list[Performance], subject: SyntheticSubject, blend: float = 0.5) -> Performance:
-    """Join performances (`parts`) one after the other, cross-faded over `blend` seconds.
+    """Join performances one after the other, cross-faded over `blend` seconds.
 
-    Each starts where the one before ends, facing the same way; the ground contact is restored in the blends.
+    name: of the result.
+    parts: the performances, of one subject.
+    Returns: one performance. Each part starts where the one before ends, facing the same way; the ground contact is
+        restored in the blends.
     """
     out = parts[0]
     rate = out.frame_rate
