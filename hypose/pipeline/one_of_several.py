@@ -115,7 +115,7 @@ def chosen_people(text: str, wanted: Sequence[Wanted]) -> tuple[int | None, str 
     )
 
 
-def people_frames(recording: Recording, options: TrackOptions) -> FrameStream:
+def people_frames(recording: Recording, options: TrackOptions, progress: StageProgress | None = None) -> FrameStream:
     """The frames of a recording with all people in the masks, if masks are wanted. An InputError for key points
     together with depth cameras."""
     depth = [v.name for v in recording.views if v.depth is not None]
@@ -125,13 +125,13 @@ def people_frames(recording: Recording, options: TrackOptions) -> FrameStream:
             f"by key points; leave out --evidence {options.looks_at}, or --people."
         )
     silhouettes = None if options.looks_at == "keypoints" else recording.silhouettes
-    return FrameStream(recording, FrameSettings(silhouettes=silhouettes, people=True, colours=True))
+    return FrameStream(recording, FrameSettings(silhouettes=silhouettes, people=True, colours=True), progress=progress)
 
 
-def frames_to_examine(recording: Recording) -> tuple[FrameStream, bool]:
+def frames_to_examine(recording: Recording, progress: StageProgress | None = None) -> tuple[FrameStream, bool]:
     """The frames of a recording whose calibration is in doubt, with all people in the masks when several stand side by
     side there, and whether they do: which person a view shows is not known before the calibration is right."""
-    one = FrameStream(recording)
+    one = FrameStream(recording, progress=progress)
     depth = any(view.depth is not None for view in recording.views)
     alone = depth and len(recording.views) == 1
     if one.options.silhouettes is None or not recording.has_pictures or one.tells_apart or alone:

@@ -100,10 +100,8 @@ def observe_recording(recording: Recording, most: int = 100, progress: _Progress
     together = False
     blind = replace(few, views=tuple(replace(v, keypoints=None) for v in few.views), keypoint_set=None)
     if all(v.source is not None or v.masks is not None for v in few.views):
-        progress("background", 0, 1)
-        stream, together = frames_to_examine(blind)
+        stream, together = frames_to_examine(blind, progress)
         with stream:
-            progress("background", 1, 1)
             silhouettes = []
             for i in range(len(stream)):
                 progress("masks", i, len(stream))
@@ -293,9 +291,7 @@ def _by_body(
     blind = recording
     if method == "silhouettes":  # masks that know nothing of the key points
         blind = replace(recording, views=tuple(replace(v, keypoints=None) for v in recording.views), keypoint_set=None)
-    progress("background", 0, 1)
-    with FrameStream(blind) as stream:
-        progress("background", 1, 1)
+    with FrameStream(blind, progress=progress) as stream:
         source = Resampled(stream, late)
         frames: list[Frame] = []
         for done, k in enumerate(used):
