@@ -268,6 +268,16 @@ class Frame:
         return np.zeros(0) if self.silhouettes is None else self.silhouettes.visible_share
 
     @property
+    def kind(self) -> str:
+        """What a pose in the frame is judged by where several cues are there: depth, silhouettes or keypoints."""
+        return next((name for name in ("depth", "silhouettes", "keypoints") if name in self.pieces), "keypoints")
+
+    @property
+    def usable_views(self) -> NDArray[np.bool_]:
+        """(C,) the views whose masks are usable; (0,) without masks."""
+        return np.zeros(0, np.bool_) if self.silhouettes is None else self.silhouettes.usable
+
+    @property
     def fewest_views(self) -> int:
         """How many views must show a person to tell where it stands: a depth camera does so alone, others do not."""
         return 2 if self.depth is None else 1

@@ -98,7 +98,7 @@ def observe_recording(recording: Recording, most: int = 100, progress: _Progress
     depths: list[Depth] = []
     together = False
     blind = replace(few, views=tuple(replace(v, keypoints=None) for v in few.views), keypoint_set=None)
-    if all(v.source is not None or v.masks is not None for v in few.views):
+    if all(v.has_pictures for v in few.views):
         progress("background", 0, 1)
         stream, together = frames_to_examine(blind)
         with stream:
@@ -146,7 +146,7 @@ def _near(silhouettes: Silhouettes, keypoints: Keypoints) -> Silhouettes:
 
 
 def _clip(view: ViewSettings) -> ViewFile:
-    if view.source is None and view.masks is None:
+    if not view.has_pictures:
         return ViewFile()
     with open_pictures(view) as reader:
         return ViewFile(reader.size, reader.frame_rate, reader.n_frames)
