@@ -45,7 +45,7 @@ TRAINED = range(100)
 CASES = ("one", "two", "three")
 _FEW = 5
 _GROUP = groups_of(JOINT_NAMES)
-DOUBT_ASSET = ASSET.with_name("depth_doubt.json")
+DOUBT_ASSET = ASSET.with_name("depth_error_model.json")
 _LIKE = (("spine", "pelvis"), ("chest", "neck"), ("clavicle", "shoulder"))
 
 

@@ -113,7 +113,7 @@ def _to_bones(points: Array, projections: Array, targets: Sequence[Array], scale
     with np.errstate(divide="ignore", invalid="ignore"):
         uv = np.where(h[..., 2:] > 0, h[..., :2] / h[..., 2:], np.nan)
     r = np.full(uv.shape, np.nan)
-    for g in np.flatnonzero(np.isfinite(uv).all((1, 2))):
+    for g in np.flatnonzero(np.isfinite(uv).all((1, 2))).tolist():
         nearest = np.linalg.norm(targets[g][:, None] - uv[g], axis=-1).argmin(1)
         for a in np.unique(nearest):
             r[g, a] = uv[g, a] - targets[g][nearest == a].mean(0)
