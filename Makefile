@@ -4,13 +4,14 @@
 #                                    ARGS="-m long": what takes minutes each, which no check runs
 #   make lint                        format, lint, types, import contracts, ceilings of size
 #   make bench [ARGS=table-2.3]      the benchmarks
+#   make docs                        write the generated pages and build the site in build/site
 #   make setup                       install everything again
 #   make clean                       remove caches, builds and demo/;  make distclean: and .venv
 # Without make: ./run demo, ./run test, and ./run <any hypose command>.
 PYTHON ?= python3
 
-.PHONY: demo test lint bench setup clean distclean
-demo test lint bench setup:
+.PHONY: demo test lint bench docs setup clean distclean
+demo test lint bench docs setup:
 	@$(PYTHON) scripts/bootstrap.py $@ $(ARGS)
 
 clean:

@@ -5,50 +5,38 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
+from click.exceptions import Exit
 
-from hypose.app.cli import run_cli
-from hypose.app.commands.commands_track import set_threads
-from hypose.app.commands.console import Stages, Threads, number, say
-
-app = typer.Typer(name="benchmarks", add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
+from hypose.app.cli import make_command, run_cli
+from hypose.app.commands.console import Stages, say
+from hypose.options import Option, Threads
 
 
-@app.command()
 def bench(
-    name: Annotated[str, typer.Argument(help="Name of the benchmark; a wrong one lists them.")] = "",
-    quick: Annotated[bool, typer.Option("--quick", help="At most a minute on two cores; small, and says so.")] = False,
-    seeds: Annotated[int, number("Repetitions; 0 = the benchmark's own number.", 0, 100_000)] = 0,
+    name: Annotated[str, Option("Name of the benchmark; a wrong one lists them.", argument=True)] = "",
+    quick: Annotated[bool, Option("At most a minute on two cores; small, and says so.")] = False,
+    seeds: Annotated[int, Option("Repetitions; 0 = the benchmark's own number.", 0, 100_000)] = 0,
     first_seed: Annotated[
         int | None,
-        number("First seed, where a benchmark has several. [default: the benchmark's own]", 0, 10**9),
+        Option("First seed, where a benchmark has several. [default: the benchmark's own]", 0, 10**9),
     ] = None,
-    data: Annotated[Path | None, typer.Option(help="Folder with the real recordings, for real-* benchmarks.")] = None,
-    json: Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")] = None,
-    plot: Annotated[Path | None, typer.Option(help="Draw the figures to this file (.png, .svg or .pdf).")] = None,
+    data: Annotated[Path | None, Option("Folder with the real recordings, for real-* benchmarks.")] = None,
+    json: Annotated[Path | None, Option("Write the figures to this file.")] = None,
     parts: Annotated[
         Path | None,
-        typer.Option(help="Keep the figures of each part of a long table here, and go on from those kept."),
+        Option("Keep the figures of each part of a long table here, and go on from those kept."),
     ] = None,
-    keep: Annotated[
-        bool, typer.Option("--keep", help="Keep the figures (benchmarks/results, docs/benchmarks.md; golden.json).")
-    ] = False,
-    other: Annotated[bool, typer.Option("--other", help="The second set of golden clips, of other seeds.")] = False,
+    keep: Annotated[bool, Option("Keep the figures (benchmarks/results; golden.json).")] = False,
+    other: Annotated[bool, Option("The second set of golden clips, of other seeds.")] = False,
     threads: Threads = None,
 ) -> None:
     """Measure accuracy and speed."""
-    set_threads(threads)
     from benchmarks.bench_list import run_benchmark
     from hypose.io.files import atomic_path, check_writable
     from hypose.io.motions.results import to_json
 
-    if plot is not None:
-        from benchmarks.bench_plot import check_plot_path
-
-        check_plot_path(plot)
-    for file, option in ((json, "--json"), (plot, "--plot")):
-        if file is not None:
-            check_writable(file.parent, option)
+    if json is not None:
+        check_writable(json.parent, "--json")
     if keep and name != "golden":
         from benchmarks.pages import check_keep
 
@@ -61,23 +49,20 @@ def bench(
         with atomic_path(json) as temporary:
             temporary.write_text(to_json(report), encoding="utf-8", newline="\n")
         say(f"Written: {json}")
-    if plot is not None:
-        from benchmarks.pages import draw
-
-        draw(report, plot)
-        say(f"Drawn: {plot}")
     if name == "golden":
         from benchmarks.golden import conclude
 
         status, lines = conclude(report, keep)
         for line in lines:
             say(line)
-        raise typer.Exit(status)
+        raise Exit(status)
     if keep:
-        from benchmarks.pages import keep_report
+        from benchmarks.pages import RESULTS
 
-        for path in keep_report(report):
-            say(f"Written: {path}")
+        path = RESULTS / f"{name}.json"
+        with atomic_path(path) as temporary:
+            temporary.write_text(to_json(report), encoding="utf-8", newline="\n")
+        say(f"Written: {path}. make docs writes the pages.")
 
 
 def _show(report: dict[str, Any]) -> None:
@@ -112,4 +97,4 @@ def _number(value: Any) -> str:
 
 
 if __name__ == "__main__":
-    run_cli(command=app, name="benchmarks")
+    run_cli(command=make_command("benchmarks", bench), name="benchmarks")

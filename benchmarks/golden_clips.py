@@ -39,9 +39,10 @@ from hypose.io.recordings.recording import Recording
 from hypose.pipeline.assessment import GOOD, LOOK, UNTRUSTED
 from hypose.pipeline.first_frame import SubjectOptions, find_subject
 from hypose.pipeline.people_run import PeopleRun
-from hypose.pipeline.run import TrackOptions, TrackResult, track_source
+from hypose.pipeline.run import TrackResult, track_source
 from hypose.pipeline.sensor_skeletons import assess_fused
 from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.metrics import EVALUATED
 from hypose.synthetic.scenes import make_scene
 

@@ -16,7 +16,7 @@ _PLACES = {
     "load_recording": "hypose.io.recordings.recording",
     "Recording": "hypose.io.recordings.recording",
     "track": "hypose.pipeline.track",
-    "TrackOptions": "hypose.pipeline.run",
+    "TrackOptions": "hypose.pipeline.track_options",
     "TrackResult": "hypose.pipeline.run",
     # a motion and its files
     "Motion": "hypose.body.motion",

@@ -36,10 +36,10 @@ from hypose.io.recordings.recording import Recording as Recording
 from hypose.io.recordings.recording import load_recording as load_recording
 from hypose.io.sensors.skeleton_files import read_skeletons as read_skeletons
 from hypose.pipeline.gesture_files import load_model as load_gesture_model
-from hypose.pipeline.run import TrackOptions as TrackOptions
 from hypose.pipeline.run import TrackResult as TrackResult
 from hypose.pipeline.track import track as track
 from hypose.pipeline.track_loop import FrameList as FrameList
+from hypose.pipeline.track_options import TrackOptions as TrackOptions
 from hypose.synthetic.scenes import make_scene as make_scene
 from hypose.tracking.costs import SilhouetteXor as SilhouetteXor
 from hypose.tracking.recipes import recipe as recipe

@@ -1,4 +1,5 @@
-"""The errors a user can meet. Each message is one sentence: the given value, the allowed ones, the next step."""
+"""Exceptions that a user can meet. Each message is one sentence with the given value, the allowed values and the next
+step."""
 
 from __future__ import annotations
 
@@ -6,13 +7,16 @@ import importlib
 import re
 from typing import Any
 
-# C0 and C1 but tab and newline, line and paragraph separators, marks that turn the direction, halves of pairs
+# C0 and C1 except tab and newline, line and paragraph separators, marks of direction, single surrogates
 _UNSEEN = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
 
 
 def visible(text: str) -> str:
-    """The text as any terminal, page or log may show it: what would steer a terminal, turn the direction of writing or
-    is no UTF-8 (in a file's name) becomes an escape: \\x1b, \\u202e, \\xff."""
+    r"""Escape the characters of a text that are unsafe to show in a terminal, a page or a log.
+
+    These are control characters, marks that change the direction of writing and undecodable bytes of a file's name.
+    They become escapes such as \x1b, \u202e and \xff.
+    """
     return _UNSEEN.sub(_escape, text)
 
 
@@ -24,7 +28,8 @@ def _escape(found: re.Match[str]) -> str:
 
 
 class HyposeError(Exception):
-    """Base of every error that hypose raises on purpose; the command line prints it and exits with code 2."""
+    """Base class of all errors that hypose raises on purpose; the command line prints the message and exits with code
+    2."""
 
     def __str__(self) -> str:
         # a damaged file may have a name or a number of many thousand letters
@@ -33,7 +38,7 @@ class HyposeError(Exception):
 
 
 class InputError(HyposeError):
-    """A file, recording or argument that cannot be used: names the file, camera or frame and the next step."""
+    """An unusable file, recording or argument; the message names the file, camera or frame and the next step."""
 
 
 class CalibrationError(InputError):
@@ -41,16 +46,24 @@ class CalibrationError(InputError):
 
 
 class EvidenceError(HyposeError):
-    """Image evidence that carries no information (no usable silhouette in any view, no key points, NaN)."""
+    """Image evidence without information: no usable silhouette in any view, no key points, or NaN."""
 
 
 class SolverError(HyposeError):
-    """A numerical search that was started from an unusable point (non-finite cost, wrong dimension)."""
+    """A numerical search that was started from an unusable point: the cost is not finite or the dimension is wrong."""
 
 
 def extra(module: str, needed_by: str, name: str, package: str = "", or_else: str = "") -> Any:  # noqa: ANN401 (a module)
-    """A module of the optional dependencies called `name`; without it an InputError tells what needs its package (by
-    default called like the module), how to install it or what it fails to load, and or_else: what does without it."""
+    """Import a module of an optional dependency.
+
+    module: dotted name of the module.
+    needed_by: what needs it, the subject of the error message.
+    name: the extra to install, as in "hypose[name]".
+    package: the package's name in the message; the module's first part by default.
+    or_else: an alternative without the package, the last part of the error message.
+    Returns: the module.
+    Raises: InputError where the package is not installed or fails to load; it says how to install it.
+    """
     package, root = package or module.partition(".")[0], module.partition(".")[0]
     try:
         return importlib.import_module(module)
@@ -59,7 +72,7 @@ def extra(module: str, needed_by: str, name: str, package: str = "", or_else: st
             what, cure = "is not installed", f'run: pip install "hypose[{name}]"'
         else:
             reason = f"{type(error).__name__}: {error}".partition("\n")[0].rstrip(".: ")
-            what, cure = f"cannot be loaded ({reason})", f"install what that names, or {package} again"
+            what, cure = f"cannot be loaded ({reason})", f"install what the reason names, or {package} again"
         raise InputError(
             f"{needed_by} needs {package}, which {what}; {cure}{or_else and f', or {or_else}'}."
         ) from error

@@ -1,6 +1,6 @@
-"""Rotations and rigid motions: exponential and logarithm of rotations, averages, Procrustes.
+"""Rotations and rigid motions: exponential and logarithm of rotations, averages, Procrustes alignment.
 
-All functions take leading batch axes. Angles in radians, lengths in metres. A rigid motion is a (4, 4) matrix named
+All functions take leading batch axes. Angles are in radians, lengths in metres. A rigid motion is a (4, 4) matrix named
 `target_from_source`; it maps homogeneous source coordinates to target coordinates.
 """
 
@@ -21,7 +21,11 @@ DepthMap = NDArray[np.float32]
 
 
 def skew(vector: ArrayLike) -> Array:
-    """Cross-product matrix: (..., 3) -> (..., 3, 3) with skew(a) @ b = a x b."""
+    """Compute the cross-product matrix of vectors, so that skew(a) @ b = a x b.
+
+    vector: (..., 3).
+    Returns: (..., 3, 3) antisymmetric matrices.
+    """
     v = np.asarray(vector, dtype=np.float64)
     out = np.zeros((*v.shape, 3))
     out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
@@ -29,7 +33,11 @@ def skew(vector: ArrayLike) -> Array:
 
 
 def so3_exp(rotation_vector: ArrayLike) -> Array:
-    """Rodrigues' formula: rotation vector (..., 3) in rad -> rotation matrix (..., 3, 3)."""
+    """Convert rotation vectors to rotation matrices with Rodrigues' formula.
+
+    rotation_vector: (..., 3) axis times angle, rad.
+    Returns: (..., 3, 3) rotation matrices.
+    """
     r = np.asarray(rotation_vector, dtype=np.float64)
     angle = np.linalg.norm(r, axis=-1)[..., None, None]
     small = angle < 1e-4
@@ -41,9 +49,11 @@ def so3_exp(rotation_vector: ArrayLike) -> Array:
 
 
 def so3_log(rotation: ArrayLike) -> Array:
-    """Rotation matrix (..., 3, 3) -> rotation vector (..., 3) with norm in [0, pi].
+    """Convert rotation matrices to rotation vectors.
 
-    Goes through the unit quaternion of largest component, so it is accurate at every angle including pi.
+    rotation: (..., 3, 3) rotation matrices.
+    Returns: (..., 3) axis times angle, rad, with an angle of 0 to pi.
+    Why: the computation uses the unit quaternion, because it is accurate at every angle, pi included.
     """
     m = np.asarray(rotation, dtype=np.float64)
     q = quaternion_from_matrix(m)
@@ -55,7 +65,11 @@ def so3_log(rotation: ArrayLike) -> Array:
 
 
 def quaternion_from_matrix(rotation: ArrayLike) -> Array:
-    """Rotation matrix (..., 3, 3) -> unit quaternion (..., 4) as (w, x, y, z), by the largest component."""
+    """Convert rotation matrices to unit quaternions.
+
+    rotation: (..., 3, 3) rotation matrices.
+    Returns: (..., 4) quaternions in the order w, x, y, z; the sign is arbitrary.
+    """
     m = np.asarray(rotation, dtype=np.float64)
     t = m[..., 0, 0] + m[..., 1, 1] + m[..., 2, 2]
     k = np.empty((*m.shape[:-2], 4, 4))
@@ -76,7 +90,13 @@ def quaternion_from_matrix(rotation: ArrayLike) -> Array:
 
 
 def so3_left_jacobian(rotation_vector: ArrayLike) -> Array:
-    """Left Jacobian J (..., 3, 3): exp(r + dr) = exp(J(r) dr) exp(r) to first order."""
+    """Compute the left Jacobian J of the exponential map at rotation vectors.
+
+    To first order, exp(r + dr) = exp(J(r) dr) exp(r).
+
+    rotation_vector: (..., 3) rad.
+    Returns: (..., 3, 3).
+    """
     r = np.asarray(rotation_vector, dtype=np.float64)
     angle = np.linalg.norm(r, axis=-1)[..., None, None]
     small = angle < 1e-3
@@ -88,17 +108,22 @@ def so3_left_jacobian(rotation_vector: ArrayLike) -> Array:
 
 
 def so3_turns(rotation_vector: ArrayLike) -> Array:
-    """Derivatives B (..., 3, 3) of rotation vectors by a small turn in the world: exp(r + B w) = exp(w) exp(r) to first
-    order; the inverse of `so3_left_jacobian`."""
+    """Compute the derivative of rotation vectors with respect to a small rotation in the world frame.
+
+    To first order, exp(r + B w) = exp(w) exp(r). B is the inverse of `so3_left_jacobian`.
+
+    rotation_vector: (..., 3) rad, r in the formula.
+    Returns: (..., 3, 3) matrices B.
+    """
     return np.asarray(np.linalg.inv(so3_left_jacobian(rotation_vector)), dtype=np.float64)
 
 
 _FEW_VECTORS = 4
-"""rotation vectors that are looked at one by one, which is sooner than together"""
+"""Largest number of rotation vectors that are tested in a Python loop, which is faster for so few."""
 
 
 def _other_branch(r: list[float], reference: list[float]) -> float:
-    """Return the angle of a rotation vector (3,) whose other branch is nearer to a reference (3,), else 0."""
+    """Compute the angle of a rotation vector (3,) when its other branch is nearer to a reference (3,); 0 otherwise."""
     (x, y, z), (a, b, c) = r, reference
     squared = x * x + y * y + z * z
     angle = math.sqrt(squared)
@@ -106,14 +131,18 @@ def _other_branch(r: list[float], reference: list[float]) -> float:
 
 
 def nearest_branch(rotation_vector: ArrayLike, reference: ArrayLike) -> Array:
-    """Return the rotation vector of the same rotation that lies nearest to `reference`; both (..., 3).
+    """Choose, of the equivalent vectors of a rotation, the one nearest to a reference.
 
-    r and r (1 - 2 pi / |r|) are one rotation; differences and means of rotation vectors are only meaningful on one
-    branch.
+    The vectors r and r (1 - 2 pi / |r|) describe the same rotation. Differences and means of rotation vectors are only
+    meaningful when all vectors are on the same branch.
+
+    rotation_vector: (..., 3) rad.
+    reference: (..., 3) rad.
+    Returns: (..., 3) rad.
     """
     r = np.asarray(rotation_vector, dtype=np.float64)
     ref = np.asarray(reference, dtype=np.float64)
-    if r.ndim == ref.ndim == 1:  # the same, many times sooner
+    if r.ndim == ref.ndim == 1:  # the same, many times faster
         angle = _other_branch(r.tolist(), ref.tolist())
         return r - 2 * np.pi * r / angle if angle else r.copy()
     if r.ndim == 2 and len(r) <= _FEW_VECTORS and ref.shape in (r.shape, r.shape[1:]):
@@ -130,7 +159,13 @@ def nearest_branch(rotation_vector: ArrayLike, reference: ArrayLike) -> Array:
 
 
 def rotation_mean(rotations: ArrayLike, weights: ArrayLike | None = None, iterations: int = 10) -> Array:
-    """Return weighted Karcher mean on SO(3): rotations (N, ..., 3, 3), weights (N,) -> (..., 3, 3)."""
+    """Compute the weighted Karcher mean of rotations, the average on SO(3).
+
+    rotations: (N, ..., 3, 3) rotation matrices.
+    weights: (N,), of any sum; None for equal weights.
+    iterations: largest number of steps.
+    Returns: (..., 3, 3) mean rotation.
+    """
     m = np.asarray(rotations, dtype=np.float64)
     w = np.full(len(m), 1 / len(m)) if weights is None else np.asarray(weights, dtype=np.float64) / np.sum(weights)
     mean = m[int(w.argmax())]
@@ -143,7 +178,12 @@ def rotation_mean(rotations: ArrayLike, weights: ArrayLike | None = None, iterat
 
 
 def se3(rotation: ArrayLike, translation: ArrayLike) -> Array:
-    """Rigid motion (..., 4, 4) from rotation (..., 3, 3) and translation (..., 3)."""
+    """Assemble rigid motions from rotations and translations.
+
+    rotation: (..., 3, 3).
+    translation: (..., 3) m.
+    Returns: (..., 4, 4).
+    """
     r, t = np.asarray(rotation, dtype=np.float64), np.asarray(translation, dtype=np.float64)
     out = np.zeros((*np.broadcast_shapes(r.shape[:-2], t.shape[:-1]), 4, 4))
     out[..., :3, :3], out[..., :3, 3], out[..., 3, 3] = r, t, 1
@@ -151,20 +191,25 @@ def se3(rotation: ArrayLike, translation: ArrayLike) -> Array:
 
 
 def se3_inverse(motion: ArrayLike) -> Array:
-    """Inverse of rigid motions (..., 4, 4): b_from_a -> a_from_b."""
+    """Invert rigid motions (..., 4, 4), so that b_from_a becomes a_from_b."""
     m = np.asarray(motion, dtype=np.float64)
     r = np.swapaxes(m[..., :3, :3], -1, -2)
     return se3(r, -np.einsum("...ij,...j->...i", r, m[..., :3, 3]))
 
 
 def transform(motion: ArrayLike, points: ArrayLike) -> Array:
-    """Apply target_from_source (..., 4, 4) to points_source (..., N, 3)."""
+    """Apply a rigid motion to points.
+
+    motion: (..., 4, 4) target_from_source.
+    points: (..., N, 3) in the source frame.
+    Returns: (..., N, 3) points in the target frame.
+    """
     m, p = np.asarray(motion, dtype=np.float64), np.asarray(points, dtype=np.float64)
     return p @ np.swapaxes(m[..., :3, :3], -1, -2) + m[..., None, :3, 3]
 
 
 def rotation_between(a: ArrayLike, b: ArrayLike) -> Array:
-    """Smallest rotation (3, 3) that takes direction a (3,) to direction b (3,)."""
+    """Compute the smallest rotation (3, 3) that turns the direction a (3,) into the direction b (3,)."""
     u = np.asarray(a, dtype=np.float64) / np.linalg.norm(a)
     v = np.asarray(b, dtype=np.float64) / np.linalg.norm(b)
     axis = np.cross(u, v)
@@ -180,11 +225,16 @@ def rotation_between(a: ArrayLike, b: ArrayLike) -> Array:
 def procrustes(
     source: ArrayLike, target: ArrayLike, weights: ArrayLike | None = None, *, scale: bool = False
 ) -> tuple[Array, float]:
-    """Rigid (or similarity) motion that takes source (N, 3) to target (N, 3) in the least-squares sense.
+    """Compute the rigid or similarity motion that maps source points to target points with the least squared error.
 
-    Returns (target_from_source (4, 4), scale); with a scale s the map is x -> s R x + t, and the (4, 4) holds s R.
-    The determinant guard (Umeyama 1991) keeps R a rotation: with three points, or noise, the unguarded SVD solution is
-    a reflection half of the time.
+    source: (N, 3) points.
+    target: (N, 3) the corresponding points.
+    weights: (N,), of any sum; None for equal weights.
+    scale: estimate a scale factor as well.
+    Returns: target_from_source (4, 4) and the scale s (1 without `scale`). The map is x -> s R x + t, and the matrix
+        holds s R.
+    Why: a test of the determinant (Umeyama 1991) keeps R a rotation. With three points, or with noise, the unguarded
+        SVD solution is a reflection in half of the cases.
     """
     a, b = np.asarray(source, dtype=np.float64), np.asarray(target, dtype=np.float64)
     w = np.ones(len(a)) if weights is None else np.asarray(weights, dtype=np.float64)

@@ -1,4 +1,4 @@
-"""JSON from elsewhere: its numbers may be anything."""
+"""Safe parsing of JSON that other programs wrote."""
 
 from __future__ import annotations
 
@@ -7,8 +7,13 @@ from typing import Any
 
 
 def parse_json(text: str | bytes | bytearray) -> Any:
-    """Parse JSON as json.loads does, but read integers beyond 64 bits as floats, infinite beyond 1.8e308, as 1e999 is:
-    they must not overflow in later arithmetic. ValueError or RecursionError, as json.loads."""
+    """Parse JSON as json.loads does, but read integers beyond 64 bits as floats.
+
+    Floats beyond 1.8e308, such as 1e999, become infinite.
+
+    Raises: ValueError or RecursionError, as json.loads does.
+    Why: larger integers would overflow in later arithmetic.
+    """
     return json.loads(text, parse_int=_integer)
 
 
@@ -18,7 +23,7 @@ def _integer(digits: str) -> int | float:
 
 
 def is_plain(value: Any) -> bool:
-    """Whether a value can be written as JSON and read back the same."""
+    """Test whether a value stays the same when it is written as JSON and read back."""
     try:
         return json.loads(json.dumps(value)) == value
     except (TypeError, ValueError, RecursionError):

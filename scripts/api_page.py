@@ -1,14 +1,10 @@
-"""Write docs/api.md, the reference of the public interface, from the docstrings:  python -m scripts.api_page
-
-The site's build does so first; the page is not kept, so that it cannot go stale.
-"""
+"""Make the site's reference of the public interface from docstrings; nothing of it is kept in docs/."""
 
 from __future__ import annotations
 
 import dataclasses
 import inspect
 import re
-from pathlib import Path
 from typing import Any
 
 import hypose
@@ -81,7 +77,3 @@ def _first(text: str) -> str:
 def _plain(text: str) -> str:
     """Docstrings are plain text: what Markdown would take for marks is kept."""
     return text.replace("<", "&lt;").replace("*", "\\*")
-
-
-if __name__ == "__main__":
-    (Path(__file__).parent.parent / "docs" / "api.md").write_text(api_page(), encoding="utf-8")

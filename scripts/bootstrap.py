@@ -1,6 +1,6 @@
 """Set hypose up in this folder and run it: what `make` and `./run` call. Standard library only.
 
-    python3 scripts/bootstrap.py demo | test | lint | bench | setup | <any other hypose command> [arguments]
+    python3 scripts/bootstrap.py demo | test | lint | bench | docs | setup | <any other hypose command> [arguments]
 
 1. Inside a virtual environment (venv, or conda other than `base`) that one is used.
 2. Otherwise `.venv` is made in this folder, in the first way that works: uv; venv; venv without pip, filled
@@ -33,7 +33,7 @@ PIP_WITH_PYTHON_OPTION = (22, 3)  # the first pip that can install into another 
 # What a command needs: `core` is hypose itself, `dev` adds the developers' tools and what benchmarks use, `oracles`
 # adds, where they can be had, the programs that tests compare with and the extras that tests use.
 PROFILES = ("core", "dev", "oracles")
-PROFILE_OF_COMMAND = {"test": "oracles", "setup": "oracles", "lint": "dev", "bench": "dev"}
+PROFILE_OF_COMMAND = {"test": "oracles", "setup": "oracles", "lint": "dev", "bench": "dev", "docs": "dev"}
 
 
 class SetupError(Exception):
@@ -398,6 +398,8 @@ def commands_of(name: str, arguments: List[str], folder: str, python: str) -> Li
         ]
     if name == "bench":
         return [[python, "-m", "benchmarks"] + arguments]
+    if name == "docs":
+        return [[python, "-m", "scripts.docs"] + arguments, [python, "-m", "mkdocs", "build", "--quiet", "--strict"]]
     return [[program(folder, "hypose"), name] + arguments]
 
 
@@ -451,7 +453,7 @@ def main(arguments: List[str]) -> int:
         folder = prepare(machine, PROFILE_OF_COMMAND.get(name, "core"), again=name == "setup")
         python = program(folder, "python") if folder == OWN_ENVIRONMENT else machine.python
         # hypose's own commands get file names as the user typed them; the others work on the project.
-        place = ROOT if name in ("test", "setup", "lint") else None
+        place = ROOT if name in ("test", "setup", "lint", "docs") else None
         if PROFILE_OF_COMMAND.get(name) == "oracles":
             prepare_page(python)
         worst = 0
@@ -459,6 +461,8 @@ def main(arguments: List[str]) -> int:
             if name == "lint":
                 print("$ " + " ".join([os.path.basename(command[0])] + command[1:]), flush=True)
             environment = contained(dict(os.environ))
+            if name == "docs":
+                environment.setdefault("NO_MKDOCS_2_WARNING", "1")
             if name == "test":  # where several processes share the processors, threads of BLAS wait for each other
                 environment.setdefault("OPENBLAS_NUM_THREADS", "1")
             status = run(command, place, environment)

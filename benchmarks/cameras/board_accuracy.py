@@ -24,7 +24,8 @@ from hypose.geometry import Array, se3, se3_inverse, skew, so3_exp
 from hypose.io.calibrations.calibration_formats import read_any
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording
-from hypose.pipeline.run import TrackOptions, track_source
+from hypose.pipeline.run import track_source
+from hypose.pipeline.track_options import TrackOptions
 
 NOISE_PX = 0.25
 

@@ -30,8 +30,9 @@ from hypose.cameras.camera import CameraRig
 from hypose.errors import HyposeError
 from hypose.evidence.frame import Frame
 from hypose.geometry import Array
-from hypose.pipeline.run import TrackOptions, track_source
+from hypose.pipeline.run import track_source
 from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.metrics import carriers, population_offsets, with_offsets
 
 RATE, SECONDS = 60.0, 2.0
@@ -98,7 +99,7 @@ def _rows(found: dict[str, list[_Measured]]) -> Iterator[Row]:
         yield Row("median_mm", case, float(np.median(np.concatenate([m.left.ravel() for m in found[case]]))), "mm")
         yield Row("raw_mm", case, float(np.mean([m.raw.mean() for m in found[case]])), "mm", n=len(means))
         yield Row("triangulation_mm", case, plain, "mm", n=len(means))
-        yield Row("triangulation_mm", f"{case}, sides mended", mended, "mm", n=len(means))
+        yield Row("triangulation_mm", f"{case}, sides corrected", mended, "mm", n=len(means))
         yield Row("pose2sim_mm", case, filtered, "mm", n=len(means))
         inside = np.concatenate([m.inside for m in found[case]])
         if len(inside):

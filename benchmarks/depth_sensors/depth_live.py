@@ -14,7 +14,7 @@ from hypose.pipeline.live.capture import CaptureOptions
 from hypose.pipeline.live.engine import LiveEngine, LiveResult, LiveStatus, LiveTrackingOptions
 from hypose.pipeline.live.live_rig import live_rig
 from hypose.pipeline.live.live_search import LivePersonOptions
-from hypose.pipeline.run import TrackOptions
+from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.write_recording import walking_scene, write_depth_scene
 
 _RATE = 25.0

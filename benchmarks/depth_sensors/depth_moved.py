@@ -14,8 +14,9 @@ from hypose.calibration.depth_registration import place_error
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.frame import Frame
 from hypose.geometry import se3, so3_exp
-from hypose.pipeline.run import TrackOptions, track_source
+from hypose.pipeline.run import track_source
 from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.depth_scenes import DepthScene
 from hypose.synthetic.metrics import EVALUATED
 

@@ -12,8 +12,9 @@ from benchmarks.synthetic.depth_frames import depth_frames
 from hypose.body.motion import Motion
 from hypose.geometry import Array
 from hypose.pipeline.people_run import PeopleRun
-from hypose.pipeline.run import TrackOptions, track_source
+from hypose.pipeline.run import track_source
 from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.depth_scenes import DepthScene, depth_scene, turning
 from hypose.synthetic.metrics import EVALUATED
 from hypose.synthetic.motions import act

@@ -25,8 +25,9 @@ from benchmarks.synthetic.depth_frames import depth_frames
 from hypose.body.default_body import JOINT_NAMES
 from hypose.body.joint_angles import ANGLE_NAMES
 from hypose.geometry import Array
-from hypose.pipeline.run import TrackOptions, track_source
+from hypose.pipeline.run import track_source
 from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.metrics import EVALUATED
 from hypose.tracking.covariance_calibration import kind_of
 from hypose.tracking.error_features import clip_features
@@ -45,7 +46,7 @@ TRAINED = range(100)
 CASES = ("one", "two", "three")
 _FEW = 5
 _GROUP = groups_of(JOINT_NAMES)
-DOUBT_ASSET = ASSET.with_name("depth_error_model.json")
+DOUBT_ASSET = ASSET.with_name("depth_doubt.json")
 _LIKE = (("spine", "pelvis"), ("chest", "neck"), ("clavicle", "shoulder"))
 
 

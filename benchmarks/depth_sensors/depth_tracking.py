@@ -38,8 +38,9 @@ from hypose.fusion import joints as jt
 from hypose.fusion.fuse import FusionSettings, common_positions, fuse_clip
 from hypose.geometry import Array, se3_inverse, transform
 from hypose.pipeline.import_depth import register_depth
-from hypose.pipeline.run import TrackOptions, track_source
+from hypose.pipeline.run import track_source
 from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.corruptions import corrupt_mask, corruptions
 from hypose.synthetic.depth_scenes import DepthScene, depth_rig, depth_scene, to_profile, turning
 from hypose.synthetic.metrics import EVALUATED, population_offsets, with_offsets

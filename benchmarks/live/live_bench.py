@@ -30,8 +30,8 @@ from hypose.pipeline.live.capture import CaptureOptions
 from hypose.pipeline.live.engine import LiveEngine, LiveResult, LiveStatus, LiveTrackingOptions
 from hypose.pipeline.live.live_people import LivePose
 from hypose.pipeline.live.live_rig import LiveRig, live_rig
-from hypose.pipeline.run import TrackOptions
 from hypose.pipeline.track import track
+from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.scenes import circle, make_scene
 from hypose.synthetic.write_recording import write_scene
 

@@ -10,8 +10,9 @@ from hypose.body.default_body import human
 from hypose.evidence.keypoints import BODY_25B
 from hypose.io.recordings.frames import FrameStream
 from hypose.pipeline.first_frame import SubjectOptions, TrackedSubject, find_subject, first_start
-from hypose.pipeline.run import TrackOptions, track_source
+from hypose.pipeline.run import track_source
 from hypose.pipeline.subject_from_motion import SubjectEstimate, estimate_subject, size_uncertainty
+from hypose.pipeline.track_options import TrackOptions
 from hypose.tracking.keypoint_evidence import keypoint_model
 
 

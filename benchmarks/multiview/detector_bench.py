@@ -27,9 +27,10 @@ from hypose.io.recordings.recording import Recording, load_recording, write_reco
 from hypose.pipeline.assessment import GOOD, LOOK, UNTRUSTED
 from hypose.pipeline.detect_keypoints import detect_keypoints
 from hypose.pipeline.first_frame import SubjectOptions, find_subject
-from hypose.pipeline.run import TrackOptions, track_source
+from hypose.pipeline.run import track_source
 from hypose.pipeline.track import track
 from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.metrics import EVALUATED
 from hypose.synthetic.scenes import Scene, make_scene
 from hypose.synthetic.write_recording import write_scene

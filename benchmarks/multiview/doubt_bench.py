@@ -44,8 +44,9 @@ from hypose.io.recordings.recording import Recording
 from hypose.pipeline.assessment import GOOD, UNTRUSTED, assess
 from hypose.pipeline.frame_anomalies import against_the_clip
 from hypose.pipeline.input_checks import check_inputs
-from hypose.pipeline.run import TrackOptions, TrackResult, track_source
+from hypose.pipeline.run import TrackResult, track_source
 from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.metrics import EVALUATED
 from hypose.tracking.error_model import WRONG_M, error_models, needs_review
 from hypose.tracking.joint_features import audit_frame
@@ -155,7 +156,7 @@ def _words(judges: Sequence[Tracked]) -> list[Row]:
             low_confidence_joints=joints,
             low_confidence=needs_review(p, joints, c.evidence),
         )
-        word = assess(motion, *against_the_clip(c.audit, motion.n_views, c.evidence)).word
+        word = assess(motion, against_the_clip(c.audit, motion.n_views, c.evidence)).word
         families.setdefault(name, []).append(word != GOOD)
     return [Row("not_good", name, float(np.mean(some)), "1", n=len(some)) for name, some in families.items()]
 

@@ -11,8 +11,9 @@ from benchmarks.multiview.doubt_scenes import CASES, Case, scene_without_masks
 from benchmarks.multiview.product import aligned_joints
 from benchmarks.synthetic.spoilt_keypoints import spoilt
 from hypose.pipeline.first_frame import SubjectOptions, find_subject
-from hypose.pipeline.run import TrackOptions, track_source
+from hypose.pipeline.run import track_source
 from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.metrics import EVALUATED
 
 MOTIONS: dict[str, Case] = {

@@ -31,8 +31,9 @@ from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.keypoints import BODY_25, to_keypoints
 from hypose.geometry import Array, procrustes, se3, transform
 from hypose.pipeline.first_frame import SubjectOptions, TrackedSubject, find_subject
-from hypose.pipeline.run import TrackOptions, track_source
+from hypose.pipeline.run import track_source
 from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.corruptions import keypoint_detections
 from hypose.synthetic.depth_scenes import DepthScene
 from hypose.synthetic.scenes import Scene, make_scene

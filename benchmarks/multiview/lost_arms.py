@@ -25,9 +25,11 @@ from hypose.evidence.limb_maps import LABELS, LimbMaps, limb_of_joints
 from hypose.geometry import Array
 from hypose.inference.layer import Recipe
 from hypose.pipeline.first_frame import SubjectOptions, find_subject
-from hypose.pipeline.run import TrackOptions, finish, track_source, tracker_of
+from hypose.pipeline.passes import ClipState, tracker_of
+from hypose.pipeline.run import finish, track_source
 from hypose.pipeline.track import track
 from hypose.pipeline.track_loop import FrameList, track_frames
+from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.metrics import EVALUATED, population_offsets, with_offsets
 from hypose.synthetic.scenes import Scene, make_scene
 from hypose.synthetic.write_recording import write_scene
@@ -142,7 +144,8 @@ def _distances(scene: Scene, source: FrameList, body: Body, draw: int, colours: 
     tracker = tracker_of(subject, options, scene.frame_rate)
     begin = tracker.start(subject.start)
     done = track_frames(source, tracker, begin, subject, progress=_silent)
-    smoothed = finish(source, subject, tracker, done, options, None, None, _silent).motion.poses
+    clip = ClipState(source, scene.frame_rate, options, subject=subject, tracker=tracker, tracked=done)
+    smoothed = finish(clip).motion.poses
     assert smoothed is not None
     tracked = np.stack([e.pose for e in done.estimates])
     return _errors(body, smoothed, scene), _errors(body, tracked, scene)

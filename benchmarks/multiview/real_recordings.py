@@ -24,8 +24,9 @@ from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording, ViewSettings, load_recording
 from hypose.io.videos.video import open_video
 from hypose.pipeline.first_frame import SubjectOptions, find_subject
-from hypose.pipeline.run import TrackOptions, track_source
+from hypose.pipeline.run import track_source
 from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.track_options import TrackOptions
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.keypoint_evidence import KeypointModel
 

@@ -20,8 +20,9 @@ from hypose.evidence.frame import Frame
 from hypose.evidence.keypoints import BODY_25B
 from hypose.geometry import Array
 from hypose.pipeline.first_frame import SubjectOptions, find_subject
-from hypose.pipeline.run import TrackOptions, track_source
+from hypose.pipeline.run import track_source
 from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.track_options import TrackOptions
 from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE
 from hypose.tracking.keypoint_offsets import TOGETHER
 from hypose.tracking.pose_covariance import joint_group

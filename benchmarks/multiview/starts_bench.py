@@ -15,8 +15,9 @@ from hypose.body.default_body import human
 from hypose.errors import HyposeError
 from hypose.evidence.frame import Frame
 from hypose.pipeline.assessment import GOOD
-from hypose.pipeline.run import TrackOptions, track_source
+from hypose.pipeline.run import track_source
 from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.metrics import EVALUATED
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.start_search import postures as postures_of_body

@@ -14,7 +14,8 @@ from hypose.io.recordings.frames import FrameSettings, FrameStream
 from hypose.io.recordings.recording import Recording
 from hypose.pipeline.first_frame import SubjectOptions, TrackedSubject, find_subject
 from hypose.pipeline.one_camera import masks_of, one_view
-from hypose.pipeline.run import TrackOptions, TrackResult, track_source
+from hypose.pipeline.run import TrackResult, track_source
+from hypose.pipeline.track_options import TrackOptions
 
 CAMERA = "cam03"
 _HIPS = tuple(LIMBS.index(BODY_25B.index(f"{side}_hip")) for side in ("left", "right"))

@@ -20,8 +20,8 @@ from hypose.evidence.colours import colour_codes
 from hypose.evidence.frame import Colours, Frame
 from hypose.geometry import Array
 from hypose.pipeline.people_run import PeopleRun
-from hypose.pipeline.run import TrackOptions
 from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.track_options import TrackOptions
 from hypose.pipeline.tracked_people import TrackedPerson
 from hypose.synthetic.motions import act
 from hypose.synthetic.performance import Performance

@@ -20,8 +20,9 @@ from hypose.evidence.frame import Frame, Keypoints
 from hypose.evidence.keypoints import BODY_25
 from hypose.evidence.one_person import one_person
 from hypose.geometry import Array
-from hypose.pipeline.run import TrackOptions, track_source
+from hypose.pipeline.run import track_source
 from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.corruptions import keypoint_detections
 from hypose.synthetic.metrics import EVALUATED
 from hypose.synthetic.performance import moved

@@ -22,8 +22,9 @@ from hypose.evidence.frame import Frame
 from hypose.geometry import Array
 from hypose.pipeline.assessment import assess
 from hypose.pipeline.people_run import PeopleRun
-from hypose.pipeline.run import TrackOptions, TrackResult, track_source
+from hypose.pipeline.run import TrackResult, track_source
 from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.track_options import TrackOptions
 from hypose.pipeline.tracked_people import TrackedPerson
 from hypose.synthetic.metrics import joint_errors, population_offsets
 from hypose.synthetic.scenes import Scene
@@ -78,7 +79,7 @@ def run(seed: int, seconds: float) -> dict[str, Any]:
 
 
 def _word(result: TrackResult) -> str:
-    return assess(result.motion, result.faults, result.looks).word
+    return assess(result.motion, result.findings).word
 
 
 def _in_step(frames: Sequence[Frame], late: Array) -> FrameList:

@@ -28,8 +28,9 @@ from hypose.evidence.keypoints import BODY_25, to_keypoints
 from hypose.geometry import Array
 from hypose.pipeline.people_run import PeopleRun
 from hypose.pipeline.person_paths import KeypointPeople
-from hypose.pipeline.run import TrackOptions, track_source
+from hypose.pipeline.run import track_source
 from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.track_options import TrackOptions
 from hypose.pipeline.tracked_people import TrackedPerson
 from hypose.synthetic.corruptions import keypoint_detections
 from hypose.synthetic.metrics import joint_errors, population_offsets

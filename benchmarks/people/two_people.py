@@ -20,8 +20,9 @@ from hypose.geometry import Array
 from hypose.io.recordings.frames import working_rig
 from hypose.io.recordings.recording import Recording, load_recording
 from hypose.io.recordings.recording_people import load_person
-from hypose.pipeline.run import TrackOptions, track_source
+from hypose.pipeline.run import track_source
 from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.track_options import TrackOptions
 
 _FAR = 0.5  # m from him: somebody else
 _LATER = 1  # frames by which the film of two shows the same later, in all four views

@@ -15,8 +15,9 @@ from hypose.body.motion import Motion
 from hypose.evidence.frame import Frame
 from hypose.geometry import Array
 from hypose.pipeline.first_frame import SubjectOptions, TrackedSubject, find_subject
-from hypose.pipeline.run import TrackOptions, track_source
+from hypose.pipeline.run import track_source
 from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.metrics import joint_errors, population_offsets
 from hypose.synthetic.performance import moved
 from hypose.synthetic.scenes import Scene, camera_rig, make_scene

@@ -24,8 +24,8 @@ from hypose.errors import HyposeError
 from hypose.geometry import Array
 from hypose.io.recordings.frames import load_keypoints
 from hypose.io.recordings.recording import load_recording
-from hypose.pipeline.run import TrackOptions
 from hypose.pipeline.track import track
+from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.scenes import camera_rig
 
 _SPOILT = 40

@@ -1,100 +1,214 @@
 """The command line: `hypose COMMAND`. Every error that a user can cause ends in one sentence and exit code 2.
 
-The commands' work is imported when a command runs, so that `hypose --help` answers at once.
+Commands are made of the options that they declare (hypose.options). A command is imported when it is asked for, and its
+work when it runs, so that `hypose --help` answers at once.
 """
 
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import errno
+import importlib
+import inspect
 import io
 import os
 import sys
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Any
 
-import typer
+import click
 
-from hypose.app.commands import (
-    commands_batch,
-    commands_calibrate,
-    commands_check,
-    commands_data,
-    commands_fuse,
-    commands_gesture,
-    commands_live,
-    commands_results,
-    commands_track,
-)
+from hypose.app import options
 from hypose.errors import HyposeError
-
-app = typer.Typer(
-    name="hypose",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,  # rich takes longer to import than all the rest of `hypose --help`
-    help="Human motion from ordinary cameras: calibrated videos in; joint positions, angles and their uncertainty out.",
-)
+from hypose.options import RESEARCH, THREAD_VARIABLES, Declared, declared
 
 _LITTLE_MEMORY = 4 << 30
 _OWN_SETTINGS = ("NUMBA_DISABLE_INTEL_SVML", "NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES")
 """Variables that hypose sets itself, and hands on to the processes that it starts."""
-# (name, what does it, its line in `hypose --help`), in the order in which they are needed
-_COMMANDS = (
-    ("demo", commands_track.demo, "Make a synthetic recording, track it, compare with the truth."),
-    ("calibrate", commands_calibrate.calibrate, "Lenses and places of cameras, from boards or measured points."),
-    ("check", commands_check.check, "Do the views agree? What is wrong, and --refine cures it."),
-    ("sync", commands_check.sync, "How many frames each view is late; cure it with --out."),
-    ("silhouettes", commands_data.silhouettes, "Write the masks of the person, and a contact sheet."),
-    ("keypoints", commands_data.keypoints, "Detect 2D key points and masks of people in the videos."),
-    ("track", commands_track.track_command, "Track the person: motion files, overlay video, report."),
-    ("correct", commands_track.correct, "Track a result again from a frame corrected in the studio."),
-    ("subject", commands_track.subject, "Measure a person: lengths, girths, a body for track."),
-    ("fuse", commands_fuse.fuse, "One skeleton per person from several depth sensors."),
-    ("live", commands_live.live, "Cameras in, poses out, while it happens."),
-    ("batch", commands_batch.batch, "Many recordings, many settings, all cores or a cluster."),
-    ("view", commands_live.view, "The studio in the browser: look at results, correct, set up."),
-    ("export", commands_results.export, "Write TRC, C3D, BVH, GLB, CSV, MOT of a tracked motion."),
-    ("play", commands_results.play, "Send a tracked motion to an avatar, as it was (VMC)."),
-    ("gait", commands_results.gait, "Foot strikes, steps, cadence and speed of a tracked motion."),
-    ("compare", commands_results.compare, "How far a result agrees with markers or another motion."),
-    ("report", commands_results.report, "Write the report of a result again."),
-    ("depth-import", commands_data.depth_import, "A recording from what depth cameras recorded."),
-    ("synth", commands_data.synth, "Make a synthetic recording with known truth."),
-    ("warm-up", commands_track.warm_up_command, "Compile now what the first run would compile."),
-    ("cite", commands_results.cite, "Print the papers behind the method that gave a result."),
-)
-for _name, _command, _line in _COMMANDS:
-    app.command(_name, short_help=_line)(_command)
-app.add_typer(
-    commands_gesture.gesture_app, name="gesture", short_help="Learn still gestures in minutes, and watch for them."
-)
+CommandTable = Mapping[str, Mapping[str, tuple[str, str]]]
+"""Heading -> name of a command -> (where it is, its line in the help). Where: module:function below hypose.app, or
+below hypose.app.commands; or the table of a command that has commands of its own. What function `track` takes is
+declared by the class TrackCommand of hypose.app.options; without such a class by the function itself."""
+CLI_COMMANDS: CommandTable = {
+    "First": {
+        "calibrate": (
+            "commands_calibrate:calibrate",
+            "Lenses and places of cameras, from boards or measured points.",
+        ),
+        "check": (
+            "commands_check:check",
+            "Do the views agree? What is wrong, and --refine cures it.",
+        ),
+        "sync": ("commands_check:sync", "How many frames each view is late; cure it with --out."),
+        "track": (
+            "commands_track:track_command",
+            "Track the person: motion files, overlay video, report.",
+        ),
+        "view": ("commands_live:view", "The studio in the browser: look at results, correct, set up."),
+        "export": ("commands_results:export", "Write TRC, C3D, BVH, GLB, CSV, MOT of a tracked motion."),
+    },
+    "Recordings": {
+        "demo": ("commands_track:demo", "Make a synthetic recording, track it, compare with the truth."),
+        "synth": ("commands_data:synth", "Make a synthetic recording with known truth."),
+        "depth-import": ("commands_data:depth_import", "A recording from what depth cameras recorded."),
+        "silhouettes": ("commands_data:silhouettes", "Write the masks of the person, and a contact sheet."),
+        "keypoints": ("commands_data:keypoints", "Detect 2D key points and masks of people in the videos."),
+        "subject": (
+            "jobs.person_job:measure_subject",
+            "Measure a person: lengths, girths, a body for track.",
+        ),
+        "batch": ("commands_track:batch", "Many recordings, many settings, all cores or a cluster."),
+    },
+    "Results": {
+        "report": ("commands_results:report", "Write the report of a result again."),
+        "correct": ("commands_track:correct", "Track a result again from a frame corrected in the studio."),
+        "explain": ("commands_results:explain", "Which pass moved a joint of a frame, and why."),
+        "gait": ("commands_results:gait", "Foot strikes, steps, cadence and speed of a tracked motion."),
+        "compare": (
+            "commands_results:compare",
+            "How far a result agrees with markers or another motion.",
+        ),
+        "play": ("commands_results:play", "Send a tracked motion to an avatar, as it was (VMC)."),
+        "cite": ("commands_results:cite", "Print the papers behind the method that gave a result."),
+    },
+    "Live and depth sensors": {
+        "live": ("commands_live:live", "Cameras in, poses out, while it happens."),
+        "fuse": ("jobs.fuse_job:fuse", "One skeleton per person from several depth sensors."),
+        "gesture": (
+            "commands_gesture:GESTURE_COMMANDS",
+            "Learn still gestures in minutes, and watch for them.",
+        ),
+        "warm-up": ("commands_track:warm_up_command", "Compile now what the first run would compile."),
+    },
+}
+_ABOUT = "Human motion from ordinary cameras: calibrated videos in; joint positions, angles and their uncertainty out."
+_PLACEHOLDERS = {int: "N", float: "X", Path: "PATH"}
+_CONTEXT = {"max_content_width": 120}
 
 
-def _version(wanted: bool) -> None:
+class _Group(click.Group):
+    """Commands in a table, each imported when it is asked for."""
+
+    def __init__(self, name: str, table: CommandTable, about: str, params: Sequence[click.Parameter] = ()) -> None:
+        super().__init__(name, help=about, params=[*params], no_args_is_help=True, context_settings=_CONTEXT)
+        self._table = table
+
+    def list_commands(self, ctx: click.Context | None) -> list[str]:
+        return [name for commands in self._table.values() for name in commands]
+
+    def get_command(self, ctx: click.Context | None, name: str, /) -> click.Command | None:  # pyright: ignore[reportIncompatibleMethodOverride]
+        if name not in self.commands:
+            found = next((commands[name] for commands in self._table.values() if name in commands), None)
+            if found is None:
+                return None
+            module, _, member = found[0].partition(":")
+            module = f"hypose.app.{'' if '.' in module else 'commands.'}{module}"
+            declares = getattr(options, f"{name.capitalize()}Command", None)
+            if declares is not None:
+                self.commands[name] = make_command(name, declares, lambda given: _imported(module, member)(given))
+            elif isinstance(what := _imported(module, member), Mapping):
+                self.commands[name] = _Group(name, what, found[1])
+            else:
+                self.commands[name] = make_command(name, what)
+        return self.commands[name]
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        for heading, commands in self._table.items():
+            with formatter.section(heading):
+                formatter.write_dl([(name, line) for name, (_, line) in commands.items()])
+
+
+class _Command(click.Command):
+    """A command whose options stand under headings. declares: what declares them."""
+
+    declares: Callable[..., Any]
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        sections: dict[str, list[tuple[str, str]]] = {"Options": []}
+        for param in self.get_params(ctx):
+            if not isinstance(param, click.Argument) and (record := param.get_help_record(ctx)):
+                sections.setdefault(getattr(param, "group", "") or "Options", []).append(record)
+        for heading, records in sorted(sections.items(), key=lambda s: s[0] == RESEARCH):  # last
+            with formatter.section(heading):
+                formatter.write_dl(records)
+
+
+def make_command(name: str, declares: Callable[..., Any], work: Callable[[Any], None] | None = None) -> click.Command:
+    """The command with the options that a function or dataclass declares (`hypose.options.declared`), which it calls.
+
+    work: is called with the instance of the dataclass."""
+
+    def run(**given: Any) -> None:  # noqa: ANN401
+        set_threads(given.get("threads"))
+        made = declares(**given)
+        if work is not None:
+            work(made)
+
+    out = _Command(name, callback=run, help=inspect.getdoc(declares), context_settings=_CONTEXT)
+    out.params, out.declares = [_parameter(option) for option in declared(declares)], declares
+    return out
+
+
+def set_threads(count: int | None) -> None:
+    """Limit the threads of everything that uses threads; call it before numpy and OpenCV are imported."""
+    if count is not None:
+        os.environ.update(dict.fromkeys(THREAD_VARIABLES, str(count)))
+        import cv2
+
+        cv2.setNumThreads(count)
+
+
+def _parameter(d: Declared) -> click.Parameter:
+    """An option or argument of the command line."""
+    required = d.default is dataclasses.MISSING
+    about: dict[str, Any] = {} if required else {"default": d.default}
+    about |= {"type": click.Path(path_type=Path) if d.kind is Path else d.kind, "help": d.option.help}
+    about["metavar"] = d.option.value or None
+    if d.option.choices and d.option.value:
+        about["help"] += f" One of {', '.join(d.option.choices)}."
+    if d.option.argument:
+        return click.Argument([d.name], nargs=-1 if d.many else 1, required=required, **about)
+    flags = d.flag
+    if d.kind is bool:
+        about.update(is_flag=True, flag_value=not d.default)
+        if d.default is None:
+            flags, about["flag_value"] = f"{d.flag}/--no-{d.name}", None
+    else:
+        choices = f"{{{','.join(d.option.choices)}}}" if d.option.choices else ""
+        about.update(required=required, multiple=d.many, show_default=d.default not in (None, "", ()))
+        about["metavar"] = d.option.value or choices or _PLACEHOLDERS.get(d.kind, "TEXT")
+    out = click.Option([flags, d.name], callback=lambda ctx, param, value: d.check(value), **about)
+    out.group = d.option.group  # pyright: ignore[reportAttributeAccessIssue] (for the help)
+    return out
+
+
+def _imported(module: str, member: str) -> Any:  # noqa: ANN401
+    return getattr(importlib.import_module(module), member)
+
+
+def _version(ctx: click.Context, param: click.Parameter, wanted: bool) -> None:
     if wanted:
         from hypose import __version__
 
-        typer.echo(f"hypose {__version__}")
-        raise typer.Exit
+        click.echo(f"hypose {__version__}")
+        ctx.exit()
 
 
-@app.callback()
-def _global(
-    version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
-    ] = False,
-    debug: Annotated[
-        bool, typer.Option("--debug", help="Show where an error came from (also: HYPOSE_DEBUG=1).")
-    ] = False,
-) -> None:
-    pass
+app = _Group(
+    "hypose",
+    CLI_COMMANDS,
+    _ABOUT,
+    [
+        click.Option(["--version"], is_flag=True, callback=_version, is_eager=True, help="Print the version and exit."),
+        click.Option(["--debug"], is_flag=True, help="Show where an error came from (also: HYPOSE_DEBUG=1)."),
+    ],
+)
 
 
-def run_cli(arguments: Sequence[str] | None = None, command: typer.Typer = app, name: str = "hypose") -> None:
+def run_cli(arguments: Sequence[str] | None = None, command: click.Command = app, name: str = "hypose") -> None:
     """Entry point of the console script, or of another command line that shall end as this one does; arguments default
     to those of the process. Exits the process."""
     around = ("", "")

@@ -1,1 +1,1 @@
-"""The body: joint tree, mesh, ready models, and the Motion every tracker returns."""
+"""The body: joint tree, mesh, ready models, and the motion that every tracker returns."""

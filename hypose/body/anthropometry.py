@@ -1,11 +1,12 @@
-"""Anthropometry: the entities in which a subject's shape is described, their statistics, and sizes measured on a mesh.
+"""Anthropometry: the factors that describe a person's shape, their statistics, and sizes measured on a mesh.
 
-A shape is a vector of log factors, one per entity, relative to a body; entities are symmetric. The prior is a normal
-distribution of the log factors about the body scaled to its height: Table 2.1 for lengths, and one common factor
-(slim to heavy) plus an own part for girths. Sizes are measured on any mesh with joint centres: lengths between joints,
-heights above the floor, girths as the tape measures them (convex outline of a cross-section), so that a fitted body and
-a scanned or synthetic person are measured by the same function.
-Source: Alcoverro 2014, section 2.3.3, Table 2.1 (after DinBelg 2005) and eq. 2.13; girth statistics are an addition.
+A shape is a vector of log factors relative to a body, one per entity, the same for both sides. The prior is a normal
+distribution of the log factors about the body scaled to the person's height: Table 2.1 for lengths; for girths one
+common factor (slim to heavy) plus an own part. Sizes can be measured on any mesh with joint centres (lengths between
+joints, heights above the floor, girths as a tape measures them: the convex outline of a cross-section), so that a
+fitted body and a scanned or synthetic person are measured by the same function.
+Source: Alcoverro 2014, section 2.3.3, Table 2.1 (after DinBelg 2005) and eq. 2.13. The statistics of girths are an
+    addition.
 """
 
 from __future__ import annotations
@@ -26,13 +27,13 @@ _SIDES = ("left", "right")
 
 @dataclass(frozen=True)
 class Entity:
-    """One symmetric shape factor.
+    """One factor of the shape, the same for both sides.
 
-    name.
+    name: of the factor.
     kind: 'scale', 'length', 'girth' or 'clothing'.
-    sd: of its log in the population, at equal stature.
-    fat: the part of that sd which follows the common factor from slim to heavy.
-    mean.
+    sd: standard deviation of its logarithm in the population, at equal stature.
+    fat: part of that sd which follows the common factor from slim to heavy.
+    mean: mean of its logarithm in the prior.
     """
 
     name: str
@@ -74,9 +75,9 @@ SHAPE_FACTORS: tuple[Entity, ...] = (
 SHAPE_FACTOR_NAMES = tuple(e.name for e in SHAPE_FACTORS)
 
 CLOTHING_UNIT = 0.1
-"""m: the factor "clothing" is not a logarithm but a thickness in this unit, 9 +- 6 mm in the prior."""
+"""m, unit of the factor "clothing", which is not a logarithm but a thickness: 9 +- 6 mm in the prior."""
 _COVERED = {"head": 0.0, "neck": 0.2, "wrist": 0.0, "ankle": 0.0}
-"""Share of the thickness by the kind of joint that carries the skin; 1 elsewhere."""
+"""Share of the thickness of clothes by the kind of joint that carries the skin; 1 elsewhere."""
 
 TABLE_2_1: dict[str, tuple[float, float]] = {
     "shoulder height": (140.0, 17.0),
@@ -88,13 +89,13 @@ TABLE_2_1: dict[str, tuple[float, float]] = {
     "legs": (90.5, 17.0),
     "torso": (52.0, 8.0),
 }
-"""Mean (cm) and variance (cm^2) of each entity's size. Source: Alcoverro 2014, Table 2.1."""
+"""Mean (cm) and variance (cm^2) of each size. Source: Alcoverro 2014, Table 2.1."""
 
 _TRUNK = (("chest", "chest"), ("waist", "spine"), ("pelvis", "pelvis"))
 
 
 def _shape_of(log_factors: ArrayLike) -> Shape:
-    """Return the Shape of log factors (K,) in the order of SHAPE_FACTORS, for `hypose.body.body.deform`."""
+    """Convert log factors (K,) in the order of SHAPE_FACTORS into the Shape that `deform` applies."""
     x = np.asarray(log_factors, dtype=np.float64)
     if x.shape != (len(SHAPE_FACTORS),):
         raise InputError(f"A shape has {len(SHAPE_FACTORS)} log factors, got shape {x.shape}.")
@@ -116,7 +117,7 @@ def _shape_of(log_factors: ArrayLike) -> Shape:
         # along the arm and across it alike: a hand, a foot keep their proportions
         length[f"{side}_wrist"] = girth[f"{side}_wrist"] = f["hands"]  # type: ignore[assignment]
         length[f"{side}_ankle"] = girth[f"{side}_ankle"] = f["feet"]  # type: ignore[assignment]
-        # hips hang on the pelvis and clavicles on the chest: undo the trunk's stretch across the body
+        # hips are children of the pelvis, clavicles of the chest: undo the trunk's stretch across the body
         offset[f"{side}_hip"] = (f["hip width"] / torso, 1 / torso, 1.0)
         offset[f"{side}_clavicle"] = (shoulders / torso, 1 / torso, 1.0)
         offset[f"{side}_shoulder"] = (shoulders, 1.0, 1.0)
@@ -125,7 +126,12 @@ def _shape_of(log_factors: ArrayLike) -> Shape:
 
 
 def body_of(template: Body, factors: ArrayLike, *, clothed: bool = True) -> Body:
-    """Return the template with the shape of factors (K,), in its clothes or without them."""
+    """Deform the template to the shape of log factors (K,), in the order of SHAPE_FACTORS.
+
+    clothed: whether to add the thickness of the clothes.
+    Returns: the body.
+    Raises: InputError where the number of factors is wrong.
+    """
     x = np.asarray(factors, dtype=np.float64)
     shaped = deform(template, _shape_of(x))
     thickness = CLOTHING_UNIT * float(x[entity("clothing")])
@@ -137,7 +143,7 @@ def body_of(template: Body, factors: ArrayLike, *, clothed: bool = True) -> Body
 
 
 def dressed(mesh: Mesh, thickness: float) -> Mesh:
-    """Return the mesh of the 19-joint body moved outwards by `thickness` m where clothes usually are."""
+    """Move the surface of a mesh of the 19-joint body outwards by `thickness` m where clothes usually are."""
     v, f = mesh.vertices, mesh.faces
     flat = np.cross(v[f[:, 1]] - v[f[:, 0]], v[f[:, 2]] - v[f[:, 0]])
     normals = np.zeros_like(v)
@@ -154,20 +160,24 @@ def dressed(mesh: Mesh, thickness: float) -> Mesh:
 
 
 def prior_mean() -> Array:
-    """Return (K,) of the factors."""
+    """Return the mean (K,) of the log factors in the prior."""
     return np.array([e.mean for e in SHAPE_FACTORS])
 
 
 def prior_covariance() -> Array:
-    """Return (K, K) covariance of the log factors at equal stature: own variances plus the common slim-to-heavy
-    factor."""
+    """Compute the covariance (K, K) of the log factors at equal stature: own variances plus the common slim-to-heavy
+    factor.
+    """
     sd, fat = np.array([e.sd for e in SHAPE_FACTORS]), np.array([e.fat for e in SHAPE_FACTORS])
     return np.diag(sd**2 - fat**2) + np.outer(fat, fat)
 
 
 def length_rows(body: Body) -> tuple[Array, Array, Array]:
-    """What Table 2.1 says of sums of entities: matrix (M, K) of d log(size) / d log(factor), mean (M,) = 0 at the
-    height-scaled body, and sd (M,): arms = upper arm + forearm, legs = thigh + shank, shoulder height."""
+    """Make the linear constraints of Table 2.1 on sums of lengths: arms, legs and shoulder height.
+
+    Returns: matrix (3, K) of d log(size) / d log(factor), means (3,), which are 0 at the height-scaled body, and
+        standard deviations (3,).
+    """
     lengths = body.segment_lengths()
     ua, fa = lengths["left_upper_arm"], lengths["left_forearm"]
     th, sh, torso = lengths["left_thigh"], lengths["left_shank"], lengths["torso"]
@@ -181,7 +191,7 @@ def length_rows(body: Body) -> tuple[Array, Array, Array]:
 
 
 def entity(name: str) -> int:
-    """Index of an entity; an InputError lists the names."""
+    """Return the index of an entity by name; raises InputError with the list of names where there is none."""
     if name not in SHAPE_FACTOR_NAMES:
         raise InputError(f"There is no entity {name!r}; the entities are {', '.join(SHAPE_FACTOR_NAMES)}.")
     return SHAPE_FACTOR_NAMES.index(name)
@@ -209,12 +219,18 @@ SEGMENTS: dict[str, tuple[str, str]] = {
     "shoulder width": ("left_shoulder", "right_shoulder"),
     "hip width": ("left_hip", "right_hip"),
 }
-"""Lengths that are measured: distance of two joint centres, the mean of both sides where there are two."""
+"""Lengths to measure: the distance between two joint centres, the mean of both sides where there are two."""
 
 
 @dataclass(frozen=True)
 class Sizes:
-    """Sizes of a person in m: stature, shoulder_height, lengths by segment (SEGMENTS), girths by site."""
+    """Sizes of a person, m.
+
+    stature: height of the person.
+    shoulder_height: height of the shoulder joints above the floor.
+    lengths: by segment (SEGMENTS).
+    girths: by site (chest, waist, hips, neck, upper arm, forearm, thigh, shank).
+    """
 
     stature: float
     shoulder_height: float
@@ -223,23 +239,25 @@ class Sizes:
 
     @property
     def in_cm(self) -> dict[str, float]:
-        """Return all sizes in cm, girths under '<site> girth'."""
+        """All sizes in cm by name; girths under '<site> girth'."""
         out = {"stature": self.stature, "shoulder height": self.shoulder_height, **self.lengths}
         out |= {f"{k} girth": v for k, v in self.girths.items()}
         return {k: 100 * v for k, v in out.items()}
 
 
 def sizes_of(body: Body) -> Sizes:
-    """Sizes of a body's fine mesh at rest."""
+    """Measure the sizes of a body on its fine mesh at rest."""
     return measure(body.fine.vertices, body.fine.faces, body.skeleton.rest_joints)
 
 
 def measure(vertices: Array, faces: NDArray[np.integer], joints: Array) -> Sizes:
-    """Sizes of a person at rest (standing, arms off the body): vertices (V, 3) m with z up, faces (F, 3), joint centres
-    (19, 3) m in the order of hypose.body.default_body.JOINT_NAMES.
+    """Measure the sizes of a person at rest (standing, arms away from the body).
 
-    A girth is the length of the convex outline of the cross-section's loop around the bone. An InputError when a plane
-    misses the mesh.
+    vertices: (V, 3) m, z up.
+    faces: (F, 3) of the closed mesh.
+    joints: (19, 3) m, joint centres in the order of default_body.JOINT_NAMES.
+    Returns: the sizes. A girth is the length of the convex outline of the cross-section around the bone.
+    Raises: InputError where a plane misses the mesh.
     """
     j = np.asarray(joints, dtype=np.float64)
     at = JOINT_NAMES.index
@@ -264,8 +282,15 @@ def measure(vertices: Array, faces: NDArray[np.integer], joints: Array) -> Sizes
 
 
 def girth_at(vertices: Array, faces: NDArray[np.integer], point: Array, normal: Array, what: str = "section") -> float:
-    """Length (m) of the convex outline of the cross-section of a closed mesh through `point` (3,) with unit `normal`
-    (3,): of the loop around the point, or the nearest one."""
+    """Measure the convex outline of a mesh's cross-section: of the loop around a point, or of the nearest loop.
+
+    vertices, faces: (V, 3) m and (F, 3) of a closed mesh.
+    point: (3,) m in the plane.
+    normal: (3,) unit normal of the plane.
+    what: name of the section in the message.
+    Returns: m.
+    Raises: InputError where the plane misses the mesh.
+    """
     loops = cross_section(vertices, faces, point, normal)
     if not loops:
         raise InputError(f"The plane of the {what} misses the mesh; the joints do not fit the mesh.")
@@ -280,7 +305,12 @@ def girth_at(vertices: Array, faces: NDArray[np.integer], point: Array, normal: 
 
 
 def cross_section(vertices: Array, faces: NDArray[np.integer], point: Array, normal: Array) -> list[Array]:
-    """Closed loops (n, 3) in which a plane cuts a closed mesh."""
+    """Cut a closed mesh by a plane.
+
+    vertices, faces: (V, 3) m and (F, 3).
+    point, normal: (3,) m in the plane, and (3,) normal of the plane.
+    Returns: the closed loops, each (n, 3) m.
+    """
     height = (np.asarray(vertices, dtype=np.float64) - point) @ normal
     height = np.where(height == 0, 1e-12, height)  # no vertex lies in the plane: every cut face has two cut edges
     above = height > 0
@@ -333,11 +363,11 @@ _CUBE = 0.01  # m
 
 @dataclass(frozen=True)
 class SegmentMass:
-    """Segment mass.
+    """Mass properties of one body segment.
 
-    mass kg.
-    centre (3,) m in the model frame at rest.
-    inertia (3, 3) kg m^2 about the centre, along its axes.
+    mass: kg.
+    centre: (3,) m, centre of mass in the model frame at rest.
+    inertia: (3, 3) kg m^2 about the centre, along the axes of the model frame.
     """
 
     mass: float
@@ -348,10 +378,13 @@ class SegmentMass:
 def segment_masses(
     body: Body, segments: Mapping[str, Sequence[str]], mass: float | None = None
 ) -> dict[str, SegmentMass]:
-    """Mass, centre and inertia of segments, each given by the names of the joints that carry its skin.
+    """Compute mass, centre of mass and inertia of body segments from the volume of the mesh.
 
-    mass: kg of the whole body, where it is known; else that of its volume. A segment without volume (a body of one's
-    own may have no hands) is one cube at its first joint, for a body without mass stops simulations.
+    body: the body at rest.
+    segments: by name, the joints that carry the skin of the segment.
+    mass: kg of the whole body; None: its volume times 1000 kg/m^3.
+    Returns: by name. A segment without volume (a user's body may have no hands) becomes one cube at its first joint,
+        because simulations fail for a segment without mass.
     """
     from scipy.spatial import KDTree  # takes long to import
 
@@ -374,10 +407,10 @@ def segment_masses(
 
 
 def _inside(mesh: Mesh) -> Array:
-    """Return (N, 3) m: centres of the cubes inside a closed mesh: an odd number of faces lies above them."""
+    """Find the centres (N, 3) m of the cubes inside a closed mesh: those with an odd number of faces above them."""
     corners = mesh.vertices[mesh.faces]
     low, high = mesh.vertices.min(0), mesh.vertices.max(0)
-    # a hair off the regular grid: no ray runs along an edge of a symmetric mesh
+    # the grid is shifted a little, so that no ray runs along an edge of a symmetric mesh
     axes = [
         np.arange(a + 0.5 * _CUBE + 1.2e-5 * k, b, _CUBE) for k, (a, b) in enumerate(zip(low, high, strict=True), 1)
     ]

@@ -1,7 +1,7 @@
-"""Body: a skeleton with skinned meshes and landmarks; linear blend skinning and the shape deformations.
+"""Body: a skeleton with skinned meshes and landmarks; linear blend skinning and shape deformation.
 
 Source: Alcoverro 2014, section 2.3: skinning (2.12), bone-length deformation and radial deformation, all through the
-skinning weights.
+    skinning weights.
 """
 
 from __future__ import annotations
@@ -24,9 +24,11 @@ from hypose.geometry import Array
 class Mesh:
     """Skinned triangle mesh in the model frame at rest.
 
-    vertices (V, 3) m.
-    faces (F, 3), counter-clockwise from outside.
-    skin_index, skin_weight (V, 4): the joints that carry a vertex and their weights (sum 1, unused 0).
+    vertices: (V, 3) m.
+    faces: (F, 3) vertex indices, counter-clockwise seen from outside.
+    skin_index: (V, 4) joints that carry a vertex.
+    skin_weight: (V, 4) their weights (sum 1, unused 0).
+    Raises: InputError where shapes or indices do not agree, or a vertex is not finite.
     """
 
     vertices: Array
@@ -45,7 +47,10 @@ class Mesh:
 
     @cached_property
     def edges(self) -> NDArray[np.int32]:
-        """Return (E, 4): a, b, face with a->b, face with b->a. An InputError when the mesh is not a closed manifold."""
+        """Edges (E, 4) of the mesh: vertices a and b, the face with a->b, the face with b->a.
+
+        Raises: InputError where the mesh is not a closed manifold.
+        """
         owner: dict[tuple[int, int], int] = {}
         for f, (a, b, c) in enumerate(self.faces.tolist()):
             for edge in ((a, b), (b, c), (c, a)):
@@ -60,7 +65,7 @@ class Mesh:
 
     @cached_property
     def arrays(self) -> MeshArrays:
-        """Flat arrays for compute (weights sorted descending, edges built)."""
+        """Flat arrays for compiled code: weights sorted descending, edges included."""
         order = np.argsort(-self.skin_weight, axis=1, kind="stable")
         index = np.take_along_axis(self.skin_index, order, 1).astype(np.int32)
         weight = np.take_along_axis(self.skin_weight, order, 1).astype(np.float32)
@@ -75,7 +80,7 @@ class Mesh:
 
     @cached_property
     def main_joint(self) -> NDArray[np.int64]:
-        """Return (V,) the joint of largest weight: the body part a vertex belongs to."""
+        """(V,) joint of largest weight: the body part to which a vertex belongs."""
         best = self.skin_weight.argmax(1)[:, None]
         return np.take_along_axis(self.skin_index, best, 1)[:, 0].astype(np.int64)
 
@@ -86,7 +91,7 @@ class Mesh:
         return np.where(b == c, b, a)
 
     def dense_weights(self, n_joints: int) -> Array:
-        """Return (V, J) weights."""
+        """Return the skinning weights as a dense matrix (V, J)."""
         v = len(self.vertices)
         place = n_joints * np.arange(v)[:, None] + self.skin_index
         weights = np.bincount(place.ravel(), self.skin_weight.ravel(), v * n_joints)
@@ -94,22 +99,22 @@ class Mesh:
 
     @property
     def volume(self) -> float:
-        """Enclosed volume, m^3 (positive when the faces look outward)."""
+        """Enclosed volume, m^3 (positive where the faces are oriented outwards)."""
         a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
         return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6)
 
 
 @dataclass(frozen=True)
 class Shape:
-    """Factors relative to the body they are applied to; missing joints keep 1.
+    """Factors of a shape deformation, relative to the body to which they are applied; joints not named keep 1.
 
-    length: joint -> factor on the bone from that joint to its child (the skin is stretched along the bone, children are
-        carried: eq. "scale" of section 2.3.2).
-    girth: joint -> factor, or (3,) factors along model x, y, z, on the distance of the skin from the bone ("radial";
-        direction-weighted for torso width and depth).
-    offset: joint -> (3,) factors along model x, y, z on the offset of the joint from its parent (hip and shoulder
-        width).
     scale: uniform factor on everything, applied first.
+    length: by joint, factor on the bone from that joint to its child. The skin is stretched along the bone and children
+        are carried ("scale" in section 2.3.2).
+    girth: by joint, factor or (3,) factors along model x, y, z on the distance of the skin from the bone ("radial"; per
+        direction for width and depth of the torso).
+    offset: by joint, (3,) factors along model x, y, z on the offset of the joint from its parent (hip and shoulder
+        width).
     """
 
     scale: float = 1.0
@@ -120,14 +125,19 @@ class Shape:
 
 @dataclass(frozen=True)
 class Landmarks:
-    """Named points fixed to joints: names (L), joint (L,), offset (L, 3) m in the joint's rest frame."""
+    """Named points fixed to joints.
+
+    names: (L) names.
+    joint: (L,) joint to which each is fixed.
+    offset: (L, 3) m in the joint's rest frame.
+    """
 
     names: tuple[str, ...]
     joint: NDArray[np.int64]
     offset: Array
 
     def index(self, name: str) -> int:
-        """Index of a landmark by name; an InputError lists the names."""
+        """Return the index of a landmark by name; raises InputError with the list of names where there is none."""
         if name not in self.names:
             raise InputError(f"There is no landmark {name!r}; the landmarks are {', '.join(self.names)}.")
         return self.names.index(name)
@@ -135,7 +145,14 @@ class Landmarks:
 
 @dataclass(frozen=True)
 class Body:
-    """A trackable body: skeleton, a coarse closed mesh for scoring, a fine one for display, landmarks."""
+    """Body that can be tracked.
+
+    name: of the body.
+    skeleton: joint tree with degrees of freedom.
+    coarse: closed mesh for scoring silhouettes.
+    fine: mesh for display.
+    landmarks: named points fixed to joints.
+    """
 
     name: str
     skeleton: Skeleton
@@ -144,12 +161,13 @@ class Body:
     landmarks: Landmarks
 
     def joints(self, poses: ArrayLike) -> Array:
-        """Joint centres (..., J, 3) m in the world for poses (..., D)."""
+        """Compute the joint centres (..., J, 3) m in the world for poses (..., D)."""
         return self.skeleton.forward(poses)[1]
 
     def skin(self, poses: ArrayLike, mesh: Mesh | None = None) -> Array:
-        """Linear blend skinning: vertices (..., V, 3) m in the world for poses (..., D); the coarse mesh by default.
+        """Compute the vertices (..., V, 3) m in the world for poses (..., D), by linear blend skinning.
 
+        mesh: the mesh to skin; None: the coarse one.
         Source: Alcoverro 2014, eq. 2.12. Deviation: a vertex follows four joints at most.
         """
         q = np.asarray(poses, dtype=np.float64)
@@ -160,18 +178,18 @@ class Body:
         return v.reshape(*q.shape[:-1], *v.shape[1:])
 
     def landmark_points(self, poses: ArrayLike) -> Array:
-        """Landmarks (..., L, 3) m in the world for poses (..., D)."""
+        """Compute the landmarks (..., L, 3) m in the world for poses (..., D)."""
         r, p = self.skeleton.forward(poses)
         k = self.landmarks.joint
         return p[..., k, :] + np.einsum("...lij,lj->...li", r[..., k, :, :], self.landmarks.offset)
 
     @property
     def stature(self) -> float:
-        """Height of the rest mesh, m."""
+        """Height of the mesh at rest, m."""
         return float(np.ptp(self.fine.vertices[:, 2]))
 
     def segment_lengths(self) -> dict[str, float]:
-        """Joint-to-joint segment lengths in m, named by the segment, left and right apart where they exist."""
+        """Return the lengths of the segments by name, from joint to joint, m; left and right are separate."""
         j, s = self.skeleton.rest_joints, self.skeleton
         pairs = {"torso": ("pelvis", "neck"), "neck": ("neck", "head")}
         for side in ("left", "right"):
@@ -193,15 +211,19 @@ BONE_END = {
 
 
 def deform(body: Body, shape: Shape, name: str | None = None) -> Body:
-    """Return the body with other bone lengths and girths.
+    """Change the bone lengths and girths of a body.
 
-    Every vertex is moved by the blend of its joints' deformations, so segments stay joined. Limb bones stretch along
-    the bone and widen across it; the other joints (pelvis, spine, chest, neck, head, hands, feet) stretch along model z
-    and widen along x and y. Source: Alcoverro 2014, section 2.3.2. Deviation: the skin of a bone is stretched along it
-    by the factor of its length, where the thesis shifts it by the bone's gain in length. Deviation: the radial
-    direction is that away from the bone's infinite axis, not from the closest point of the bone, so that a girth
-    changes no length at the bone's ends. Deviation: the distance from the axis is multiplied, where the thesis adds a
-    multiple of it (beta = girth - 1).
+    body: the body.
+    shape: factors to apply.
+    name: of the new body; None: that of the old one.
+    Returns: the new body. Every vertex moves by the blend of its joints' deformations, so that segments stay joined.
+        Limb bones stretch along the bone and widen across it; the other joints (pelvis, spine, chest, neck, head,
+        hands, feet) stretch along model z and widen along x and y.
+    Raises: InputError where the shape names an unknown joint.
+    Source: Alcoverro 2014, section 2.3.2. Deviations: the skin of a bone is stretched along it by the factor of its
+        length, where the thesis shifts it by the gain in length. The radial direction is away from the bone's infinite
+        axis, not from the closest point of the bone, so that a girth changes no length at the ends of the bone. The
+        distance from the axis is multiplied, where the thesis adds a multiple of it (beta = girth - 1).
     """
     s = body.skeleton
     names, parents = s.joint_names, s.parents
@@ -247,14 +269,14 @@ def deform(body: Body, shape: Shape, name: str | None = None) -> Body:
     marks = body.landmarks
     moved_marks = np.einsum("lab,lb->la", change[marks.joint], marks.offset)
     coarse = deform_mesh(body.coarse)
-    fine = coarse if body.fine is body.coarse else deform_mesh(body.fine)  # searches leave the display mesh out
+    fine = coarse if body.fine is body.coarse else deform_mesh(body.fine)  # shape searches have no display mesh
     return Body(name or body.name, skeleton, coarse, fine, replace(marks, offset=moved_marks))
 
 
 def _with_offsets(skeleton: Skeleton, offsets: Array) -> Skeleton:
     # dataclasses.replace builds a new object, so cached properties of the old shape are not carried over
     out = replace(skeleton, rest_offsets=offsets)
-    if "tree" in skeleton.__dict__:  # but for where its joints are, it stays what it is
+    if "tree" in skeleton.__dict__:  # the tree is the same except for the joints' positions
         joints = np.ascontiguousarray(out.rest_joints - out.rest_joints[0])
         out.__dict__["tree"] = skeleton.tree._replace(joints=joints)
     return out

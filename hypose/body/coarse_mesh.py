@@ -1,9 +1,9 @@
-"""A coarse closed mesh of 450-600 vertices for scoring silhouettes, from any closed mesh.
+"""Make a coarse closed mesh of 450-600 vertices, for scoring silhouettes, from any closed mesh.
 
-Quadric decimation alone runs inside the surface (it cuts the convex corners), so silhouettes would come out thin: the
-decimated mesh is fitted to samples of the surface and then given the volume of the original.
-Sources: Garland & Heckbert 1997 (fast-simplification); the fit is linear least squares on signed distances along the
-vertex normals.
+Quadric decimation alone cuts convex corners, so that the silhouettes would be too thin. The decimated mesh is therefore
+fitted to samples of the surface (linear least squares on signed distances along the vertex normals), and then given the
+volume of the original.
+Source: Garland & Heckbert 1997 (fast-simplification).
 """
 
 from __future__ import annotations
@@ -23,9 +23,11 @@ _AGGRESSIVENESS = (5, 6, 4, 7, 3, 8)
 
 
 def decimated(vertices: ArrayLike, faces: ArrayLike, target: int) -> tuple[Array, Faces]:
-    """Return a closed manifold with about `target` vertices, or the mesh itself when it has no more.
+    """Decimate a closed manifold mesh to about `target` vertices.
 
-    vertices (V, 3) m, faces (F, 3) of a closed manifold. An InputError when no closed mesh of that size comes out.
+    vertices, faces: (V, 3) m and (F, 3).
+    Returns: vertices and faces of a closed manifold; the mesh itself where it has no more vertices than that.
+    Raises: InputError where no closed mesh of that size can be made.
     """
     library = extra("fast_simplification", "A mesh of a person", "mesh", "fast-simplification")
     v = np.ascontiguousarray(vertices, dtype=np.float64)
@@ -50,9 +52,12 @@ def decimated(vertices: ArrayLike, faces: ArrayLike, target: int) -> tuple[Array
 
 
 def coarse_mesh(vertices: ArrayLike, faces: ArrayLike, target: int = 550) -> tuple[Array, Faces]:
-    """Return the mesh for scoring: about `target` vertices, closed, through the middle of the surface, volume kept.
+    """Make the mesh for scoring: closed, through the middle of the surface, with the volume of the original.
 
-    vertices (V, 3) m, faces (F, 3) of a closed manifold that looks outward.
+    vertices, faces: (V, 3) m and (F, 3) of a closed manifold whose faces are oriented outwards.
+    target: approximate number of vertices.
+    Returns: vertices and faces.
+    Raises: InputError where no closed mesh of that size can be made.
     """
     v = np.asarray(vertices, dtype=np.float64)
     f = np.asarray(faces, dtype=np.int32)
@@ -72,7 +77,7 @@ def coarse_mesh(vertices: ArrayLike, faces: ArrayLike, target: int = 550) -> tup
 
 
 def enclosed_volume(vertices: ArrayLike, faces: ArrayLike) -> float:
-    """Volume (m^3) inside a closed mesh, positive when its faces look outward."""
+    """Compute the volume (m^3) inside a closed mesh, positive where its faces are oriented outwards."""
     v = np.asarray(vertices, dtype=np.float64)
     a, b, c = np.moveaxis((v - v.mean(0))[np.asarray(faces)], 1, 0)
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
@@ -88,13 +93,14 @@ def is_closed(faces: ArrayLike) -> bool:
 
 
 def _sound(faces: Faces) -> bool:
-    """No face names a vertex twice."""
+    """Return whether no face names a vertex twice."""
     return bool(((faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])).all())
 
 
 def _smoothed(v: Array, f: Faces, passes: int) -> Array:
-    """Taubin's smoothing (1995), which keeps the size: every pass moves vertices towards the mean of their neighbours,
-    and then a little more the other way."""
+    """Smooth a mesh without shrinking it (Taubin 1995): every pass moves vertices towards the mean of their neighbours,
+    then a little more back.
+    """
     edges = np.concatenate([f[:, [0, 1]], f[:, [1, 2]], f[:, [2, 0]]])
     n = len(v)
     near = csc_matrix(coo_matrix((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(n, n)))
@@ -111,7 +117,7 @@ def _used(v: Array, f: Faces) -> tuple[Array, Faces]:
 
 
 def _fitted(v: Array, f: Faces, samples: Array, rounds: int = 3) -> Array:
-    """Vertices moved along their normals so that the mesh runs through the middle of samples (S, 3) of the surface."""
+    """Move vertices along their normals until the mesh runs through the middle of surface samples (S, 3)."""
     k = 5
     corner = np.array([(i, j, k - i - j) for i in range(k + 1) for j in range(k + 1 - i)]) / k
     size = float(np.ptp(v, axis=0).max())
@@ -137,7 +143,7 @@ def _fitted(v: Array, f: Faces, samples: Array, rounds: int = 3) -> Array:
 
 
 def _normals(v: Array, f: Faces) -> tuple[Array, Array]:
-    """Return unit vertex normals (V, 3) and the double areas (F,) of the faces."""
+    """Compute the unit vertex normals (V, 3), and twice the area of each face (F,)."""
     across = np.cross(v[f[:, 1]] - v[f[:, 0]], v[f[:, 2]] - v[f[:, 0]])
     out = np.zeros_like(v)
     for k in range(3):

@@ -1,4 +1,4 @@
-"""Ready bodies: the 36-dof human on the baked template, and the definition of its degrees of freedom."""
+"""Default body: the 36-dof human on the template mesh, and the definition of its degrees of freedom."""
 
 from __future__ import annotations
 
@@ -50,11 +50,11 @@ _ROOT_TURN_SIGMA = (1.5, 1.5, 2.5)
 
 
 def human_skeleton(rest_joints: Array) -> Skeleton:
-    """Return the 36-dof human skeleton on joint centres rest_joints (19, 3) m in the model frame.
+    """Make the 36-dof human skeleton from joint centres rest_joints (19, 3) m in the model frame.
 
-    Degrees of freedom: root 6, spine 3, neck 3, per side clavicle 2 (about y and z), shoulder 3, elbow 1, hip 3, knee 1
-    (about x), ankle 2 (about x and y). The elbow turns about the normal of the plane of the resting arm, so its zero is
-    the template's bent arm. Sigmas are those of a 25 fps recording of everyday motion.
+    Degrees of freedom: root 6, spine 3, neck 3; per side clavicle 2 (about y and z), shoulder 3, elbow 1, hip 3, knee 1
+    (about x), ankle 2 (about x and y). The elbow turns about the normal of the plane of the resting arm, so that its
+    zero is the bent arm of the template. Step sizes (sigma) are those of everyday motion recorded at 25 fps.
     """
     names, axes, joint_of_dof, lower, upper, sigma = [], [], [], [], [], []
 
@@ -100,7 +100,7 @@ def human_skeleton(rest_joints: Array) -> Skeleton:
 
 
 def _hinge_axis(name: str, kind: str, axis_name: str, joints: Array) -> Array:
-    """Return unit axis of a hinge in the model frame, oriented so that flexion is positive."""
+    """Return the unit axis of a hinge in the model frame, oriented so that flexion is positive."""
     if kind == "elbow":
         j = JOINT_NAMES.index(name)
         upper, fore = joints[j] - joints[j - 1], joints[j + 1] - joints[j]
@@ -115,8 +115,9 @@ def _hinge_axis(name: str, kind: str, axis_name: str, joints: Array) -> Array:
 
 @lru_cache(maxsize=1)
 def human() -> Body:
-    """Return the default body: 36 dof on the template baked from MakeHuman's CC0 data
-    (hypose/assets/LICENSE-assets.md)."""
+    """Load the default body: 36 dof on the template made from MakeHuman's CC0 data
+    (hypose/assets/LICENSE-assets.md).
+    """
     with resources.files("hypose.assets").joinpath("template.npz").open("rb") as file:
         data = dict(np.load(file, allow_pickle=False))
 

@@ -1,10 +1,11 @@
-"""Where the joints are inside a scanned person: the template body is fitted to the scan, shape and pose together.
+"""Find the joints inside a scanned person: fit shape and pose of the template body to the scan.
 
-Which axis is up, where the person faces and how the arms are held is found by trying: the template in every such
-position against samples of the scan. The best few are refined by a bounded Gauss-Newton search over pose and
-proportions on two-way distances to the surface, along its normals, with a robust weight whose scale shrinks.
-Sources: registration with alternating nearest points (Besl & McKay 1992) and point-to-plane rows (Chen & Medioni 1992);
-Geman & McClure 1985; the proportions are the entities of Alcoverro 2014, section 2.3.
+First the up axis, the facing direction and the pose of the arms are found by comparing the template in every
+combination with samples of the scan. Then the best few are refined by a bounded Gauss-Newton search over pose and
+proportions, on distances between the surfaces in both directions, along the normals, with a robust weight whose scale
+shrinks.
+Sources: alternating nearest points (Besl & McKay 1992) and point-to-plane rows (Chen & Medioni 1992); Geman & McClure
+    1985; the proportions are the entities of Alcoverro 2014, section 2.3.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from hypose.geometry import Array, rotation_between, so3_exp, so3_log
 # direction of the straight arm in each pose a scan may be taken in, for the left side (model frame)
 _ARMS = {"a": (0.75, 0.0, -0.66), "t": (1.0, 0.0, 0.0), "standing": (0.18, 0.0, -1.0), "hands-up": (0.35, 0.0, 1.0)}
 SCAN_POSES = tuple(_ARMS)
-"""Poses a person may be scanned in: A-pose, T-pose, standing with hanging arms, hands up."""
+"""Poses in which a person may be scanned: A-pose, T-pose, standing with hanging arms, hands up."""
 
 _TRUNK = ("pelvis", "spine", "chest")
 _SIDES = ("left", "right")
@@ -34,8 +35,10 @@ _SIDES = ("left", "right")
 
 @dataclass(frozen=True)
 class _Factor:
-    """One proportion, exp(value) of which multiplies length, girth (along the given axes) or offset of some joints.
-    sd: usual spread of its logarithm between people of one stature."""
+    """One proportion; exp(value) multiplies length, girth (along the given axes) or offset of some joints.
+
+    sd: standard deviation of the logarithm between people of one stature.
+    """
 
     name: str
     kind: str
@@ -70,7 +73,7 @@ FACTORS: tuple[_Factor, ...] = (
 
 @dataclass(frozen=True)
 class _ScanSamples:
-    """Samples of a scan: points (N, 3) m and outward unit normals (N, 3)."""
+    """Samples of the surface of a scan: points (N, 3) m and outward unit normals (N, 3)."""
 
     points: Array
     normals: Array
@@ -78,12 +81,12 @@ class _ScanSamples:
 
 @dataclass(frozen=True)
 class ScanPose:
-    """How a scan stands.
+    """Orientation and arm pose of a scan.
 
-    upright_from_file (3, 3), a rotation after which z is up and the person faces -y.
-    arms: the pose of the arms.
-    score: mean distance to the template over the stature.
-    up: the file's up axis, such as '+y'.
+    upright_from_file: (3, 3) rotation after which z is up and the person faces -y.
+    arms: name of the arm pose, one of SCAN_POSES.
+    score: mean distance to the template, as a share of the stature.
+    up: up axis of the file, such as '+y'.
     """
 
     upright_from_file: Array
@@ -94,13 +97,13 @@ class ScanPose:
 
 @dataclass(frozen=True)
 class ScanFit:
-    """The template in the scan.
+    """Template fitted to a scan.
 
-    body, with the scan's proportions, at rest.
-    pose (D,) in the upright frame of the scan.
-    factors (K,) the logarithms of FACTORS.
-    distance: median distance between the two surfaces, m, both ways, and far: the share of the samples farther than 5 %
-        of the stature.
+    body: body with the scan's proportions, at rest.
+    pose: (D,) in the upright frame of the scan.
+    factors: (K,) logarithms of FACTORS.
+    distance: median distance between the two surfaces in both directions, m.
+    far: share of the samples farther than 5 % of the stature.
     """
 
     body: Body
@@ -111,7 +114,12 @@ class ScanFit:
 
 
 def surface_samples(vertices: ArrayLike, faces: ArrayLike, count: int, rng: np.random.Generator) -> _ScanSamples:
-    """`count` points spread evenly over the surface of a mesh (V, 3), (F, 3) of positive area."""
+    """Draw `count` points spread evenly over the surface of a mesh.
+
+    vertices, faces: (V, 3) m and (F, 3).
+    Returns: points (N, 3) m with outward unit normals (N, 3).
+    Raises: InputError where the mesh has no area.
+    """
     v, f = np.asarray(vertices, dtype=np.float64), np.asarray(faces)
     a, b, c = (v[f[:, k]] for k in range(3))
     normal = np.cross(b - a, c - a)
@@ -126,8 +134,10 @@ def surface_samples(vertices: ArrayLike, faces: ArrayLike, count: int, rng: np.r
 
 
 def scan_pose(body: Body, name: str) -> Array:
-    """Return (D,) the pose of SCAN_POSES with straight arms, at the origin, facing -y; an InputError lists the
-    poses."""
+    """Return the pose (D,) of SCAN_POSES by name, with nearly straight arms, at the origin, facing -y.
+
+    Raises: InputError with the list of poses for an unknown name.
+    """
     if name not in _ARMS:
         raise InputError(f"There is no scan pose {name!r}; the poses are auto, {', '.join(SCAN_POSES)}.")
     s, pose = body.skeleton, np.zeros(body.skeleton.dof)
@@ -142,9 +152,11 @@ def scan_pose(body: Body, name: str) -> Array:
 
 
 def find_stances(surface: _ScanSamples, template: Body) -> list[ScanPose]:
-    """Return the ways a scan may stand, best first; units do not matter.
+    """Find the possible orientations and arm poses of a scan.
 
-    Any axis may be up; z and then y are preferred when the scores are near each other.
+    surface: samples of the scan, in any unit.
+    template: the body to compare with.
+    Returns: all combinations, best first. Any axis may be up; z, then y are preferred where scores are similar.
     """
     from scipy.spatial import KDTree  # takes long to import
 
@@ -185,16 +197,19 @@ _UPS = (
 
 
 def _boxed(points: Array) -> tuple[Array, float]:
-    """Return points with feet at z = 0, centred over the origin, height 1."""
+    """Scale points to height 1, with the feet at z = 0, centred over the origin; return the old height too."""
     low, high = points.min(0), points.max(0)
     height = float(high[2] - low[2])
     return (points - [*(0.5 * (low + high))[:2], low[2]]) / max(height, 1e-12), height
 
 
 def fit_template(surface: _ScanSamples, template: Body, stances: list[ScanPose]) -> tuple[ScanFit, ScanPose]:
-    """Return the template fitted to a scan in metres; tries the first few stances shortly and the best one thoroughly.
+    """Fit shape and pose of the template to a scan in metres.
 
-    Returns the fit, in the frame into which the stance turns the file, and its stance.
+    surface: samples of the scan.
+    template: the body to fit.
+    stances: as `find_stances` returns them; the first few are tried roughly, the best of these is fitted finely.
+    Returns: the fit, in the frame into which the chosen stance rotates the file, and that stance.
     """
     light = _light(template)
     few: list[ScanPose] = []
@@ -217,14 +232,14 @@ def fit_template(surface: _ScanSamples, template: Body, stances: list[ScanPose])
 
 
 def _light(body: Body) -> Body:
-    """Return the body without display mesh and landmarks, which would only cost time when it is deformed often."""
+    """Return the body without display mesh and landmarks, which would cost time in repeated deformation."""
     body.coarse.arrays  # noqa: B018 - builds the edges once, before the copies
     nothing = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32), np.zeros((0, 4), np.int32), np.zeros((0, 4)))
     return replace(body, fine=nothing, landmarks=Landmarks((), np.zeros(0, np.int64), np.zeros((0, 3))))
 
 
 def shape_from_factors(factors: ArrayLike) -> Shape:
-    """Return the Shape of the logarithms (K,) of FACTORS."""
+    """Convert the logarithms (K,) of FACTORS into the Shape that `deform` applies."""
     length: dict[str, float] = {}
     girth: dict[str, list[float]] = {}
     offset: dict[str, tuple[float, float, float]] = {}
@@ -245,8 +260,13 @@ def shape_from_factors(factors: ArrayLike) -> Shape:
 
 
 def unposed(body: Body, pose: ArrayLike, points_world: ArrayLike, weights: ArrayLike) -> Array:
-    """Return points (P, 3) m of a surface at a pose (D,), with dense skinning weights (P, J), brought to the body's
-    rest pose: the inverse of linear blend skinning, so that skinning them again gives points_world."""
+    """Bring points of a posed surface back to the body's rest pose: the inverse of linear blend skinning.
+
+    pose: (D,) of the surface.
+    points_world: (P, 3) m in the world.
+    weights: (P, J) dense skinning weights.
+    Returns: (P, 3) m in the model frame at rest; skinning them again gives points_world.
+    """
     rotations, centres = body.skeleton.forward(pose)
     rest = body.skeleton.rest_joints - body.skeleton.rest_joints[0]
     moves = np.asarray(weights, dtype=np.float64) @ np.hstack(
@@ -259,11 +279,11 @@ def unposed(body: Body, pose: ArrayLike, points_world: ArrayLike, weights: Array
 
 @dataclass(frozen=True)
 class _Stage:
-    """Stage.
+    """Settings of one stage of the search.
 
-    iterations.
-    first and last scale of the robust weight as shares of the stature.
-    shape: all proportions are free, else only the scale.
+    iterations: number of iterations.
+    first, last: first and last scale of the robust weight, as shares of the stature.
+    shape: True: all proportions are free; False: only the scale.
     """
 
     iterations: int
@@ -274,9 +294,9 @@ class _Stage:
 
 _ROUGH = _Stage(8, 0.06, 0.04, False)
 _FINE = _Stage(24, 0.04, 0.012, True)
-# 1 sd of a row: neighbouring rows err together, so each counts less than the scan's noise would let it
+# 1 sd of a row: errors of neighbouring rows are correlated, so each counts less than the scan's noise alone would give
 _ROW_SD = 0.04
-_TANGENT = 0.15  # weight of the directions along the surface: nearest points say little about them
+_TANGENT = 0.15  # weight of the directions along the surface: nearest points determine them badly
 _FREE = {"shoulder": 0.5, "elbow": 0.4, "hip": 0.3, "knee": 0.2, "ankle": 0.25, "clavicle": 0.12}
 _STIFF = 0.12  # 1 sd of the other joints from the start pose, rad
 
@@ -287,7 +307,7 @@ def _corners() -> Array:
 
 
 class _Search:
-    """Damped Gauss-Newton on the vector x = (pose, logarithms of the factors)."""
+    """Damped Gauss-Newton search over the vector x = (pose, logarithms of the factors)."""
 
     def __init__(self, body: Body, surface: _ScanSamples) -> None:
         from scipy.spatial import KDTree  # takes long to import
@@ -301,7 +321,7 @@ class _Search:
         self.stature = float(high[2] - low[2])
 
     def start(self, arms: str) -> Array:
-        """Return the start vector: the template with the scan's height, over its middle."""
+        """Make the start vector: the template with the scan's height, over its middle."""
         pose = scan_pose(self.body, arms)
         v = self.body.skin(pose)
         scale = self.stature / np.ptp(v[:, 2])
@@ -330,8 +350,11 @@ class _Search:
         return deform(self.body, shape_from_factors(x[self.dof :])).skin(x[: self.dof])
 
     def derivative(self, x: Array, free: NDArray[np.int64], fresh: bool) -> tuple[Array, Array]:
-        """Vertices (V, 3) and their derivatives (P, V, 3), by differences wide enough for float32 skinning. Those by
-        the factors change little and are kept from the last call unless fresh."""
+        """Compute the vertices (V, 3) and their derivatives (P, V, 3) by finite differences, wide enough for float32
+        skinning.
+
+        fresh: False: keep the derivatives by the factors from the last call, because they change little.
+        """
         shaped = deform(self.body, shape_from_factors(x[self.dof :]))
         h = 2e-3
         turns = free[free < self.dof]
@@ -348,8 +371,11 @@ class _Search:
         return v[0], np.concatenate([(v[1:] - v[0]) / h, self.by_factor])
 
     def match(self, v: Array) -> tuple[NDArray[np.int64], Array, Array, Array, Array]:
-        """Pairs of points of the body and the scan: face (M,), barycentric (M, 3), target (M, 3), normal (M, 3) and how
-        far apart (M,) they are."""
+        """Match points of the body with points of the scan, in both directions.
+
+        Returns: face (M,) and barycentric coordinates (M, 3) of the points on the body, target (M, 3) m, normal (M, 3),
+            and weight (M,).
+        """
         from scipy.spatial import KDTree  # takes long to import
 
         corner, faces, s = _corners(), self.faces, self.surface
@@ -375,12 +401,17 @@ class _Search:
         return face, corner[index % len(corner)], target, normal, weight * 1500
 
     def quality(self, x: Array) -> tuple[float, float]:
-        """Return median distance between the surfaces, m, and the share of samples farther than 5 % of the stature."""
+        """Compute the median distance between the surfaces, m, and the share of samples farther than 5 % of the
+        stature.
+        """
         self.match(self.skin(x))
         return float(np.median(self.gaps)), float((self.gaps > 0.05 * self.stature).mean())
 
     def run(self, x: Array, stage: _Stage) -> tuple[Array, float]:
-        """Return the improved vector and its cost: mean robust distance of the samples, in shares of the stature."""
+        """Run one stage of the search.
+
+        Returns: the improved vector and its cost: the mean robust distance of the samples, as a share of the stature.
+        """
         free = np.arange(self.dof + (len(FACTORS) if stage.shape else 1))
         cost = np.inf
         for k in range(stage.iterations):

@@ -1,30 +1,29 @@
-"""Anatomical joint angles: what a clinician reads, from the poses of the human skeleton.
+"""Compute anatomical joint angles (for clinicians and biomechanics) from poses of the human skeleton.
 
-Angles are measured from an anatomical neutral and not from the template's rest pose: standing upright, arms
-hanging, the elbows' axes sideways (a bent forearm points forwards), limbs straight, feet flat. The neutral is
-defined by the skeleton: the rest directions of thigh and upper arm are turned to the vertical and the axes of
-knee and elbow to the side; trunk, head and feet are neutral as they rest in the template (upright, feet
-flat).
+Angles are measured from an anatomical neutral pose, not from the rest pose of the template: standing upright, arms
+hanging, axes of the elbows sideways (a bent forearm points forwards), limbs straight, feet flat. The neutral pose is
+defined by the skeleton: the rest directions of thigh and upper arm are turned to the vertical, and the axes of knee and
+elbow to the side; trunk, head and feet are neutral as they rest in the template.
 
-Names, signs and order of rotations are those of OpenSim's full-body model (Rajagopal 2016). Body axes: X
-forwards, Y up, Z to the subject's right. A ball's rotation is Rz Rx Ry about the moving axes, in this order;
-for the left side X and Y are mirrored, so that the same motion has the same sign on both sides. Positive are
-- pelvis_tilt backwards, pelvis_list right side down, pelvis_rotation turning left, all against OpenSim's
-  ground (X = world y, Y = world z, Z = world x); pelvis_tx, _ty, _tz: the pelvis joint centre there, metres;
+Names, signs and order of rotations are those of OpenSim's full-body model (Rajagopal 2016). Body axes: X forwards, Y
+up, Z to the subject's right. A ball's rotation is Rz Rx Ry about the moving axes, in this order; for the left side X
+and Y are mirrored, so that the same motion has the same sign on both sides. Positive are
+- pelvis_tilt backwards, pelvis_list right side down, pelvis_rotation turning left, all against OpenSim's ground (X =
+world y, Y = world z, Z = world x); pelvis_tx, _ty, _tz: the pelvis joint centre there, metres;
 - hip_flexion thigh forwards, hip_adduction towards the midline, hip_rotation inwards;
-- knee_angle flexion; ankle_angle dorsiflexion; subtalar_angle inversion (about the foot's long axis, not
-  OpenSim's oblique subtalar axis);
-- lumbar (chest against pelvis) extension backwards, bending to the right, rotation to the left; neck (head
-  against chest) likewise;
-- arm_flex forwards, arm_add towards the midline, arm_rot inwards: upper arm against the chest, so that the
-  clavicle's motion is part of it, as in OpenSim's model, which has no clavicle joint;
+- knee_angle flexion; ankle_angle dorsiflexion; subtalar_angle inversion (about the foot's long axis, not OpenSim's
+oblique subtalar axis);
+- lumbar (chest against pelvis) extension backwards, bending to the right, rotation to the left; neck (head against
+chest) likewise;
+- arm_flex forwards, arm_add towards the midline, arm_rot inwards: upper arm against the chest, so that the clavicle's
+motion is part of it, as in OpenSim's model, which has no clavicle joint;
 - elbow_flex flexion.
-Knee and elbow are hinges: their angle is that of the hinge, without crosstalk from the small angle between
-the hinge's axis and the limb.
+Knee and elbow are hinges: their angle is that of the hinge, without crosstalk from the small angle between the hinge's
+axis and the limb.
 
-Source: Rajagopal et al. 2016, "Full-body musculoskeletal model for muscle-driven simulation of human gait",
-joint definitions. Deviation: the full-body model has no neck; models that have one call neck_extension
-neck_flexion, with the sign used here.
+Source: Rajagopal et al. 2016, "Full-body musculoskeletal model for muscle-driven simulation of human gait", joint
+    definitions. Deviation: the full-body model has no neck; other models call neck_extension neck_flexion, with the
+    sign used here.
 """
 
 from __future__ import annotations
@@ -62,7 +61,7 @@ _HINGES = tuple(
     for parent, child in (("hip", "knee"), ("shoulder", "elbow"))
 )
 TURNS = 3 + 3 * len(_BALLS) + len(_HINGES) + 3
-"""Numbers that are read off a frame."""
+"""Number of values that are read off one frame."""
 ANGLE_NAMES: tuple[str, ...] = (
     *("pelvis_tilt", "pelvis_list", "pelvis_rotation", "pelvis_tx", "pelvis_ty", "pelvis_tz"),
     *(
@@ -90,17 +89,18 @@ ANGLE_NAMES: tuple[str, ...] = (
 
 
 def is_length(name: str) -> bool:
-    """Return True for the names whose values are metres rather than radians."""
+    """Return whether the values under a name are metres instead of radians."""
     return name.endswith(("_tx", "_ty", "_tz"))
 
 
 def joint_angles(skeleton: Skeleton, poses: ArrayLike) -> tuple[tuple[str, ...], Array]:
-    """Anatomical joint angles of poses (T, D): names (A) and values (T, A), radians, and metres for
-    pelvis_t*.
+    """Compute anatomical joint angles of poses.
 
-    Angles are continuous in time (unwrapped, and on one branch of the Euler angles); a frame whose pose is
-    not finite is NaN and does not disturb the others. An InputError when the skeleton lacks one of the human
-    joints.
+    skeleton: human skeleton.
+    poses: (T, D).
+    Returns: names (A) and values (T, A), rad, and m for pelvis_t*. Angles are continuous in time (unwrapped, and on one
+        branch of the Euler angles); a frame whose pose is not finite is NaN and does not affect the others.
+    Raises: InputError where the skeleton lacks one of the human joints.
     """
     q = np.asarray(poses, dtype=np.float64)
     if q.ndim != 2 or q.shape[1] != skeleton.dof:
@@ -113,20 +113,27 @@ def joint_angles(skeleton: Skeleton, poses: ArrayLike) -> tuple[tuple[str, ...],
 
 
 def angles_of_frames(skeleton: Skeleton, world_from_joint: Array, centres: Array) -> Array:
-    """Return (T, A) as `joint_angles` gives them, of joints' frames (T, J, 3, 3), identity in the skeleton's rest pose,
-    and centres (T, J, 3) m."""
+    """Compute anatomical joint angles from joint frames.
+
+    world_from_joint: (T, J, 3, 3) rotations, identity in the skeleton's rest pose.
+    centres: (T, J, 3) m, joint centres.
+    Returns: (T, A) values as in `joint_angles`.
+    """
     return angles_in_time(turns_reader(skeleton)(world_from_joint, centres)).T
 
 
 def turns_reader(skeleton: Skeleton) -> Callable[[Array, Array], Array]:
-    """What reads each frame by itself: of joints' frames and centres, as in `angles_of_frames`, (TURNS, T): (z, x, y)
-    of the pelvis in the world and of all balls, the turns of the hinges, and where the pelvis is."""
+    """Make a function that reads the angles of each frame separately, before `angles_in_time` makes them continuous.
+
+    Returns: function of joint frames and centres (as in `angles_of_frames`) that returns (TURNS, T): (z, x, y) of the
+        pelvis in the world and of all balls, angles of the hinges, and the pelvis position.
+    """
     neutral = neutral_frames(skeleton)
     joint = {name: skeleton.joint(name) for pair in (*_BALLS, *_HINGES) for name in pair}
     hinges = [(*pair, hinge_axis(skeleton, pair[1]), straight_offset(skeleton, pair[1])) for pair in _HINGES]
 
     def read(world_from_joint: Array, centres: Array) -> Array:
-        # the frames last: products of many matrices of three rows are made one by one else
+        # frames are the last axis: numpy would otherwise multiply the many small matrices one by one
         parts = {n: np.ascontiguousarray(np.moveaxis(world_from_joint[:, j], 0, -1)) for n, j in joint.items()}
         out = np.empty((TURNS, len(world_from_joint)))
         out[:3] = _zxy(_product(GROUND_AXES, _product(parts["pelvis"], (BODY_AXES @ neutral["pelvis"]).T)))
@@ -143,7 +150,11 @@ def turns_reader(skeleton: Skeleton) -> Callable[[Array, Array], Array]:
 
 
 def angles_in_time(turns: Array) -> Array:
-    """Return (A, T) as `joint_angles` gives them, of what a `turns_reader` read of consecutive frames (TURNS, T)."""
+    """Make angles continuous in time, and order them by ANGLE_NAMES.
+
+    turns: (TURNS, T), read by `turns_reader` from consecutive frames.
+    Returns: (A, T) values as in `joint_angles`.
+    """
     out: dict[str, Array] = {}
     out["pelvis_tilt"], out["pelvis_list"], out["pelvis_rotation"] = _continuous(turns[:3], prior_axis=1)
     out["pelvis_tx"], out["pelvis_ty"], out["pelvis_tz"] = turns[-3:]
@@ -164,7 +175,7 @@ def angles_in_time(turns: Array) -> Array:
 
 
 def _product(a: Array, b: Array) -> Array:
-    """a @ b of matrices (3, 3) or (3, 3, T), one of which is of the latter kind."""
+    """Multiply matrices (3, 3) or (3, 3, T), at least one of which has the frames axis."""
     out = np.empty((3, 3, max(a.size, b.size) // 9))
     for i in range(3):
         for k in range(3):
@@ -175,7 +186,7 @@ def _product(a: Array, b: Array) -> Array:
 
 
 def neutral_frames(skeleton: Skeleton) -> dict[str, Array]:
-    """model_from_joint rotation (3, 3) of every joint in the anatomical neutral, by joint name."""
+    """Compute the rotation model_from_joint (3, 3) of every joint in the anatomical neutral pose, by joint name."""
     frames = {name: np.eye(3) for name in skeleton.joint_names}
     down, side = np.array([0.0, 0.0, -1.0]), np.array([1.0, 0.0, 0.0])
     for _, left_right, _ in _SIDES:
@@ -190,8 +201,10 @@ def neutral_frames(skeleton: Skeleton) -> dict[str, Array]:
 
 
 def straight_offset(skeleton: Skeleton, name: str) -> float:
-    """Angle (rad) of the knee or elbow hinge in the rest pose, from the straight limb: add it to the
-    dof's value."""
+    """Compute the angle (rad) of a knee or elbow hinge between the straight limb and the rest pose.
+
+    Add it to the value of the degree of freedom to get the anatomical angle.
+    """
     axis, j = hinge_axis(skeleton, name), skeleton.joint(name)
     children = np.flatnonzero(skeleton.parents == j)
     if not len(children):
@@ -201,14 +214,16 @@ def straight_offset(skeleton: Skeleton, name: str) -> float:
 
 
 def _turn_about(r: Array, axis: Array) -> Array:
-    """Return (T,) rad in (-pi, pi]: the turn about an axis (3,) that is nearest to rotations (3, 3, T)."""
+    """Compute the turn (T,) rad about an axis (3,) that is nearest to rotations (3, 3, T), in (-pi, pi]."""
     skew = axis[0] * (r[2, 1] - r[1, 2]) + axis[1] * (r[0, 2] - r[2, 0]) + axis[2] * (r[1, 0] - r[0, 1])
     along = sum(axis[i] * axis[k] * r[i, k] for i in range(3) for k in range(3))
     return np.arctan2(skew, r[0, 0] + r[1, 1] + r[2, 2] - along)
 
 
 def hinge_axis(skeleton: Skeleton, name: str) -> Array:
-    """Return (3,) axis in the skeleton's rest frame of a joint with one hinge; an InputError for any other joint."""
+    """Return the axis (3,) of a joint with one hinge, in the skeleton's rest frame; raises InputError
+    for other joints.
+    """
     dofs = skeleton.dofs_of(name)
     if len(dofs) != 1:
         raise InputError(f"Joint angles need a hinge at {name!r}, this skeleton has {len(dofs)} degrees of freedom.")
@@ -216,7 +231,9 @@ def hinge_axis(skeleton: Skeleton, name: str) -> Array:
 
 
 def _frame(first: Array, second: Array) -> Array:
-    """Rotation (3, 3) whose columns are the direction of `first`, of `second` across it, and their normal."""
+    """Make the rotation (3, 3) with columns: direction of `first`, direction of `second` perpendicular to it, their
+    normal.
+    """
     a = first / np.linalg.norm(first)
     b = second - (second @ a) * a
     b = b / np.linalg.norm(b)
@@ -224,20 +241,24 @@ def _frame(first: Array, second: Array) -> Array:
 
 
 def continuous_euler_zxy(rotations: ArrayLike, prior_axis: int = 2) -> Array:
-    """Rotations (T, K, 3, 3) -> angles (T, K, 3) = (z, x, y) in rad with R = Rz(z) Rx(x) Ry(y), continuous in
-    time.
+    """Convert rotations (T, K, 3, 3) into Euler angles (T, K, 3) = (z, x, y) rad with R = Rz(z) Rx(x) Ry(y), continuous
+    in time.
 
-    Every rotation has two triples, (z, x, y) and (z + pi, pi - x, y + pi). The sequence of least total change
-    is taken (dynamic programming over the two), with a small price on triples whose angle `prior_axis` (1: x,
-    2: y) leaves what a body does: near |x| = 90 deg noise alone would decide the branch otherwise. At |x| =
-    90 deg, where only z +- y is defined, y keeps its last value. The angles always give back the rotation.
+    prior_axis: angle (1: x, 2: y) with a small cost beyond the range of a body, because near |x| = 90 deg noise alone
+        would otherwise choose the branch.
+
+    Every rotation has two triples, (z, x, y) and (z + pi, pi - x, y + pi). The sequence of least total change is chosen
+    by dynamic programming over the two. At |x| = 90 deg, where only z +- y is defined, y keeps its last value. The
+    angles always reproduce the rotation.
     """
     r = np.moveaxis(np.asarray(rotations, dtype=np.float64), (-2, -1), (0, 1))
     return np.stack(_continuous(_zxy(r), prior_axis), -1)
 
 
 def _zxy(r: Array) -> tuple[Array, Array, Array]:
-    """z, x, y of rotations (3, 3, ...), |x| <= 90 deg. Where |x| is 90 deg, y is NaN and z that for y = 0."""
+    """Compute z, x, y of rotations (3, 3, ...), |x| <= 90 deg. Where |x| is 90 deg, y is NaN and z is
+    that for y = 0.
+    """
     cosine = np.hypot(r[2, 0], r[2, 2])
     x, y = np.arctan2(r[2, 1], cosine), np.arctan2(-r[2, 0], r[2, 2])
     locked = cosine <= 1e-9
@@ -250,7 +271,7 @@ def _zxy(r: Array) -> tuple[Array, Array, Array]:
 
 
 def _continuous(zxy: Sequence[Array] | Array, prior_axis: int = 2) -> tuple[Array, Array, Array]:
-    """z, x, y (T, ...) of consecutive frames as `continuous_euler_zxy` gives them, of those of `_zxy`."""
+    """Make z, x, y (T, ...) of `_zxy` continuous in time, as `continuous_euler_zxy` returns them."""
     z, x, y = zxy
     locked = np.isnan(y)
     if locked.any():
@@ -264,7 +285,7 @@ def _continuous(zxy: Sequence[Array] | Array, prior_axis: int = 2) -> tuple[Arra
 
 
 def _unwrapped(angle: Array) -> Array:
-    """Return (T, ...) without the jumps of whole turns."""
+    """Remove jumps of whole turns from angles (T, ...)."""
     turns = np.rint(np.diff(angle, axis=0) / (2 * np.pi))
     if not turns.any():
         return angle
@@ -276,19 +297,20 @@ def _wrap(angle: Array) -> Array:
 
 
 def _hold(values: Array, defined: NDArray[np.bool_]) -> Array:
-    """Values (T, ...) with the undefined ones replaced by the last defined one before (0 where there is none)."""
+    """Replace undefined values (T, ...) by the last defined one before (0 where there is none)."""
     rows = np.arange(len(values)).reshape(-1, *[1] * (values.ndim - 1))
     last = np.maximum.accumulate(np.where(defined, rows, -1), axis=0)
     return np.where(last >= 0, np.take_along_axis(values, np.maximum(last, 0), 0), 0.0)
 
 
 def _second_branch(z: Array, x: Array, y: Array, prior_axis: int) -> NDArray[np.bool_]:
-    """Return where (T, ...) the other one of the triples (z, x, y), each (T, ...), is on the sequence with the least
-    change plus the price of unlikely angles.
+    """Find where (T, ...) the second triple is on the sequence of least change plus cost of unlikely angles.
 
-    From frame to frame both branches cost the same to stay on and the same to leave for the other, for they are each
-    other's mirror. So all that has to be known of the way so far is by how much the second one is dearer. To change
-    costs 3 pi - |dz| - |dy| - |x + x'| where to stay costs |dz| + |dy| + |x - x'|, for |x| <= pi / 2.
+    z, x, y: (T, ...) angles of the first triple.
+
+    From frame to frame both branches cost the same to stay on and the same to change, because each is the mirror of the
+    other. The search therefore only needs the difference between the costs of the best sequences to the two branches. A
+    change costs 3 pi - |dz| - |dy| - |x + x'|, staying costs |dz| + |dy| + |x - x'|, for |x| <= pi / 2.
     """
     usual, price = np.radians(100.0), 0.2
     here, aside = np.abs((x, y)[prior_axis - 1]), np.abs(x)
@@ -296,7 +318,7 @@ def _second_branch(z: Array, x: Array, y: Array, prior_axis: int) -> NDArray[np.
     dz, dy = (np.abs(_wrap(np.diff(a, axis=0))) for a in (z, y))
     dearer = 3 * np.pi - 2 * (dz + dy + np.maximum(aside[1:], aside[:-1]))
     out = np.zeros(here.shape, dtype=bool)
-    # where neither to leave the first one nor to be on the second is ever cheaper, the first one it is
+    # where neither changing the branch nor the second branch is ever cheaper, the first one is chosen
     for c in np.argwhere((dearer < 0).any(0) | (extra < 0).any(0)):
         column = (slice(None), *c)
         out[column] = _cheapest(dearer[column].tolist(), extra[column].tolist())
@@ -304,9 +326,13 @@ def _second_branch(z: Array, x: Array, y: Array, prior_axis: int) -> NDArray[np.
 
 
 def _cheapest(dearer: list[float], extra: list[float]) -> list[int]:
-    """Return the cheapest way over frames with two branches: dearer (T - 1), by how much it costs more to change the
-    branch than to stay; extra (T), by how much the second branch costs more in a frame."""
-    ahead = extra[0]  # by how much the way to the second branch is dearer
+    """Find the cheapest sequence of two branches by dynamic programming.
+
+    dearer: (T - 1) additional cost of changing the branch instead of staying.
+    extra: (T) additional cost of the second branch in each frame.
+    Returns: 0 or 1 per frame.
+    """
+    ahead = extra[0]  # additional cost of the best sequence that ends on the second branch
     came_from: list[tuple[int, int]] = []
     for g, n in zip(dearer, extra[1:], strict=True):
         first, second = int(ahead + g < 0), int(ahead < g)

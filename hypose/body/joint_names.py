@@ -1,4 +1,4 @@
-"""What other programs call the joints: names to export under, and rigs of other programs read as ours."""
+"""Names of joints in other programs: export under their names, and convert rigs of other programs to the 19 joints."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ MIXAMO: Mapping[str, str] = {
         "Right",
     ),
 }
-"""Our joint -> the bone of a Mixamo rig that starts there (without the prefix "mixamorig:")."""
+"""Bone of a Mixamo rig that starts at each joint (without the prefix "mixamorig:")."""
 
 SMPL_JOINTS: tuple[str, ...] = tuple(
     "pelvis left_hip right_hip spine1 left_knee right_knee spine2 left_ankle right_ankle spine3 left_foot right_foot "
@@ -51,7 +51,7 @@ SMPL_JOINTS: tuple[str, ...] = tuple(
 """The first 22 joints of SMPL, SMPL-H and SMPL-X; those after them are hands and face."""
 
 _LIMBS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
-# what a joint is called, without its side; "shoulder" is the collar bone's where the arm has a name of its own
+# names of each joint without its side; "shoulder" means the collar bone where the arm has its own name
 _CALLED = {
     "pelvis": ("pelvis", "hips", "hip"),
     "neck": ("neck", "neck1", "neck01"),
@@ -67,7 +67,11 @@ _CALLED = {
 
 
 def renamed_skeleton(skeleton: Skeleton, names: Mapping[str, str]) -> Skeleton:
-    """Return the skeleton with joints called names[ours]; a joint that is not in `names` keeps its own."""
+    """Rename the joints of a skeleton.
+
+    names: new name by old name; joints that are not in it keep theirs.
+    Raises: InputError where two joints would get the same name.
+    """
     new = tuple(names.get(n, n) for n in skeleton.joint_names)
     if len(set(new)) < len(new):
         twice = next(n for n in new if new.count(n) > 1)
@@ -76,19 +80,23 @@ def renamed_skeleton(skeleton: Skeleton, names: Mapping[str, str]) -> Skeleton:
 
 
 def renamed_motion(motion: Motion, names: Mapping[str, str]) -> Motion:
-    """Return a motion whose BVH and GLB have joints of other names, for example MIXAMO."""
+    """Rename the joints of a motion, so that its BVH and GLB have other names (for example MIXAMO)."""
     return replace(motion, skeleton=renamed_skeleton(motion.skeleton, names))
 
 
 def renamed_body(body: Body, names: Mapping[str, str]) -> Body:
-    """Return the body that belongs to a renamed motion."""
+    """Rename the joints of the body that belongs to a renamed motion."""
     return replace(body, skeleton=renamed_skeleton(body.skeleton, names))
 
 
 @dataclass(frozen=True)
 class MatchedRig:
-    """Another program's rig as our 19 joints: joints (19, 3) in its units, weights (V, 19), and the joints of ours that
-    it does not have (they were placed between the others and carry nothing)."""
+    """Rig of another program, converted to the 19 joints of the human body.
+
+    joints: (19, 3) joint centres in the units of the rig.
+    weights: (V, 19) skinning weights.
+    absent: names of joints that the rig lacks; they are placed by the template's proportions and have no weight.
+    """
 
     joints: Array
     weights: Array
@@ -98,11 +106,16 @@ class MatchedRig:
 def match_rig(
     names: Sequence[str], parents: ArrayLike, joints: ArrayLike, weights: ArrayLike, where: str
 ) -> MatchedRig:
-    """Return the joints and weights of a rig of Mixamo, Rigify, SMPL, OpenSim or our own names as ours.
+    """Convert joints and weights of a rig of Mixamo, Rigify, SMPL, OpenSim or this package to the 19 joints.
 
-    names (n), parents (n,) (-1 = none, any order), joints (n, 3), weights (V, n). Fingers, toes, twist bones and the
-    rest go to the nearest ancestor that we have. The trunk's joints are chosen by their place between pelvis and neck.
-    An InputError names the joints that were not found; limbs, pelvis and head are needed.
+    names: (n) names of the rig's joints.
+    parents: (n,) index of each parent, -1 for none, in any order.
+    joints: (n, 3) joint centres.
+    weights: (V, n) skinning weights.
+    where: name of the file, for messages.
+    Returns: the matched rig. Fingers, toes, twist bones and others are added to the nearest ancestor among the 19; the
+        joints of the trunk are chosen by their position between pelvis and neck.
+    Raises: InputError that names the limbs, pelvis or head that were not found, or counts vertices without weight.
     """
     p, at = np.asarray(parents, dtype=np.int64), np.asarray(joints, dtype=np.float64)
     found = _by_name(names)
@@ -112,7 +125,7 @@ def match_rig(
         some = ", ".join(list(names)[:12])
         raise InputError(
             f"{where}: the rig's joints {', '.join(missing)} were not recognised among {some}, ...; rename the bones "
-            "as in docs/own-body.md, or rig the mesh anew without its skin."
+            "as in docs/own-body.md, or rig the mesh again without its skin."
         )
     found |= _trunk(found, p, at)
     owner = _owners(found, p)
@@ -122,14 +135,17 @@ def match_rig(
         out[:, owner[k]] += dense[:, k]
     total = out.sum(1, keepdims=True)
     if not (total > 1e-6).all():
-        raise InputError(f"{where}: {int((total <= 1e-6).sum())} vertices have no skinning weight; weight them first.")
+        raise InputError(
+            f"{where}: {int((total <= 1e-6).sum())} vertices have no skinning weight; give them weights first."
+        )
     absent = tuple(n for n in JOINT_NAMES if n not in found)
     return MatchedRig(_placed(found, at), out / total, absent)
 
 
 def _plain(name: str) -> tuple[str, str]:
-    """Return (side, rest) of a joint's name: ("left", "upperarm") of "mixamorig:LeftUpperArm", "upper_arm.L",
-    "upperarm_l"."""
+    """Split a joint's name into (side, rest): ("left", "upperarm") for "mixamorig:LeftUpperArm", "upper_arm.L",
+    "upperarm_l".
+    """
     words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", name.split(":")[-1])
     tokens = [
         t for t in re.split(r"[^A-Za-z0-9]+", words.lower()) if t and t not in ("def", "bip01", "bip", "j", "jnt")
@@ -159,7 +175,7 @@ def _by_name(names: Sequence[str]) -> dict[str, int]:
 
 
 def _chain(k: int, parents: NDArray[np.int64]) -> list[int]:
-    """k and its ancestors; stops after as many as there are joints."""
+    """List a joint and its ancestors; stops after as many as there are joints."""
     out: list[int] = []
     while k >= 0 and len(out) <= len(parents):
         out.append(k)
@@ -168,7 +184,7 @@ def _chain(k: int, parents: NDArray[np.int64]) -> list[int]:
 
 
 def _trunk(found: Mapping[str, int], parents: NDArray[np.int64], at: Array) -> dict[str, int]:
-    """Spine and chest among the joints between pelvis and head (or neck)."""
+    """Find spine and chest among the joints between pelvis and head (or neck)."""
     top = found.get("neck", found["head"])
     between = [k for k in _chain(top, parents)[1:] if k not in found.values()]
     chain = _chain(top, parents)
@@ -193,13 +209,15 @@ def _trunk(found: Mapping[str, int], parents: NDArray[np.int64], at: Array) -> d
 
 
 def _owners(found: Mapping[str, int], parents: NDArray[np.int64]) -> NDArray[np.int64]:
-    """For every joint of the rig the joint of ours that takes its weight: itself, or the nearest ancestor found."""
+    """Find for every joint of the rig the one of the 19 joints that takes its weight: itself, or the nearest ancestor
+    found.
+    """
     ours = {k: JOINT_NAMES.index(n) for n, k in found.items()}
     return np.array([next((ours[a] for a in _chain(k, parents) if a in ours), 0) for k in range(len(parents))])
 
 
 def _placed(found: Mapping[str, int], at: Array) -> Array:
-    """Return (19, 3) places of our joints; those that the rig lacks by the template's proportions."""
+    """Compute the positions (19, 3) of all joints; those that the rig lacks by the template's proportions."""
     rest, names = human().skeleton.rest_joints, JOINT_NAMES
     have = np.array([names.index(n) for n in found])
     there = at[list(found.values())]

@@ -1,4 +1,4 @@
-"""Motion: what every tracker and every fusion returns, and every writer takes."""
+"""Motion: the result that every tracker and every fusion returns, and that every writer takes."""
 
 from __future__ import annotations
 
@@ -15,20 +15,24 @@ from hypose.errors import InputError
 from hypose.geometry import Array
 
 TAILS = 7.0
-"""Degrees of freedom of the law of errors: clips differ in how well they fit, so that most errors are smaller, and some
-larger, than a normal distribution with the same 90 % regions has them. Chosen on scenes
-(docs/decisions/error-model.md)."""
+"""Degrees of freedom of the Student t distribution of the errors.
+
+Clips differ in how well they fit, so that most errors are smaller, and some larger, than in a normal distribution with
+the same 90 % regions. Chosen on scenes (docs/decisions/error-model.md).
+"""
 
 
 def region_reach(level: ArrayLike, dimensions: int = 3) -> Array:
-    """Standard deviations (Mahalanobis distance) to which the region of a level, 0 to 1, reaches: of a joint's position
-    (3 dimensions), or of one of its coordinates or an angle (1).
+    """Compute the Mahalanobis distance (in standard deviations) to which the confidence region of a level reaches.
 
-    At 0.9 that of a normal distribution, 2.50 and 1.64, which is what covariances are fitted for; at the other levels
-    that of a Student t distribution with TAILS degrees of freedom which agrees with it there."""
+    level: probability of the region, 0 to 1.
+    dimensions: 3 for the position of a joint, 1 for one coordinate or an angle.
+    Returns: standard deviations. At 0.9 those of a normal distribution, 2.50 and 1.64, to which covariances are fitted;
+        at other levels those of a Student t distribution with TAILS degrees of freedom that agrees with it there.
+    """
     from scipy.special import betaincinv, gammaincinv  # takes long to import
 
-    def squared(at: ArrayLike) -> Array:  # quantile of the F distribution, but for a factor
+    def squared(at: ArrayLike) -> Array:  # quantile of the F distribution, up to a factor
         x = betaincinv(dimensions / 2, TAILS / 2, at)
         return np.asarray(x / (1 - x))
 
@@ -37,29 +41,30 @@ def region_reach(level: ArrayLike, dimensions: int = 3) -> Array:
 
 @dataclass(frozen=True)
 class Motion:
-    """A tracked motion in the world frame (metres, seconds, radians; z up): T frames, J joints, D degrees of freedom.
+    """Tracked motion in the world frame (metres, seconds, radians; z up): T frames, J joints, D degrees of freedom.
 
     skeleton: the joint tree.
-    times (T,): s.
-    joints (T, J, 3): m, joint centres, world.
-    poses (T, D): None when only points are known.
-    joint_covariance (T, J, 3, 3): m^2, covariance of each joint's position, world, NaN where unknown; in 32 bit, since
-        long recordings have many frames; `hypose.body.motion` gives how far regions reach.
-    lost (T,): the person was not found.
-    extrapolated (T,): no evidence, prediction only.
-    n_views (T,): number of views that carried evidence.
-    cost (T,): remaining cost by the method's own measure, NaN when it has none.
-    provenance: recipe, versions, seed, hashes of the inputs: plain JSON values.
-    doubtful (T,): the evidence contradicts itself (pictures that repeat or jump, views that disagree) or a joint; None:
-        not judged.
-    error_probability (T, J): probability that the joint is wrong by more than 100 mm; None: not judged.
-    low_confidence_joints (T, J): where that is more than may be passed over; None: not judged.
-    angle_sd (T, A): rad, of the joint angles (body.joint_angles; m for positions); None: not known.
-    systematic_covariance (T, J, 3, 3): m^2, the part of joint_covariance that more views like these and more frames
-        would not reduce: definition of the joint, errors common to all views, calibration; None: not known.
-    rivals (T, K, D): other poses that the evidence of a frame allows, best first, NaN where there are fewer; None when
+    times: (T,) s.
+    joints: (T, J, 3) m, joint centres in the world.
+    poses: (T, D); None where only points are known.
+    joint_covariance: (T, J, 3, 3) m^2, covariance of each joint's position in the world, NaN where unknown; float32,
+        because long recordings have many frames. `region_reach` gives how far its regions reach.
+    lost: (T,) whether the person was not found.
+    extrapolated: (T,) whether the frame is a prediction without evidence.
+    n_views: (T,) number of views with evidence.
+    cost: (T,) remaining cost by the method's own measure, NaN where it has none.
+    provenance: recipe, versions, seed, hashes of the inputs, as plain JSON values.
+    low_confidence: (T,) whether the evidence of the frame contradicts itself (pictures that repeat or jump, views that
+        disagree), or a joint is doubtful; None: not judged.
+    error_probability: (T, J) probability that the joint is wrong by more than 100 mm; None: not judged.
+    low_confidence_joints: (T, J) whether that probability is too large to be ignored; None: not judged.
+    angle_sd: (T, A) rad, standard deviation of the joint angles (body.joint_angles; m for positions); None: not known.
+    systematic_covariance: (T, J, 3, 3) m^2, the part of joint_covariance that more views of this kind and more frames
+        would not reduce (definition of the joint, errors common to all views, calibration); None: not known.
+    rivals: (T, K, D) other poses that the evidence of a frame allows, best first, NaN where there are fewer; None where
         the method keeps none.
-    rival_weights (T, K): their shares of the certainty, of which the pose has the rest (0: there is none).
+    rival_weights: (T, K) probabilities of the rivals; the pose has the rest (0: no rival).
+    Raises: InputError where the shape of an array does not fit.
     """
 
     skeleton: Skeleton
@@ -120,13 +125,12 @@ class Motion:
 
     @property
     def joint_sd(self) -> Array:
-        """(T, J) standard deviation of each joint's position per axis (root mean square over the axes), m; NaN where
-        unknown."""
+        """(T, J) m, standard deviation of each joint's position per axis (RMS over the axes); NaN where unknown."""
         return sd_per_axis(self.joint_covariance)
 
     @property
     def frame_rate(self) -> float:
-        """Return frames per second, from the median time step (1 for a single frame)."""
+        """Frames per second, from the median time step (1 for a single frame)."""
         return float(1 / np.median(np.diff(self.times))) if len(self.times) > 1 else 1.0
 
 
@@ -135,17 +139,18 @@ _PER_MODE = ("poses", "joints", "weights", "costs", "covariances")
 
 @dataclass(frozen=True)
 class Modes:
-    """The poses that the evidence of each frame allows: T frames, at most K modes each, best first, NaN where a frame
-    has fewer; D dof, J joints.
+    """Poses (modes) that the evidence of each frame allows: T frames, at most K modes each, best first, NaN where there
+    are fewer.
 
-    poses (T, K, D).
-    joints (T, K, J, 3): m, world.
-    weights (T, K): sum 1.
-    costs (T, K): negative log posterior of the frame's evidence.
-    covariances (T, K, D, D): of the poses, 32 bit, the root's rotation as a small turn in the world.
-    joint_covariance (T, J, 3, 3): m^2, of the best mode.
-    depth_sd (T, J): m along the line of sight, of the best mode.
-    alive (T,): number of modes.
+    poses: (T, K, D).
+    joints: (T, K, J, 3) m in the world.
+    weights: (T, K), sum 1.
+    costs: (T, K) negative log posterior given the evidence of the frame.
+    covariances: (T, K, D, D) of the poses, float32, the root's rotation as a small turn in the world.
+    joint_covariance: (T, J, 3, 3) m^2, of the best mode.
+    depth_sd: (T, J) m along the line of sight, of the best mode.
+    alive: (T,) number of modes.
+    Raises: InputError where the shape of an array does not fit.
     """
 
     poses: Array
@@ -177,7 +182,7 @@ class Modes:
         return len(self.poses)
 
     def rows(self) -> list[Modes]:
-        """Return each frame by itself, with as many modes as it has."""
+        """Split into one value per frame, each with as many modes as the frame has."""
         single = [{k: v[t : t + 1] for k, v in modes_arrays(self).items()} for t in range(len(self))]
         return [
             Modes(**{k: v[:, :n] if k in _PER_MODE else v for k, v in one.items()})
@@ -186,12 +191,12 @@ class Modes:
 
 
 def modes_arrays(modes: Modes) -> dict[str, np.ndarray]:
-    """Plain arrays by name, for archives and checkpoints."""
+    """Return the modes as plain arrays by name, for archives and checkpoints."""
     return {f.name: np.asarray(getattr(modes, f.name)) for f in fields(Modes)}
 
 
 def joined_modes(parts: Sequence[Modes]) -> Modes:
-    """Return the modes of consecutive frames as one, padded with NaN to the largest number of modes."""
+    """Join the modes of consecutive frames, padded with NaN to the largest number of modes."""
     most = max(p.poses.shape[1] for p in parts)
 
     def stacked(name: str) -> np.ndarray:
@@ -207,11 +212,11 @@ def joined_modes(parts: Sequence[Modes]) -> Modes:
 
 
 def isotropic(joint_sd: ArrayLike) -> NDArray[np.float32]:
-    """Return isotropic covariances (..., J, 3, 3) m^2 of standard deviations per axis (..., J) m."""
+    """Make isotropic covariances (..., J, 3, 3) m^2 from standard deviations per axis (..., J) m."""
     return (np.asarray(joint_sd, dtype=np.float64)[..., None, None] ** 2 * np.eye(3)).astype(np.float32)
 
 
 def sd_per_axis(joint_covariance: ArrayLike) -> Array:
-    """Return (..., J) m: root mean square over the axes, of covariances (..., J, 3, 3) m^2."""
+    """Compute the RMS standard deviation (..., J) m over the axes, from covariances (..., J, 3, 3) m^2."""
     xx, yy, zz = (np.asarray(joint_covariance)[..., k, k].astype(np.float64) for k in range(3))
     return np.sqrt((xx + yy + zz) / 3)

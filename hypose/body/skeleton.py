@@ -1,8 +1,8 @@
 """Skeleton: the joint tree, its degrees of freedom, forward kinematics and the Jacobian.
 
-Poses: q (..., D). q[0:3] is the root's position in the world (m), q[3:6] its rotation vector; every other joint is
-fixed, a ball (rotation vector in its parent's frame: the exponential map, which does not lock inside +-2 pi) or one or
-two hinges. At q = 0 the body is in its rest pose and all joint frames are parallel to the model frame.
+A pose is a vector q (..., D). q[0:3] is the root's position in the world (m), q[3:6] its rotation vector. Every other
+joint is fixed, a ball (rotation vector in its parent's frame: the exponential map, which has no singularity inside +-2
+pi), or one or two hinges. At q = 0 the body is in its rest pose, and all joint frames are parallel to the model frame.
 Source: Alcoverro 2014, eq. 2.11 (product of exponentials); see `Skeleton.forward`.
 """
 
@@ -21,22 +21,23 @@ from hypose.errors import InputError
 from hypose.geometry import Array, nearest_branch, rotation_mean, so3_exp, so3_left_jacobian, so3_log
 
 GRID = 2.0**20
-"""Steps per metre and radian of the poses that a tracker goes on from (a micrometre, a fifth of an arc second)."""
+"""Steps per metre and radian to which `Skeleton.clamp` rounds poses (a micrometre, a fifth of an arc second)."""
 
 
 @dataclass(frozen=True)
 class Skeleton:
-    """Joint tree. J joints (parent < child), D dof.
+    """Joint tree of J joints (parent < child) with D degrees of freedom.
 
-    joint_names (J).
-    parents (J,).
-    rest_offsets (J, 3) m: joint centre minus its parent's at rest (zeros for the root).
-    ball (J,): the joint is a ball.
-    axes (D, 3): rotation axis of each dof in the model frame (translation direction for the first three).
-    joint_of_dof (D,).
-    dof_names (D).
-    lower, upper (D,) limits (rad, m).
-    sigma (D,): usual motion per frame at 25 fps (1 sd).
+    joint_names: (J).
+    parents: (J,) index of the parent, -1 for the root.
+    rest_offsets: (J, 3) m, joint centre minus that of its parent at rest (zeros for the root).
+    ball: (J,) whether the joint is a ball.
+    axes: (D, 3) rotation axis of each dof in the model frame (direction of translation for the first three).
+    joint_of_dof: (D,) joint to which each dof belongs.
+    dof_names: (D).
+    lower, upper: (D,) limits, rad and m.
+    sigma: (D,) usual motion per frame at 25 fps (1 sd), rad and m.
+    Raises: InputError where shapes do not fit, parents are not ordered, or a lower limit exceeds the upper one.
     """
 
     joint_names: tuple[str, ...]
@@ -72,23 +73,23 @@ class Skeleton:
 
     @property
     def dof(self) -> int:
-        """Return number of degrees of freedom D."""
+        """Number D of degrees of freedom."""
         return len(self.dof_names)
 
     def joint(self, name: str) -> int:
-        """Index of a joint by name; an InputError lists the names."""
+        """Return the index of a joint by name; raises InputError with the list of names where there is none."""
         try:
             return self.joint_names.index(name)
         except ValueError:
             raise InputError(f"There is no joint {name!r}; the joints are {', '.join(self.joint_names)}.") from None
 
     def dofs_of(self, *names: str) -> NDArray[np.int64]:
-        """Return indices of the rotational dof of the named joints (for the root: all six)."""
+        """Return the indices of the degrees of freedom of the named joints (for the root: all six)."""
         joints = np.array([self.joint(n) for n in names], dtype=np.int64)
         return np.flatnonzero((self.joint_of_dof[:, None] == joints).any(1))
 
     def descendants(self, name: str) -> NDArray[np.int64]:
-        """Joint indices of the sub-tree that starts at the named joint."""
+        """Return the joint indices of the sub-tree that starts at the named joint."""
         keep = np.zeros(len(self.parents), dtype=bool)
         keep[self.joint(name)] = True
         for j, p in enumerate(self.parents):
@@ -98,7 +99,7 @@ class Skeleton:
 
     @cached_property
     def rest_joints(self) -> Array:
-        """Return (J, 3) joint centres in the model frame at rest, m."""
+        """(J, 3) m, joint centres in the model frame at rest."""
         out = np.zeros_like(self.rest_offsets)
         for j, p in enumerate(self.parents):
             out[j] = self.rest_offsets[j] + (out[p] if p >= 0 else 0)
@@ -106,12 +107,12 @@ class Skeleton:
 
     @cached_property
     def tree(self) -> TreeArrays:
-        """Return the flat arrays that compute works on."""
+        """Flat arrays of the joint tree, for compiled code."""
         j = len(self.joint_names)
         kind, start, count = (np.zeros(j, dtype=np.int64) for _ in range(3))
         for n in range(j):
             dofs = np.flatnonzero(self.joint_of_dof == n)
-            dofs = dofs[dofs >= 3]  # the root's translations are handled apart
+            dofs = dofs[dofs >= 3]  # the root's translations are handled separately
             if len(dofs):
                 start[n], count[n] = dofs[0], len(dofs)
                 kind[n] = BALL if self.ball[n] else HINGES
@@ -129,8 +130,7 @@ class Skeleton:
 
     @cached_property
     def twists(self) -> Array:
-        """Return (D, 6) twists (w, v) of the dof in the model frame at rest; v = -w x p for a turn about a line through
-        p."""
+        """(D, 6) twists (w, v) of the dof in the model frame at rest; v = -w x p for a turn about a line through p."""
         out = np.zeros((self.dof, 6))
         out[:3, 3:] = self.axes[:3]
         out[3:, :3] = self.axes[3:]
@@ -143,15 +143,18 @@ class Skeleton:
         return self.tree.dof_start[self.tree.kind == BALL]
 
     def rest_pose(self) -> Array:
-        """Return (D,) zeros, moved into the limits."""
+        """Return the pose (D,) of zeros, moved into the limits."""
         return np.clip(np.zeros(self.dof), self.lower, self.upper)
 
     def forward(self, poses: ArrayLike) -> tuple[Array, Array]:
-        """Forward kinematics: q (..., D) -> world_from_joint rotations (..., J, 3, 3) and joint centres (..., J, 3) m.
+        """Compute the joint frames and joint centres of poses (forward kinematics).
 
-        Source: Alcoverro 2014, eq. 2.11, the product of exponentials along the chain. Deviation: the root's translation
-        and rotation are kept apart, instead of one twist. Deviation: a ball joint is one exponential of a rotation
-        vector, instead of three successive axes, and has no gimbal lock.
+        poses: (..., D).
+        Returns: world_from_joint rotations (..., J, 3, 3), and joint centres (..., J, 3) m.
+        Raises: InputError where the poses do not have D numbers.
+        Source: Alcoverro 2014, eq. 2.11, the product of exponentials along the chain. Deviations: the root's
+            translation and rotation are separate, instead of one twist. A ball joint is one exponential of a rotation
+            vector, instead of three successive axes, and has no gimbal lock.
         """
         q = np.asarray(poses, dtype=np.float64)
         if q.shape[-1] != self.dof:
@@ -161,10 +164,11 @@ class Skeleton:
         return r.reshape(*q.shape[:-1], j, 3, 3), p.reshape(*q.shape[:-1], j, 3)
 
     def world_twists(self, poses: ArrayLike) -> Array:
-        """(..., D, 6) twists S = (w, v) in the world at q (..., D): a point x moves with w x x + v per unit of the dof.
+        """Compute the twists (w, v) of all dof in the world at poses (..., D): a point x moves with w x x + v per unit
+        of the dof.
 
-        For ball joints these are columns of the left Jacobian, so they are derivatives with respect to the rotation
-        vector's components, not angular velocities about fixed axes.
+        Returns: (..., D, 6). For ball joints these are columns of the left Jacobian: derivatives by the components of
+            the rotation vector, not angular velocities about fixed axes.
         """
         q = np.asarray(poses, dtype=np.float64)
         rotations, centres = self.forward(q)
@@ -189,7 +193,7 @@ class Skeleton:
 
     @cached_property
     def moves(self) -> NDArray[np.bool_]:
-        """Return (D, J): dof d moves joint j's frame."""
+        """(D, J) whether dof d moves the frame of joint j."""
         out = np.zeros((self.dof, len(self.joint_names)), dtype=bool)
         for j in range(len(self.joint_names)):
             a = j
@@ -199,7 +203,12 @@ class Skeleton:
         return out
 
     def jacobian(self, pose: ArrayLike, joint: int, points_world: ArrayLike) -> Array:
-        """d points / d q (N, 3, D) for points_world (N, 3) rigidly attached to a joint, at pose q (D,)."""
+        """Compute the derivatives (N, 3, D) of points by the pose.
+
+        pose: (D,).
+        joint: index of the joint to which the points are rigidly attached.
+        points_world: (N, 3) m.
+        """
         p = np.asarray(points_world, dtype=np.float64)
         s = self.world_twists(pose)
         rows = np.cross(s[None, :, :3], p[:, None]) + s[None, :, 3:]
@@ -207,37 +216,54 @@ class Skeleton:
         return np.swapaxes(rows, 1, 2)
 
     def joint_jacobians(self, pose: ArrayLike) -> Array:
-        """d joint centres / d q (J, 3, D) at pose q (D,), the root's rotation as a small turn in the world."""
+        """Compute the derivatives (J, 3, D) of the joint centres by the pose (D,), the root's rotation as a small turn
+        in the world.
+        """
         return kinematics.joint_jacobians(pose, self.tree)
 
     def joint_covariances(self, pose: ArrayLike, covariance: ArrayLike) -> Array:
-        """(J, 3, 3) m^2 of the joint centres for a pose (D,) with covariance (D, D), to first order, the root's
-        rotation as a small turn in the world."""
+        """Compute the covariances (J, 3, 3) m^2 of the joint centres, to first order.
+
+        pose: (D,).
+        covariance: (D, D) of the pose, the root's rotation as a small turn in the world.
+        """
         jacobian = self.joint_jacobians(pose)
         # einsum, not @: threaded BLAS costs more than matrices of this size
         half = np.einsum("jad,de->jae", jacobian, np.asarray(covariance, dtype=np.float64))
         return np.einsum("jae,jbe->jab", half, jacobian)
 
     def step_sigma(self, frame_rate: float) -> Array:
-        """Return (D,): usual motion per frame at a frame rate: proportional to the time of a frame, within limits."""
+        """Return the usual motion per frame (D,) at a frame rate: `sigma` scaled by the duration of a frame, within 0.4
+        to 2.
+        """
         return self.sigma * float(np.clip(25.0 / frame_rate, 0.4, 2.0))
 
     def clamp(self, poses: ArrayLike) -> Array:
-        """Poses (..., D) moved into the joint limits, and onto a grid of 2^-20 m and rad: the last digits, in which
-        numerical libraries differ between processors, must not grow from frame to frame until another arm is found."""
+        """Move poses (..., D) into the joint limits, rounded to a grid of 2^-20 m and rad.
+
+        Why: numerical libraries differ between processors in the last digits. Without the grid this difference would
+        grow from frame to frame, until another pose of an arm is found.
+        """
         on_grid = np.rint(np.asarray(poses, dtype=np.float64) * GRID) / GRID
         return np.minimum(np.maximum(on_grid, self.lower), self.upper)  # np.clip takes twice as long for one pose
 
     def on_branch(self, poses: ArrayLike, reference: ArrayLike) -> Array:
-        """Poses (..., D) with every ball's rotation vector on the branch nearest to the reference pose's (D,)."""
+        """Move the root's rotation vector in poses (..., D) to the branch nearest to that of a reference pose (D,).
+
+        Other balls are unchanged: only the root turns through more than half a turn.
+        """
         q, ref = np.array(poses, dtype=np.float64), np.asarray(reference, dtype=np.float64)
         for s in self.ball_starts[:1]:  # only the root turns through more than half a turn
             q[..., s : s + 3] = nearest_branch(q[..., s : s + 3], ref[..., s : s + 3])
         return q
 
     def unwound(self, pose: ArrayLike, reference: ArrayLike | None = None) -> Array:
-        """Pose (D,) with every ball but the root on the branch nearest to the reference pose's (D,), or to rest, where
-        the limits allow it."""
+        """Move the rotation vectors of all balls but the root to the branch nearest to those of a reference pose, where
+        the limits allow it.
+
+        pose: (D,).
+        reference: (D,); None: the rest pose.
+        """
         q = np.array(pose, dtype=np.float64)
         ref = np.zeros(self.dof) if reference is None else np.asarray(reference, dtype=np.float64)
         for s in self.ball_starts[1:]:
@@ -248,16 +274,14 @@ class Skeleton:
         return q
 
     def canonical(self, pose: ArrayLike) -> Array:
-        """Pose (D,) with the root's rotation vector of norm <= pi."""
+        """Return the pose (D,) with the root's rotation vector of norm <= pi."""
         q = np.array(pose, dtype=np.float64)
         q[..., 3:6] = nearest_branch(q[..., 3:6], np.zeros(3))
         return q
 
     def mean(self, poses: ArrayLike, weights: ArrayLike) -> Array:
-        """Return weighted mean pose (D,) of poses (N, D): rotations of balls and root averaged on SO(3), the rest
-        plainly.
-
-        Source: spec of the estimate (weighted mean in the tangent space, never raw angles across +-pi).
+        """Compute the weighted mean (D,) of poses (N, D): rotations of balls and root on SO(3), all others as plain
+        numbers.
         """
         q, w = np.asarray(poses, dtype=np.float64), np.asarray(weights, dtype=np.float64)
         out = w @ q / w.sum()
@@ -267,7 +291,10 @@ class Skeleton:
         return out
 
     def difference(self, a: ArrayLike, b: ArrayLike) -> Array:
-        """Tangent vector d (..., D) with step(b, d) = a: rotation vectors of R_a R_b^T for balls, plain elsewhere."""
+        """Compute the tangent vector d (..., D) from pose b to pose a, with step(b, d) = a.
+
+        Rotations of balls give the rotation vector of R_a R_b^T, other coordinates the plain difference.
+        """
         qa, qb = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
         d = qa - qb
         for s in self.ball_starts:
@@ -276,7 +303,9 @@ class Skeleton:
         return d
 
     def step(self, pose: ArrayLike, tangent: ArrayLike) -> Array:
-        """Pose (..., D) moved along a tangent vector (..., D): the inverse of `difference`, on the pose's branch."""
+        """Move a pose (..., D) along a tangent vector (..., D): the inverse of `difference`, on the
+        branch of the pose.
+        """
         q, d = np.asarray(pose, dtype=np.float64), np.asarray(tangent, dtype=np.float64)
         out = q + d
         for s in self.ball_starts:

@@ -1,9 +1,11 @@
-"""Skinning weights of any closed mesh around any skeleton, by heat that flows from the bones over the surface.
+"""Compute skinning weights of any closed mesh around any skeleton, by heat that diffuses from the bones over the
+surface.
 
 Source: Baran & Popovic 2007, "Automatic rigging and animation of 3D characters", section 4: (-Laplacian + H) w = H p,
-H = c / d^2 with the distance d to the nearest bone, p = 1 for that bone. Deviations: the nearest bone among those that
-the vertex sees through the inside (so a hand that hangs near a thigh keeps off it), several segments per joint, a
-Laplacian that bears needles and non-manifold edges (Sharp & Crane 2020), and at most four influences.
+    with H = c / d^2 for the distance d to the nearest bone, and p = 1 for that bone. Deviations: the nearest bone is
+    chosen among those visible from the vertex through the inside (so that a hand near a thigh does not follow it); a
+    joint may have several segments; the Laplacian tolerates needles and non-manifold edges (Sharp & Crane 2020); at
+    most four joints per vertex.
 """
 
 from __future__ import annotations
@@ -20,18 +22,22 @@ from hypose.errors import InputError, extra
 from hypose.geometry import Array
 
 _SMALLEST = 0.01
-"""Weights below this are dropped before the rest is scaled to sum 1: no eye sees them and they cost time."""
+"""Smaller weights are dropped before the rest is scaled to sum 1: they are invisible and cost time."""
 
 
 HEAT = 2.0
-"""The constant c (1 in the paper): with 2 the weights are nearer to the template's, which artists made (mean absolute
-difference 0.0136 against 0.0164), and no less smooth than those."""
+"""Constant c (1 in the paper). With 2 the weights are nearer to those of the template, which artists made (mean
+absolute difference 0.0136 against 0.0164), and equally smooth.
+"""
 
 
 @dataclass(frozen=True)
 class Bones:
-    """Line segments that give off heat: start, end (B, 3) m in the frame of the mesh, joint (B,): which joint's weight
-    a segment feeds. A joint may have several."""
+    """Line segments that emit heat; a joint may have several.
+
+    start, end: (B, 3) m in the frame of the mesh.
+    joint: (B,) joint whose weight a segment feeds.
+    """
 
     start: Array
     end: Array
@@ -74,10 +80,13 @@ _HUMAN: tuple[tuple[str, tuple[str, ...], tuple[str, ...]], ...] = (
 def bones_of(
     skeleton: Skeleton, joints: Array, landmarks: Landmarks | None = None, points: Array | None = None
 ) -> Bones:
-    """Return the segments of a skeleton with joint centres joints (J, 3) m: from every joint to its children; on a
-    human body with landmarks at points (L, 3) m in the same frame also ribs, jaw, knuckles, toes and heels.
+    """Make the segments of a skeleton: from every joint to its children.
 
-    A joint without child and landmark gets a segment in the direction of the one before it, half as long.
+    joints: (J, 3) m, joint centres.
+    landmarks, points: landmarks of a human body, and their positions (L, 3) m in the same frame; they add ribs, jaw,
+        knuckles, toes and heels. None: no such segments.
+    Returns: the segments. A joint without child and landmark gets a segment in the direction of the one before it, half
+        as long.
     """
     place = {n: joints[k] for k, n in enumerate(skeleton.joint_names)}
     if landmarks is not None and points is not None:
@@ -98,7 +107,7 @@ def bones_of(
 
 
 def body_bones(body: Body, pose: ArrayLike | None = None) -> Bones:
-    """Return the segments of a ready body, at a pose (D,); at rest in the model frame when None."""
+    """Make the segments of a ready body at a pose (D,); None: at rest in the model frame."""
     marks = body.landmarks
     if pose is None:
         joints = body.skeleton.rest_joints
@@ -109,12 +118,15 @@ def body_bones(body: Body, pose: ArrayLike | None = None) -> Bones:
 def heat_weights(
     vertices: ArrayLike, faces: ArrayLike, bones: Bones, n_joints: int, *, heat: float = HEAT, visible: bool = True
 ) -> Array:
-    """Dense weights (V, J), rows sum to 1, none negative: vertices (V, 3) m, faces (F, 3) of one surface.
+    """Compute dense skinning weights by heat diffusion.
 
+    vertices, faces: (V, 3) m and (F, 3) of one surface.
+    bones: segments that emit heat, in the frame of the mesh.
+    n_joints: number J of joints.
     heat: the constant c; less makes wider transitions.
-    visible: only bones that a vertex sees are sources.
-
-    An InputError when the mesh has no face or a vertex without face.
+    visible: whether only bones visible from a vertex are sources.
+    Returns: (V, J), not negative, rows sum to 1.
+    Raises: InputError where the mesh has no face, or a vertex without face.
     """
     from scipy.sparse import csc_matrix, diags
     from scipy.sparse.linalg import splu
@@ -148,7 +160,12 @@ def heat_weights(
 
 
 def influences(weights: ArrayLike, count: int = 4) -> tuple[NDArray[np.int32], Array]:
-    """Return the `count` largest of dense weights (V, J) as (V, 4) joints and weights, descending, sum 1, unused 0."""
+    """Keep the largest weights of each vertex.
+
+    weights: (V, J) dense.
+    count: number of weights to keep, at most 4.
+    Returns: joints (V, 4) and weights (V, 4), descending, sum 1, unused 0.
+    """
     w = np.asarray(weights, dtype=np.float64)
     keep = min(4, count, w.shape[1])
     index = np.zeros((len(w), 4), dtype=np.int32)
@@ -162,9 +179,13 @@ def influences(weights: ArrayLike, count: int = 4) -> tuple[NDArray[np.int32], A
 def carried_weights(
     points: ArrayLike, normals: ArrayLike, vertices: ArrayLike, faces: ArrayLike, weights: ArrayLike
 ) -> Array:
-    """Dense weights (P, J) at points (P, 3) with outward normals (P, 3) near the surface of a mesh with dense weights
-    (V, J): the mean over the nearest places of the mesh that face the same way, so that a hand next to a thigh does not
-    get the thigh's."""
+    """Transfer skinning weights from a mesh to points near its surface.
+
+    points, normals: (P, 3) m and (P, 3) outward normals.
+    vertices, faces, weights: (V, 3) m, (F, 3) and (V, J) dense weights of the mesh.
+    Returns: (P, J), the mean over the nearest places of the mesh that face the same way, so that a hand next to a thigh
+        does not get the thigh's weights.
+    """
     from scipy.spatial import KDTree
 
     v, w = np.asarray(vertices, dtype=np.float64), np.asarray(weights, dtype=np.float64)
@@ -207,7 +228,7 @@ def _closest_points(v: Array, bones: Bones) -> tuple[Array, Array]:
 
 
 def _warm_every_part(near: NDArray[np.bool_], distance: Array, faces: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Give heat to connected parts in which no vertex sees a bone: there the nearest bone counts."""
+    """Make the nearest bone a source of heat for connected parts of the mesh in which no vertex sees a bone."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 

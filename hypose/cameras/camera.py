@@ -1,4 +1,4 @@
-"""Camera and CameraRig: pinhole cameras with lens distortion (OpenCV's model), world <-> pixel."""
+"""Pinhole cameras with lens distortion (OpenCV's model): projection of points, viewing rays, triangulation."""
 
 from __future__ import annotations
 
@@ -16,13 +16,15 @@ from hypose.geometry import Array, se3_inverse
 
 @dataclass(frozen=True)
 class Camera:
-    """One camera.
+    """A calibrated pinhole camera with lens distortion.
 
-    name.
-    K (3, 3) px.
-    distortion (k,) OpenCV coefficients (k1 k2 p1 p2 [k3 ...]; four fisheye coefficients when `fisheye`).
-    camera_from_world (4, 4) m, x right, y down, z forward.
-    size (width, height) px. Pixel centres lie at integer coordinates.
+    name: name of the camera.
+    K: (3, 3) intrinsic matrix, px.
+    distortion: (k,) OpenCV's coefficients k1 k2 p1 p2 [k3 ...]; four fisheye coefficients when `fisheye`.
+    camera_from_world: (4, 4) rigid motion, m; camera axes: x right, y down, z forward.
+    size: image width and height, px. Pixel centres have integer coordinates.
+    fisheye: use OpenCV's fisheye model.
+    Raises: CalibrationError where a value is not finite, has the wrong shape, or is not positive.
     """
 
     name: str
@@ -53,16 +55,20 @@ class Camera:
 
     @property
     def position(self) -> Array:
-        """Return (3,) camera centre in the world, m."""
+        """Compute the camera centre (3,) in the world, m."""
         return se3_inverse(self.camera_from_world)[:3, 3]
 
     @property
     def projection(self) -> Array:
-        """Return (3, 4) pinhole projection K [R | t] (no distortion)."""
+        """Compute the pinhole projection matrix K [R | t] (3, 4), without distortion."""
         return self.K @ self.camera_from_world[:3]
 
     def project(self, points_world: ArrayLike) -> Array:
-        """Pixels (..., 2) of points_world (..., 3), with lens distortion; NaN behind the camera."""
+        """Project world points to image pixels, with lens distortion.
+
+        points_world: (..., 3) m.
+        Returns: (..., 2) px; NaN for points behind the camera.
+        """
         p = np.asarray(points_world, dtype=np.float64)
         flat = p.reshape(-1, 3) @ self.camera_from_world[:3, :3].T + self.camera_from_world[:3, 3]
         front = flat[:, 2] > 1e-6
@@ -75,7 +81,11 @@ class Camera:
         return uv.reshape(*p.shape[:-1], 2)
 
     def through_lens(self, directions: Array) -> Array:
-        """Pixels (N, 2) of points (N, 2) at depth 1 before the camera, with lens distortion."""
+        """Apply lens distortion and intrinsics to normalised image points.
+
+        directions: (N, 2) x / z and y / z in the camera frame.
+        Returns: (N, 2) distorted px.
+        """
         if len(directions) == 0:
             return np.zeros((0, 2))
         if self.fisheye or len(self.distortion) > 8:  # thin prisms and tilted sensors
@@ -96,13 +106,21 @@ class Camera:
         return np.stack([self.K[0, 0] * u + self.K[0, 2], self.K[1, 1] * v + self.K[1, 2]], axis=1)
 
     def project_pinhole(self, points_world: ArrayLike) -> Array:
-        """Undistorted pixels (..., 2) of points_world (..., 3); NaN behind the camera."""
+        """Project world points to the undistorted image.
+
+        points_world: (..., 3) m.
+        Returns: (..., 2) px without lens distortion; NaN for points behind the camera.
+        """
         h = np.asarray(points_world, dtype=np.float64) @ self.projection[:, :3].T + self.projection[:, 3]
         z = np.where(h[..., 2:] > 1e-6, h[..., 2:], np.nan)
         return h[..., :2] / z
 
     def undistort_points(self, pixels: ArrayLike) -> Array:
-        """Distorted pixels (..., 2) -> pixels of the ideal pinhole camera with the same K."""
+        """Remove the lens distortion from pixels.
+
+        pixels: (..., 2) distorted px.
+        Returns: (..., 2) px of the ideal pinhole camera with the same K.
+        """
         p = np.asarray(pixels, dtype=np.float64)
         if p.size == 0:
             return p.copy()
@@ -115,14 +133,19 @@ class Camera:
         return np.asarray(out, dtype=np.float64).reshape(p.shape)
 
     def rays(self, pixels: ArrayLike) -> tuple[Array, Array]:
-        """Viewing rays of distorted pixels (..., 2): (origin (3,), unit directions (..., 3)) in the world."""
+        """Compute the viewing rays of pixels in the world.
+
+        pixels: (..., 2) distorted px.
+        Returns: the common origin (3,) m and unit directions (..., 3).
+        """
         u = self.undistort_points(pixels)
         d = np.concatenate([u, np.ones((*u.shape[:-1], 1))], -1) @ np.linalg.inv(self.K).T
         d = d @ self.camera_from_world[:3, :3]
         return self.position, d / np.linalg.norm(d, axis=-1, keepdims=True)
 
     def scaled(self, size: tuple[int, int]) -> Camera:
-        """Return the same camera with images resampled to size (width, height); pixel centres at integers are kept."""
+        """Copy the camera, adapted to images that are resampled to `size` (width, height); pixel centres stay at
+        integers."""
         sx, sy = size[0] / self.size[0], size[1] / self.size[1]
         k = np.diag([sx, sy, 1.0]) @ self.K
         k[0, 2] += 0.5 * sx - 0.5
@@ -130,16 +153,18 @@ class Camera:
         return replace(self, K=k, size=(int(size[0]), int(size[1])))
 
     def pinhole(self) -> Camera:
-        """Return the same camera without lens distortion."""
+        """Copy the camera without lens distortion."""
         return replace(self, distortion=np.zeros(5), fisheye=False)
 
     def undistort_maps(
         self, size: tuple[int, int], image_size: tuple[int, int] | None = None
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Maps for cv2.remap from a stored image of `image_size` (default: self.size) to the undistorted image of
-        the pinhole camera `self.scaled(size).pinhole()`: (map_x, map_y) float32 (h, w).
+        """Compute the maps with which cv2.remap undistorts a stored image.
 
-        A stored image of another size than the calibration is taken as scaled (not cropped).
+        size: (width, height) of the undistorted image, that of `self.scaled(size).pinhole()`.
+        image_size: (width, height) of the stored image; the calibrated size by default. An image of another size counts
+            as scaled, not cropped.
+        Returns: map_x and map_y, float32 (h, w).
         """
         target = self.scaled(size)
         if self.fisheye:
@@ -157,7 +182,10 @@ class Camera:
 
 @dataclass(frozen=True)
 class CameraRig:
-    """Several cameras of one synchronised recording, in the order of the recording's views."""
+    """The cameras of one synchronised recording, in the order of its views.
+
+    Raises: CalibrationError where there is no camera or two cameras have the same name.
+    """
 
     cameras: tuple[Camera, ...]
 
@@ -179,32 +207,35 @@ class CameraRig:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Return the C camera names."""
+        """Names of the C cameras."""
         return tuple(c.name for c in self.cameras)
 
     @property
     def projections(self) -> Array:
-        """Return (C, 3, 4) pinhole projection matrices."""
+        """Pinhole projection matrices (C, 3, 4)."""
         return self._made[0].copy()
 
     @property
     def positions(self) -> Array:
-        """Return (C, 3) camera centres in the world, m."""
+        """Camera centres (C, 3) in the world, m."""
         return self._made[1].copy()
 
     @property
     def sizes(self) -> NDArray[np.int64]:
-        """Return (C, 2) image width and height, px."""
+        """Image width and height (C, 2), px."""
         return self._made[2].copy()
 
     @cached_property
     def _made(self) -> tuple[Array, Array, NDArray[np.int64]]:
-        """Projections, positions and sizes, which every frame asks for several times."""
+        """Projections, positions and sizes, computed once because every frame needs them several times."""
         sizes = np.array([c.size for c in self.cameras], dtype=np.int64)
         return np.stack([c.projection for c in self.cameras]), np.stack([c.position for c in self.cameras]), sizes
 
     def select(self, names: Sequence[str]) -> CameraRig:
-        """Return the rig of the named cameras in that order; a CalibrationError lists what exists."""
+        """Select the cameras of the given names, in that order.
+
+        Raises: CalibrationError where a name does not exist; it lists the names that do.
+        """
         by_name = {c.name: c for c in self.cameras}
         missing = [n for n in names if n not in by_name]
         if missing:
@@ -215,11 +246,11 @@ class CameraRig:
         return CameraRig(tuple(by_name[n] for n in names))
 
     def pinhole(self) -> CameraRig:
-        """Return the same rig without lens distortion."""
+        """Copy the rig without lens distortion."""
         return CameraRig(tuple(c.pinhole() for c in self.cameras))
 
     def scaled(self, factor: float) -> CameraRig:
-        """Return the rig with every image resampled by `factor` (sizes rounded to whole pixels)."""
+        """Copy the rig, adapted to images that are resampled by a factor; sizes are rounded to whole pixels."""
         return CameraRig(
             tuple(
                 c.scaled((max(1, round(c.size[0] * factor)), max(1, round(c.size[1] * factor)))) for c in self.cameras
@@ -230,13 +261,12 @@ class CameraRig:
 def triangulate(
     rig: CameraRig, pixels: ArrayLike, confidence: ArrayLike, min_views: int = 2
 ) -> tuple[Array, NDArray[np.int64]]:
-    """Confidence-weighted linear triangulation (DLT).
+    """Triangulate points from several views with the confidence-weighted linear method (DLT).
 
-    pixels (C, ..., 2) undistorted px of the rig's pinhole cameras.
-    confidence (C, ...) >= 0, 0 = not seen.
-
-    Returns points_world (..., 3), NaN with fewer than min_views views, and the number of views (...). Source: Hartley &
-    Zisserman 2004, section 12.2.
+    pixels: (C, ..., 2) undistorted px of the rig's pinhole cameras.
+    confidence: (C, ...) weights >= 0; 0 where the point is not seen.
+    Returns: (..., 3) world points, m, NaN where fewer than `min_views` views see them; (...) numbers of views.
+    Source: Hartley and Zisserman 2004, section 12.2.
     """
     uv, w = np.asarray(pixels, dtype=np.float64), np.asarray(confidence, dtype=np.float64)
     w = np.where(np.isfinite(uv).all(-1), w, 0.0)
@@ -253,12 +283,16 @@ def triangulate(
 
 
 PARALLEL = 0.26
-"""Sine of the angle between two rays (15 degrees) below which they hardly tell how far away their point is."""
+"""Sine of an angle of 15 degrees. Two rays at a smaller angle hardly determine the distance of their point."""
 
 
 def widest_angle(rig: CameraRig, pixels: ArrayLike, confidence: ArrayLike) -> Array:
-    """Return (...) sine of the angle between those two rays through pixels (C, ..., 2) with confidence (C, ...) > 0
-    that are least parallel; undistorted px of the rig's pinhole cameras; 0 with fewer than two."""
+    """Compute the sine of the largest angle between any two viewing rays of each point.
+
+    pixels: (C, ..., 2) undistorted px of the rig's pinhole cameras.
+    confidence: (C, ...); 0 where the point is not seen.
+    Returns: (...) sines; 0 for points that fewer than two views see.
+    """
     uv, seen = np.nan_to_num(np.asarray(pixels, dtype=np.float64)), np.asarray(confidence) > 0
     rays = np.stack([camera.rays(p)[1] for camera, p in zip(rig.pinhole(), uv, strict=True)])
     sine = np.linalg.norm(np.cross(rays[:, None], rays[None]), axis=-1)

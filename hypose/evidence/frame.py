@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +14,6 @@ from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.depth_evidence import Depth
 from hypose.geometry import Array
-
-if TYPE_CHECKING:
-    from hypose.body.body import Body
-    from hypose.evidence.terms import Evidence
 
 _Piece = TypeVar("_Piece")
 NOT_TRACKED, INFERRED, TRACKED = 0, 1, 2
@@ -59,8 +55,8 @@ class Silhouettes:
     """what hypose.evidence.prefetch keeps of these very masks, so that it is made once; a copy begins without"""
 
     def unseen(self) -> Silhouettes:
-        """Return the masks with no usable view, for nobody is expected in them."""
-        reasons = tuple(r or f"{n}: nobody is expected" for n, r in zip(self.rig.names, self.reasons, strict=True))
+        """Return the masks with no usable view, where no person is expected."""
+        reasons = tuple(r or f"{n}: no person is expected" for n, r in zip(self.rig.names, self.reasons, strict=True))
         return replace(self, usable=np.zeros_like(self.usable), reasons=reasons, ignored=None, expected=None)
 
     @cached_property
@@ -216,18 +212,10 @@ class Colours:
     edges: NDArray[np.uint8] | None = None
 
 
-class Piece(Protocol):
-    """What a frame carries of one more cue, as it was measured: a file that defines it is all that a new cue needs."""
-
-    def prepared(self, body: Body) -> Evidence:
-        """Prepare it for a search and for solves of a body."""
-        ...
-
-
 @dataclass(frozen=True)
 class Frame:
     """One instant. time: s, index: frame number; the pieces are None when this frame has no such evidence; more: pieces
-    of further cues, such as `hypose.evidence.limb_maps.LimbMaps`."""
+    of further cues (`hypose.evidence.terms.Piece`), such as `hypose.evidence.limb_maps.LimbMaps`."""
 
     time: float
     index: int
@@ -238,7 +226,7 @@ class Frame:
     picture: Picture | None = None
     colours: Colours | None = None
     depth: Depth | None = None
-    more: tuple[Piece, ...] = ()
+    more: tuple[Any, ...] = ()
 
     @property
     def pieces(self) -> dict[str, Any]:

@@ -1,13 +1,14 @@
-"""Fitting a pose to contours, key points and 3D points: bounded damped Gauss-Newton on robust rows.
+"""Fit a pose to contours, key points and 3D points: bounded damped Gauss-Newton on robust rows.
 
-Every cue is a sum of rows (point, direction, residual, weight, joint); rows become 6 x 6 sums per joint that are folded
-up the joint tree (hypose.compute.rows, hypose.compute.solver), so a whole solve is one compiled call without the GIL.
-The cost is F(q) = 1/2 sum of weighted robust squares + 1/2 sum of the priors' quadratics; gradient and (Gauss-Newton)
-Hessian of the result are those of F. With weights that are inverse variances its inverse is the pose's covariance.
+Every cue is a sum of rows (point, direction, residual, weight, joint). Rows become 6 x 6 sums per joint that are folded
+up the joint tree (hypose.compute.rows, hypose.compute.solver), so that a whole solve is one compiled call without the
+GIL. The cost is F(q) = 1/2 sum of weighted robust squares + 1/2 sum of the priors' quadratics; gradient and
+(Gauss-Newton) Hessian of the result are those of F. Where weights are inverse variances, the inverse Hessian is the
+covariance of the pose.
 
 Sources: two-way contour distances with a robust weight as in the silhouette trackers of Alcoverro 2014, chapter 4, and
-Gall et al. 2009; Geman & McClure 1985; the spatial (wrench) form of the sums follows Featherstone 2008, chapter 6.
-Deviation: outline association is by nearest point of the visible outline, not along normals.
+    Gall et al. 2009; Geman & McClure 1985; the spatial (wrench) form of the sums follows Featherstone 2008, chapter 6.
+Deviation: outlines are associated by the nearest point of the visible outline, not along normals.
 """
 
 from __future__ import annotations
@@ -43,14 +44,20 @@ from hypose.fitting.problem import Problem, Quadratic, Rule
 from hypose.geometry import Array, nearest_branch, so3_turns
 
 LARGEST_TURN = 0.35
-"""rad: steps that turn a joint further are shortened, as in the compiled solve"""
+"""rad; steps that turn a joint further are shortened, as in the compiled solve."""
 
 
 @dataclass(frozen=True)
 class SolveSettings:
-    """iterations: all, the first coarse_iterations of them with the contours' coarse scale; tolerance: stop when no dof
-    moves further than this (rad; twice the metres); damping: initial, relative to the Hessian's diagonal;
-    tries: of a step, each with more damping, before the solve ends there (a coarse one: goes on with the fine ones)."""
+    """Settings of the solve of one pose.
+
+    iterations: number of iterations, coarse and fine together.
+    coarse_iterations: number of them, at the start, with the coarse scale of the contours.
+    tolerance: stop when no degree of freedom moves further (rad; for metres half as much).
+    damping: initial damping, relative to the diagonal of the Hessian.
+    tries: number of attempts at a step, each with more damping, before the solve ends (a coarse solve: goes on to the
+        fine one).
+    """
 
     iterations: int = 8
     coarse_iterations: int = 4
@@ -61,12 +68,19 @@ class SolveSettings:
 
 @dataclass(frozen=True)
 class PoseFit:
-    """Result of one solve.
+    """Result of the solve of one pose.
 
-    pose (D,), the root's rotation vector on the branch of the start; solved (D,): the same pose on the branch on which
-    it was solved; cost F; hessian (D, D), Gauss-Newton, and gradient (D,) of F in the coordinates of `solved`;
-    iterations; evaluations; converged: the last step was below the tolerance; rows: number of rows of evidence (0: only
-    the priors spoke); view_rows (C, 2): contour rows of each view, forward and reverse."""
+    pose: (D,), the root's rotation vector on the branch of the start.
+    solved: (D,) the same pose on the branch on which it was solved.
+    cost: F.
+    hessian: (D, D) Gauss-Newton Hessian of F in the coordinates of `solved`.
+    gradient: (D,) of F in the same coordinates.
+    iterations: number of iterations.
+    evaluations: number of evaluations of F.
+    converged: whether the last step was below the tolerance.
+    rows: number of rows of evidence (0: only the priors determine the pose).
+    view_rows: (C, 2) number of contour rows of each view, forward and reverse.
+    """
 
     pose: Array
     solved: Array
@@ -81,15 +95,20 @@ class PoseFit:
 
     @cached_property
     def information(self) -> Array:
-        """(D, D) the Hessian by the pose's coordinates, the root's rotation as a small turn in the world: the same for
-        every branch of its rotation vector."""
+        """(D, D) Hessian by the pose's coordinates, with the root's rotation as a small turn in the world: the same for
+        every branch of its rotation vector.
+        """
         return by_turns(self.hessian, self.solved)
 
 
 def by_turns(hessian: Array, pose: Array) -> Array:
-    """(D, D): a Hessian taken at a pose (D,) by its coordinates, with the root's rotation vector replaced by a small
-    turn in the world. An inverse covariance of poses is kept like this: rotation vectors of one rotation have two
-    branches, a turn has none."""
+    """Convert a Hessian by pose coordinates to one in which the root's rotation is a small turn in the world.
+
+    hessian: (D, D).
+    pose: (D,) at which it was computed.
+    Why: inverse covariances of poses are kept in this form, because one rotation has two rotation vectors but only one
+    turn.
+    """
     turns, out = so3_turns(pose[3:6]), hessian.copy()
     out[3:6] = turns.T @ out[3:6]
     out[:, 3:6] = out[:, 3:6] @ turns
@@ -97,12 +116,15 @@ def by_turns(hessian: Array, pose: Array) -> Array:
 
 
 def cues_of(body: Body, evidence: Sequence[Term]) -> tuple[Cues, tuple[RowTerm, ...]]:
-    """The terms of evidence as the flat arrays of the compiled solve, and those that need Python. An InputError when
-    there are two of a kind that a frame has once, or a joint is none of the body's."""
+    """Convert terms of evidence to the flat arrays of the compiled solve.
+
+    Returns: the arrays, and the terms that need Python.
+    Raises: InputError where there are two terms of a kind that a frame has once, or a joint is not one of the body's.
+    """
     once: dict[type[Term], Term] = {}
     for term in evidence:
         if isinstance(term, ContourTerm | KeypointTerm | DepthTerm) and once.setdefault(type(term), term) is not term:
-            raise InputError(f"A frame has one {type(term).__name__} of all its views; join the two.")
+            raise InputError(f"A frame has one {type(term).__name__} of all its views; combine the two.")
     contours, keypoints, depth = (once.get(kind) for kind in (ContourTerm, KeypointTerm, DepthTerm))
     places = [term.arrays(body) for term in evidence if isinstance(term, PointTerm)]
     rows = tuple(term for term in evidence if isinstance(term, RowTerm))
@@ -125,11 +147,19 @@ def fit_pose(
     priors: Sequence[Quadratic] = (),
     options: SolveSettings | None = None,
 ) -> PoseFit:
-    """The pose near start (D,) that explains the evidence best, inside the joint limits.
+    """Find the pose near a start that explains the evidence best, within the joint limits.
 
-    A SolverError when the start has the wrong size or its cost is not finite. A step is taken when its cost is finite
-    and at most 0.2 % higher (contour costs jump when the outline changes); no joint turns more than 0.35 rad per
-    step."""
+    body: the body.
+    start: (D,) pose.
+    evidence: terms of one frame.
+    priors: quadratic costs on the pose.
+    options: settings of the solve.
+    Returns: the pose with cost, Hessian and counts.
+    Raises: SolverError where the start has the wrong size or its cost is not finite.
+
+    A step is accepted where its cost is finite and at most 0.2 % higher (contour costs jump when the outline changes);
+    no joint turns more than 0.35 rad per step.
+    """
     return fit_poses(body, [start], evidence, priors=priors, options=options)[0]
 
 
@@ -141,8 +171,10 @@ def fit_poses(
     priors: Sequence[Quadratic] = (),
     options: SolveSettings | None = None,
 ) -> list[PoseFit]:
-    """Independent solves from starts (N, D) on the same evidence, over threads; the same results for any number of
-    them."""
+    """Fit poses from several starts (N, D) to the same evidence, in parallel threads; otherwise as `fit_pose`.
+
+    Returns: one result per start, the same for any number of threads.
+    """
     problem = _Problem(body, evidence, priors, options or SolveSettings())
     fits: list[PoseFit | None] = [None] * len(starts)
 
@@ -158,8 +190,10 @@ _OWN = threading.local()
 
 
 def workspace_for(body: Body, cues: Cues) -> Workspace:
-    """This thread's scratch memory for fits of this body to images of this size: to make it and touch its pages takes
-    as long as two evaluations."""
+    """Return this thread's scratch memory for fits of this body to images of this size.
+
+    Why: allocating it and touching its pages takes as long as two evaluations.
+    """
     (w, h), mesh, tree = cues.contours.sizes.max(0, initial=2), body.coarse.arrays, body.skeleton.tree
     known: Workspace | None = getattr(_OWN, "workspace", None)
     counts = len(mesh.vertices), len(mesh.faces), len(mesh.edges), len(tree.parents), len(tree.axes)
@@ -172,7 +206,7 @@ def workspace_for(body: Body, cues: Cues) -> Workspace:
 
 
 class _Problem:
-    """Evidence and priors as the flat arrays of the kernel, made once for any number of starts."""
+    """Evidence and priors as flat arrays of the kernel, made once for any number of starts."""
 
     def __init__(
         self, body: Body, evidence: Sequence[Term], priors: Sequence[Quadratic], options: SolveSettings
@@ -191,7 +225,9 @@ class _Problem:
         )
 
     def start(self, start: ArrayLike) -> Array:
-        """The start with its root's rotation vector inside +-pi, where the exponential map is far from singular."""
+        """Check a start pose, and move its root's rotation vector inside +-pi, where the exponential map is far from
+        singular.
+        """
         q = np.array(start, dtype=np.float64)
         if q.shape != (self.body.skeleton.dof,):
             raise SolverError(f"A start pose of this body has {self.body.skeleton.dof} numbers, got shape {q.shape}.")
@@ -240,7 +276,10 @@ class _Problem:
 
 
 def prior_arrays(priors: Sequence[Quadratic], dof: int) -> tuple[Array, Array]:
-    """Centres (P, D) and weights (P, D) of the priors."""
+    """Stack the centres (P, D) and weights (P, D) of P priors.
+
+    Raises: InputError where a shape is wrong or a weight is negative or NaN.
+    """
     centre, weight = np.zeros((len(priors), dof)), np.zeros((len(priors), dof))
     for i, p in enumerate(priors):
         if np.shape(p.centre) != (dof,) or np.shape(p.weight) != (dof,):
@@ -252,8 +291,14 @@ def prior_arrays(priors: Sequence[Quadratic], dof: int) -> tuple[Array, Array]:
 
 
 def with_rows(known: Evaluation, pose: Array, body: Body, rows: Sequence[RowTerm]) -> Evaluation:
-    """Add cost and derivatives of rows at a pose (D,), and how many points there were. An InputError names residuals
-    of the wrong shape."""
+    """Add the cost and derivatives of row terms to an evaluation.
+
+    known: evaluation of the other evidence at the pose.
+    pose: (D,).
+    rows: the row terms.
+    Returns: the new evaluation; its counts get one more line with the number of points.
+    Raises: InputError where residuals have the wrong shape.
+    """
     (rotations, centres), twists, moves = (
         body.skeleton.forward(pose),
         body.skeleton.world_twists(pose),
@@ -285,18 +330,22 @@ def with_rows(known: Evaluation, pose: Array, body: Body, rows: Sequence[RowTerm
 
 
 class FrameProblem(Problem[Array, Evaluation]):
-    """The compiled solve's steps, one by one, for an evaluation that needs Python: evaluation(pose, coarse)."""
+    """Solve of one frame, step by step as in the compiled solve, for an evaluation that needs Python.
+
+    evaluation(pose, coarse): cost and derivatives at a pose (D,).
+    lower, upper: (D,) joint limits.
+    """
 
     def __init__(self, evaluation: Callable[[Array, bool], Evaluation], lower: Array, upper: Array) -> None:
         self.evaluation, self.lower, self.upper, self.coarse = evaluation, lower, upper, False
 
     def evaluate(self, state: Array) -> tuple[float, Callable[[], Evaluation]]:
-        """Cost and equations at once."""
+        """Compute cost and equations together."""
         e = self.evaluation(state, self.coarse)
         return e.cost, lambda: e
 
     def propose(self, state: Array, equations: Evaluation, damping: float) -> tuple[Array, float] | None:
-        """The bounded step, no joint turning further than LARGEST_TURN."""
+        """Compute the bounded step from a state, in which no joint turns further than LARGEST_TURN; see `Problem`."""
         step = bounded_step(equations.hessian, equations.gradient, state, self.lower, self.upper, damping)
         if step is None:
             return None
@@ -305,7 +354,7 @@ class FrameProblem(Problem[Array, Evaluation]):
         return np.clip(state + step, self.lower, self.upper), moved
 
     def solution(self, start: Array, iterations: tuple[int, int], rule: Rule) -> Solution:
-        """Solve with so many coarse and fine iterations."""
+        """Solve from a start with a number of coarse and of fine iterations."""
         found, used, evaluations = None, 0, 0
         q = np.clip(start, self.lower, self.upper)
         for self.coarse, n in zip((True, False), iterations, strict=True):

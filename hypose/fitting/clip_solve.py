@@ -1,4 +1,4 @@
-"""Fitting a whole clip at once: all frames coupled by penalties on acceleration and speed."""
+"""Fit all frames of a clip together, coupled by penalties on acceleration and speed."""
 
 from __future__ import annotations
 
@@ -29,20 +29,29 @@ from hypose.geometry import Array, nearest_branch, so3_exp, so3_left_jacobian, s
 
 @dataclass(frozen=True)
 class Gaussian(Term):
-    """Summary of what one frame says of its pose: the cost 1/2 off' information off.
+    """Evidence of one frame, summarised as a Gaussian of the pose: cost 1/2 off' information off.
 
-    centre (D,); information (D, D): an inverse covariance, the root's rotation as a small turn in the world
-    (`PoseFit.information`); off (D,): from the centre, for the root the turn in the world, log(R R0'), for other balls
-    along the turn from there, log(R0' R), in the coordinates at the centre. So the rest open of a stretched arm,
-    how it is turned about itself, is open however far it turns: along a line of rotation vectors its elbow would be
-    carried away."""
+    centre: (D,) most probable pose.
+    information: (D, D) inverse covariance, with the root's rotation as a small turn in the world
+        (`PoseFit.information`).
+
+    `off` is the difference (D,) of a pose from the centre: for the root the turn in the world log(R R0'), for other
+    balls the turn from there log(R0' R), in the coordinates at the centre.
+    Why: the rotation of a stretched arm about its own axis is undetermined. With turns it stays undetermined for any
+    angle; along a straight line of rotation vectors it would move the elbow.
+    """
 
     centre: Array
     information: Array
 
 
 def default_acceleration(dof: int, strength: float = 1.0) -> Array:
-    """(D,) weights on squared second differences per frame: 1 rad and 1/300 m per frame^2 count alike."""
+    """Return weights (D,) on squared second differences per frame, by which 1 rad and 1/300 m per frame^2 cost the
+    same.
+
+    dof: number D of degrees of freedom.
+    strength: factor of all weights.
+    """
     return strength * np.r_[np.full(3, 300.0), np.ones(dof - 3)] ** 2
 
 
@@ -56,16 +65,23 @@ def fit_clip(
     priors: Sequence[Quadratic] = (),
     options: SolveSettings | None = None,
 ) -> Array:
-    """Poses (T, D) of a clip from starts (T, D): the frames' evidence plus 1/2 sum_d a_d (q_{t-1} - 2 q_t +
-    q_{t+1})_d^2 + 1/2 sum_d v_d (q_{t+1} - q_t)_d^2. Differences of the root's rotation are rotations from one frame to
-    the next, log(R_{t+1} R_t'): those of rotation vectors mean nothing near a full turn. It is solved for as a small
-    turn in the world, and returned on the branch nearest to its start.
+    """Fit the poses of all frames of a clip to their evidence, with penalties on acceleration and speed.
 
-    evidence: of each frame; masks and depth are sooner known by a `Gaussian`. acceleration: strength a (times
-    `default_acceleration`), or weights (D,), or (T - 2, D); velocity: weights v, (D,), (T - 1, D) or one for all:
-    without it an extrapolated motion goes on for ever. priors act on every frame. Damped Gauss-Newton on all frames
-    together: the matrix couples each frame to the next two, so the cost is linear in T. Joint limits are kept by
-    cutting the step off. A SolverError when a frame's cost at the start is not finite."""
+    body: the body.
+    starts: (T, D) poses.
+    evidence: terms of each frame; masks and depth are faster as a `Gaussian`.
+    acceleration: strength a (times `default_acceleration`), or weights (D,) or (T - 2, D).
+    velocity: weights v: one for all, (D,) or (T - 1, D). Without it an extrapolated motion never slows down.
+    priors: quadratic costs on every pose.
+    options: settings of the solve.
+    Returns: (T, D) poses, the root's rotation vector on the branch nearest to its start.
+    Raises: SolverError where the number of frames of the evidence is wrong or the cost at the start is not finite.
+
+    The penalties are 1/2 sum_d a_d (q_{t-1} - 2 q_t + q_{t+1})_d^2 + 1/2 sum_d v_d (q_{t+1} - q_t)_d^2. Differences of
+    the root's rotation are the turns from one frame to the next, log(R_{t+1} R_t'), because differences of rotation
+    vectors have no meaning near a full turn. The solve is a damped Gauss-Newton over all frames. Its matrix couples
+    each frame to the next two, so that the time is linear in T. Joint limits are kept by clipping steps.
+    """
     given = np.array(starts, dtype=np.float64)
     q = given.copy()
     q[:, 3:6] = nearest_branch(q[:, 3:6], np.zeros(3))
@@ -84,23 +100,28 @@ def fit_clip(
 
 
 def _moved(q: Array, step: Array) -> Array:
-    """Poses (T, D) after a step (T, D), in which the root turns in the world."""
+    """Return poses (T, D) after a step (T, D) in which the root turns in the world."""
     out = q + step
     out[:, 3:6] = so3_log(so3_exp(step[:, 3:6]) @ so3_exp(q[:, 3:6]))
     return out
 
 
 def pose_steps(q: Array) -> Array:
-    """(T - 1, D) differences of poses (T, D) from frame to frame, of the root's rotation the turn in the world."""
+    """Compute the differences (T - 1, D) of poses (T, D) from frame to frame; for the root's rotation the turn in the
+    world.
+    """
     v, rotations = np.diff(q, axis=0), so3_exp(q[:, 3:6])
     v[:, 3:6] = so3_log(rotations[1:] @ np.swapaxes(rotations[:-1], -1, -2))
     return v
 
 
 class Coupling:
-    """The penalties between T frames: weights (D,), or one row per difference, on squared second and first differences,
-    which do not count where the way from one frame to the next is cut, (T - 1, D). bands (3, T, D): their matrix, the
-    weights between a frame and the one s later, dof by dof."""
+    """Penalties on squared first and second differences between T frames.
+
+    acceleration, velocity: weights (D,), or one row per difference.
+    cut: (T - 1, D) True where the difference between two frames does not count; None: nowhere.
+    bands: (3, T, D) their matrix: the weights between a frame and the frame s = 0, 1, 2 later, per degree of freedom.
+    """
 
     def __init__(
         self, n_frames: int, acceleration: Array, velocity: Array, cut: NDArray[np.bool_] | None = None
@@ -117,7 +138,9 @@ class Coupling:
                     self.bands[second - first, first : first + len(weight)] += stencil[first] * stencil[second] * weight
 
     def cost(self, q: Array) -> tuple[float, Array]:
-        """Cost of poses (T, D) and its gradient (T, D), for the root's rotation to small turns in the world."""
+        """Compute the cost of poses (T, D) and its gradient (T, D), for the root's rotation by small turns in the
+        world.
+        """
         v = pose_steps(q)
         a = np.diff(v, axis=0)
         cost = 0.5 * float((self.acceleration * a**2).sum() + (self.velocity * v**2).sum())
@@ -131,8 +154,10 @@ class Coupling:
 
 
 def _cuts(body: Body, q: Array) -> NDArray[np.bool_]:
-    """(T - 1, D): where a ball's rotation vector changes its branch from one frame of poses (T, D) to the next, so that
-    the difference of the two says nothing of how it turned. Not of the root, whose turns are rotations."""
+    """Find where (T - 1, D) a ball's rotation vector changes its branch between two frames of poses (T, D).
+
+    There the difference does not describe the rotation. The root is excluded, because its differences are turns.
+    """
     out = np.zeros((len(q) - 1, q.shape[1]), dtype=np.bool_)
     for s in body.skeleton.ball_starts[1:]:
         r = q[:, s : s + 3]
@@ -142,14 +167,16 @@ def _cuts(body: Body, q: Array) -> NDArray[np.bool_]:
 
 
 def _by_turn(by_v: Array, v: Array) -> Array:
-    """Turn derivatives by rows v (T, D), of which 3:6 is a rotation vector, into those by a small turn in the world."""
+    """Convert derivatives by rows v (T, D), whose columns 3:6 are rotation vectors, to those by small turns in the
+    world.
+    """
     out = by_v.copy()
     out[:, 3:6] = np.einsum("tab,ta->tb", so3_turns(v[:, 3:6]), by_v[:, 3:6])
     return out
 
 
 class _Around:
-    """How far poses (T, D) are from the centres of the frames' Gaussians."""
+    """Cost of the difference between poses (T, D) and the centres of the frames' Gaussians."""
 
     def __init__(self, body: Body, gaussians: Sequence[Gaussian | None]) -> None:
         self.balls, dof = body.skeleton.ball_starts[1:, None] + np.arange(3), body.skeleton.dof
@@ -160,7 +187,7 @@ class _Around:
         self.back, self.flat, self.root = so3_exp(-own), so3_turns(-own), so3_exp(-self.centres[:, 3:6])
 
     def __call__(self, q: Array) -> tuple[float, Array, Array]:
-        """Cost of poses, its gradient (T, D) and Gauss-Newton Hessian (T, D, D) by turns of the root."""
+        """Compute the cost of poses, its gradient (T, D) and Gauss-Newton Hessian (T, D, D), by turns of the root."""
         gradient, hessian = np.zeros_like(q), np.zeros((*q.shape, q.shape[1]))
         now, b = q[self.known], self.balls
         off, slope = now - self.centres, np.tile(np.eye(q.shape[1]), (len(now), 1, 1))
@@ -176,7 +203,9 @@ class _Around:
 
 
 class _Clip(Problem[Array, tuple[Array, Array]]):
-    """Evidence of all frames as flat arrays; cost, gradient (T, D) and diagonal blocks (T, D, D) of the whole clip."""
+    """Evidence of all frames as flat arrays; computes cost, gradient (T, D) and diagonal blocks (T, D, D) of the whole
+    clip.
+    """
 
     def __init__(
         self,
@@ -222,7 +251,9 @@ class _Clip(Problem[Array, tuple[Array, Array]]):
         return np.clip(_moved(state, step), self.lower, self.upper), moved
 
     def step(self, gradient: Array, hessian: Array, q: Array, damping: float) -> Array | None:
-        """Damped Newton step (T, D) with the dof that push against a limit held; None when not positive definite."""
+        """Compute the damped Newton step (T, D) with the dof that push against a limit held; None where not positive
+        definite.
+        """
         held = ((q <= self.lower + 1e-9) & (gradient > 0)) | ((q >= self.upper - 1e-9) & (gradient < 0))
         keep = ~held
         own = hessian * (keep[:, :, None] & keep[:, None, :])

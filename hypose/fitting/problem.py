@@ -1,10 +1,10 @@
-"""The one least-squares problem above the compiled solve of a frame: damped Gauss-Newton on whatever is unknown.
+"""Damped Gauss-Newton on any unknowns: the common least-squares problem above the compiled solve of one frame.
 
-A `Problem` says what a state costs, what its normal equations are and which step they propose; `solve` decides how far
-to trust them. `SharedProblem`: groups of unknowns (poses of frames, points, boards) that meet only in unknowns which
-all of them share (shape, cameras); groups are eliminated (Schur complement), so the cost of a step grows linearly with
-them. `PoseProblem`: the groups are poses of a body, and the cues of a frame give `Rows`, residuals of points of the
-body, from which the derivatives by poses and by the shared unknowns follow.
+A `Problem` computes the cost of a state, its normal equations, and the step that they propose; `solve` controls the
+damping. `SharedProblem`: groups of unknowns (poses of frames, points, boards) that are coupled only through unknowns
+shared by all (shape, cameras); the groups are eliminated (Schur complement), so that the cost of a step grows linearly
+with their number. `PoseProblem`: the groups are poses of a body, and the cues of a frame give `Rows`, residuals of
+points of the body, from which the derivatives by poses and by the shared unknowns follow.
 Deviation: a skinned point turns about its blended place, where each of its joints carries an image of its own; over a
 body's vertices the derivatives by a pose are off by 0.2 % (rms).
 Sources: Levenberg 1944, Marquardt 1963, damping relative to the diagonal; Triggs et al. 2000, section 6.1.
@@ -31,12 +31,12 @@ State = TypeVar("State")
 Equations = TypeVar("Equations")
 Shared = TypeVar("Shared")
 _LARGEST_TURN = 0.3
-"""rad: steps of one pose that turn a joint further are shortened"""
+"""rad; steps of one pose that turn a joint further are shortened."""
 
 
 @dataclass(frozen=True)
 class Rule:
-    """Set the damping and the stopping rule of a descent.
+    """Settings of the damping and of the stopping rule of a descent.
 
     damping: damping at the start.
     harder: factor that multiplies the damping after a rejected step.
@@ -61,8 +61,16 @@ class Rule:
 
 @dataclass(frozen=True)
 class Descent(Generic[State, Equations]):
-    """Where a descent ended: state, its cost and equations, the damping there, iterations, evaluations of the cost, and
-    whether it converged (it did not run out of iterations)."""
+    """Result of a descent.
+
+    state: last accepted state.
+    cost: its cost.
+    equations: its normal equations.
+    damping: damping at the end.
+    iterations: number of iterations.
+    evaluations: number of evaluations of the cost.
+    converged: whether it stopped before the largest number of iterations.
+    """
 
     state: State
     cost: float
@@ -74,18 +82,29 @@ class Descent(Generic[State, Equations]):
 
 
 class Problem(ABC, Generic[State, Equations]):
-    """A sum of robust squares over a state; subclasses give `evaluate` and `propose`."""
+    """Sum of robust squares over a state; subclasses implement `evaluate` and `propose`."""
 
     @abstractmethod
     def evaluate(self, state: State) -> tuple[float, Callable[[], Equations]]:
-        """Cost of a state, and a function that makes its equations, called where they are needed."""
+        """Compute the cost of a state; return it with a function that makes the normal equations where
+        they are needed.
+        """
 
     @abstractmethod
     def propose(self, state: State, equations: Equations, damping: float) -> tuple[State, float] | None:
-        """Another state and how far that is in the units of Rule.moved; None: equations not positive definite."""
+        """Propose another state, and how far it is in the units of Rule.moved; None: the equations are not positive
+        definite.
+        """
 
     def solve(self, start: State, iterations: int, rule: Rule) -> Descent[State, Equations]:
-        """Descend from a state; a SolverError when its cost is not finite."""
+        """Descend from a start.
+
+        start: state.
+        iterations: largest number of iterations.
+        rule: damping and stopping rule.
+        Returns: the result of the descent.
+        Raises: SolverError where the cost at the start is not finite.
+        """
         state, (cost, make) = start, self.evaluate(start)
         if not math.isfinite(cost):
             raise SolverError("The cost at the start is not finite; check the start and the evidence for NaN.")
@@ -112,10 +131,12 @@ class Problem(ABC, Generic[State, Equations]):
 
 
 class SharedProblem(Problem[tuple[Shared, Array], SharedEquations], Generic[Shared]):
-    """A problem over shared unknowns (any value, S of them) and groups (N, ...) that meet only there.
+    """Problem over shared unknowns (any value, S of them) and groups (N, ...) that are coupled only through these.
 
-    free (S,): shared unknowns that may change; largest: a step in which one of the unknowns `limited` (default: all)
-    changes more is shortened."""
+    free: (S,) shared unknowns that may change.
+    limited: the shared unknowns whose change is limited (default: all).
+    largest: largest change of a limited unknown per step; longer steps are shortened.
+    """
 
     free: NDArray[np.bool_]
     limited: NDArray[np.bool_] | slice = slice(None)
@@ -123,12 +144,16 @@ class SharedProblem(Problem[tuple[Shared, Array], SharedEquations], Generic[Shar
 
     @abstractmethod
     def moved(self, state: tuple[Shared, Array], step: Array, own: Array) -> tuple[tuple[Shared, Array], float]:
-        """The state after steps of the shared unknowns (S,) and of the groups (N, n), and how far it moved."""
+        """Return the state after a step, and how far it moved.
+
+        step: (S,) of the shared unknowns.
+        own: (N, n) of the groups.
+        """
 
     def propose(
         self, state: tuple[Shared, Array], equations: SharedEquations, damping: float
     ) -> tuple[tuple[Shared, Array], float] | None:
-        """Eliminate the groups, and step."""
+        """Eliminate the groups, and compute the step from a state; see `Problem`."""
         reduced = equations.reduced(damping)
         step = reduced.step(self.free)
         if step is None:
@@ -139,21 +164,31 @@ class SharedProblem(Problem[tuple[Shared, Array], SharedEquations], Generic[Shar
 
 @dataclass(frozen=True)
 class Quadratic:
-    """Prior 1/2 sum_d weight_d (q_d - centre_d)^2: centre (D,), weight (D,) >= 0 (inverse variances).
+    """Prior on a pose: the cost 1/2 sum_d weight_d (q_d - centre_d)^2.
 
-    Balls are compared by their rotation-vector components; the root's centre is taken on the branch nearest to the
-    start."""
+    centre: (D,) pose.
+    weight: (D,) inverse variances, not negative.
+
+    Balls are compared by the components of their rotation vectors; the root's centre is moved to the branch nearest to
+    the start.
+    """
 
     centre: Array
     weight: Array
 
 
 class Rows(NamedTuple):
-    """R residuals of points of a body in one frame, linearised.
+    """R linearised residuals of points of a body in one frame.
 
-    carrier (R, 3): what carries the point, vertices of the scoring mesh or V + a joint, and share (R, 3) of each; point
-    (R, 3) m, world; slope (R, 3): derivative of the residual by the point; residual (R,); weight (R,) of its square,
-    the loss included; view (R,): its camera; cost: robust cost of all, of what has no row too."""
+    carrier: (R, 3) what carries the point: vertices of the scoring mesh, or V + a joint.
+    share: (R, 3) share of each carrier.
+    point: (R, 3) m, world.
+    slope: (R, 3) derivative of the residual by the point.
+    residual: (R,).
+    weight: (R,) of the squared residual, the derivative of the loss included.
+    view: (R,) camera of the residual.
+    cost: robust cost of all residuals, including those without a row.
+    """
 
     carrier: NDArray[np.int64]
     share: Array
@@ -166,20 +201,25 @@ class Rows(NamedTuple):
 
     @staticmethod
     def joined(parts: Iterable[Rows]) -> Rows:
-        """The rows of several cues or views, one after the other."""
+        """Join the rows of several cues or views."""
         three, one, none = np.zeros((0, 3)), np.zeros(0), np.zeros(0, np.int64)
         every = [Rows(np.zeros((0, 3), np.int64), three, three, three, one, one, none, 0.0), *parts]
         *fields, costs = zip(*every, strict=True)
         return Rows._make([*(np.concatenate(field) for field in fields), sum(costs)])
 
     def by_pose(self, twists: Array, moves: Array) -> Array:
-        """(R, D) derivatives of the residuals by a pose with world twists (D, 6); moves (V + J, D): share of a dof's
-        motion at each carrier."""
+        """Compute the derivatives (R, D) of the residuals by a pose.
+
+        twists: (D, 6) world twists of the pose.
+        moves: (V + J, D) share of a dof's motion at each carrier.
+        """
         wrench = np.concatenate([np.cross(self.point, self.slope), self.slope], 1)
         return (wrench @ twists.T) * (self._blend(self.share, 1, len(moves)) @ moves)
 
     def by_vertices(self, slopes: Array) -> Array:
-        """(R, K) derivatives by what moves the vertices by slopes (V, 3, K); joints are not moved."""
+        """Compute the derivatives (R, K) by K parameters that move the vertices by slopes (V, 3, K); joints do not
+        move.
+        """
         vertices = len(slopes)
         share = np.where(self.carrier < vertices, self.share, 0.0)
         where = self._replace(carrier=np.minimum(self.carrier, vertices - 1))
@@ -187,7 +227,7 @@ class Rows(NamedTuple):
         return np.asarray(where._blend(weights, 3, 3 * vertices) @ slopes.reshape(3 * vertices, -1))
 
     def _blend(self, weights: Array, size: int, columns: int) -> Any:
-        """The sparse matrix (R, columns) with these weights in the `size` columns of each carrier."""
+        """Make the sparse matrix (R, columns) with these weights in the `size` columns of each carrier."""
         from scipy.sparse import csr_array  # takes long to import
 
         index = (size * self.carrier[..., None] + np.arange(size)).reshape(len(self.carrier), -1)
@@ -197,7 +237,12 @@ class Rows(NamedTuple):
 
 @dataclass(frozen=True)
 class Posed:
-    """A body in one frame: pose (D,), vertices (V, 3) m of its scoring mesh."""
+    """Body in one frame.
+
+    body: the body.
+    pose: (D,).
+    vertices: (V, 3) m of its scoring mesh in the world.
+    """
 
     body: Body
     pose: Array
@@ -222,14 +267,21 @@ class Posed:
 
 
 Cue = Callable[[Posed, Shared, float], Iterable[Rows]]
-"""Rows of a cue of one frame on a body, with the shared unknowns, at a factor of its robust scale"""
+"""Function that computes the rows of a cue of one frame: of a posed body, the shared unknowns, and a factor of its
+robust scale.
+"""
 
 
 class PoseProblem(SharedProblem[Shared]):
-    """Poses (F, D) of one body, and what its frames share: shape or cameras. Subclasses say what that is.
+    """Problem over poses (F, D) of one body and unknowns that its frames share (shape or cameras), defined by
+    subclasses.
 
-    frames: the cues of each frame; priors: quadratics on every pose, centre (D,) or (F, D). The state is (the
-    shared, poses); rotation vectors are stepped as they are."""
+    body: the template body.
+    frames: cues of each frame.
+    priors: quadratic costs on every pose, centre (D,) or (F, D).
+
+    The state is (shared unknowns, poses); steps are added to rotation vectors as to plain numbers.
+    """
 
     def __init__(self, body: Body, frames: Sequence[Sequence[Cue[Shared]]], priors: Sequence[Quadratic]) -> None:
         marks = Landmarks((), np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
@@ -240,25 +292,29 @@ class PoseProblem(SharedProblem[Shared]):
         self.moves = np.concatenate([body.coarse.dense_weights(len(moves)) @ moves, moves])
 
     def body(self, shared: Shared) -> Body:
-        """Return the body with the shared unknowns."""
+        """Return the body for the shared unknowns."""
         return self.template
 
     @abstractmethod
     def shared_cost(self, shared: Shared, body: Body) -> float:
-        """Cost of the information on the shared unknowns beforehand."""
+        """Compute the cost of the prior on the shared unknowns."""
 
     @abstractmethod
     def shared_rows(
         self, shared: Shared, posed: Sequence[Posed], rows: Sequence[Rows]
     ) -> tuple[Array, Array, Sequence[Array]]:
-        """Matrix (S, S) and gradient (S,) of `shared_cost`, and each frame's rows by the shared unknowns (R, S)."""
+        """Compute the matrix (S, S) and gradient (S,) of `shared_cost`, and the derivatives (R, S) of each frame's rows
+        by the shared unknowns.
+        """
 
     @abstractmethod
     def shared_moved(self, shared: Shared, step: Array) -> Shared:
         """Return the shared unknowns after a step (S,)."""
 
     def evaluate(self, state: tuple[Shared, Array]) -> tuple[float, Callable[[], SharedEquations]]:
-        """See Problem; all cues are asked, and linearised where the equations are wanted."""
+        """Compute the cost of a state from all cues; see `Problem`. They are linearised where the
+        equations are wanted.
+        """
         shared, q = state
         body = self.body(shared)
         posed = [Posed(body, pose, vertices) for pose, vertices in zip(q, body.skin(q), strict=True)]
@@ -289,7 +345,7 @@ class PoseProblem(SharedProblem[Shared]):
         return float(cost), equations
 
     def moved(self, state: tuple[Shared, Array], step: Array, own: Array) -> tuple[tuple[Shared, Array], float]:
-        """See SharedProblem; joint limits are kept by cutting poses off."""
+        """Return the state after a step, with poses clamped to the joint limits; see `SharedProblem`."""
         shared, q = state
         own *= np.minimum(1, _LARGEST_TURN / np.maximum(np.abs(own[:, 3:]).max(1, keepdims=True), 1e-9))
         far = max(float(np.abs(step).max(initial=0.0)), float(np.abs(own).max()) / 20)
@@ -298,7 +354,13 @@ class PoseProblem(SharedProblem[Shared]):
     def stages(
         self, start: tuple[Shared, Array], factors: Sequence[float], iterations: Sequence[int], moved: float
     ) -> Descent[tuple[Shared, Array], SharedEquations]:
-        """Solve with one factor of the robust scales after the other, the coarsest first."""
+        """Solve with one factor of the robust scales after the other, the coarsest first.
+
+        start: (shared unknowns, poses).
+        factors: of the robust scales.
+        iterations: largest number per factor.
+        moved: stop when a step is smaller than this.
+        """
         found, state = None, start
         for self.factor, n in zip(factors, iterations, strict=True):
             # contour costs jump when the outline changes

@@ -1,9 +1,9 @@
-"""Rows of cues on a body whose poses, shape or cameras are unknown: residuals of points of the body, linearised.
+"""Rows of cues on a body whose poses, shape or cameras are unknown: linearised residuals of points of the body.
 
-A cue says what its residuals are and how they change with a point in the world; `problem.Rows` knows the rest. (The
-compiled solve of one frame sums such rows without making them: hypose.compute.)
+A cue gives its residuals and their derivatives by a point in the world; `problem.Rows` computes the rest. (The compiled
+solve of one frame sums such rows without storing them: hypose.compute.)
 Sources: two-way contour distances as in Gall et al. 2009, with the loss of Geman & McClure 1985; depth as in
-articulated ICP (Knoop et al. 2006).
+    articulated ICP (Knoop et al. 2006).
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from hypose.geometry import Array
 
 _FARTHEST_M = 0.3
 _TURNED_M = 0.06
-"""m by which a surface that looks the other way counts as further off"""
+"""m, extra distance of a surface whose normal points the opposite way."""
 _ALONG_M = 0.04
-"""m: a measured point that lies further off the surface is drawn to its nearest place, not along the normal"""
+"""m; a measured point farther off the surface is drawn to its nearest place instead of along the normal."""
 _CORNERS = np.array(
     [[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4], [2.5, 2.5, 1], [2.5, 1, 2.5], [1, 2.5, 2.5]], dtype=np.float64
 )
@@ -39,10 +39,17 @@ def rows_of_contours(
     normals: float,
     projections: Array | None = None,
 ) -> Iterator[Rows]:
-    """Both ways between the outlines of the body and of the masks, a piece for each view that is usable.
+    """Compute contour rows in both directions between the outlines of the body and of the masks.
 
-    weight: of a row at the reference density; spacing_px: of rows along the body's outline; normals: rows whose
-    outlines have normals with a smaller cosine are left out; projections (C, 3, 4): other cameras than the term's."""
+    at: the posed body.
+    term: outlines of the masks.
+    factor: of the term's robust scale.
+    weight: of a row at the reference density.
+    spacing_px: distance of the rows along the body's outline, px.
+    normals: least cosine between the normals of both outlines; other rows are omitted.
+    projections: (C, 3, 4) cameras; None: those of the term.
+    Returns: rows of each usable view.
+    """
     for c in np.flatnonzero(term.usable).tolist():
         seen = (term.projections if projections is None else projections)[c], term.sizes[c].tolist()
         given = at.vertices, at.mesh.faces, at.mesh.edges, *seen, term.sdf[c], term.outline[c]
@@ -61,7 +68,15 @@ def rows_of_contours(
 def rows_of_keypoints(
     at: Posed, term: KeypointTerm, projections: Array, weight: float = 1.0, least_depth_m: float = 0.05
 ) -> Rows:
-    """Key points in the images of pinhole cameras (C, 3, 4); those behind a camera are left out."""
+    """Compute rows of key points in the images of pinhole cameras; points behind a camera are omitted.
+
+    at: the posed body.
+    term: the key points.
+    projections: (C, 3, 4) cameras.
+    weight: factor of the confidences.
+    least_depth_m: least depth of a point before the camera, m.
+    Returns: two rows (u, v) per point.
+    """
     rotations, centres = at.body.skeleton.forward(at.pose)
     places = centres[term.joint] + np.einsum("kab,kb->ka", rotations[term.joint], term.offset)
     homogeneous = np.einsum("cij,kj->cki", projections[:, :, :3], places) + projections[:, None, :, 3]
@@ -80,9 +95,14 @@ def rows_of_keypoints(
 
 
 def rows_of_depth(at: Posed, term: DepthTerm, factor: float = 1.0, gain: float = 1.0) -> Iterator[Rows]:
-    """Measured points to the nearest place of the body that faces their sensor, a piece for each sensor.
+    """Compute rows from measured points to the nearest place of the body that faces their sensor.
 
-    factor: of the robust scale; gain: of the weights."""
+    at: the posed body.
+    term: measured points with normals, by sensor.
+    factor: of the robust scale.
+    gain: of the weights.
+    Returns: rows of each sensor.
+    """
     from scipy.spatial import KDTree  # takes long to import
 
     faces, (flat, smooth) = np.asarray(at.mesh.faces), at.normals

@@ -1,6 +1,6 @@
-"""Skeletons that arrive one by one, from sensors with their own clocks and rates -> all sensors at the same instants.
+"""Bring skeletons from sensors with their own clocks and rates to common output instants.
 
-Pure: time is an argument of everything, so that tests and simulations run the same code as the live server.
+Time is an argument of every call, so that tests and simulations run the same code as the live server.
 """
 
 from __future__ import annotations
@@ -23,16 +23,19 @@ from hypose.geometry import Array
 
 @dataclass(frozen=True)
 class AlignSettings:
-    """How output instants are made.
+    """Settings of the output instants.
 
-    rate: Hz.
-    wait: s after its instant that a frame waits for sensors that have not reported yet; the bound of the latency.
-    timeout: s of silence after which a sensor is dead: nothing waits for it.
-    hold: s that a skeleton is carried on after its last report.
-    horizon: s that movement is continued over, at most.
-    max_behind: s that the output may lag after a pause of the whole program before frames are skipped.
-    latency: s per sensor, a known constant delay between exposure and sending.
-    most_sensors, most_people (per sensor): more are refused.
+    rate: of the output, Hz.
+    wait: s for which a frame waits, after its instant, for sensors that have not reported yet; it bounds the latency.
+    timeout: s of silence after which a sensor counts as dead and is not waited for.
+    hold: s for which a skeleton is continued after its last report.
+    horizon: largest time in s over which a movement is extrapolated.
+    max_behind: s by which the output may lag after a pause of the whole program before frames are skipped.
+    latency: s by sensor name, a known constant delay between exposure and sending.
+    most_sensors: number of sensors beyond which new ones are refused.
+    most_people: number of people per sensor beyond which new ones are refused.
+    clock: settings of the clock estimation.
+    Raises: InputError for a rate, wait, timeout or hold outside its range.
     """
 
     rate: float = 30.0
@@ -55,12 +58,12 @@ class AlignSettings:
 
 @dataclass(frozen=True)
 class SensorBody:
-    """One person as one sensor sees it.
+    """One person as one sensor sees it at an instant.
 
-    person the sensor's number.
-    positions (15, 3) m in the sensor's frame, NaN where missing.
-    state (15,).
-    age s: how far behind the instant its last report lies (0 when it lies between two).
+    person: the sensor's number of the person.
+    positions: (15, 3) m in the sensor's frame, NaN where missing.
+    state: (15,) of each joint: 0 missing, 1 inferred, 2 tracked.
+    age: s since the sensor's last report before the instant; 0 where reports lie on both sides.
     """
 
     person: int
@@ -73,8 +76,10 @@ class SensorBody:
 class SensorView:
     """One sensor at an instant.
 
-    alive: it reported within the time-out before.
-    life: counts its returns.
+    name: of the sensor.
+    alive: whether it reported within the time-out before the instant.
+    life: number of times that it came back after a silence.
+    bodies: the persons that it sees.
     """
 
     name: str
@@ -85,7 +90,12 @@ class SensorView:
 
 @dataclass(frozen=True)
 class Instant:
-    """All sensors at one output instant: index from 0, time s on the host's clock."""
+    """All sensors at one output instant.
+
+    index: number of the instant, from 0.
+    time: s on the host's clock.
+    sensors: one view per sensor.
+    """
 
     index: int
     time: float
@@ -94,13 +104,16 @@ class Instant:
 
 @dataclass(frozen=True)
 class SensorStatus:
-    """For display.
+    """State of one sensor, for display.
 
-    alive.
-    rate Hz of its reports.
-    offset s of its clock to the host's.
-    jumps of its clock.
-    returns after silence; reports used and refused (late beyond use, time not believed).
+    name: of the sensor.
+    alive: whether it reported within the time-out.
+    rate: of its reports, Hz.
+    offset: s to add to its clock to get the host's.
+    jumps: number of jumps of its clock.
+    returns: number of times that it came back after a silence.
+    used: number of reports used.
+    refused: number of reports refused, because they came too late or their time was implausible.
     """
 
     name: str
@@ -118,8 +131,11 @@ _FIT = 4
 
 
 class _Track:
-    """The last reports on one person of one sensor, in order of time. Times are of the sensor's own clock, which keeps
-    the right intervals when a busy machine takes the lines in bunches."""
+    """The last reports on one person of one sensor, in order of time.
+
+    Times are those of the sensor's own clock, which keeps the right intervals when a busy machine receives reports in
+    bursts.
+    """
 
     def __init__(self) -> None:
         self.times: list[float] = []
@@ -143,7 +159,7 @@ class _Track:
         return True
 
     def at(self, time: float, period: float, s: AlignSettings) -> tuple[Array, NDArray[np.uint8], float] | None:
-        """Positions, state and age at a time, or None when there is nothing near."""
+        """Interpolate or extrapolate positions, state and age at a time; None where no report is near."""
         times = self.times
         k = bisect_left(times, time)
         if k == 0:
@@ -171,8 +187,10 @@ class _Track:
         return np.where(alone[:, None], self.positions[nearer], both), np.where(alone, self.state[nearer], state)
 
     def _ahead(self, k: int, time: float, period: float, s: AlignSettings) -> tuple[Array, NDArray[np.uint8]]:
-        """A straight line through the last reports, read at most `horizon` ahead: two reports alone would double the
-        noise, holding the last one lags behind by its age."""
+        """Extrapolate along a straight line fitted to the last reports, at most `horizon` ahead.
+
+        Why: a line through two reports alone would double the noise, and holding the last report lags by its age.
+        """
         last, state = self.positions[k - 1].copy(), self.state[k - 1].copy()
         age = time - self.times[k - 1]
         if age > 1.6 * period:
@@ -198,8 +216,11 @@ class _Track:
 
 
 class _Sensor:
-    """What the aligner knows of one sensor. newest, until, since: times of its own clock; it said nothing between the
-    last two."""
+    """State that the aligner keeps of one sensor.
+
+    newest: time of the latest report, on the sensor's clock.
+    until, since: start and end of its last silence, on the sensor's clock.
+    """
 
     def __init__(self, name: str, s: AlignSettings) -> None:
         self.name = name
@@ -220,17 +241,20 @@ class _Sensor:
 
     @property
     def shift(self) -> float:
-        """Return seconds to add to its times to have the host's."""
+        """Seconds to add to the sensor's times to get the host's."""
         return self.clock.offset - self.latency
 
     def wake(self, time: float, now: float, s: AlignSettings) -> None:
-        """A line after a long silence: a new or restarted sensor, or lines that were only late, as when this machine
-        had other things to do. Its own clock tells: lines that were late go on where the last ones ended."""
+        """Handle a report after a long silence: reset the sensor where it is new or restarted.
+
+        Reports that were only late (because this machine was busy) continue the sensor's clock where the last ones
+        ended; then nothing is reset.
+        """
         ahead = time + self.clock.offset - now  # NaN for a new sensor
         same_clock = self.newest < time and ahead <= s.clock.agree and now - self.arrival < s.clock.window
         if same_clock and time - self.newest <= s.timeout:
             return
-        if not same_clock:  # else the delay of a late line would pass for the clock's offset
+        if not same_clock:  # else the delay of a late line would become the clock's offset
             self.clock, self.newest, self.jumps = SensorClock(s.clock), -math.inf, 0
             self.until = self.since = -math.inf
         self.tracks.clear()
@@ -238,17 +262,22 @@ class _Sensor:
         self.life += 1
 
     def alive_at(self, time: float, timeout: float) -> bool:
-        """Whether its reports cover an instant (its clock). Frames that this machine makes up for after a pause lie
-        where a sensor that lives now had not reported yet."""
+        """Return whether the reports cover an instant (on the sensor's clock).
+
+        Why: frames that are made up for after a pause of this machine may lie before the first report of a sensor that
+        is alive now.
+        """
         return self.alive and time <= self.newest + timeout and not self.until + timeout < time < self.since
 
 
 class Aligner:
-    """Brings the reports of all sensors to the output instants n / rate after the first report.
+    """Buffer that brings the reports of all sensors to the output instants n / rate after the first report.
 
-    A frame is made as soon as every living sensor has reported from its instant or later, and at the latest `wait`
-    after its instant: sensors that are late are continued by their movement, dead ones are left out. So no sensor can
-    cost a frame of output. Calls: `push` for every report, `poll` at `due()` or more often.
+    settings: of the output instants.
+
+    Call `push` for every report and `poll` at the time `due()` or more often. A frame is made as soon as every living
+    sensor has reported from its instant or later, and at the latest `wait` after its instant: late sensors are
+    extrapolated, dead ones are left out. No sensor can therefore delay a frame for longer.
     """
 
     def __init__(self, settings: AlignSettings | None = None) -> None:
@@ -262,11 +291,12 @@ class Aligner:
     # ---- in ----
 
     def push(self, report: SensorReport, now: float | None = None) -> bool:
-        """One report of one sensor. now: s on the host's (monotonic) clock, by default when the report arrived; without
-        either the sensor's own time counts.
+        """Add one report of one sensor.
 
-        False when the report is of no use (too late, or its time is not believed yet). An InputError for a joint set
-        that is not known, coordinates that are no metres, and for too many sensors or persons.
+        report: time in s of the sensor's clock, positions in m.
+        now: s on the host's monotonic clock; by default when the report arrived, else the sensor's own time.
+        Returns: False where the report was not used (too late, or its time is implausible so far).
+        Raises: InputError for an unknown joint set, coordinates that are not metres, or too many sensors or persons.
         """
         sensor, time, person = report.sensor, report.time, report.person
         if now is None:
@@ -302,7 +332,7 @@ class Aligner:
             self._forget(it)
             if len(it.tracks) >= s.most_people:
                 raise InputError(
-                    f"The sensor {sensor} reports more than {s.most_people} persons; the rest is left out."
+                    f"The sensor {sensor} reports more than {s.most_people} persons; the others are ignored."
                 )
             track = it.tracks[person] = _Track()
         fresh = track.add(time, *body)
@@ -313,7 +343,9 @@ class Aligner:
     def _checked(
         self, sensor: str, names: Sequence[str], positions: ArrayLike, state: ArrayLike
     ) -> tuple[Array, NDArray[np.uint8]]:
-        """Return the fifteen common joints of a report, with one way to say "missing"."""
+        """Return positions (15, 3) and state (15,) of the common joints of a report; missing joints are NaN and state
+        0.
+        """
         key = tuple(names)
         common = self._common.get(key)
         if common is None:
@@ -342,7 +374,7 @@ class Aligner:
         if len(self._sensors) >= s.most_sensors:
             dead = [x for x in self._sensors.values() if now - x.arrival > 10 * s.timeout]
             if not dead:
-                raise InputError(f"There are {s.most_sensors} sensors already; {name} is left out.")
+                raise InputError(f"There are {s.most_sensors} sensors already; {name} is ignored.")
             del self._sensors[min(dead, key=lambda x: x.arrival).name]
         self._sensors[name] = _Sensor(name, s)
         return self._sensors[name]
@@ -355,13 +387,13 @@ class Aligner:
     # ---- out ----
 
     def due(self) -> float:
-        """Host time at which `poll` has something to say at the latest; infinite before the first report."""
+        """Return the host time at which to call `poll` at the latest; infinite before the first report."""
         if math.isnan(self._start):
             return math.inf
         return self._instant(self._next) + self.settings.wait
 
     def poll(self, now: float) -> list[Instant]:
-        """Return the frames that are ready, in order."""
+        """Return the frames that are ready at host time `now`, in order."""
         if math.isnan(self._start):
             return []
         s = self.settings
@@ -389,7 +421,7 @@ class Aligner:
         t -= it.shift
         if it.alive:
             for person, track in it.tracks.items():
-                # the sensor has gone on without this person: it has lost it
+                # the sensor reported later frames without this person: it has lost the person
                 lost = track.times[-1] < it.newest - 1.6 * period and track.times[-1] < t
                 found = None if lost else track.at(t, period, s)
                 if found is not None and found[1].any():
@@ -397,7 +429,7 @@ class Aligner:
         return SensorView(it.name, it.alive_at(t, s.timeout), max(it.life, 0), tuple(bodies))
 
     def status(self, now: float) -> tuple[SensorStatus, ...]:
-        """What each sensor does."""
+        """Return the state of each sensor at host time `now`."""
         return tuple(
             SensorStatus(
                 it.name,

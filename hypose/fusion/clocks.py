@@ -1,5 +1,6 @@
-"""Clocks of sensors: a sensor's own time -> the host's, from when its messages arrive; and the offset between two
-recordings from the movement itself."""
+"""Estimate the offset of a sensor's clock from the arrival of its messages, and the offset between two recordings from
+the movement of the person.
+"""
 
 from __future__ import annotations
 
@@ -15,12 +16,13 @@ from hypose.geometry import Array, procrustes, transform
 
 @dataclass(frozen=True)
 class ClockSettings:
-    """Clock settings.
+    """Settings of the clock estimation.
 
-    window s: the offset is the smallest of this long (drift of 100 ppm makes 1 ms in 10 s).
-    jump s: a message that is off by more is suspicious.
-    confirm: so many that agree to `agree` s make it a jump of the clock.
-    give_in: so many suspicious ones in a row are believed even if they do not agree.
+    window: s; the offset is the smallest one of this period (a drift of 100 ppm makes 1 ms in 10 s).
+    jump: s; a message whose offset differs by more is suspicious.
+    agree: s by which successive suspicious messages may differ and still agree.
+    confirm: number of agreeing suspicious messages that make a jump of the clock.
+    give_in: number of suspicious messages in a row that are accepted even where they do not agree.
     """
 
     window: float = 10.0
@@ -31,12 +33,12 @@ class ClockSettings:
 
 
 class SensorClock:
-    """Offset of one sensor's clock to the host's.
+    """Estimator of the offset between one sensor's clock and the host's.
 
-    A message that was sent at sensor time s arrives at host time a = s + offset + delay, delay >= 0, so the offset is
-    estimated by the smallest a - s of the last seconds, as in one-way clock filters (the least delay counts as part of
-    the offset; sensors with different constant delays need `latency` in AlignSettings). A clock that is set back or
-    forth shows as several messages in a row that are off by the same amount; a late message or a wrong stamp does not.
+    A message sent at sensor time s arrives at host time a = s + offset + delay with delay >= 0. The offset is therefore
+    estimated by the smallest a - s of the last seconds, as in one-way clock filters. The least delay counts as part of
+    the offset; sensors with different constant delays need `AlignSettings.latency`. A clock that was set shows as
+    several messages in a row that are off by the same amount; a late message or a wrong time stamp does not.
     """
 
     def __init__(self, settings: ClockSettings | None = None) -> None:
@@ -48,14 +50,19 @@ class SensorClock:
 
     @property
     def offset(self) -> float:
-        """Return seconds to add to the sensor's time; NaN before the first message."""
+        """Seconds to add to the sensor's time to get the host's; NaN before the first message."""
         return self._smallest[0][1] if self._smallest else math.nan
 
     def update(self, sensor_time: float, arrival: float) -> float | None:
-        """Host time of a message, never after its arrival; None while its time is not believed."""
+        """Add the times of a message, and return its time on the host's clock.
+
+        sensor_time: s on the sensor's clock.
+        arrival: s on the host's clock.
+        Returns: s on the host's clock, never after the arrival; None while the message's time is implausible.
+        """
         s, difference = self._settings, arrival - sensor_time
         if self._smallest and abs(difference - self.offset) > s.jump:
-            # the persons of one frame are one witness: a backlog of late frames must not pass for a jump
+            # all persons of one frame count once: a backlog of late frames must not look like a jump
             if sensor_time == self._suspect_time and self._suspects:
                 return None
             self._suspect_time = sensor_time
@@ -79,11 +86,12 @@ class SensorClock:
 
 
 def _body_speed(times: ArrayLike, positions: ArrayLike, at: ArrayLike) -> Array:
-    """Return how much a body moves at given times (N,), m/s: the mean speed of its joints, positions (T, J, 3) m with
-    NaN.
+    """Compute the mean speed of the joints of a body at given times; the same from every sensor position.
 
-    It is the same from every sensor, whatever its position: steps over a tenth of a second, in which noise counts
-    little. Gaps give 0.
+    times: (T,) s of the positions.
+    positions: (T, J, 3) m, NaN where missing.
+    at: (N,) s.
+    Returns: (N,) m/s, 0 in gaps. Steps span a tenth of a second, so that noise counts little.
     """
     t, p = np.asarray(times, dtype=np.float64), np.asarray(positions, dtype=np.float64)
     k = max(1, round(0.1 / max(float(np.median(np.diff(t))), 1e-3))) if len(t) > 1 else 1
@@ -105,12 +113,17 @@ def offset_by_movement(
     rate: float = 100.0,
     limit: float = 60.0,
 ) -> tuple[float, float]:
-    """Return (seconds to add to b's times so that both see the same movement, correlation 0..1).
+    """Estimate the time offset between the recordings of two sensors from the movement of the person.
 
-    Times (T,) s from each sensor's own start, positions (T, J, 3) m in each sensor's frame. Walking repeats itself, so
-    of the peaks of the normalised cross-correlation of both movements the one is taken at which a rigid motion brings
-    the two skeletons together best; limit: largest offset (s). Below a correlation of 0.5 the answer means nothing: the
-    person stood still, or these are recordings of different persons.
+    times_a, times_b: (T,) s from each sensor's own start.
+    positions_a, positions_b: (T, J, 3) m in each sensor's frame, NaN where missing.
+    rate: of the correlation, Hz.
+    limit: largest offset, s.
+    Returns: seconds to add to the times of b, and the correlation of the speeds (0..1). Below 0.5 the offset means
+        nothing: the person stood still, or the recordings show different persons.
+
+    The candidates are the peaks of the normalised cross-correlation of the joints' speeds. Because walking is periodic,
+    the peak is chosen at which a rigid motion aligns the two skeletons best.
     """
     ta, tb = np.asarray(times_a, dtype=np.float64), np.asarray(times_b, dtype=np.float64)
     start, stop = min(ta[0], tb[0]), max(ta[-1], tb[-1])
@@ -153,7 +166,10 @@ def offset_by_movement(
 
 
 def _apart(ta: Array, pa: Array, tb: Array, pb: Array) -> float:
-    """Root mean square distance (m) of the joints after the best rigid motion, at no more than 150 common instants."""
+    """Compute the RMS distance (m) of the joints after the best rigid motion, at 150 common instants or fewer.
+
+    Returns: infinity where fewer than 10 instants or 100 joints are common.
+    """
     inside = np.flatnonzero((ta > tb[0]) & (ta < tb[-1]))
     inside = inside[:: max(1, len(inside) // 150)]
     if len(inside) < 10:

@@ -1,16 +1,17 @@
-"""Confidence inputs of a joint at a sensor: inverse fluidity F, depth error D, unnatural posture A.
+"""Compute the noise of each joint of each sensor from three measures: inverse fluidity F, depth error D, unnatural
+posture A.
 
-Source: Asteriadis et al. 2013, section 2.3, eq. 5-6; each is divided by its current maximum over the sensors (2.4).
-Departures, each switchable: D subtracts the body's thickness in front of the joint, holds the last valid depth over
-holes and is clipped and floored; the SDK's own state and the deviation of bone lengths are merged into D.
+Source of the measures: Asteriadis et al. 2013, section 2.3, eq. 5-6; each is divided by its maximum over the sensors
+(section 2.4). Deviations, each with its own setting: D subtracts the thickness of the body in front of the joint, keeps
+the last valid error over holes of the depth map, and is clipped and floored; the sensor's own joint state and the
+deviation of bone lengths are merged into D.
 
-Fuzzy inference of a sensor's noise: a Mamdani engine with the five rules of Asteriadis et al. 2013, section 2.4.
-
-AND = min, OR = max, implication = product, aggregation = algebraic sum, defuzzification = centroid. Rule 2 is printed
-"D high OR F high AND A high" without precedence; AND binds tighter here. The paper gives the Gaussian's (and every
-set's) sigma as 0.3 and no centres or slopes; the defaults put the noise of all-low and all-high inputs as the text has
-it. With these rules the noise only lies between 0.42 and 0.74, and "F high" or "A high" alone give what no fired rule
-gives, 0.5: as a weight it is worth little, as a preference repeated every frame it selects.
+Source of the noise: a Mamdani fuzzy inference with the five rules of section 2.4: AND = min, OR = max, implication =
+product, aggregation = algebraic sum, defuzzification = centroid. Rule 2 is printed "D high OR F high AND A high"
+without precedence; here AND binds tighter. The paper gives 0.3 as the sigma of every set, but no centres and no slopes;
+the defaults place the noise of all-low and all-high inputs as the text says.
+Limits: with these rules the noise lies between 0.42 and 0.74 only, and "F high" or "A high" alone give 0.5, as if no
+    rule fired. As a weight it is worth little; as a preference repeated in every frame it selects sensors.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from hypose.fusion import joints as jt
 from hypose.geometry import Array
 
 THICKNESS_M = np.array([90, 60, 65, 48, 42, 65, 48, 42, 125, 95, 68, 52, 95, 68, 52]) / 1000
-"""(15,) m of body between a joint and the surface that a depth sensor sees."""
+"""(15,) thickness of the body between a joint and the surface that a depth sensor sees, m."""
 # joint, its two neighbours: the angle of A. Only these have one; all other joints get A = 0.
 _ANGLES = np.array([(3, 2, 4), (6, 5, 7), (10, 9, 11), (13, 12, 14)]).T
 _NO_DEPTH_M = 4.0
@@ -35,18 +36,17 @@ _INFERRED_M = 0.15
 
 @dataclass(frozen=True)
 class ConfidenceSettings:
-    """Confidence settings.
+    """Settings of the measures F (inverse fluidity), D (depth error) and A (unnatural posture) of a sensor's joint. The
+    defaults are the paper's.
 
-    window: frames of F.
-    use_f, use_d, use_a: switches of the inputs.
-    thickness: subtract THICKNESS_M.
-    hold: keep the last depth error over holes instead of taking a hole's depth as 0.
-    clip_m: largest D.
-    floor_m: D is divided by at least this.
-    merge_bones: D is at least twice the bone's deviation from its usual length.
-    merge_state: D of an inferred joint is at least 0.15 m.
-
-    The defaults are the paper's.
+    window: number of frames over which F is computed.
+    use_f, use_d, use_a: whether each measure is used; else it is 0.
+    thickness: whether to subtract THICKNESS_M from the depth error.
+    hold: whether to keep the last depth error over holes of the depth map; else a hole counts as depth 0.
+    clip_m: largest D, m.
+    floor_m: D is divided by at least this, m.
+    merge_bones: whether D is at least twice the deviation of the joint's bone from its usual length.
+    merge_state: whether D of an inferred joint is at least 0.15 m.
     """
 
     window: int = 15
@@ -69,9 +69,17 @@ CURED_CONFIDENCE = ConfidenceSettings(
 
 @dataclass(frozen=True)
 class ConfidenceState:
-    """Memory of a stream: last positions (K, 15, 3) and their times (K,) s, the last `window` speeds and activations
-    (window, K, 15) m/s, frames seen, the held depth error (K, 15), usual bone lengths (15,) m of the limbs with their
-    number of samples."""
+    """Memory of the measures between two frames of K sensors.
+
+    last: (K, 15, 3) m, positions in the last frame.
+    times: (K,) s of the last frame.
+    speeds: (window, K, 15) m/s, ring buffer of the joints' speeds.
+    activations: (window, K, 15) m/s, ring buffer of the sums of the speeds.
+    frames: number of frames so far.
+    held: (K, 15) m, last depth errors, to use over holes.
+    lengths: (15,) m, usual length of the bone to each limb joint.
+    samples: (15,) number of samples of each length.
+    """
 
     last: Array
     times: Array
@@ -84,7 +92,7 @@ class ConfidenceState:
 
 
 def start_confidence(sensors: int, settings: ConfidenceSettings) -> ConfidenceState:
-    """Before the first frame."""
+    """Make the memory of the measures before the first frame."""
     shape = (settings.window, sensors, 15)
     return ConfidenceState(
         np.full((sensors, 15, 3), np.nan),
@@ -106,9 +114,18 @@ def confidence_step(
     times: Array,
     settings: ConfidenceSettings,
 ) -> tuple[ConfidenceState, Array]:
-    """One frame: positions (K, 15, 3) m in the sensors' frames, state (K, 15), depth (K, 15) m at the joints' pixels (0
-    = hole) or None, times (K,) s of the reports -> the new memory and the raw inputs (3, K, 15) = F (m/s, eq. 5), D
-    (m), A, before normalisation. A joint that was missing, or a report without a new time, has speed 0."""
+    """Compute the measures inverse fluidity F, depth error D and unnatural posture A of one frame, before
+    normalisation.
+
+    memory: of the frames before.
+    positions: (K, 15, 3) m in the sensors' frames.
+    state: (K, 15) joint states.
+    depth: (K, 15) m, depth map at the joints' pixels, 0 = hole; None: no depth maps.
+    times: (K,) s of the reports.
+    settings: of the measures.
+    Returns: the new memory, and (3, K, 15) = F (m/s, eq. 5), D (m), A (0..1). The speed of a joint that was missing, or
+        of a report without a new time, counts as 0.
+    """
     t, n = memory.frames, settings.window
     passed = (times - memory.times)[:, None]
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -139,10 +156,14 @@ def confidence_step(
 
 
 def depth_error(z: Array, depth: Array, held: Array, settings: ConfidenceSettings) -> tuple[Array, Array]:
-    """D (K, 15) m = |z of the joint - depth map at its pixel| (section 2.3.2), and the errors to hold for the next
-    frame.
+    """Compute the depth error D = |z of the joint - depth map at its pixel| (section 2.3.2).
 
-    Deviation: a hole of the depth map reads as a depth of 0, and D is at most 4 m; the paper is silent about both."""
+    z: (K, 15) m, depths of the joints.
+    depth: (K, 15) m, depth map at their pixels, 0 = hole.
+    held: (K, 15) m, errors of the last frame, used at holes where `settings.hold` is set.
+    Returns: D (K, 15) m, and the errors to hold for the next frame.
+    Deviation: a hole of the depth map counts as a depth of 0, and D is at most 4 m; the paper gives no rule for either.
+    """
     with np.errstate(invalid="ignore"):
         error = np.abs(z - depth - (THICKNESS_M if settings.thickness else 0.0))
     if settings.hold:
@@ -152,11 +173,13 @@ def depth_error(z: Array, depth: Array, held: Array, settings: ConfidenceSetting
 
 
 def unnatural(positions: ArrayLike) -> Array:
-    """Return a (..., 15) = 1 - P(angle), eq. 6: the inner angle of elbows and knees against a normal distribution of
-    mean pi/2 and sd pi/6; 0 for all other joints, 1 where a neighbour is missing.
+    """Compute the unnatural posture A = 1 - P(angle) of elbows and knees, with P a normal distribution of mean pi/2 and
+    sd pi/6 (eq. 6).
 
-    Deviation: the density is scaled to 1 at its mean, so that 1 - P is 0 there. The inner product that the paper takes
-    cannot see its "unnatural" angles beyond pi.
+    positions: (..., 15, 3) m.
+    Returns: (..., 15): 0 for all other joints, 1 where a neighbour is missing.
+    Deviation: the density is scaled to 1 at its mean, so that A is 0 there. The paper takes the angle from an inner
+    product, which cannot give its "unnatural" angles beyond pi.
     """
     s = np.asarray(positions, dtype=np.float64)
     out = np.zeros(s.shape[:-1])
@@ -166,7 +189,7 @@ def unnatural(positions: ArrayLike) -> Array:
 
 
 def normalised(inputs: Array, settings: ConfidenceSettings) -> Array:
-    """Raw inputs (3, K, 15) divided by their maxima over the sensors (D's at least floor_m)."""
+    """Divide the raw measures (3, K, 15) by their maxima over the sensors (for D at least floor_m)."""
     top = inputs.max(axis=1, keepdims=True)
     top[1] = np.maximum(top[1], settings.floor_m)
     return inputs / np.maximum(top, 1e-9)
@@ -190,8 +213,11 @@ _END = np.array([4, 7, 11, 14])
 def _bone_deviation(
     positions: Array, state: NDArray[np.uint8], lengths: Array, samples: Array
 ) -> tuple[Array, Array, Array]:
-    """Running usual lengths of the limbs' bones (a limited step towards each tracked sample: a slow median), and
-    (K, 15) m how far each sensor's bones are from them."""
+    """Update the usual lengths of the limbs' bones, and compute how far each sensor's bones deviate from them.
+
+    Returns: lengths (15,) m, numbers of samples (15,), deviations (K, 15) m. A length moves by a limited step towards
+        each tracked sample (a slow median).
+    """
     bone = positions[:, _LIMB] - positions[:, _LIMB_PARENT]
     length = np.sqrt(np.einsum("...i,...i", bone, bone))
     tracked = state == TRACKED
@@ -216,11 +242,13 @@ LOW, MEDIUM, HIGH = "low", "medium", "high"
 
 @dataclass(frozen=True)
 class NoiseRules:
-    """Noise rules.
+    """Fuzzy rules that map normalised inverse fluidity, depth error and unnatural posture of a joint to a noise; inputs
+    and output lie in [0, 1].
 
-    low_centre, high_centre, slope of the sigmoids.
-    medium_centre, medium_sd of the Gaussian, on inputs and output in [0, 1].
-    points: samples of the output for the centroid.
+    low_centre, high_centre: centres of the sigmoids "low" and "high".
+    slope: of both sigmoids.
+    medium_centre, medium_sd: of the Gaussian "medium".
+    points: number of samples of the output for the centroid.
     """
 
     low_centre: float = 0.25
@@ -231,7 +259,7 @@ class NoiseRules:
     points: int = 51
 
     def membership(self, x: ArrayLike, name: str) -> Array:
-        """Degree (...) to which values x (...) are low, medium or high."""
+        """Compute the degree (...) to which values x (...) are LOW, MEDIUM or HIGH (the argument `name`)."""
         v = np.asarray(x, dtype=np.float64)
         if name == MEDIUM:
             return np.exp(-0.5 * ((v - self.medium_centre) / self.medium_sd) ** 2)
@@ -239,9 +267,12 @@ class NoiseRules:
         return 1 / (1 + np.exp(sign * self.slope * (v - centre)))
 
     def firing(self, f: ArrayLike, d: ArrayLike, a: ArrayLike) -> Array:
-        """Strengths (5, ...) of the rules for normalised inverse fluidity f, depth error d and posture a (...).
+        """Compute the firing strengths of the five rules.
 
-        Deviation: rule 2 is printed without precedence; AND binds tighter than OR here."""
+        f, d, a: (...) normalised inverse fluidity, depth error and unnatural posture.
+        Returns: (5, ...) strengths in 0..1.
+        Deviation: rule 2 is printed without precedence; here AND binds tighter than OR.
+        """
         v = np.stack(np.broadcast_arrays(np.asarray(f, np.float64), d, a))
         (fl, dl, al), (fm, dm, am), (fh, dh, ah) = (self.membership(v, n) for n in (LOW, MEDIUM, HIGH))
         both_low = np.minimum(fl, al)
@@ -262,7 +293,11 @@ class NoiseRules:
         return out, np.stack([low, high, medium, medium, medium])
 
     def aggregate(self, f: ArrayLike, d: ArrayLike, a: ArrayLike) -> Array:
-        """Return (..., points): the output set over [0, 1], algebraic sum of the scaled consequents."""
+        """Combine the rules' scaled output sets by the algebraic sum.
+
+        f, d, a: (...) normalised inverse fluidity, depth error and unnatural posture.
+        Returns: (..., points) membership of the output at points evenly spaced over [0, 1].
+        """
         strength = self.firing(f, d, a)
         sets = self._consequents[1]
         rest = 1 - strength[0][..., None] * sets[0]
@@ -271,9 +306,12 @@ class NoiseRules:
         return 1 - rest
 
     def noise(self, f: ArrayLike, d: ArrayLike, a: ArrayLike) -> Array:
-        """lambda (...) in (0, 1): centre of gravity of the aggregate; 0.5 where no rule fires at all.
+        """Compute the noise lambda in (0, 1): the centroid of the aggregated output set, 0.5 where no rule fires.
 
-        Deviation: the sigmoids' centres and slopes, which the paper does not give, are chosen."""
+        f, d, a: (...) normalised inverse fluidity, depth error and unnatural posture.
+        Returns: (...) noise.
+        Deviation: the centres and slopes of the sigmoids are chosen, because the paper does not give them.
+        """
         g = self.aggregate(f, d, a)
         total = g.sum(-1)
         return np.where(total > 1e-12, g @ self._consequents[0] / np.maximum(total, 1e-12), 0.5)
@@ -281,4 +319,4 @@ class NoiseRules:
 
 PUBLISHED_RULES = NoiseRules()
 SHARP_RULES = NoiseRules(low_centre=0.3, high_centre=0.7, slope=15.0)
-"""Steeper sigmoids: the noise spans a ratio of 2.2 instead of 1.7."""
+"""Rules with steeper sigmoids: the largest noise is 2.2 times the smallest, instead of 1.7 times."""

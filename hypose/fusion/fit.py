@@ -1,10 +1,11 @@
-"""The default fusion: an articulated fit over the joints of all sensors, causal, one small solve per frame.
+"""The default fusion: an articulated fit to the joints of all sensors, causal, one small solve per frame.
 
-Constant distances between joints, a robust loss that is graduated in every frame (so that a joint can come back from a
-wrong sensor), a constant-velocity prediction, the SDK's confidence as weight, and sides exchanged back when a sensor
-that sees the back takes left for right. 45 unknowns with distances as stiff rows rather than joint angles: a sensor
-skeleton has no shape behind it, and distances between shoulders, hips and torso hold a trunk that is not rigid.
-Uncertainty: the solve's own variance, plus what the sensors' systematic errors leave open.
+The solve holds the distances between joints, weighs joints by the sensors' states, predicts by constant velocity, and
+uses a robust loss whose scale is reduced in every frame, so that a joint can return from a wrong sensor. A sensor that
+sees the back and takes left for right has its sides exchanged back. The uncertainty is the variance of the solve plus
+the systematic errors of the sensors.
+Why: 45 unknown coordinates with stiff distances instead of joint angles, because a sensor's skeleton has no shape
+model, and the distances between shoulders, hips and torso hold a trunk that is not rigid.
 """
 
 from __future__ import annotations
@@ -22,24 +23,30 @@ from hypose.geometry import Array
 
 _PARTS = np.array([0, 0, 1, 2, 2, 1, 2, 2, 0, 3, 4, 4, 3, 4, 4])  # trunk, shoulders, arms, hips, legs
 OWN_SD_M = np.array([0.027, 0.033, 0.027, 0.044, 0.022])[_PARTS]
-"""(15,) m per axis: sd of what a sensor that sees a joint puts wrong all along. It is that of the difference of two
-sensors at right angles: half of it is the other one's, and stands for what all sensors have in common, such as where
-in a hip its centre is, which no difference shows."""
+"""(15,) m per axis, sd of the constant error of a sensor in a joint that it sees.
+
+It is the sd of the difference between two sensors at right angles. Half of it comes from the other sensor, and stands
+for errors that all sensors have in common (such as the centre of the hip), which no difference shows.
+"""
 HIDDEN_P = np.array([0.0, 0.56, 0.9, 0.12, 0.63])[_PARTS]
-"""(15,) how likely a joint is guessed that the body hides wholly, on the side turned away from the sensor."""
+"""(15,) probability that a sensor guesses a joint that the body hides wholly, on the side turned away from it."""
 BEHIND_P = np.where(_PARTS > 0, 0.8, 0.0)
-"""(15,) how likely a joint is guessed by a sensor that sees the back."""
+"""(15,) probability that a sensor that sees the back guesses a joint."""
 GUESSED_P, LEAST_P, _INFERRED = 0.064, 0.05, 0.5
-"""How likely any joint is guessed; how likely it is seen at least, before its bone is looked at; what of the rest is
-left to a joint that the sensor itself calls inferred (an assumption: the recordings hold no states)."""
+"""Three constants. GUESSED_P: probability that any joint is guessed. LEAST_P: least probability that a joint is seen,
+before its bone length is checked. _INFERRED: factor of that probability for a joint that the sensor calls inferred (an
+assumption: the recordings hold no states).
+"""
 GUESS_SD_M, JITTER_M = 0.1, 0.0085
-"""m per axis: sd of a guess, and what neighbouring frames differ by."""
+"""m per axis. GUESS_SD_M: sd of a guessed joint. JITTER_M: sd of the difference between neighbouring frames."""
 BONE_SD_M, MOST_OFF_M = (0.016, 0.052), 0.1
-"""m: by how much the length of a joint's bone is off where a sensor sees it, and where it guesses; more counts as
-much as MOST_OFF_M."""
+"""m. BONE_SD_M: sd of the length of a joint's bone where the sensor sees the joint, and where it guesses it.
+MOST_OFF_M: larger deviations count as this.
+"""
 LARGE_ERROR_M, DOUBTFUL_P = 0.1, 0.3
-"""m from which on a joint is wrong, and how likely it must be so for the joint to be doubtful: hips of which nothing is
-wrong have 0.2 to 0.28."""
+"""LARGE_ERROR_M: error in m from which a joint is wrong. DOUBTFUL_P: probability of such an error from which a joint is
+doubtful; hips without any fault have 0.2 to 0.28.
+"""
 _BONE = np.array(
     [jt.SKELETON_BONES.tolist().index(sorted((j, int(p)))) if p >= 0 else -1 for j, p in enumerate(jt.PARENT)]
 )
@@ -55,14 +62,17 @@ def remaining_uncertainty(
     joints: Array,
     variance: ArrayLike,
 ) -> tuple[Array, Array]:
-    """Of fused joints (15, 3) m: the variance (15,) m^2 per axis that more frames or sensors would not reduce, and how
-    likely (15,) each is wrong by more than LARGE_ERROR_M.
+    """Compute the error variance of fused joints that more frames would not reduce, and the probability of a large
+    error.
 
-    positions (K, 15, 3) m registered, states (K, 15): of which they were fused.
-    eyes (K, 3) m: where the sensors stand, NaN where it is not known.
-    left (3,): to the person's left, of any length.
-    lengths (18,) m of joints.SKELETON_BONES, 0 where unknown.
-    variance (15,) m^2 per axis: of what averages away.
+    positions: (K, 15, 3) m, the registered joints that were fused.
+    states: (K, 15), their states.
+    eyes: (K, 3) m, positions of the sensors, NaN where unknown.
+    left: (3,) direction to the person's left, of any length.
+    lengths: (18,) m of joints.SKELETON_BONES, 0 where unknown.
+    joints: (15, 3) m, the fused joints.
+    variance: (15,) m^2 per axis, the part that averages out over frames and sensors.
+    Returns: systematic variance (15,) m^2 per axis, and probability (15,) of an error above LARGE_ERROR_M.
     """
     seen = seen_joints(positions, states, eyes, left, lengths)
     points, to = np.where(seen[..., None] > 0, positions, 0.0), eyes - joints[jt.TORSO]
@@ -89,8 +99,13 @@ def remaining_uncertainty(
 
 
 def seen_joints(positions: Array, states: NDArray[np.uint8], eyes: Array, left: Array, lengths: Array) -> Array:
-    """Return (K, 15) how likely each sensor sees each joint rather than guesses it, 0 where it reports none; see
-    `remaining_uncertainty`."""
+    """Compute the probability (K, 15) that each sensor sees each joint instead of guessing it, 0 where it reports none.
+
+    positions, states, eyes, left, lengths: as in `remaining_uncertainty`.
+
+    A joint is doubted where the body hides it from the sensor, where the sensor sees the back, where its state is
+    inferred, and where its bone has an unusual length.
+    """
     to = eyes - positions[:, jt.TORSO]
     up = positions[:, jt.NECK] - (positions[:, jt.LEFT_HIP] + positions[:, jt.RIGHT_HIP]) / 2
     away = np.maximum(-_SIDE_SIGNS * _cosine(left, to), 0.0)
@@ -108,18 +123,22 @@ def seen_joints(positions: Array, states: NDArray[np.uint8], eyes: Array, left: 
 
 
 def _cosine(a: Array, b: Array) -> Array:
-    """Return (..., 1) of the angles between vectors (..., 3), 0 where it is not known."""
+    """Compute the cosine (..., 1) of the angle between vectors (..., 3), 0 where unknown."""
     square = (a * a).sum(-1) * (b * b).sum(-1)
     return np.nan_to_num((a * b).sum(-1) / np.sqrt(np.where(square > 0, square, np.nan)))[..., None]
 
 
 _SIDES = np.array([(jt.LEFT_SHOULDER, jt.RIGHT_SHOULDER), (jt.LEFT_HIP, jt.RIGHT_HIP)])
 _AGAINST = -0.3
-"""Cosine between the direction to the left of a sensor and of all below which its sides are exchanged: 107 degrees"""
+"""Cosine of the angle between a sensor's direction to the left and that of all sensors below which its sides are
+exchanged (107 degrees).
+"""
 
 
 def _bone_sd() -> Array:
-    """Return (18,) m: limbs hold their length, the trunk's stays give more."""
+    """Return the standard deviations (18,) m of the bone lengths: small for limbs, larger for the distances within the
+    trunk.
+    """
     limb = {(2, 3), (3, 4), (5, 6), (6, 7), (9, 10), (10, 11), (12, 13), (13, 14)}
     stay = {(8, 9), (8, 12), (2, 8), (5, 8)}
     return np.array(
@@ -129,17 +148,18 @@ def _bone_sd() -> Array:
 
 @dataclass(frozen=True)
 class FitSettings:
-    """Fit settings.
+    """Settings of the articulated fit.
 
-    data_sd_m, scale_m: sd and Cauchy scale of a sensor's joint.
-    coarse: the scale starts at this multiple and is halved per iteration.
-    iterations.
-    bone_sd_m (18,).
-    prediction_sd_m: per frame of 1/30 s.
-    blend: how fast the velocity follows.
+    data_sd_m: sd of a sensor's joint, m.
+    scale_m: scale of the Cauchy loss, m.
+    coarse: factor of the scale in the first iteration; it is halved per iteration.
+    iterations: number of iterations per frame.
+    bone_sd_m: (18,) sd of each distance in joints.SKELETON_BONES, m.
+    prediction_sd_m: sd of the prediction per frame of 1/30 s, m.
+    blend: share of the new velocity in the smoothed one (0..1).
     inferred: weight of inferred joints.
-    unswap: exchange sides back.
-    lost_after_s: without any joint for this long the person is lost.
+    unswap: whether to exchange left and right back.
+    lost_after_s: s without any joint after which the person is lost.
     """
 
     data_sd_m: float = 0.02
@@ -155,20 +175,22 @@ class FitSettings:
 
     @cached_property
     def bone_weight(self) -> Array:
-        """Return (18,) 1/m^2."""
+        """(18,) weights 1 / bone_sd_m^2, 1/m^2."""
         return 1 / self.bone_sd_m**2
 
 
 @dataclass(frozen=True)
 class FitState:
-    """Fit state.
+    """Memory of the fit between two frames.
 
-    joints (15, 3) m and velocity (15, 3) m/s of the last frame, or None before the first.
-    time s of that frame.
-    seen (15,) s when each joint last had evidence.
-    side (3,): remembered direction to the person's left, a sum of unit vectors.
-    lengths (18,) m and samples (18,) of the bones.
-    fixed: lengths are given and do not adapt.
+    joints: (15, 3) m of the last frame; None before the first.
+    velocity: (15, 3) m/s of the last frame.
+    time: s of that frame.
+    seen: (15,) s, time at which each joint last had evidence.
+    side: (3,) remembered direction to the person's left, a sum of unit vectors.
+    lengths: (18,) m of joints.SKELETON_BONES.
+    samples: (18,) number of samples of each length.
+    fixed: whether the lengths were given and do not adapt.
     """
 
     joints: Array | None
@@ -183,14 +205,15 @@ class FitState:
 
 @dataclass(frozen=True)
 class FitEstimate:
-    """Fit estimate.
+    """Fused skeleton of one frame.
 
-    joints (15, 3) m.
-    variance (15,) m^2 per axis that more frames or sensors would reduce, and systematic (15,), which they would not.
-    wrong (15,): how likely a joint is off by more than LARGE_ERROR_M.
-    shares (15, K): what each sensor carried of each joint (0 everywhere where no sensor saw it).
-    swapped (K,) sensors whose sides were exchanged.
-    lost: no evidence for too long.
+    joints: (15, 3) m.
+    variance: (15,) m^2 per axis that more frames or sensors would reduce.
+    systematic: (15,) m^2 per axis that they would not reduce.
+    wrong: (15,) probability that a joint is off by more than LARGE_ERROR_M.
+    shares: (15, K) share of each sensor in each joint; 0 where no sensor saw it.
+    swapped: (K,) whether the sides of each sensor were exchanged.
+    lost: whether there was no evidence for too long.
     """
 
     joints: Array
@@ -203,8 +226,11 @@ class FitEstimate:
 
 
 def start_fit(lengths: ArrayLike | None = None) -> FitState:
-    """Before the first frame; lengths (18,) m of joints.SKELETON_BONES when they are known (0 = unknown), else they are
-    estimated as frames come in."""
+    """Make the state before the first frame.
+
+    lengths: (18,) m of joints.SKELETON_BONES where known (0 = unknown), which are then kept; None: they are estimated
+        from the frames.
+    """
     return FitState(
         None,
         np.zeros((15, 3)),
@@ -220,9 +246,16 @@ def start_fit(lengths: ArrayLike | None = None) -> FitState:
 def fit_step(
     state: FitState, positions: Array, states: NDArray[np.uint8], time: float, settings: FitSettings, eyes: Array
 ) -> tuple[FitState, FitEstimate]:
-    """One frame: registered positions (K, 15, 3) m with NaN for missing, their states (K, 15), time s; eyes (K, 3) m:
-    where the sensors stand, NaN where it is not known."""
-    # a joint of a sensor that is not registered has a state but no place
+    """Fuse the joints of all sensors in one frame.
+
+    state: memory of the frames before.
+    positions: (K, 15, 3) m registered, NaN where missing.
+    states: (K, 15) joint states.
+    time: s of the frame.
+    eyes: (K, 3) m, positions of the sensors, NaN where unknown.
+    Returns: the new memory and the fused skeleton.
+    """
+    # a joint of a sensor that is not registered has a state but no position
     states = np.where(np.isfinite(positions[..., 0]), states, 0).astype(np.uint8)
     side, swapped = state.side, np.zeros(len(positions), dtype=np.bool_)
     if settings.unswap:
@@ -277,12 +310,12 @@ def fit_step(
 def unswap(
     positions: Array, states: NDArray[np.uint8], side: Array
 ) -> tuple[Array, NDArray[np.uint8], Array, NDArray[np.bool_]]:
-    """Exchanges left and right of sensors whose sides contradict the others and the memory.
+    """Exchange left and right of sensors whose sides contradict the other sensors and the memory.
 
-    positions (K, 15, 3) registered.
-    side (3,): remembered direction to the left.
-
-    Returns positions, states, the new memory and which sensors were exchanged (K,).
+    positions: (K, 15, 3) m registered.
+    states: (K, 15) joint states.
+    side: (3,) remembered direction to the left.
+    Returns: positions, states, the new memory (3,), and which sensors were exchanged (K,).
     """
     left, right = _SIDES.T
     known = (states[:, left] > 0) & (states[:, right] > 0)
@@ -298,8 +331,14 @@ def unswap(
 
 
 def adapt_lengths(positions: Array, states: NDArray[np.uint8], lengths: Array, samples: Array) -> tuple[Array, Array]:
-    """Causal bone lengths: a limited step towards every tracked sample, smaller as samples accumulate (a slow median
-    that one bad episode does not move)."""
+    """Update bone lengths causally by one frame.
+
+    positions: (K, 15, 3) m.
+    states: (K, 15) joint states.
+    lengths, samples: (18,) lengths in m of joints.SKELETON_BONES and number of samples of each.
+    Returns: new lengths and numbers of samples. A length moves by a limited step towards each tracked sample, smaller
+        with more samples: a slow median that one bad episode does not move.
+    """
     d = positions[:, jt.SKELETON_BONES[:, 0]] - positions[:, jt.SKELETON_BONES[:, 1]]
     measured = np.sqrt((d * d).sum(-1))
     tracked = states == TRACKED
@@ -316,8 +355,13 @@ def adapt_lengths(positions: Array, states: NDArray[np.uint8], lengths: Array, s
 
 
 def clip_lengths(positions: ArrayLike, states: ArrayLike) -> Array:
-    """Return (18,) m lengths of joints.SKELETON_BONES from a whole clip, positions (T, K, 15, 3): median over the
-    tracked samples, over all samples where there are fewer than 20 of those, 0 where there is none."""
+    """Compute the bone lengths of a whole clip: the median over the tracked samples.
+
+    positions: (T, K, 15, 3) m.
+    states: (T, K, 15) joint states.
+    Returns: (18,) m of joints.SKELETON_BONES. With 20 tracked samples or fewer all samples count; 0 where there is
+        none.
+    """
     s = np.asarray(positions, dtype=np.float64)
     a, b = jt.SKELETON_BONES[:, 0], jt.SKELETON_BONES[:, 1]
     length = np.linalg.norm(s[:, :, a] - s[:, :, b], axis=-1)
@@ -332,7 +376,9 @@ def clip_lengths(positions: ArrayLike, states: ArrayLike) -> Array:
 
 
 def _first_guess(points: Array, weights: Array) -> Array:
-    """Return weighted means; joints that no sensor sees start at the mean of the others."""
+    """Compute the weighted means (15, 3) of the sensors' joints; joints that no sensor sees get the mean
+    of the others.
+    """
     total = weights.sum(0)
     if not (total > 0).any():
         return np.zeros((15, 3))

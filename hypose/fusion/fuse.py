@@ -1,8 +1,8 @@
-"""Entry points: a recorded clip (`fuse_clip`) or a stream, frame by frame (`start`, `fuse_frame`).
+"""Entry points of sensor fusion: a recorded clip (`fuse_clip`), or a stream frame by frame (`start`, `fuse_frame`).
 
 Both run the same steps: registration, heading, and one of the methods. A clip is registered and measured as a whole
-before it is fused; a stream refits its registration every second to the last seconds, and learns bone lengths as it
-goes.
+before it is fused; a stream refits its registration to the last seconds once per second, and learns bone lengths as it
+runs.
 """
 
 from __future__ import annotations
@@ -52,18 +52,22 @@ FUSION_METHODS = (FIT, SWARM, PUBLISHED_SWARM, PUBLISHED_WINDOW)
 
 @dataclass(frozen=True)
 class FusionSettings:
-    """Fusion settings.
+    """Settings of the fusion of one person.
 
-    method: one of FUSION_METHODS ("swarm" is the improved one; "published" is Asteriadis et al. 2013 with their
-        registration, by the triangle of every frame; "published-window" the same swarm, registered as the other methods
-        are).
-    reference: the sensor whose frame is the common one.
-    registered: positions come in a common frame already.
-    window_s, refit_s: a stream's registration uses the last window_s and is refitted every refit_s.
-    diagnose: run the swarm in parallel to the fit and report its choice of sensors.
-    up (3,): direction of up in the common frame, default from the person.
+    method: one of FUSION_METHODS. "fit" is the articulated fit. "swarm" is the improved swarm. "published" is
+        Asteriadis et al. 2013 with their registration, by the triangle of every frame. "published-window" is the same
+        swarm, registered like the other methods.
+    reference: index of the sensor whose frame is the common one.
+    registered: whether positions are in a common frame already.
+    window_s: s of the last frames that the registration of a stream uses.
+    refit_s: s between two refits of that registration.
+    diagnose: whether to run the swarm in parallel to the fit and report its choice of sensors.
+    up: (3,) upward direction in the common frame; None: estimated from the person.
     seed: of the swarm.
-    check: refuse sensors that see different people.
+    check: whether to refuse sensors that see different people.
+    fit: settings of the articulated fit.
+    swarm: settings of the swarm; None: those of the method.
+    Raises: InputError for an unknown method.
     """
 
     method: str = FIT
@@ -84,29 +88,31 @@ class FusionSettings:
 
     @property
     def swarm_settings(self) -> SwarmSettings:
-        """Return the swarm's settings: given ones, else those of the method."""
+        """Settings of the swarm: the given ones, else those of the method."""
         return self.swarm or (PUBLISHED if self.method in (PUBLISHED_SWARM, PUBLISHED_WINDOW) else IMPROVED)
 
     @property
     def per_frame(self) -> bool:
-        """Return whether every frame is registered by its own triangle."""
+        """Whether every frame is registered by its own triangle."""
         return self.method == PUBLISHED_SWARM and not self.registered
 
 
 @dataclass(frozen=True)
 class FusedFrame:
-    """One instant. time s.
+    """Fused skeleton at one instant.
 
-    joint_names (J,): the 15 common ones, then the sensor's others.
-    joints (J, 3) m in the common frame, NaN where never seen.
-    sd (J,) m per axis, of which systematic (J,) would remain with more frames or sensors, and wrong (J,): how likely
-        the joint is off by more than trust.WRONG_M, NaN where unknown.
-    shares (15, K): what each sensor carried of each common joint (fit: weights; swarm: population).
-    choice (15, K) the swarm's population when it runs as diagnosis.
-    lost.
-    n_sensors with evidence.
-    swapped (K,) sensors whose sides were exchanged.
-    restarted: the swarm was initialised again.
+    time: s.
+    joint_names: (J,) the 15 common joints, then the other joints of the sensors' set.
+    joints: (J, 3) m in the common frame, NaN where never seen.
+    sd: (J,) m per axis, total standard deviation.
+    systematic: (J,) m per axis, the part of sd that would remain with more frames or sensors.
+    wrong: (J,) probability that the joint is off by more than fit.LARGE_ERROR_M, NaN where unknown.
+    shares: (15, K) share of each sensor in each common joint (fit: weights; swarm: population).
+    choice: (15, K) population of the swarm where it runs, else None.
+    lost: whether there was no evidence for too long.
+    n_sensors: number of sensors with evidence.
+    swapped: (K,) whether the sides of each sensor were exchanged.
+    restarted: whether the swarm was initialised again.
     """
 
     time: float
@@ -125,12 +131,19 @@ class FusedFrame:
 
 @dataclass(frozen=True)
 class FusionState:
-    """Everything a stream remembers.
+    """Memory of a stream between two frames.
 
+    settings: of the fusion.
+    sensor_names: names of the K sensors.
+    joint_set: joints that the sensors report.
+    registration: of the sensors to the common frame.
+    next_refit: s, time of the next refit of the registration.
     window: recent (positions, state, time) for the registration.
-    heading: smoothed heading rad.
-    swarm and confidence None unless the swarm runs.
-    fixed_registration: do not refit.
+    fit: memory of the articulated fit.
+    swarm, confidence: memory of the swarm and of its noise; None unless the swarm runs.
+    up: (3,) upward direction; None before it is estimated.
+    heading: smoothed heading of the person, rad; None before the first.
+    fixed_registration: whether the registration is not refitted.
     rest: indices of the set's joints beyond the common ones.
     joint_names: of the fused joints.
     """
@@ -152,14 +165,22 @@ class FusionState:
 
 
 WINDOW_FRAMES = 40
-"""Frames that a stream's registration is fitted to; up to twice as many are kept."""
+"""Number of frames to which the registration of a stream is fitted; up to twice as many are kept."""
 
 
 @dataclass(frozen=True)
 class Fused:
-    """A fused clip: the motion (15 common joints first, then the set's others; poses None), and its sources:
-    shares (T, 15, K) of the sensors in each joint, choice (T, 15, K) of the swarm or None, registration, lengths (18,)
-    m of joints.SKELETON_BONES, swapped (T, K), restarts (T,)."""
+    """Fused clip of T frames and K sensors.
+
+    motion: the 15 common joints first, then the others of the set; without poses.
+    shares: (T, 15, K) share of each sensor in each joint.
+    choice: (T, 15, K) population of the swarm, or None.
+    registration: of the sensors; with "published" that of the last frame.
+    lengths: (18,) m of joints.SKELETON_BONES.
+    swapped: (T, K) whether the sides of a sensor were exchanged.
+    restarts: (T,) whether the swarm was initialised again.
+    sensor_names: names of the K sensors.
+    """
 
     motion: Motion
     shares: Array
@@ -177,9 +198,12 @@ def start(
     registration: Registration | None = None,
     lengths: Array | None = None,
 ) -> FusionState:
-    """Return a stream's state before its first frame; the sensors and joint set are those of `first` from here on.
+    """Make the state of a stream before its first frame.
 
-    registration, lengths (18,) m: known ones, which are then kept (but "published" registers every frame again).
+    first: a frame that defines the sensors and the joint set of the stream; it is not fused.
+    registration: a known one, which is then kept (but "published" registers every frame again).
+    lengths: (18,) m of joints.SKELETON_BONES, known ones, which are then kept.
+    Raises: InputError where the reference is not one of the sensors, or the joints are of no known set.
     """
     s = settings or FusionSettings()
     sensors = len(first.sensor_names)
@@ -210,7 +234,13 @@ def start(
 
 
 def fuse_frame(state: FusionState, frame: SensorJoints) -> tuple[FusionState, FusedFrame]:
-    """Fuse the next frame of a stream, causally. InputError when its sensors or joints are not those of the start."""
+    """Fuse the next frame of a stream, causally.
+
+    state: memory of the stream.
+    frame: joints of all sensors; NaN for those that report nothing.
+    Returns: the new memory and the fused frame.
+    Raises: InputError where the sensors or joints are not those of the start.
+    """
     _check_alike(frame, state.sensor_names, state.joint_set.joint_names)
     s = state.settings
     raw = common_joints(frame)
@@ -257,14 +287,15 @@ def fuse_clip(
     *,
     watch: Callable[[int], None] | None = None,
 ) -> Fused:
-    """Fuses the skeletons of one person from a recorded clip.
+    """Fuse the skeletons of one person from a recorded clip.
 
-    joints: one per frame, all of the same sensors and joint set (`register.combine` brings different sets together).
-        The registration is robust over the whole clip and all joints unless it is given, but for "published", which
-        registers every frame by its triangle and returns the last one's; bone lengths are medians over the clip.
-    watch: called after every frame with how many are fused.
-
-    InputErrors name frames whose sensors or joints differ, and sensors that see different people.
+    joints: one per frame, all of the same sensors and joint set.
+    method: one of FUSION_METHODS; it replaces the method of the settings.
+    registration: of the sensors; None: estimated robustly from the whole clip and all joints ("published" registers
+        every frame by its triangle).
+    watch: called after every frame with the number of frames fused.
+    Returns: the fused motion with its sources; bone lengths are medians over the clip.
+    Raises: InputError for frames whose sensors or joints differ, and for sensors that see different people.
     """
     if not len(joints):
         raise InputError("There are no frames to fuse; give at least one.")
@@ -291,7 +322,7 @@ def fuse_clip(
     state = start(joints[0], replace(s, up=tuple(up)), registration, lengths)
     frames: list[FusedFrame] = []
     for t, frame in enumerate(joints):
-        if not np.isfinite(frame.times).any():  # seen by no sensor: time goes on, so that it is lost
+        if not np.isfinite(frame.times).any():  # no sensor sees the person: time goes on, so that the person gets lost
             frame = replace(frame, times=np.full(len(frame.times), times[t]))
         state, fused = fuse_frame(state, frame)
         frames.append(fused)
@@ -323,13 +354,14 @@ def _check_alike(
     if frame.joint_names != joint_names:
         raise InputError(
             f"{where} has {len(frame.joint_names)} joints ({frame.joint_names[0]}, ...) instead of {len(joint_names)}; "
-            "map sensors of different joint sets to the common ones first (fusion.register.combine)."
+            "map sensors of different joint sets to the common ones first (fusion.register.common_joints)."
         )
 
 
 def _refit(state: FusionState, raw: SensorJoints, time: float) -> FusionState:
-    """Return the window with this frame, and a registration refitted to it when that is due; "published": this
-    frame's."""
+    """Add a frame to the registration window, and refit the registration where that is due ("published": by this
+    frame).
+    """
     s = state.settings
     if s.per_frame:
         return replace(state, registration=by_triangles(state.registration, raw.positions))
@@ -358,7 +390,9 @@ def _refit(state: FusionState, raw: SensorJoints, time: float) -> FusionState:
 
 
 def _noise(state: FusionState, raw: SensorJoints, world: Array) -> tuple[FusionState, Array | None, float]:
-    """Lambda (K, 15) of this frame and the smoothed heading, when the swarm runs."""
+    """Compute the noise lambda (K, 15) of this frame and the smoothed heading (rad); None and 0 unless
+    the swarm runs.
+    """
     if state.confidence is None:
         return state, None, 0.0
     s = state.settings.swarm_settings
@@ -387,9 +421,12 @@ def _axes(x: float, y: float, z: float) -> tuple[Array, Array]:
 def _with_rest(
     state: FusionState, frame: SensorJoints, joints: Array, known: Sequence[Array], shares: Array
 ) -> list[Array]:
-    """Return the fused joints and their uncertainty (15,), each followed by the set's others. Those move rigidly
-    with their sensor's nearest common joints, are averaged with the sensors' shares in the joint that they hang from,
-    and are as sure as that one."""
+    """Append the joints beyond the common ones to the fused joints and to their uncertainties.
+
+    known: uncertainties (15,) of the common joints.
+    Returns: joints (J, 3), then each uncertainty (J,). Each further joint moves with the common joint that it hangs
+        from, is averaged with the sensors' shares in that joint, and has the same uncertainty.
+    """
     rest = state.rest
     raw, common = frame.positions, state.joint_set.common
     out = np.full((len(rest), 3), np.nan)
@@ -436,14 +473,19 @@ def _motion(
 
 
 # ---- motion of points ------------------------------------------------------------------------------------------------
-# Fused points as a Motion: a skeleton that only names joints, parents before children.
+# Convert fused points into a Motion with a skeleton that only names joints, parents before children.
 
 
 def point_skeleton(
     joint_names: Sequence[str], parents: Sequence[int], lengths: Mapping[str, float] | None = None
 ) -> Skeleton:
-    """Return a skeleton that only names joints: rigid, six degrees of freedom, for motions without poses. Joints stand
-    above each other at rest by their bones' lengths (m, by joint name)."""
+    """Make a skeleton that only names joints, for motions without poses: rigid, with six degrees of freedom.
+
+    joint_names: of all joints, the root first.
+    parents: index of the parent of each joint, -1 for the root.
+    lengths: m by joint name, of the bone to the parent, 0.2 m where not given; at rest joints stand above each other by
+        these.
+    """
     n = len(joint_names)
     offsets = np.zeros((n, 3))
     offsets[1:, 2] = [(lengths or {}).get(name, 0.2) for name in joint_names[1:]]
@@ -474,10 +516,18 @@ def points_motion(
     systematic: Array | None = None,
     wrong: Array | None = None,
 ) -> Motion:
-    """Return a Motion with parents before children: the torso first, as the root.
+    """Make a motion from fused points, with parents before children (the torso is the root).
 
-    sd (T, J) m, of which systematic (T, J) would remain with more frames or sensors.
-    wrong (T, J): how likely a joint is wrong.
+    names: (J,) of the joints.
+    joints: (T, J, 3) m.
+    sd: (T, J) m per axis, total standard deviation.
+    times: (T,) s.
+    lost: (T,) whether the person is lost.
+    n_sensors: (T,) number of sensors with evidence.
+    lengths: (18,) m of joints.SKELETON_BONES.
+    provenance: facts on the origin of the motion, stored with it.
+    systematic: (T, J) m per axis, the part of sd that would remain with more frames or sensors.
+    wrong: (T, J) probability that a joint is wrong.
     """
     order, parents = _topological(names)
     bone = {tuple(sorted(b)): float(v) for b, v in zip(jt.SKELETON_BONES.tolist(), lengths, strict=True)}
@@ -512,7 +562,7 @@ def points_motion(
 
 
 def _topological(names: tuple[str, ...]) -> tuple[list[int], list[int]]:
-    """Order of the joints with parents first, and each one's parent in that order."""
+    """Order the joints with parents first, and find the parent of each in that order."""
     parent = [int(p) for p in jt.PARENT]
     if len(names) > 15:
         sets = [k for k in jt.joint_sets() if len(k.joint_names) == len(names)]
@@ -528,8 +578,9 @@ def _topological(names: tuple[str, ...]) -> tuple[list[int], list[int]]:
 
 
 def anchors_of(known: jt.JointSet) -> dict[int, int]:
-    """For every joint of the set the common joint (0-14) it hangs from: the nearest towards the root, else a
-    neighbour."""
+    """Find for every joint of the set the common joint (0-14) from which it hangs: the nearest one towards the root,
+    else the torso.
+    """
     place = {int(j): i for i, j in enumerate(known.common)}
     out: dict[int, int] = {}
     for j in range(len(known.joint_names)):
@@ -541,6 +592,7 @@ def anchors_of(known: jt.JointSet) -> dict[int, int]:
 
 
 def common_positions(motion: Motion) -> Array:
-    """Return (T, 15, 3) m: the fused common joints in the order of joints.COMMON (a motion's own order starts at the
-    torso)."""
+    """Return the positions (T, 15, 3) m of the common joints in the order of joints.COMMON (the motion itself starts at
+    the torso).
+    """
     return motion.joints[:, [motion.skeleton.joint(n) for n in jt.COMMON]]

@@ -1,9 +1,9 @@
-"""The joints that depth sensors report, and the fifteen that fusion works on.
+"""Joint sets that depth sensors report, and the fifteen joints on which fusion works.
 
-Sets: OpenNI/NITE (15), Kinect v2 (25), Azure Kinect (32). Fusion works on the 15 of OpenNI, Fig. 2 of Asteriadis et al.
-2013, because every SDK has them; the other joints of a larger set are passed through (`Fused.joints` of the set). Names
-are compared without case, spaces and underscores, and a side may stand before or behind ("ShoulderLeft" =
-"SHOULDER_LEFT" = "left_shoulder").
+Sets: OpenNI/NITE (15), Kinect v2 (25), Azure Kinect (32). Fusion works on the 15 of OpenNI (Fig. 2 of Asteriadis et al.
+    2013), because every SDK has them; the other joints of a larger set are carried along with them. Names are compared
+    without case, spaces and underscores, and the side may stand before or after ("ShoulderLeft" = "SHOULDER_LEFT" =
+    "left_shoulder").
 """
 
 from __future__ import annotations
@@ -42,25 +42,32 @@ TORSO, LEFT_HIP, LEFT_KNEE, LEFT_FOOT, RIGHT_HIP, RIGHT_KNEE, RIGHT_FOOT = range
 TRUNK_JOINTS = (HEAD, NECK, LEFT_SHOULDER, RIGHT_SHOULDER, TORSO, LEFT_HIP, RIGHT_HIP)
 """Joints that every sensor finds reliably."""
 TRIANGLE = (LEFT_SHOULDER, RIGHT_SHOULDER, TORSO)
-"""Asteriadis 2013, section 2.1."""
+"""Joints of the triangle by which the paper registers sensors (Asteriadis et al. 2013, section 2.1)."""
 MIRROR = np.array([0, 1, 5, 6, 7, 2, 3, 4, 8, 12, 13, 14, 9, 10, 11])
-"""(15,) the joint on the other side."""
+"""(15,) index of the same joint on the other side."""
 PARENT = np.array([1, 8, 1, 2, 3, 1, 5, 6, -1, 8, 9, 10, 8, 12, 13])
-"""(15,) the neighbour towards the torso."""
+"""(15,) index of the neighbour towards the torso, -1 for the torso."""
 SKELETON_BONES = np.array(
     [(0, 1), (1, 2), (2, 3), (3, 4), (1, 5), (5, 6), (6, 7), (1, 8), (8, 9), (9, 10), (10, 11), (8, 12), (12, 13)]
     + [(13, 14), (2, 5), (9, 12), (2, 8), (5, 8)]
 )
-"""(18, 2) pairs of joints whose distance hardly changes: bones, and the stays of the trunk."""
+"""(18, 2) pairs of joints whose distance hardly changes: bones, and distances within the trunk."""
 BODY_JOINT = np.array([4, 3, 6, 7, 8, 10, 11, 12, 1, 13, 14, 15, 16, 17, 18])
-"""(15,) the joint of hypose's 19-joint body at (or next to) the common joint: the hand stands for the wrist, the foot
-for the ankle, the torso for the spine."""
+"""(15,) index of the joint of the 19-joint body at (or next to) each common joint: the wrist for the hand, the ankle
+for the foot, the spine for the torso.
+"""
 
 
 @dataclass(frozen=True)
 class JointSet:
-    """A sensor's joints: name, joint_names (J,) as the SDK writes them, common (15,) index of each common joint in the
-    set, parent (J,) -1 for the root, mirror (J,) the joint on the other side."""
+    """Joints that a type of sensor reports.
+
+    name: of the set.
+    joint_names: (J,) as the SDK writes them.
+    common: (15,) index of each common joint in the set.
+    parent: (J,) index of the parent, -1 for the root.
+    mirror: (J,) index of the same joint on the other side.
+    """
 
     name: str
     joint_names: tuple[str, ...]
@@ -95,7 +102,7 @@ _AZURE_COMMON = (
 
 
 def plain_name(name: str) -> str:
-    """Return a joint's name for comparison: lower case, letters only, the side in front."""
+    """Normalise the name of a joint for comparison: lower case, letters only, the side in front."""
     letters = re.sub(r"[^a-z]", "", name.lower())
     for side in ("left", "right"):
         if side in letters:
@@ -105,7 +112,7 @@ def plain_name(name: str) -> str:
 
 @cache
 def joint_sets() -> tuple[JointSet, ...]:
-    """OpenNI (15), Kinect v2 (25), Azure Kinect (32)."""
+    """Return the known joint sets: OpenNI (15), Kinect v2 (25), Azure Kinect (32)."""
     return (
         _set("OpenNI", COMMON, PARENT.tolist(), COMMON),
         _set("Kinect v2", _KINECT_2, _KINECT_2_PARENT, _KINECT_2_COMMON),
@@ -114,8 +121,11 @@ def joint_sets() -> tuple[JointSet, ...]:
 
 
 def joint_set(names: Sequence[str]) -> JointSet:
-    """Return the set that these joint names are (in any order); common, parent and mirror index into `names`. An
-    InputError names the missing joints when it is none of them."""
+    """Find the joint set that these joint names form, in any order.
+
+    Returns: the set; its common, parent and mirror are indices into `names`.
+    Raises: InputError that names the missing joints where the names form no known set.
+    """
     given = [plain_name(n) for n in names]
     best: tuple[int, str] = (10**6, "")
     for known in joint_sets():

@@ -1,7 +1,8 @@
-"""Live fusion: reports of sensors in, one skeleton per person out at a steady rate, with a bound on the latency.
+"""Fuse skeletons live: reports of sensors go in, one skeleton per person comes out at a steady rate with bounded
+latency.
 
-The pieces: `align` (clocks, rates, late and dead sensors), `people` (who is who, where the sensors stand), `fit` (one
-skeleton). Nothing here waits or knows a socket: the caller says what time it is, so the live server, tests and
+`align` handles clocks, rates, late and dead sensors; `people` finds identities and the positions of the sensors; `fit`
+fuses one skeleton. Nothing here waits or uses sockets: the caller gives the time, so that the live server, tests and
 benchmarks run the same code.
 """
 
@@ -21,7 +22,12 @@ from hypose.geometry import Array
 
 @dataclass(frozen=True)
 class LiveSettings:
-    """Settings of the three pieces."""
+    """Settings of the live fusion.
+
+    align: of clocks, rates and output instants.
+    people: of identities and sensor positions.
+    fit: of the articulated fit of one skeleton.
+    """
 
     align: AlignSettings = field(default_factory=AlignSettings)
     people: PeopleSettings = field(default_factory=PeopleSettings)
@@ -30,14 +36,14 @@ class LiveSettings:
 
 @dataclass(frozen=True)
 class LiveSkeleton:
-    """One fused person.
+    """One fused person in an output frame.
 
-    id.
-    joints (15, 3) m (joints.COMMON) in the frame of the first sensor.
-    sd (15,) m per axis.
-    sensors that see the person now.
-    shares (15, K): what each of `LiveFrame.sensors` carried of each joint.
-    seen: some sensor sees it (else prediction).
+    id: of the person.
+    joints: (15, 3) m, joints.COMMON in the frame of the first sensor.
+    sd: (15,) m per axis.
+    sensors: names of the sensors that see the person now.
+    shares: (15, K) share of each of `LiveFrame.sensors` in each joint.
+    seen: whether a sensor sees the person now; else the joints are predicted.
     """
 
     id: int
@@ -52,10 +58,10 @@ class LiveSkeleton:
 class LiveFrame:
     """One output frame.
 
-    index from 0.
-    time s on the host's clock that it describes.
-    people.
-    sensors known so far.
+    index: number of the frame, from 0.
+    time: s on the host's clock that the frame describes.
+    people: one skeleton per person.
+    sensors: names of the sensors known so far.
     """
 
     index: int
@@ -65,7 +71,13 @@ class LiveFrame:
 
 
 class LiveFuser:
-    """`push` every report as it arrives, `poll` at `due()` or more often; times are of one monotonic host clock, s."""
+    """Live fusion of the skeletons of several people from several sensors.
+
+    settings: of alignment, identities and fit.
+
+    Call `push` for every report as it arrives, and `poll` at the time `due()` or more often. All times are s of one
+    monotonic host clock.
+    """
 
     def __init__(self, settings: LiveSettings | None = None) -> None:
         self.settings = settings or LiveSettings()
@@ -75,26 +87,29 @@ class LiveFuser:
         _warm_up(self.settings.fit)
 
     def push(self, report: SensorReport, now: float | None = None) -> bool:
-        """See `Aligner.push`."""
+        """Add one report of one sensor; see `Aligner.push`."""
         return self.aligner.push(report, now)
 
     def due(self) -> float:
-        """Host time at which `poll` has something to say at the latest."""
+        """Return the host time (s) at which to call `poll` at the latest."""
         return self.aligner.due()
 
     def poll(self, now: float) -> list[LiveFrame]:
-        """Return the frames that are ready, in order."""
+        """Return the frames that are ready at host time `now`, in order."""
         return [self._fuse(instant) for instant in self.aligner.poll(now)]
 
     def frames(self, reports: Iterable[SensorReport]) -> Iterator[LiveFrame]:
-        """The frames as reports bring them, for a caller with nothing else to do: live (an iterator that waits for the
-        next report) or recorded. Reports that are of no use are passed over; see `push` for errors."""
+        """Yield the fused frames of a sequence of reports, live (an iterator that waits for the next report) or
+        recorded.
+
+        Raises: InputError as `Aligner.push`; reports that cannot be used are skipped.
+        """
         for r in reports:
             self.push(r)
             yield from self.poll(r.time if r.arrival is None else r.arrival)
 
     def status(self, now: float) -> tuple[SensorStatus, ...]:
-        """What each sensor does."""
+        """Return the state of each sensor at host time `now`."""
         return self.aligner.status(now)
 
     def _fuse(self, instant: Instant) -> LiveFrame:
@@ -120,7 +135,7 @@ class LiveFuser:
 
 
 def _warm_up(settings: FitSettings) -> None:
-    """Compile what a frame needs, so that the first one is not late."""
+    """Compile the code that a frame needs, so that the first frame is not late."""
     standing = np.linspace(0, 1, 45).reshape(1, 15, 3)
     state = start_fit()
     for n in range(2):

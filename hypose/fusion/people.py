@@ -1,9 +1,9 @@
-"""Which skeleton of which sensor is which person: sensors are registered to each other by the persons they share,
-persons are matched by the distance of their trunks in the common frame.
+"""Match the skeletons of all sensors to persons, and register the sensors by the persons that they share.
 
-The common frame is that of the first sensor that saw a person, and stays it when that sensor dies. A sensor that comes
-back is registered again, since it may have been moved; it keeps its place if that puts its persons on those of the
-others, or if no other sensor sees anybody.
+Persons are matched by the distance of their trunks in the common frame. The common frame is that of the first sensor
+that saw a person, and stays so when that sensor dies. A sensor that comes back is registered again, since it may have
+been moved; it keeps its transform where that puts its persons on those of the other sensors, or where no other sensor
+sees a person.
 """
 
 from __future__ import annotations
@@ -26,21 +26,24 @@ from hypose.geometry import Array, procrustes
 
 @dataclass(frozen=True)
 class PeopleSettings:
-    """Distances in m, durations in s.
+    """Settings of the matching of persons; distances in m, durations in s.
 
-    gate: a skeleton further from a person's trunk is not that person.
-    faithful: how much nearer another person must be than the one a sensor's person was before.
-    birth: instants before a new person is believed.
-    linger, forget: how long an unseen person is still reported, and remembered.
-    blind: how long persons are remembered beyond that while no sensor reports at all, so that a pause of the whole
+    gate: largest distance of a skeleton from the trunk of a person to be matched.
+    faithful: by how much another person must be nearer than the one to whom the sensor's person belonged before.
+    birth: number of instants after which a new person is reported.
+    linger: time for which an unseen person is still reported.
+    forget: time for which an unseen person is remembered.
+    blind: further time for which persons are remembered while no sensor reports at all, so that a pause of the whole
         machine creates no new person.
-    window: of skeletons that a registration rests on, one every `note`, renewed every `refit`.
-    attempt: between tries to register.
-    shots: fewest shared instants.
+    window: of the skeletons from which a sensor is registered.
+    note: time between two skeletons of that window.
+    refit: time between two registrations of a sensor.
+    attempt: time between two attempts to register an unregistered sensor.
+    shots: least number of shared instants for a registration.
     residual: largest median distance of a registration.
-    distinct: ratio to the next best pairing.
-    strays: instants without a match after which a sensor has been moved.
-    most: persons.
+    distinct: largest ratio of the score of the best pairing of persons to that of the next best.
+    strays: number of instants without a match after which a sensor counts as moved.
+    most: largest number of persons.
     """
 
     gate: float = 0.6
@@ -62,11 +65,11 @@ class PeopleSettings:
 
 @dataclass(frozen=True)
 class SeenPerson:
-    """A person at one instant.
+    """One person at one instant.
 
-    id, never used twice.
-    bodies: its skeleton by sensor, in the sensor's frame.
-    placed: the same positions (15, 3) in the common frame.
+    id: number of the person, never used twice.
+    bodies: the person's skeleton in each sensor's frame, by sensor name.
+    placed: positions (15, 3) m of the same skeletons in the common frame, by sensor name.
     """
 
     id: int
@@ -75,11 +78,16 @@ class SeenPerson:
 
     @property
     def seen(self) -> bool:
-        """Return whether a sensor sees it now."""
+        """Whether a sensor sees the person now."""
         return bool(self.bodies)
 
     def joints(self, sensors: Sequence[str], time: float, common: bool = False) -> SensorJoints:
-        """Return the skeletons of the named sensors (K), each in its sensor's frame or all in the common one."""
+        """Return the skeletons of K sensors as one frame of joints.
+
+        sensors: their names; a sensor that does not see the person gets NaN.
+        time: s of the frame.
+        common: whether positions are in the common frame; else each is in its sensor's frame.
+        """
         positions = np.full((len(sensors), 15, 3), np.nan)
         state: NDArray[np.uint8] = np.zeros((len(sensors), 15), dtype=np.uint8)
         times = np.full(len(sensors), np.nan)
@@ -107,14 +115,14 @@ class _Person:
 
 
 class _Link:
-    """One sensor's place: common_from_sensor, and what it is estimated from."""
+    """Transform of one sensor to the common frame, and the data from which it is estimated."""
 
     def __init__(self) -> None:
         self.motion: Array | None = None
         self.before: Array | None = None  # where it stood before it died
         self.trusted = False  # may found persons
         self.anchor = False  # stays where it is
-        self.known = False  # the caller said where it stands
+        self.known = False  # the caller gave its position
         self.life = 0
         self.residual = np.nan
         self.strays = 0
@@ -123,7 +131,7 @@ class _Link:
         self.tried = self.fitted = self.noted = -np.inf
 
     def lose(self) -> None:
-        """Begin again: the sensor may stand elsewhere."""
+        """Discard the transform: the sensor may have been moved."""
         self.before = self.motion if self.motion is not None else self.before
         self.motion, self.trusted, self.anchor, self.strays = None, False, False, 0
         self.shots.clear()
@@ -131,9 +139,10 @@ class _Link:
 
 
 class PeopleTracker:
-    """Follows persons over sensors; call `update` for every instant in order.
+    """Tracker of persons over several sensors; call `update` for every instant in order.
 
-    transforms: common_from_sensor (4, 4) of sensors whose place is known; these are not estimated again.
+    settings: of the matching.
+    transforms: common_from_sensor (4, 4) by sensor name, of sensors whose position is known; these are not estimated.
     """
 
     def __init__(self, settings: PeopleSettings | None = None, transforms: Mapping[str, Array] | None = None) -> None:
@@ -148,16 +157,18 @@ class PeopleTracker:
 
     @property
     def transforms(self) -> dict[str, Array]:
-        """common_from_sensor (4, 4) of every registered sensor."""
+        """common_from_sensor (4, 4) of every registered sensor, by name."""
         return {n: link.motion for n, link in self._links.items() if link.motion is not None}
 
     @property
     def residuals(self) -> dict[str, float]:
-        """Return median distance (m) of each registered sensor's joints to those of the others; NaN where not known."""
+        """Median distance (m) of each registered sensor's joints to those of the other sensors, by name; NaN where
+        unknown.
+        """
         return {n: float(link.residual) for n, link in self._links.items() if link.motion is not None}
 
     def update(self, instant: Instant) -> list[SeenPerson]:
-        """Return the persons at this instant, oldest first."""
+        """Match the skeletons of one instant, and return the persons, oldest first."""
         s, now = self.settings, instant.time
         views = {v.name: v for v in instant.sensors}
         for name in [n for n, link in self._links.items() if n not in views and not link.known]:
@@ -225,7 +236,7 @@ class PeopleTracker:
                     matched += 1
                     free[c] = -1
         left = [i for i in free if i >= 0]
-        # persons that others see, but none where this sensor says: it has been moved
+        # others see persons, but none where this sensor puts them: it was moved
         others = any(m != name for p in self._people for m in p.members) or any(
             now - p.time < s.linger and p.last.keys() - {name} for p in self._people
         )
@@ -245,7 +256,7 @@ class PeopleTracker:
                 self._people.append(_Person(self._last_id, centre, np.zeros(3), now, placed[i], here, there, {}))
 
     def _take_back_alone(self, instant: Instant) -> None:
-        """When no sensor in place lives, one that came back is believed where it stood."""
+        """Restore the last transform of a sensor that came back, where no registered sensor is alive."""
         if any(w.alive and self._links[w.name].motion is not None for w in instant.sensors):
             return
         for v in instant.sensors:
@@ -287,8 +298,11 @@ class PeopleTracker:
         p.frames += 1
 
     def _note(self, link: _Link, body: SensorBody, swapped: bool, rest: Array, weight: Array, now: float) -> None:
-        """Keep a pair (this sensor's joints, those of all others) for the next registration of the sensor. rest
-        (15, 3): weighted sum of the others', weight (15,)."""
+        """Keep a pair of skeletons (this sensor's, the mean of all others) for the next registration of the sensor.
+
+        rest: (15, 3) weighted sum of the others' joints.
+        weight: (15,) sum of their weights.
+        """
         if (weight[np.array(TRUNK_JOINTS)] > 0).sum() < 4:
             return
         link.noted = now
@@ -296,7 +310,7 @@ class PeopleTracker:
         link.pairs.append((now, body.positions[MIRROR] if swapped else body.positions, others))
 
     def _merge(self) -> None:
-        """Two persons in one place, of different sensors, for half a second: one person."""
+        """Merge two persons of different sensors that have been in the same place for half a second (15 instants)."""
         for i, a in enumerate(self._people):
             for b in self._people[i + 1 :]:
                 near = float(np.abs(a.centre - b.centre).max()) < 0.25 and not (a.members.keys() & b.members.keys())
@@ -337,7 +351,7 @@ class PeopleTracker:
         stride = max(1, len(link.pairs) // 40)
         chosen = list(link.pairs)[::stride]
         both = np.stack([np.stack([target, body]) for _, body, target in chosen])
-        # on all joints, as in fuse.step: the trunk is too small for its joints' constant errors (scenes A, B of the
+        # on all joints, as in fuse._refit: the trunk is too small for its joints' constant errors (scenes A, B of the
         # simulator, seeds 0 to 2: 49.6, 43.3 mm by the trunk, 44.8, 40.3 by all)
         found = register(both, iterations=8)
         if found.registered[1] and found.residual[1] < s.residual:
@@ -360,8 +374,11 @@ class PeopleTracker:
 
 
 def is_swapped(joints: Array, like: Array) -> bool:
-    """Return whether joints (15, 3) with left and right exchanged are more like another skeleton in the same frame: a
-    sensor that sees the back takes it for the front."""
+    """Return whether joints are nearer to another skeleton after exchanging left and right, because the sensor sees the
+    back.
+
+    joints, like: (15, 3) m of both skeletons, in the same frame.
+    """
     a, b = joints - like, joints[MIRROR] - like
     plain, mirrored = float(np.vdot(a, a)), float(np.vdot(b, b))
     if plain != plain or mirrored != mirrored:  # NaN: only the joints that all three have
@@ -375,23 +392,28 @@ def is_swapped(joints: Array, like: Array) -> bool:
 
 
 _SensorInstant = tuple[Mapping[int, Array], Mapping[int, Array]]
-"""One instant: skeletons (15, 3) of a sensor by its numbers, in its frame; ours by our numbers, in the common frame."""
+"""One instant: skeletons (15, 3) of a sensor in its frame, by its numbers of persons; and the tracked persons in the
+common frame, by their ids.
+"""
 _TRUNK = np.array(TRUNK_JOINTS)
 _LOOK = 4
-"""Instants of a pairing in the quick look."""
+"""Number of instants per pairing in the quick first test."""
 
 
 def find_place(
     shots: Sequence[_SensorInstant], fewest: int, residual: float, distinct: float
 ) -> tuple[Array, float] | None:
-    """common_from_sensor (4, 4) and its median distance m, or None: every pairing of one of its persons with one of
-    ours gives a place, and the best one puts all on persons.
+    """Find the transform of a sensor by pairing its persons with the tracked persons, whose identities are unknown.
 
-    fewest: shared instants of a pairing.
-    residual: largest distance m.
-    distinct: the next best pairing must be worse by this ratio.
+    shots: instants, each with the sensor's persons and the tracked persons.
+    fewest: least number of instants that a pairing must share.
+    residual: largest score, m.
+    distinct: largest ratio of the best score to that of the next best different pairing.
+    Returns: common_from_sensor (4, 4) and its score in m (median distance of the joints plus the distance of persons
+        that match no tracked one); None where no pairing is clearly the best.
 
-    All pairings are looked at in one batch, so that with many persons no frame is late.
+    Every pairing of one of the sensor's persons with one tracked person gives a transform; the best one puts all
+    persons on tracked persons. All pairings are computed in one batch, so that with many persons no frame is late.
     """
     some = list(shots)[:: max(1, len(shots) // 12)]
     pairs, skeletons = [], []
@@ -408,7 +430,7 @@ def find_place(
         few = slice(None, None, max(1, len(theirs) // _LOOK))
         n = len(theirs[few][: 2 * _LOOK])
         looked[0, i, :n], looked[1, i, :n] = theirs[few][:n], ours[few][:n]
-    # also with its sides exchanged; an honest sensor is the rule, so those must fit clearly better
+    # also with its sides exchanged; correct sides are the rule, so exchanged ones must fit clearly better
     sources = np.concatenate([looked[0], looked[0][:, :, MIRROR]]).reshape(2 * len(pairs), -1, 3)
     targets = np.concatenate([looked[1], looked[1]]).reshape(2 * len(pairs), -1, 3)
     motions, distance = _plain_fits(sources, targets)
@@ -423,7 +445,7 @@ def find_place(
         return None
     found.sort(key=lambda f: f[0])
     score, b, p, motion = found[0]
-    # another pairing that says the same is no rival
+    # another pairing that gives the same transform is no rival
     rivals = [f for f in found[1:] if (f[1] == b) != (f[2] == p)]
     if score > residual or (rivals and score > distinct * rivals[0][0]):
         return None
@@ -431,8 +453,13 @@ def find_place(
 
 
 def place_score(motion: Array, shots: Sequence[_SensorInstant]) -> float:
-    """Return median distance (m) of the joints of a sensor's persons to those of ours at a place (4, 4) that is
-    believed already, infinite when they share no instant. Persons that only one side sees do not count."""
+    """Compute the median distance of the joints of a sensor's persons to those of the tracked persons, for a given
+    transform.
+
+    motion: common_from_sensor (4, 4).
+    shots: instants, each with the sensor's persons and the tracked persons.
+    Returns: m, infinite where they share no instant. Persons that only one side sees do not count.
+    """
     scores = []
     for bodies, people in shots:
         if not bodies or not people:
@@ -446,12 +473,14 @@ def place_score(motion: Array, shots: Sequence[_SensorInstant]) -> float:
 
 
 def transform_points(motion: Array, points: Array) -> Array:
-    """`geometry.transform` for one motion, without its generality."""
+    """Transform points by one rigid motion (4, 4); a fast version of `geometry.transform`."""
     return points @ motion[:3, :3].T + motion[:3, 3]
 
 
 def trunk_centre(joints: Array) -> Array | None:
-    """Return mean (3,) of a skeleton's trunk, None when fewer than three of its joints are known."""
+    """Compute the mean (3,) of the trunk joints of a skeleton (15, 3); None where fewer than three of
+    them are known.
+    """
     trunk = joints[_TRUNK]
     mean = trunk.sum(0) / len(_TRUNK)
     if mean[0] == mean[0]:
@@ -459,12 +488,14 @@ def trunk_centre(joints: Array) -> Array | None:
     known = np.isfinite(trunk[:, 0])
     if int(known.sum()) < 3:
         return None
-    # each joint missing would move a plain mean by some centimetres, which the gate takes
+    # each missing joint shifts the plain mean by some centimetres, which is less than the gate
     return trunk[known].mean(0)
 
 
 def _fit(body: Array, ours: Array, iterations: int) -> tuple[Array, float] | None:
-    """common_from_sensor and the median distance (m) from skeletons (T, 15, 3) of both."""
+    """Estimate common_from_sensor (4, 4) robustly from skeletons (T, 15, 3) of both sides, with the median distance
+    (m).
+    """
     source, target = body.reshape(-1, 3), ours.reshape(-1, 3)
     use = np.isfinite(source[:, 0]) & np.isfinite(target[:, 0])
     if int(use.sum()) < 20:
@@ -479,7 +510,9 @@ def _fit(body: Array, ours: Array, iterations: int) -> tuple[Array, float] | Non
 
 
 def _centres(shots: Sequence[_SensorInstant]) -> tuple[Array, Array]:
-    """Trunks of the sensor's persons (S, B, 3) in its frame and of ours (S, P, 3), of at most five instants."""
+    """Compute the trunk centres of at most five instants: the sensor's persons (S, B, 3) and the tracked ones (S, P,
+    3).
+    """
     some = shots[:: max(1, len(shots) // 5)]
     out = []
     for skeletons in ([shot[0] for shot in some], [shot[1] for shot in some]):
@@ -492,9 +525,11 @@ def _centres(shots: Sequence[_SensorInstant]) -> tuple[Array, Array]:
 
 
 def _misplaced(motions: Array, theirs: Array, ours: Array) -> Array:
-    """Return (P,) for motions (P, 4, 4): mean distance (m, each at most 0.5) of the sensor's persons to the nearest of
-    ours, less the noise."""
-    # whom only one side sees says nothing: as many as both can share
+    """Compute for motions (P, 4, 4) the mean distance of the sensor's persons to the nearest tracked ones.
+
+    Returns: (P,) m, each distance at most 0.5, minus 0.1 for noise.
+    """
+    # a person that only one side sees gives no information: count as many as both can share
     both = np.minimum(np.isfinite(theirs[..., 0]).sum(1), np.isfinite(ours[..., 0]).sum(1))
     counted = np.arange(theirs.shape[1]) < both[:, None]
     if not counted.any():
@@ -506,8 +541,10 @@ def _misplaced(motions: Array, theirs: Array, ours: Array) -> Array:
 
 
 def _plain_fits(sources: Array, targets: Array) -> tuple[Array, Array]:
-    """Rigid motions (P, 4, 4) of many pairs of point sets (P, N, 3) at once by least squares, NaN rows left out, and
-    the median distances (P,); infinite where fewer than 20 points are left."""
+    """Fit rigid motions to many pairs of point sets (P, N, 3) at once by least squares, without NaN rows.
+
+    Returns: motions (P, 4, 4), and median distances (P,), infinite where fewer than 20 points are left.
+    """
     use = np.isfinite(sources[..., 0]) & np.isfinite(targets[..., 0])
     w = use / np.maximum(use.sum(1), 1)[:, None]
     a, b = np.where(use[..., None], sources, 0.0), np.where(use[..., None], targets, 0.0)

@@ -1,11 +1,11 @@
-"""Registration: where the sensors stand relative to each other, from the skeletons they report of the same person.
+"""Registration: find where the sensors stand relative to each other, from the skeletons that they report of one person.
 
-Source: Asteriadis et al. 2013, section 2.1, eq. 2-4 (per frame, on the triangle of shoulders and torso). Printed there
-is R = V U^T for H = sum reference . moving^T, which is the rotation the other way round; moving to reference is U V^T.
-Three points make H of rank 2, so that the sign of one singular vector is arbitrary and half of all unguarded solutions
-are reflections: the determinant is guarded (geometry.procrustes). The method "published" registers so (`by_triangles`);
-all others take one transform per sensor from a window of frames, robustly, on all joints (`register`), because
-registering every frame multiplies the jitter.
+The method "published" registers every frame by the triangle of shoulders and torso (`by_triangles`). All other methods
+estimate one transform per sensor robustly from all joints of a window of frames (`register`), because registering every
+frame multiplies the jitter.
+Source: Asteriadis et al. 2013, section 2.1, eq. 2-4. Deviations: R = V U^T is printed for H = sum reference . moving^T,
+    which is the inverse rotation; moving to reference is U V^T. Three points make H of rank 2, so that half of all
+    unguarded solutions are reflections; here the determinant is guarded (geometry.procrustes).
 """
 
 from __future__ import annotations
@@ -23,21 +23,24 @@ from hypose.fusion import joints as jt
 from hypose.geometry import Array, procrustes, se3, transform
 
 LARGEST_RESIDUAL_M = 0.25
-"""Median distance after registration beyond which two sensors cannot be looking at the same person."""
+"""m, median distance after registration beyond which two sensors cannot see the same person."""
 LARGEST_LENGTH_RATIO = 1.25
-"""Ratio of two persons' limb lengths (median over the bones) that the same person never shows."""
+"""Ratio between the limb lengths of two skeletons (median over the bones) beyond which they cannot be of the same
+person.
+"""
 FEWEST_PAIRS = 12
-"""Joints seen by both sensors below which a registration is not attempted."""
+"""Least number of joints that two sensors must see in common to be registered."""
 
 
 @dataclass(frozen=True)
 class Registration:
-    """Registration.
+    """Rigid transforms of K sensors to the common frame, which is that of the reference sensor.
 
-    common_from_sensor (K, 4, 4): the common frame is the reference sensor's.
-    residual (K,) m median distance to the reference (or the sensor it was tied to), NaN when not registered.
-    registered (K,) bool.
-    reference: its index.
+    common_from_sensor: (K, 4, 4).
+    residual: (K,) m, median distance to the joints of the reference (or of the sensor that it was registered to), NaN
+        where not registered.
+    registered: (K,) bool.
+    reference: index of the reference sensor.
     """
 
     common_from_sensor: Array
@@ -46,7 +49,9 @@ class Registration:
     reference: int
 
     def apply(self, positions: ArrayLike) -> Array:
-        """Positions (..., K, J, 3) in the sensors' frames -> common frame; NaN for sensors that are not registered."""
+        """Transform positions (..., K, J, 3) m from the sensors' frames to the common frame; NaN for unregistered
+        sensors.
+        """
         out = transform(self.common_from_sensor, positions)
         if not self.registered.all():
             out[..., ~self.registered, :, :] = np.nan
@@ -54,7 +59,10 @@ class Registration:
 
 
 def common_joints(frame: SensorJoints) -> SensorJoints:
-    """Return the frame with the 15 common joints in their order; an InputError when its joints are no known set."""
+    """Return a frame with the 15 common joints only, in the order of joints.COMMON.
+
+    Raises: InputError where its joints form no known set.
+    """
     if frame.joint_names == jt.COMMON:
         return frame
     pick = jt.joint_set(frame.joint_names).common
@@ -71,8 +79,11 @@ def common_joints(frame: SensorJoints) -> SensorJoints:
 
 
 def measured_joint_depth(frame: SensorJoints) -> Array | None:
-    """Return (K, J) m depth map value at each joint's pixel, 0 where there is none (hole, outside); None without
-    depth."""
+    """Read the depth map at the pixel of each joint.
+
+    Returns: (K, J) m, 0 where there is no depth (a hole, or outside the picture); None where the frame has no depth
+        maps.
+    """
     if frame.joint_depth is not None:
         return frame.joint_depth
     if frame.depth is None or frame.intrinsics is None:
@@ -88,20 +99,21 @@ def measured_joint_depth(frame: SensorJoints) -> Array | None:
 
 
 def triangle_transform(reference: ArrayLike, moving: ArrayLike) -> Array:
-    """reference_from_moving (4, 4) that aligns two triangles (3, 3) of points, eq. 2-4.
+    """Compute the rigid transform reference_from_moving (4, 4) that aligns two triangles (3, 3) of points in m.
 
-    Deviation: (3) and (4) are printed as the transform from the reference to the moving skeleton; this is its inverse,
-    with a guarded determinant.
+    Source: Asteriadis et al. 2013, eq. 2-4. Deviation: (3) and (4) are printed as the transform from the reference to
+        the moving skeleton; this is its inverse, with a guarded determinant.
     """
     return procrustes(moving, reference)[0]
 
 
 def by_triangles(last: Registration, positions: ArrayLike) -> Registration:
-    """Return the published registration of one frame: positions (K, 15, 3) m in the sensors' frames.
+    """Register one frame as published: align every sensor to the reference by the triangle of shoulders and torso.
 
-    Every sensor is aligned on the reference by the triangle of shoulders and torso of this frame alone. Deviation: a
-    sensor whose triangle is not complete keeps its last transform, and is missing before its first (so do all when the
-    reference's is not), of which the paper says nothing.
+    last: registration of the frame before.
+    positions: (K, 15, 3) m in the sensors' frames.
+    Deviation: a sensor whose triangle is incomplete keeps its last transform, and stays unregistered before its first
+    one (all sensors do where the triangle of the reference is incomplete); the paper gives no rule.
     """
     triangles = np.asarray(positions, dtype=np.float64)[:, list(jt.TRIANGLE)]
     complete = np.asarray(np.isfinite(triangles).all(axis=(1, 2)))
@@ -124,11 +136,18 @@ def register(
     iterations: int = 15,
     start: Registration | None = None,
 ) -> Registration:
-    """Return one transform per sensor from positions (T, K, J, 3) m of a window, in the sensors' frames.
+    """Estimate one rigid transform per sensor from a window of frames, robustly.
 
-    Iterated Procrustes with Cauchy weights of scale `scale_m`, times the states' confidences (T, K, J): tracked 1,
-    inferred 1/2. A sensor that shares too little with the reference is tied to a sensor already registered; one that
-    shares too little with all keeps `start`'s transform, or stays unregistered.
+    positions: (T, K, J, 3) m in the sensors' frames, NaN where missing.
+    state: (T, K, J) joint states, which weigh the joints: tracked 1, inferred 1/2; None: all weigh 1.
+    reference: index of the reference sensor.
+    joints: indices of the joints to use.
+    scale_m: scale of the Cauchy weights, m.
+    iterations: largest number of iterations of the weighted Procrustes solve.
+    start: registration from which to start, or None.
+    Returns: the registration. A sensor that shares too few joints with the reference is registered to a sensor already
+        registered; one that shares too few with all keeps the transform of `start`, or stays unregistered.
+    Raises: InputError where the reference is not one of the sensors.
     """
     s = np.asarray(positions, dtype=np.float64)[:, :, list(joints)]
     sensors = s.shape[1]
@@ -166,7 +185,11 @@ def register(
 def _robust(
     moving: Array, target: Array, weight: Array, scale: float, iterations: int, start: Array | None = None
 ) -> tuple[Array, float]:
-    """From plain least squares, or from the weights that a known motion `start` gives (then a few iterations do)."""
+    """Solve for one rigid transform with Cauchy weights, starting from plain least squares or from the known motion
+    `start`.
+
+    Returns: the transform (4, 4) and the median distance, m.
+    """
     w, distance = weight, np.zeros(len(weight))
     motion = np.eye(4)
     if start is not None:
@@ -186,9 +209,14 @@ def _robust(
 def check_same_person(
     positions: ArrayLike, registration: Registration, names: Sequence[str], residual_m: float = LARGEST_RESIDUAL_M
 ) -> None:
-    """Raise InputError when two sensors cannot have seen the same person at the same time: positions (T, K, 15, 3) m in
-    the sensors' frames are too far apart after registration, or the limbs' lengths differ too much; and when a sensor
-    reports no body but a point."""
+    """Raise InputError where two sensors cannot have seen the same person at the same time, or a sensor reports only a
+    point.
+
+    positions: (T, K, 15, 3) m in the sensors' frames.
+    registration: of the sensors.
+    names: of the sensors, for the message.
+    residual_m: largest median distance of the joints after registration, m; the lengths of the limbs must agree too.
+    """
     s = np.asarray(positions, dtype=np.float64)
     a, b = jt.SKELETON_BONES[:, 0], jt.SKELETON_BONES[:, 1]
     with np.errstate(invalid="ignore"):
@@ -220,13 +248,13 @@ def check_same_person(
 
 
 def confidence_of(state: ArrayLike, inferred: float = 0.5) -> Array:
-    """Weights of joint states (...): tracked 1, inferred `inferred`, not tracked 0."""
+    """Return the weights of joint states (...): tracked 1, inferred `inferred`, not tracked 0."""
     s = np.asarray(state)
     return np.where(s == TRACKED, 1.0, np.where(s == INFERRED, inferred, 0.0))
 
 
 def horizontal_axes(up: ArrayLike) -> tuple[Array, Array]:
-    """Return two unit vectors (3,) that span the plane across `up`."""
+    """Return two unit vectors (3,) that span the plane perpendicular to `up`."""
     u = np.asarray(up, dtype=np.float64)
     u = u / np.linalg.norm(u)
     x = np.asarray(np.cross(u, np.eye(3)[int(np.abs(u).argmin())]), dtype=np.float64)
@@ -235,7 +263,9 @@ def horizontal_axes(up: ArrayLike) -> tuple[Array, Array]:
 
 
 def upward(positions: ArrayLike) -> Array:
-    """Return (3,) unit vector from the hips to the neck, median over registered positions (..., 15, 3)."""
+    """Compute the upward direction (3,): the median unit vector from hips to neck over registered positions (..., 15,
+    3).
+    """
     s = np.asarray(positions, dtype=np.float64).reshape(-1, 15, 3)
     trunk = s[:, jt.NECK] - (s[:, jt.LEFT_HIP] + s[:, jt.RIGHT_HIP]) / 2
     trunk = trunk[np.isfinite(trunk).all(1)]
@@ -246,7 +276,9 @@ def upward(positions: ArrayLike) -> Array:
 
 
 def upright_axes(up: Array) -> Array:
-    """Return (3, 3) world_from_sensor rotation of which z is `up` (3,) and y points away from the sensor."""
+    """Compute the rotation world_from_sensor (3, 3) whose z axis is `up` (3,) and whose y axis points away from the
+    sensor.
+    """
     away: Array = np.array([0.0, 0.0, 1.0]) - up[2] * up
     if np.linalg.norm(away) < 0.2:  # the sensor looks straight down
         away = np.array([1.0, 0.0, 0.0]) - up[0] * up
@@ -255,7 +287,7 @@ def upright_axes(up: Array) -> Array:
 
 
 def alone(sensors: int, reference: int = 0) -> Registration:
-    """Before anything was seen: only the reference is registered."""
+    """Make the registration before any person was seen: only the reference is registered."""
     return Registration(
         np.tile(np.eye(4), (sensors, 1, 1)),
         np.where(np.arange(sensors) == reference, 0.0, np.nan),
@@ -265,7 +297,7 @@ def alone(sensors: int, reference: int = 0) -> Registration:
 
 
 def identity_registration(sensors: int, reference: int = 0) -> Registration:
-    """Sensors that report in a common frame already."""
+    """Make the registration of sensors that report in a common frame already: identity transforms."""
     return Registration(
         np.tile(se3(np.eye(3), np.zeros(3)), (sensors, 1, 1)),
         np.zeros(sensors),

@@ -1,16 +1,18 @@
-"""The published fusion: a swarm of candidate positions per joint that ride with their sensors and spin a roulette
-wheel.
+"""The published fusion: a swarm of candidate positions per joint that move with their sensors and are resampled by a
+roulette wheel.
 
-Source: Asteriadis et al. 2013, sections 2.2, 2.5 and 2.6. One layer of the common spine per frame: ride (propose),
-energy (weigh), roulette wheel (select). Populations are the joints, origins the sensors of birth. Equal candidates are
-kept once with their number as weight, which changes nothing in distribution and most of the cost: roulette alone soon
-leaves a handful of distinct candidates.
+Source: Asteriadis et al. 2013, sections 2.2, 2.5 and 2.6. One layer of the common search runs per frame: `ride`
+    (propagate), `energy` (weigh), roulette wheel (resample). Populations are the joints; the origin of a candidate is
+    the sensor around which it was created. Equal candidates are kept once, with their number as weight: the
+    distribution is the same and most of the cost is saved, because roulette alone soon leaves a handful of distinct
+    candidates.
 
-Deviations, each a setting with the paper's behaviour as its value in PUBLISHED: the length scale h of eq. 7, which is
-printed without one (in millimetres only the nearest few of 2100 candidates would carry weight); the power of the noise;
-immigrants, because a sensor that blinks for one frame otherwise loses all its candidates for good; Baker's universal
-sampling; jitter, for roulette alone adds nothing new; the estimate read before the wheel, weighted by energy. The swarm
-chooses sensors well; it is a mediocre estimator, because it ends on one sensor and keeps its bias.
+Deviations, each a setting that PUBLISHED sets as in the paper: the length scale h of eq. 7, which is printed without
+one (in millimetres only the nearest few of 2100 candidates would have weight); the power of the noise; immigrants,
+because a sensor that misses one frame would otherwise lose all its candidates for ever; Baker's universal sampling;
+jitter, because roulette alone creates no new positions; the estimate read before the wheel, weighted by energy. The
+swarm chooses sensors well; it estimates positions less well, because it ends on one sensor and keeps that sensor's
+bias.
 """
 
 from __future__ import annotations
@@ -34,25 +36,27 @@ from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.layer import Layer, Recipe, search, stream
 
 NEGLIGIBLE = 7.0
-"""Scales h beyond which exp(-d / h) < 0.001 counts as 0."""
+"""Distance in scales h beyond which exp(-d / h) < 0.001 counts as 0."""
 
 
 @dataclass(frozen=True)
 class SwarmSettings:
-    """Swarm settings.
+    """Settings of the swarm; the defaults are the paper's.
 
-    count: candidates per joint.
-    radius_m: of the ball they start in.
-    h_m: length scale of the energy.
-    power: the energy's weights are lambda^-power.
-    pressure: the wheel's shares are E^pressure (fitness scaling).
-    immigrants: fresh candidates per sensor and frame (within count).
-    jitter_m: sd of a random step per frame.
-    universal: Baker's sampling instead of independent spins.
-    weighted: the joint is the mean weighted by energy, before the wheel adds its noise, instead of the plain mean of
-        the candidates that the wheel leaves.
-    restart_every: frames (0 = never).
-    restart_turn: rad of turning since the last restart (0 = never).
+    count: number of candidates per joint.
+    radius_m: radius of the ball in which they start, m.
+    h_m: length scale of the energy, m.
+    power: the weights of the energy are lambda^-power, with the noise lambda of a joint.
+    pressure: the shares of the wheel are E^pressure, with the energy E (fitness scaling).
+    immigrants: number of new candidates per sensor and frame (within count).
+    jitter_m: sd of a random step per frame, m.
+    universal: whether to use Baker's universal sampling instead of independent draws.
+    weighted: whether the joint is the mean weighted by energy before the wheel adds its noise; else it is the plain
+        mean of the candidates after the wheel.
+    restart_every: number of frames between restarts (0 = never).
+    restart_turn: rad that the person turns between restarts (0 = never).
+    confidence: settings of the measures of which the noise is made.
+    rules: fuzzy rules of the noise.
     """
 
     count: int = 2100
@@ -81,19 +85,20 @@ IMPROVED = SwarmSettings(
     confidence=CURED_CONFIDENCE,
     rules=SHARP_RULES,
 )
-"""Chosen on simulated recordings of seeds below 1000. Baker's sampling chooses the same sensors and is cheaper. Without
-pressure two sensors that agree share the candidates for good; with it the mean of the population is 2 mm worse, because
-the candidates settle on one of them."""
+"""Settings chosen on simulated recordings of seeds below 1000. Baker's sampling chooses the same sensors and is
+cheaper. Without pressure two sensors that agree share the candidates for ever; with it the mean of the population is 2
+mm worse, because the candidates settle on one of them.
+"""
 
 
 @dataclass(frozen=True)
 class SwarmFrame:
-    """Evidence of one frame.
+    """Evidence of one frame for the swarm, of K sensors and J joints.
 
-    positions (K, J, 3) m registered, NaN missing.
-    moved (K, J, 3): their change since last seen (0 when missing).
-    weights (K, J) = lambda^-power, 0 where missing.
-    settings.
+    positions: (K, J, 3) m registered, NaN where missing.
+    moved: (K, J, 3) m, change since each joint was last seen (0 where missing).
+    weights: (K, J) = lambda^-power with the noise lambda of each joint, 0 where missing.
+    settings: of the swarm.
     """
 
     positions: Array
@@ -103,7 +108,9 @@ class SwarmFrame:
 
 
 def ride(h: Hypotheses, frame: SwarmFrame, rng: np.random.Generator, /) -> Hypotheses:
-    """Candidates move with the joint of their sensor; immigrants join around every sensor that sees the joint."""
+    """Move the candidates with the joint of their sensor, and add immigrants around every sensor that
+    sees the joint.
+    """
     s = frame.settings
     old_values, log_weights, origin = h.values, h.log_weights, h.origin
     if s.jitter_m > 0:
@@ -122,10 +129,14 @@ def ride(h: Hypotheses, frame: SwarmFrame, rng: np.random.Generator, /) -> Hypot
 
 
 def energy(h: Hypotheses, frame: SwarmFrame, /) -> Array:
-    """pressure * log E (J, N), eq. 7: E = sum_k lambda_k^-power exp(-|s_k - p| / h).
+    """Compute the log-weights of the candidates p: pressure * log E, E = sum_k lambda_k^-power exp(-|s_k - p| / h) (eq.
+    7).
 
-    Deviation: a length scale h, which is printed without one. Deviation: a term below 0.001 of its weight counts as 0.
-    A joint that no candidate can explain this frame keeps its population (0 everywhere)."""
+    h: the candidates; frame: joint positions s_k and noise lambda_k of the sensors k.
+    Returns: (J, N); 0 for all candidates of a joint that none of them can explain in this frame, so that its population
+        stays.
+    Deviations: a length scale h (`h_m`), which is printed without one; a term below 0.001 of its weight counts as 0.
+    """
     weights, scale = frame.weights.T[:, None], frame.settings.h_m
     away = np.linalg.norm(h.values[:, :, None] - np.swapaxes(frame.positions, 0, 1)[:, None], axis=-1)
     near = np.where((weights > 0) & (away < NEGLIGIBLE * scale), weights * np.exp(-away / scale), 0.0)
@@ -136,15 +147,15 @@ def energy(h: Hypotheses, frame: SwarmFrame, /) -> Array:
 
 
 def mean_position(h: Hypotheses, /) -> Array:
-    """Return (J, 3) m weighted mean of the candidates.
+    """Compute the weighted mean (J, 3) m of the candidates of each joint.
 
-    Deviation: eq. 1 is printed as the best candidate; section 2.5 says averaging, and so it is done.
+    Deviation: eq. 1 is printed as the best candidate; section 2.5 describes an average, which is used here.
     """
     return np.einsum("jm,jma->ja", _shares(h), h.values)
 
 
 def _shares(h: Hypotheses) -> Array:
-    """Return (J, M) normalised weights; 0 for a joint without candidates."""
+    """Compute the normalised weights (J, M) of the candidates; 0 for a joint without candidates."""
     peak = h.log_weights.max(1, keepdims=True)
     shares = np.exp(h.log_weights - np.where(np.isfinite(peak), peak, 0.0))
     return shares / np.maximum(shares.sum(1, keepdims=True), 1e-300)
@@ -152,8 +163,11 @@ def _shares(h: Hypotheses) -> Array:
 
 @dataclass(frozen=True)
 class MergedWheel:
-    """Roulette wheel (or Baker's universal sampling) that keeps equal candidates once: count draws per joint, the
-    number of copies as the new weight."""
+    """Resampling by roulette wheel (or Baker's universal sampling) that keeps equal candidates once.
+
+    count: number of draws per joint.
+    universal: whether to use Baker's universal sampling.
+    """
 
     count: int
     universal: bool = False
@@ -183,19 +197,19 @@ class MergedWheel:
 
 
 def _recipe(settings: SwarmSettings) -> Recipe:
-    """Return the swarm as data for the common loop."""
+    """Describe the swarm as a recipe for the common search."""
     layer = Layer(ride, energy, MergedWheel(settings.count, settings.universal), "swarm")
     return Recipe("swarm", (layer,), settings.count, estimate=mean_position, citation="Asteriadis et al. 2013")
 
 
 @dataclass(frozen=True)
 class SwarmState:
-    """Swarm state.
+    """Memory of the swarm between two frames.
 
-    candidates: the population after selection (J populations).
-    last (K, J, 3) m: where each sensor last saw each joint, NaN before.
-    age: frames since the last restart.
-    heading_at_restart rad.
+    candidates: population after resampling, of J joints; None before the first frame.
+    last: (K, J, 3) m, where each sensor last saw each joint, NaN before.
+    age: number of frames since the last restart.
+    heading_at_restart: heading of the person at the last restart, rad.
     frame: number of the next frame.
     """
 
@@ -208,8 +222,14 @@ class SwarmState:
 
 @dataclass(frozen=True)
 class SwarmEstimate:
-    """joints (J, 3) m, spread (J,) m (root mean square distance of the candidates from their mean), shares (J, K) of
-    the population by sensor of birth after selection, restarted, distinct (J,) candidates left."""
+    """Joints of one frame, estimated by the swarm.
+
+    joints: (J, 3) m.
+    spread: (J,) m, RMS distance of the candidates from their mean.
+    shares: (J, K) share of the candidates by sensor of origin, after resampling.
+    restarted: whether the swarm was initialised in this frame.
+    distinct: (J,) number of distinct candidates left.
+    """
 
     joints: Array
     spread: Array
@@ -219,15 +239,23 @@ class SwarmEstimate:
 
 
 def start_swarm(sensors: int, joints: int = 15) -> SwarmState:
-    """Before the first frame."""
+    """Make the memory of the swarm for a number of sensors and joints, before the first frame."""
     return SwarmState(None, np.full((sensors, joints, 3), np.nan), 0, 0.0, 0)
 
 
 def swarm_step(
     state: SwarmState, positions: Array, noise: Array, heading: float, settings: SwarmSettings, seed: int
 ) -> tuple[SwarmState, SwarmEstimate]:
-    """One frame: registered positions (K, J, 3) m, noise lambda (K, J), heading rad of the person. Joints that no
-    sensor has seen yet are NaN. Deterministic in (seed, number of the frame)."""
+    """Run the swarm on one frame.
+
+    state: memory of the frames before.
+    positions: (K, J, 3) m registered, NaN where missing.
+    noise: (K, J) noise lambda of each joint, 0..1.
+    heading: of the person, rad.
+    settings: of the swarm.
+    seed: the result depends on (seed, number of the frame) only.
+    Returns: the new memory and the estimate; NaN for joints that no sensor has seen yet.
+    """
     seen = np.isfinite(positions[..., 0])
     moved = np.where(seen[..., None] & np.isfinite(state.last), positions - state.last, 0.0)
     last = np.where(seen[..., None], positions, state.last)
@@ -258,7 +286,7 @@ def swarm_step(
 def _candidates(
     old: Hypotheses | None, due: bool, frame: SwarmFrame, last: Array, seed: int, number: int
 ) -> Hypotheses:
-    """Return the old population, renewed where a restart is due or a joint is seen for the first time."""
+    """Return the old population, initialised again where a restart is due or a joint is seen for the first time."""
     s = frame.settings
     joints = frame.positions.shape[1]
     seen = np.asarray(frame.weights > 0)
@@ -291,8 +319,10 @@ def _placed(
     radius: float,
     rng: np.random.Generator,
 ) -> tuple[Array, Array, NDArray[np.int32]]:
-    """Fresh candidates of the joints with renew (J,), in balls around base (K, J, 3): values (J, count, 3), log-weights
-    (each 1 / count), origins."""
+    """Draw new candidates of the joints marked by renew (J,), in balls around base (K, J, 3).
+
+    Returns: values (J, count, 3), log-weights -log(count), origins (the sensor of each).
+    """
     joints = base.shape[1]
     values, log_weights = np.zeros((joints, count, 3)), np.full((joints, count), -np.inf)
     origin = np.full((joints, count), -1, dtype=np.int32)
@@ -305,7 +335,7 @@ def _placed(
 
 
 def _singly(values: Array, log_weights: Array, origin: NDArray[np.int32], count: int) -> tuple[Array, Array, NDArray]:
-    """Merged candidates written out one by one again, so that each can take its own step."""
+    """Write merged candidates out one by one again, so that each can take its own step."""
     copies = np.rint(np.exp(log_weights) * count).astype(np.int64)
     width = int(copies.sum(1).max())
     index = np.zeros((len(values), width), dtype=np.intp)

@@ -1,6 +1,7 @@
-"""Gestures: still hand and arm poses found in depth pictures by forests of depth tests that learn while you watch.
+"""Gestures: still hand and arm poses found in depth pictures by forests of depth tests that learn while the person
+shows them. Source: Alcoverro 2014, chapter 3.
 
-Alcoverro 2014, chapter 3. Values and functions only; files, cameras' own formats and the screen are elsewhere. Unlike
-the rest of the product this room counts depth in whole millimetres (uint16, 0 = hole), the sensors' own unit, because
-the tests compare whole numbers; positions and areas that leave it are in metres.
+Files, formats of cameras and the screen are handled elsewhere. Depth is counted in whole millimetres here (uint16, 0 =
+hole), the unit of the sensors, because the tests compare whole numbers; positions and areas that are returned are in
+metres and cm^2.
 """

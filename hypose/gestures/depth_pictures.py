@@ -1,4 +1,4 @@
-"""Depth pictures as they come, turned into the input of forests; unusable ones are refused in one sentence."""
+"""Convert depth pictures into the input of forests, and refuse unusable ones with a clear message."""
 
 from __future__ import annotations
 
@@ -12,13 +12,18 @@ from hypose.compute.forests import DepthImage
 from hypose.errors import InputError
 
 _SMALLEST, _LARGEST = 32, 4096
-"""Sides of a picture, px."""
+"""Least and largest side of a picture, px."""
 _NEAR_METRES = 20.0
 
 
 @dataclass(frozen=True)
 class DepthLens:
-    """Pinhole of a depth camera: fx, fy, cx, cy px. One focal length (fx) scales the tests."""
+    """Pinhole model of a depth camera.
+
+    fx, fy: focal lengths, px; fx scales the tests.
+    cx, cy: principal point, px.
+    Raises: InputError where a value is implausible.
+    """
 
     fx: float
     fy: float
@@ -33,23 +38,25 @@ class DepthLens:
             )
 
     def point(self, x: float, y: float, depth_m: float) -> NDArray[np.float64]:
-        """Return the point (3,) m in the camera's frame (x right, y down, z forward) seen at pixel (x, y)."""
+        """Compute the point (3,) m in the camera's frame (x right, y down, z forward) at pixel (x, y) and depth_m."""
         return np.array([(x - self.cx) / self.fx * depth_m, (y - self.cy) / self.fy * depth_m, depth_m])
 
     def scaled(self, factor: float) -> DepthLens:
-        """Return the lens of the picture made `factor` times as large; pixel centres at whole numbers."""
+        """Return the lens of the picture resized by `factor`; the centres of pixels are at whole numbers."""
         cx, cy = (self.cx + 0.5) * factor - 0.5, (self.cy + 0.5) * factor - 0.5
         return DepthLens(self.fx * factor, self.fy * factor, cx, cy)
 
 
 KINECT = DepthLens(575.8, 575.8, 319.5, 239.5)
-"""The first Kinect's depth camera at 640 x 480, nominal."""
+"""Nominal lens of the first Kinect's depth camera at 640 x 480."""
 
 
 def millimetres(depth: ArrayLike, where: str = "The depth picture") -> DepthImage:
-    """Return a depth picture (h, w) as uint16 mm, 0 = hole: whole numbers are millimetres, floats are metres.
+    """Convert a depth picture (h, w) to uint16 millimetres, 0 = hole.
 
-    Raises InputError when it is no picture, or when whole numbers can only be metres.
+    depth: whole numbers in millimetres, or floats in metres.
+    where: name of the picture in messages.
+    Raises: InputError where it is not a picture, or its values cannot be in that unit.
     """
     d = np.asarray(depth)
     if d.ndim != 2 or not all(_SMALLEST <= n <= _LARGEST for n in d.shape):
@@ -82,7 +89,14 @@ def millimetres(depth: ArrayLike, where: str = "The depth picture") -> DepthImag
 
 
 def surface_depth(depth: DepthImage, x: float, y: float, radius: int = 6, near_mm: int = 400) -> float | None:
-    """Depth (mm) of the nearer surface around a pixel: the 30th percentile of the window; None if it has < 5 values."""
+    """Compute the depth of the nearer surface around a pixel: the 30th percentile of a window.
+
+    depth: (h, w) picture, mm.
+    x, y: pixel.
+    radius: half side of the window, px.
+    near_mm: smaller values do not count.
+    Returns: mm; None where the window has fewer than 5 values.
+    """
     i, j = round(y), round(x)
     window = depth[max(0, i - radius) : max(0, i + radius + 1), max(0, j - radius) : max(0, j + radius + 1)]
     values = window[window >= near_mm]
@@ -90,7 +104,12 @@ def surface_depth(depth: DepthImage, x: float, y: float, radius: int = 6, near_m
 
 
 def check_settings(what: str, settings: object, bounds: Mapping[str, tuple[float, float]]) -> None:
-    """Raise InputError when an attribute of the settings is outside its bounds (inclusive) or no number."""
+    """Raise InputError where a setting is outside its bounds (inclusive) or is NaN.
+
+    what: start of the message, such as "A forest's".
+    settings: object with the settings as attributes.
+    bounds: least and largest value by name of the attribute.
+    """
     for name, (low, high) in bounds.items():
         value = getattr(settings, name)
         if not low <= value <= high:  # NaN is not within either

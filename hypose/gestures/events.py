@@ -1,4 +1,6 @@
-"""From scores to events: a gesture starts once, when it has been held, and ends once, when it has been let go."""
+"""Turn the scores of gestures into events: a gesture starts once after it was held, and ends once after it was
+released. Average precision of detections is computed here too.
+"""
 
 from __future__ import annotations
 
@@ -16,12 +18,14 @@ from hypose.gestures.localise import Localisation
 
 @dataclass(frozen=True)
 class EventSettings:
-    """Event settings.
+    """Settings of the events of one gesture.
 
-    threshold: score (cm^2) from which a gesture counts.
-    release: share of it below which it is let go (hysteresis).
-    hold_s: how long it must be held to start, let_go_s: to end.
-    refractory_s: rest after the end in which the same gesture does not start.
+    threshold: score (cm^2) from which the gesture counts as shown.
+    release: share of the threshold below which it counts as released (hysteresis).
+    hold_s: s for which it must be shown to start.
+    let_go_s: s for which it must be released to end.
+    refractory_s: s after the end in which the same gesture does not start.
+    Raises: InputError where a value is outside its range.
     """
 
     threshold: float
@@ -43,7 +47,15 @@ class EventSettings:
 
 @dataclass(frozen=True)
 class Event:
-    """A gesture (number) started or ended at a time (s) at pixel (x, y), position (3,) m in the camera's frame."""
+    """Start or end of a gesture.
+
+    kind: "start" or "end".
+    gesture: number of the gesture, from 1.
+    time: s.
+    x, y: pixel.
+    position: (3,) m in the camera's frame; None where no depth was measured.
+    score: cm^2.
+    """
 
     kind: Literal["start", "end"]
     gesture: int
@@ -63,19 +75,26 @@ class _Watch:
 
 @dataclass(frozen=True)
 class EventState:
-    """Progress of every gesture."""
+    """Progress of every gesture between two frames."""
 
     watches: Mapping[int, _Watch] = field(default_factory=dict)
 
     def active(self) -> list[int]:
-        """Gestures that have started and not ended."""
+        """Return the numbers of the gestures that have started and not ended."""
         return [g for g, w in self.watches.items() if w.on]
 
 
 def detect_events(
     state: EventState, found: Sequence[Localisation], time: float, settings: Sequence[EventSettings]
 ) -> tuple[EventState, list[Event]]:
-    """Return the next state and what happened in the frame of this time (s); settings in the order of the gestures."""
+    """Find the gestures that start or end in one frame.
+
+    state: progress of the gestures before the frame.
+    found: the best place of every gesture in the frame.
+    time: s of the frame.
+    settings: of each gesture, in the order of their numbers.
+    Returns: the new progress, and the events of the frame.
+    """
     watches, events = dict(state.watches), []
     for f in found:
         s = settings[f.gesture - 1]
@@ -99,12 +118,17 @@ def detect_events(
 
 
 RADIUS_M = 0.05
-"""Of a correct localization that does not depend on the distance, in the picture plane at the gesture's depth."""
+"""m, largest distance of a correct localisation from the true point, in the picture plane at the gesture's depth."""
 
 
 def precision_recall(scores: Array, correct: NDArray[np.bool_], positives: int) -> tuple[Array, Array]:
-    """Precision and recall after each detection, best score first; equal scores put the wrong ones first; a score of 0
-    is no detection."""
+    """Compute precision and recall after each detection, best score first.
+
+    scores: (N,); a score of 0 is no detection.
+    correct: (N,) whether each detection is correct; among equal scores the wrong ones come first.
+    positives: number of true gestures.
+    Returns: precision and recall, one value per detection.
+    """
     order = np.lexsort((correct, -scores))
     order = order[scores[order] > 0]
     hits = np.cumsum(correct[order])
@@ -112,6 +136,9 @@ def precision_recall(scores: Array, correct: NDArray[np.bool_], positives: int) 
 
 
 def average_precision(scores: Array, correct: NDArray[np.bool_], positives: int) -> float:
-    """Return mean precision at each correct detection, missed ones counting 0."""
+    """Compute the average precision: the mean precision at each correct detection, where missed gestures count 0.
+
+    scores, correct, positives: as in `precision_recall`.
+    """
     precision, recall = precision_recall(scores, correct, positives)
     return float((precision * np.diff(recall, prepend=0.0)).sum())

@@ -1,6 +1,7 @@
-"""Forests of depth tests: one that is finished, and one that grows with every sample.
+"""Random forests of depth tests: a finished one (`Forest`), and one that grows with every sample (`GrowingForest`).
 
-A forest tells the background (class 0) from one or several gestures at a pixel. Alcoverro 2014, 3.2-3.3.
+A forest separates the background (class 0) from one or several gestures at a pixel. Source: Alcoverro 2014, sections
+3.2 and 3.3.
 """
 
 from __future__ import annotations
@@ -18,24 +19,24 @@ from hypose.errors import InputError
 from hypose.gestures.depth_pictures import check_settings
 
 MAX_CLASSES = 17
-"""The background and 16 gestures."""
+"""Largest number of classes: the background and 16 gestures."""
 
 
 @dataclass(frozen=True)
 class ForestSettings:
-    """How a forest grows.
+    """Settings of the growth of a forest. Raises InputError where one is outside its range.
 
-    trees.
-    deepest: levels below the root.
-    clip_mm: the distance kappa at which both depths of a test are clipped around the pixel's own (eq. 3.6), None = not
-        at all (eq. 3.3).
-    reach_mm: half side of the square that offsets are drawn from (150 mm = 85 px at 2 m with the first Kinect).
-    candidates: random tests per leaf.
-    alpha: samples before a split, beta: least information gain (bits), rate: mean of the Poisson number of repeats
-        (Algorithm 6).
-    most_slots: leaves per tree that can hold candidates at a time, most_nodes: of one tree.
-
-    The last two bound the memory.
+    trees: number of trees.
+    deepest: number of levels below the root.
+    clip_mm: distance kappa at which both depths of a test are clipped around the pixel's own (eq. 3.6); None: no
+        clipping (eq. 3.3).
+    reach_mm: half side of the square from which offsets are drawn (150 mm = 85 px at 2 m with the first Kinect).
+    candidates: number of random tests per leaf.
+    alpha: number of samples before a split (Algorithm 6).
+    beta: least information gain of a split, bits (Algorithm 6).
+    rate: mean of the Poisson number of repeats of a sample (Algorithm 6).
+    most_slots: number of leaves per tree that can hold candidates at a time; bounds the memory.
+    most_nodes: number of nodes per tree; bounds the memory.
     """
 
     trees: int = 15
@@ -67,18 +68,25 @@ class ForestSettings:
 
     @property
     def clip(self) -> int:
-        """clip_mm as a number."""
+        """clip_mm as a number; None becomes a value that never clips."""
         return forests.UNCLIPPED_MM if self.clip_mm is None else self.clip_mm
 
     @property
     def spread_mm(self) -> int:
-        """Range of the thresholds drawn while growing, before anything was read at that leaf."""
+        """Range of the thresholds that are drawn at a leaf which has no sample yet, mm."""
         return 1000 if self.clip_mm is None else min(self.clip_mm, 300)
 
 
 @dataclass(frozen=True)
 class Forest:
-    """A forest to look with: test (nt, N, 5) i2, left (nt, N) i2, seen (nt, N, C) u4, size (nt,) i4."""
+    """Finished forest of nt trees with at most N nodes, for C classes.
+
+    settings: with which it was grown.
+    test: (nt, N, 5) int16, test of each node: two offsets and a threshold, mm.
+    left: (nt, N) int16, number of the left child; -1 at a leaf.
+    seen: (nt, N, C) uint32, number of samples per class at each node.
+    size: (nt,) int32, number of nodes of each tree.
+    """
 
     settings: ForestSettings
     test: NDArray[np.int16]
@@ -88,25 +96,33 @@ class Forest:
 
     @property
     def classes(self) -> int:
-        """Classes, the background included."""
+        """Number of classes, the background included."""
         return self.seen.shape[2]
 
     @cached_property
     def packed(self) -> Packed:
-        """Return the layout that scanning reads."""
+        """Memory layout of the forest for scanning pictures."""
         return forest_votes.pack(self.test, self.left, self.seen, self.size)
 
     def probabilities(self, picture: PaddedDepth, rows: NDArray, columns: NDArray) -> NDArray[np.float64]:
-        """Return (S, C) mean class shares (eq. 3.1) at pixels; meaningless where there is no depth."""
+        """Compute the class probabilities at pixels: the mean shares over the trees (eq. 3.1).
+
+        picture: padded depth picture.
+        rows, columns: (S,) pixels; without depth there the result is meaningless.
+        Returns: (S, C).
+        """
         reached = forest_votes.leaves(picture, picture.cells(rows, columns), self.packed, self.settings.clip)
         shares = self.packed.shares[np.arange(len(self.left))[None], reached]
         return shares.mean(1) / 10000.0
 
 
 def new_arrays(settings: ForestSettings, classes: int, rng: np.random.Generator) -> GrowingArrays:
-    """Return a forest of bare roots; each tree gets its own random numbers from rng."""
+    """Make the arrays of a growing forest that has only roots; each tree gets its own random numbers from rng.
+
+    Raises: InputError where the number of classes is not 2 to MAX_CLASSES.
+    """
     if not 2 <= classes <= MAX_CLASSES:
-        raise InputError(f"A forest tells {classes} classes; it must be 2 to {MAX_CLASSES}, the background included.")
+        raise InputError(f"A forest has {classes} classes; it must have 2 to {MAX_CLASSES}, the background included.")
     nt, n, s, t = settings.trees, min(64, settings.most_nodes), min(8, settings.most_slots), settings.candidates
     return GrowingArrays(
         np.zeros((nt, n, 5), np.int16),
@@ -126,11 +142,11 @@ def new_arrays(settings: ForestSettings, classes: int, rng: np.random.Generator)
 
 
 class GrowingForest:
-    """A forest that learns one sample after the other (Algorithm 6, Saffari 2009).
+    """Forest that learns one sample after the other (Alcoverro 2014, Algorithm 6; Saffari 2009).
 
-    It owns its arrays and changes them in place: copying them per frame would cost more than learning. Memory grows
-    with the trees up to the bounds in the settings. The same samples in the same calls give the same forest, also
-    across saving and loading, since each tree's random numbers are part of the arrays.
+    It owns its arrays and changes them in place, because copying them per frame would cost more than learning. Memory
+    grows with the trees up to the bounds of the settings. The same samples in the same calls give the same forest, also
+    across saving and loading, because the random numbers of each tree are part of the arrays.
     """
 
     def __init__(self, settings: ForestSettings, arrays: GrowingArrays) -> None:
@@ -138,21 +154,27 @@ class GrowingForest:
 
     @staticmethod
     def new(settings: ForestSettings, classes: int, rng: np.random.Generator) -> GrowingForest:
-        """Return a forest that has seen nothing."""
+        """Make a forest that has learned nothing."""
         return GrowingForest(settings, new_arrays(settings, classes, rng))
 
     @property
     def classes(self) -> int:
-        """Classes, the background included."""
+        """Number of classes, the background included."""
         return self.arrays.seen.shape[2]
 
     @property
     def size(self) -> NDArray[np.int32]:
-        """Nodes of every tree."""
+        """Number of nodes of every tree."""
         return self.arrays.size
 
     def learn(self, picture: PaddedDepth, rows: NDArray, columns: NDArray, labels: NDArray) -> None:
-        """Update with the pixels (S,) of a picture and their classes (S,), in this order."""
+        """Learn pixels of a picture, in their order.
+
+        picture: padded depth picture.
+        rows, columns: (S,) pixels.
+        labels: (S,) class of each pixel.
+        Raises: InputError where the picture was padded for another reach.
+        """
         if not len(rows):
             return
         if picture.reach_mm != self.settings.reach_mm:
@@ -178,13 +200,13 @@ class GrowingForest:
             )
 
     def freeze(self) -> Forest:
-        """Return the forest as it is now; later growth does not change it."""
+        """Copy the forest as it is now; later growth does not change the copy."""
         a, n = self.arrays, int(self.arrays.size.max())
         return Forest(self.settings, a.test[:, :n].copy(), a.left[:, :n].copy(), a.seen[:, :n].copy(), a.size.copy())
 
     @property
     def packed(self) -> Packed:
-        """Return the layout for scanning, now."""
+        """Memory layout of the forest as it is now, for scanning pictures."""
         a = self.arrays
         return forest_votes.pack(a.test, a.left, a.seen, a.size)
 
@@ -205,7 +227,7 @@ class GrowingForest:
             n = min(max(have + 32, have * 5 // 4), s.most_slots)
             free = _longer(a.free, n, 0)
             n_free = a.n_free + np.int32(n - have)
-            for t in range(len(free)):  # new slots below the old ones: which slot a leaf gets does not matter
+            for t in range(len(free)):  # new slots come before the old ones: which slot a leaf gets does not matter
                 old = a.free[t, : a.n_free[t]]
                 free[t, : n_free[t]] = np.concatenate([np.arange(have, n, dtype=np.int16), old])
             a = a._replace(

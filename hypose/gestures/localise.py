@@ -1,8 +1,9 @@
-"""Where a gesture is: votes, their density, its memory of the last frames, and the volume around the maximum.
+"""Find where a gesture is in a depth picture: votes of the pixels, their density, its memory of the last frames, and
+the volume around the maximum.
 
-Alcoverro 2014, 3.2.4. Deviations, both so that the same gesture scores the same at every distance: a vote weighs the
-surface it stands for (z^2), and the density has unit sum, so that the volume V of eq. 3.5 is an area: the cm^2 of
-surface that vote for the gesture within the disc.
+Source: Alcoverro 2014, section 3.2.4. Deviations, both so that the same gesture scores the same at every distance: a
+    vote is weighted by the surface that its pixel covers (z^2), and the density has unit sum, so that the volume V of
+    eq. 3.5 is an area: the cm^2 of surface within the disc that vote for the gesture.
 """
 
 from __future__ import annotations
@@ -23,16 +24,16 @@ from hypose.gestures.forest import Forest, GrowingForest
 
 @dataclass(frozen=True)
 class LocaliseSettings:
-    """Localise settings.
+    """Settings of the localisation. Raises InputError where one is outside its range.
 
-    plan: where to look.
-    majority: share that a pixel needs to vote.
-    sigma_px: Parzen kernel.
+    plan: pixels that are scanned.
+    majority: share of a class that a pixel needs to vote for it.
+    sigma_px: standard deviation of the Parzen kernel, px.
     adaptation_rate: share of the new frame in the density, alpha of eq. 3.4 (1 = no memory).
-    disc_mm: radius of the volume test's disc.
+    disc_mm: radius of the disc over which the volume is summed, mm.
 
-    The plan's stride and sigma_px are meant for a focal length of 575.8 px (the first Kinect at 640 x 480) and are
-    scaled with the lens, so that a picture of half the size gives the same answer.
+    The plan's stride and sigma_px apply to a focal length of 575.8 px (the first Kinect at 640 x 480) and are scaled
+    with the lens, so that a picture of half the size gives the same result.
     """
 
     plan: ScanPlan = ScanPlan()
@@ -61,7 +62,7 @@ class LocaliseSettings:
         )
 
     def at(self, lens: DepthLens) -> LocaliseSettings:
-        """Return the settings in the pixels of a lens."""
+        """Return the settings scaled to the focal length of a lens."""
         factor = lens.fx / KINECT.fx
         plan = replace(self.plan, stride=max(1, round(self.plan.stride * factor)))
         return replace(self, plan=plan, sigma_px=self.sigma_px * factor)
@@ -69,11 +70,12 @@ class LocaliseSettings:
 
 @dataclass(frozen=True)
 class Localisation:
-    """The best place for one gesture in one picture.
+    """Best place of one gesture in one picture.
 
-    gesture (number from 1 on); pixel x, y.
-    position (3,) m in the camera's frame, or None where no depth was measured.
-    score = V (eq. 3.5) in cm^2, 0 when nothing voted.
+    gesture: number of the gesture, from 1.
+    x, y: pixel.
+    score: V of eq. 3.5, cm^2; 0 where no pixel voted.
+    position: (3,) m in the camera's frame; None where no depth was measured.
     """
 
     gesture: int
@@ -85,7 +87,11 @@ class Localisation:
 
 @dataclass
 class Scratch:
-    """What a detector keeps between frames: the padded picture's memory and one density per gesture."""
+    """Memory that a detector keeps between frames.
+
+    picture: padded picture whose memory is reused.
+    densities: last density per gesture (eq. 3.4).
+    """
 
     picture: PaddedDepth | None = None
     densities: dict[int, NDArray[np.float32]] | None = None
@@ -94,12 +100,21 @@ class Scratch:
 def pad(
     depth: DepthImage, lens: DepthLens, reach_mm: int, near_mm: int, reuse: PaddedDepth | None = None
 ) -> PaddedDepth:
-    """Return the picture as forests read it. A lens of another focal length may have a picture of any size."""
+    """Pad a depth picture so that forests can read it.
+
+    depth: (h, w) picture, mm.
+    lens: a lens of any focal length; the picture may have any size.
+    reach_mm: reach of the forest's tests.
+    near_mm: smaller depths count as holes.
+    reuse: padded picture whose memory may be reused.
+    """
     return forests.pad_depth(depth, lens.fx, near_mm, reach_mm, reuse)
 
 
 Density = tuple[NDArray[np.float32], int]
-"""A map of voting surface (rows, columns) on the scanning grid, m^2 per cell, and the index of its largest value."""
+"""Density of the votes on the scanning grid (rows, columns), m^2 of surface per cell, and the flat index of its
+maximum.
+"""
 
 
 def localise(
@@ -109,11 +124,15 @@ def localise(
     settings: LocaliseSettings | None = None,
     scratch: Scratch | None = None,
 ) -> list[Localisation]:
-    """Return the best place of every gesture in a depth picture (h, w) uint16 mm, in the order of the gestures.
+    """Find the best place of every gesture in a depth picture.
 
-    forest_list: one two-class forest per gesture (one against all; they share the padded picture), or a single forest
-        of several gestures.
-    scratch: keep it between the frames of one stream; it holds the density's memory (eq. 3.4).
+    depth: (h, w) uint16 mm, 0 = hole.
+    lens: of the depth camera.
+    forest_list: one two-class forest per gesture, or a single forest of several gestures.
+    settings: of the localisation.
+    scratch: memory of one stream, to pass in every frame; it holds the density of the last frames (eq. 3.4).
+    Returns: one place per gesture, in the order of the gestures.
+    Raises: InputError where the forests do not fit each other.
     """
     s, kept = settings or LocaliseSettings(), scratch or Scratch()
     return settle(densities(depth, lens, forest_list, s, kept), depth, lens, s, kept)
@@ -126,10 +145,14 @@ def densities(
     settings: LocaliseSettings,
     scratch: Scratch,
 ) -> list[Density]:
-    """Return the density of every gesture's votes in this picture alone: the first half of `localise`."""
+    """Compute the density of every gesture's votes in one picture alone; `settle` then finds the places.
+
+    depth, lens, forest_list, scratch: as in `localise`.
+    Raises: InputError where the forests do not fit each other.
+    """
     s = settings.at(lens)
     if not forest_list:
-        raise InputError("There is no forest to look with; train a gesture first.")
+        raise InputError("There is no forest to search with; train a gesture first.")
     reach = forest_list[0].settings.reach_mm
     if any(f.settings.reach_mm != reach for f in forest_list):
         raise InputError("The forests have different reaches; train them with the same reach_mm.")
@@ -137,7 +160,7 @@ def densities(
         raise InputError("A forest of several gestures is used alone; give one forest per gesture, or that one.")
     if len(forest_list) > forest_votes.MOST_FORESTS:
         raise InputError(
-            f"{len(forest_list)} forests are too many to look with; give at most {forest_votes.MOST_FORESTS}."
+            f"{len(forest_list)} forests are too many for one search; give at most {forest_votes.MOST_FORESTS}."
         )
     picture = scratch.picture = pad(depth, lens, reach, s.plan.near_mm, scratch.picture)
     if len(forest_list) > 1 or forest_list[0].classes == 2:
@@ -145,7 +168,7 @@ def densities(
         maps = forest_votes.scan(picture, [f.packed for f in forest_list], clips, s.plan)
         majority = s.majority
     else:
-        forest, majority = forest_list[0], 0.0  # the scan has already asked which class wins
+        forest, majority = forest_list[0], 0.0  # the scan has already chosen the winning class
         maps = forest_votes.scan_classes(picture, forest.packed, forest.settings.clip, s.plan)
     return [forest_votes.parzen(picture, m, s.plan.stride, majority, s.sigma_px) for m in maps]
 
@@ -153,10 +176,12 @@ def densities(
 def settle(
     maps: Sequence[Density], depth: DepthImage, lens: DepthLens, settings: LocaliseSettings, scratch: Scratch
 ) -> list[Localisation]:
-    """Return the best place of every gesture, from the densities of this picture and the memory of the last ones (eq.
-    3.4).
+    """Find the best place of every gesture from the densities of one picture and the memory of the last ones (eq. 3.4).
 
-    Deviation: alpha is 1, no memory, unless it is set; `hypose gesture` sets the printed 0.8.
+    maps: density of each gesture, of `densities`.
+    depth, lens, scratch: as in `localise`.
+    Returns: one place per gesture.
+    Deviation: alpha is 1 (no memory) unless it is set; `hypose gesture` sets the printed 0.8.
     """
     s, out = settings.at(lens), []
     for gesture, (density, at) in enumerate(maps, 1):
@@ -176,9 +201,14 @@ def settle(
 def peak(
     gesture: int, density: NDArray[np.float32], at: int, depth: DepthImage, lens: DepthLens, s: LocaliseSettings
 ) -> Localisation:
-    """Return the maximum of a density with its volume (eq. 3.5) and position; sub-cell by a parabola per axis.
+    """Find the maximum of a density, its volume (eq. 3.5) and its position.
 
-    Deviation: V is an area, the cm^2 of surface that vote within the disc, so that it does not depend on distance.
+    gesture: number of the gesture, from 1.
+    density: votes on the scanning grid, m^2 per cell.
+    at: flat index of the maximum; it is refined below one cell by a parabola per axis.
+    depth, lens: the picture, in mm, and its lens.
+    s: settings, scaled to the lens.
+    Deviation: V is an area, the cm^2 of surface within the disc that vote, so that it does not depend on the distance.
     """
     i, j = divmod(at, density.shape[1])
     stride = s.plan.stride
@@ -186,7 +216,7 @@ def peak(
         return Localisation(gesture, float(j * stride + stride // 2), float(i * stride + stride // 2), 0.0, None)
     y, x = (i + _vertex(density[:, j], i)) * stride + stride // 2, (j + _vertex(density[i], j)) * stride + stride // 2
     z = surface_depth(depth, x, y)
-    # with memory the maximum may lie where the hand was; the disc then takes the middle of the room
+    # with memory the maximum may lie where the hand was, without depth now: the disc is then that at 2 m
     radius = s.disc_mm * lens.fx / (z if z is not None else 2000.0) / stride
     r = int(np.ceil(radius))
     a, b = slice(max(0, i - r), i + r + 1), slice(max(0, j - r), j + r + 1)

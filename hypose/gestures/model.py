@@ -1,4 +1,4 @@
-"""A trained gesture as arrays and plain values: what a model file holds, checked when it comes back."""
+"""Trained gestures as arrays and plain values: the content of a model file, and its check on loading."""
 
 from __future__ import annotations
 
@@ -25,24 +25,28 @@ _KINDS = {
 
 
 def check_gesture_name(name: str) -> None:
-    """Raise InputError for text that is no name: names go into files and, as words, to commands, which must not take
-    one for an option of theirs."""
+    """Raise InputError where a text is not a valid name of a gesture.
+
+    Why: names become parts of file names and arguments of commands, which must not mistake one for an option.
+    """
     if not 1 <= len(name) <= 64 or not all(c.isalnum() or c in "_-" for c in name) or name.startswith("-"):
         raise InputError(
-            f"{name[:80]!r} is no name for a gesture; use up to 64 letters, digits, - and _, and no - in front."
+            f"{name[:80]!r} is not a valid name of a gesture; use up to 64 letters, digits, - and _, and no - at the "
+            "start."
         )
 
 
 @dataclass(frozen=True)
 class GestureModel:
-    """Gesture model.
+    """Trained model of one or several gestures.
 
     names: of gesture 1, 2, ...
     forest: finished or still growing.
-    thresholds: per gesture (cm^2), None = not known yet.
-    settings: how it looks.
-    learner: what teaching needs to go on (None for a finished forest).
-    history: what it was trained on, plain values.
+    thresholds: score per gesture (cm^2), None = not known yet.
+    settings: of the localisation.
+    learner: state needed to continue the training (None for a finished forest).
+    history: sessions that it was trained on, plain values.
+    Raises: InputError where the numbers of names, thresholds and classes disagree, or a name is not valid.
     """
 
     names: tuple[str, ...]
@@ -62,12 +66,12 @@ class GestureModel:
             check_gesture_name(name)
 
     def learned(self, content: str) -> bool:
-        """Has it learned from the session with this content?"""
+        """Return whether the model has learned from the session with this content (a hash)."""
         return bool(content) and any(entry.get("content") == content for entry in self.history)
 
 
 def to_arrays(model: GestureModel) -> dict[str, NDArray]:
-    """Arrays for an .npz: the forest's, and "description", one JSON text."""
+    """Convert a model to arrays for an .npz file: those of the forest, and "description", a JSON text."""
     f = model.forest
     growing = isinstance(f, GrowingForest)
     if growing:
@@ -99,7 +103,10 @@ def to_arrays(model: GestureModel) -> dict[str, NDArray]:
 
 
 def from_arrays(arrays: Mapping[str, NDArray]) -> GestureModel:
-    """Return the model of `to_arrays`; ValueError with a short reason when it is none or cannot be walked safely."""
+    """Make a model from the arrays of `to_arrays`.
+
+    Raises: ValueError with a short reason where the arrays are not a model, or following them would leave an array.
+    """
     value = _description(arrays)
     settings = _made(ForestSettings, value.get("forest"))
     growing = value.get("growing") is True
@@ -132,9 +139,9 @@ def _description(arrays: Mapping[str, NDArray]) -> dict[str, Any]:
     try:
         value = json.loads(str(text))
     except (ValueError, RecursionError):
-        raise ValueError("its description is no JSON") from None
+        raise ValueError("its description is not JSON") from None
     if not isinstance(value, dict) or value.get("format") != _FORMAT:
-        raise ValueError("it is no gesture model")
+        raise ValueError("it is not a gesture model")
     if value.get("version") != VERSION:
         raise ValueError(f"it is of version {value.get('version')}, this hypose reads version {VERSION}")
     return value
@@ -143,7 +150,7 @@ def _description(arrays: Mapping[str, NDArray]) -> dict[str, Any]:
 def _made(kind: type, value: Any) -> Any:
     known = {f.name for f in fields(kind)}
     if not isinstance(value, dict) or not set(value) <= known:
-        raise ValueError(f"its {kind.__name__} is not understood")
+        raise ValueError(f"its {kind.__name__} is not valid")
     for v in value.values():
         if v is not None and not isinstance(v, bool | int | float):
             raise ValueError(f"its {kind.__name__} holds {v!r}")
@@ -157,12 +164,12 @@ def _array(arrays: Mapping[str, NDArray], name: str) -> NDArray:
     dtype, dimensions = _KINDS[name]
     a = arrays.get(name)
     if a is None or a.dtype != np.dtype(dtype) or a.ndim != dimensions:
-        raise ValueError(f"its {name} is missing or of another kind")
+        raise ValueError(f"its {name} is missing or of another type")
     return np.require(a, np.dtype(dtype).newbyteorder("="), ["C", "W", "A"])
 
 
 def _check_trees(a: Mapping[str, NDArray], s: ForestSettings) -> None:
-    """Nothing that the compiled code follows may lead outside an array or run in a circle."""
+    """Raise ValueError where compiled code that follows the trees would leave an array or run in a circle."""
     test, left, seen, size = a["test"], a["left"], a["seen"], a["size"]
     nt, n = left.shape
     if nt != s.trees or n < 1 or test.shape != (nt, n, 5) or seen.shape[:2] != (nt, n) or size.shape != (nt,):
@@ -176,7 +183,7 @@ def _check_trees(a: Mapping[str, NDArray], s: ForestSettings) -> None:
     if (inner & (number >= size[:, None])).any() or (left < -1).any():
         raise ValueError("a node lies outside its tree")
     if (inner & ((left <= number) | (left + 1 >= size[:, None]))).any():
-        raise ValueError("a node's children do not lie behind it in its tree")
+        raise ValueError("a node's children do not come after it in its tree")
     if np.abs(test[..., :4].astype(np.int32)).max(initial=0) > s.reach_mm:
         raise ValueError("a test reaches farther than reach_mm")
 
@@ -204,20 +211,20 @@ def _check_growing(a: Mapping[str, NDArray], s: ForestSettings) -> None:
         used = a["slot"][t, : a["size"][t]]
         both = np.concatenate([free, used[used >= 0]])
         if not 0 <= a["n_free"][t] <= slots or sorted(both.tolist()) != list(range(slots)):
-            raise ValueError("its slots are not all accounted for")
+            raise ValueError("its slots are inconsistent")
 
 
 def _learner(value: Any, forest: GrowingForest) -> Learner:
     if not isinstance(value, dict):
-        raise ValueError("it has no state of learning")
+        raise ValueError("it has no training state")
     settings, strength = _made(LearnSettings, value.get("settings")), value.get("strength")
     if not isinstance(strength, dict) or not all(
         k.isdigit() and isinstance(v, int | float) and np.isfinite(v) for k, v in strength.items()
     ):
-        raise ValueError("its strengths are not understood")
+        raise ValueError("its strengths are not valid")
     rng = np.random.default_rng()
     try:
         rng.bit_generator.state = value["random"]
     except (TypeError, ValueError, KeyError, OverflowError):
-        raise ValueError("its random numbers are not understood") from None
+        raise ValueError("its random numbers are not valid") from None
     return Learner(forest, rng, settings, {int(k): float(v) for k, v in strength.items()})

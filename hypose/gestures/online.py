@@ -1,7 +1,8 @@
-"""Learning while you watch: positives around the marked point, hard negatives where the forest is wrong just now.
+"""Train a forest while the person shows the gesture: positives around the marked point, and hard negatives where the
+forest is wrong at that moment.
 
-Alcoverro 2014, 3.3.1-3.3.2. Deviations, from measurements: a few random negatives go with the hard ones; the number of
-hard ones is proportional to the maximum relative to the maxima that gestures reach.
+Source: Alcoverro 2014, sections 3.3.1 and 3.3.2. Deviations, chosen by measurements: a few random negatives accompany
+    the hard ones; the number of hard ones is proportional to the maximum relative to the maxima that gestures reach.
 """
 
 from __future__ import annotations
@@ -20,19 +21,21 @@ from hypose.gestures.localise import Localisation, LocaliseSettings, Scratch, lo
 
 BACKGROUND = 0
 Pixels = tuple[NDArray[np.int64], NDArray[np.int64]]
-"""Rows (S,) and columns (S,)."""
+"""Rows (S,) and columns (S,) of pixels."""
 
 
 @dataclass(frozen=True)
 class LearnSettings:
-    """How many pixels of a frame are learned. positives within box_mm of the marked point and surface_mm of its depth.
+    """Settings of how many pixels of a frame are learned. Raises InputError where one is outside its range.
 
-    around: negatives between rim_mm and clear_mm of it, which teach where the gesture's place ends.
-    random: random negatives outside clear_mm.
-    hard: most hard negatives, within box_mm of the maximum.
-    few: random negatives that go with them.
-    many: random negatives without hard ones (the baseline).
-    look: how the forest is asked while it learns.
+    positives: number of positives, within box_mm of the marked point and surface_mm of its depth.
+    around: number of negatives between rim_mm and clear_mm of the marked point, which define where the gesture ends.
+    random: number of random negatives outside clear_mm.
+    hard: largest number of hard negatives, within box_mm of a wrong maximum.
+    few: number of random negatives that accompany the hard ones in a frame without gesture.
+    many: number of random negatives where no hard ones are learned (the baseline).
+    box_mm, rim_mm, surface_mm, clear_mm: distances, mm.
+    look: settings of the localisation while learning.
     """
 
     positives: int = 30
@@ -55,10 +58,12 @@ class LearnSettings:
 
 @dataclass(frozen=True)
 class Example:
-    """A frame to learn from.
+    """One frame to learn from.
 
-    depth (h, w) uint16 mm.
-    gesture from 1 on at pixel (x, y), or 0 for none.
+    depth: (h, w) uint16 mm, 0 = hole.
+    lens: of the depth camera.
+    gesture: number of the gesture that is shown, from 1; 0 for none.
+    x, y: pixel of the gesture.
     """
 
     depth: DepthImage
@@ -70,18 +75,22 @@ class Example:
 
 @dataclass
 class PixelSampler:
-    """Draws pixels of frames with its random numbers."""
+    """Sampler that draws pixels of frames with the generator `rng`, in numbers and distances of the settings."""
 
     rng: np.random.Generator
     settings: LearnSettings
 
     def inside(self, depth: DepthImage, x: float, y: float, scale: float, surface: float, n: int) -> Pixels:
-        """Pixels of the gesture's own surface around the marked point; scale: px per mm there."""
+        """Draw n pixels of the gesture's own surface around the marked point (x, y).
+
+        scale: px per mm at the point.
+        surface: depth of the point, mm.
+        """
         s = self.settings
         return self.ring(depth, x, y, (0.0, s.box_mm * scale), n, (surface - s.surface_mm, surface + s.surface_mm))
 
     def rim(self, depth: DepthImage, x: float, y: float, scale: float) -> Pixels:
-        """Pixels around the gesture's place."""
+        """Draw pixels around the gesture, between rim_mm and clear_mm of (x, y); scale: px per mm there."""
         s = self.settings
         return self.ring(depth, x, y, (s.rim_mm * scale, s.clear_mm * scale), s.around)
 
@@ -94,8 +103,12 @@ class PixelSampler:
         n: int,
         between: tuple[float, float] = (0.0, np.inf),
     ) -> Pixels:
-        """At most n pixels at a distance (px) of (x, y) within `radii`, evenly over the area, and at a depth (mm) that
-        is usable and within `between`."""
+        """Draw at most n pixels at a distance from (x, y), evenly over the area.
+
+        radii: least and largest distance, px.
+        between: least and largest depth, mm; pixels outside the range of the scan are left out too.
+        Returns: rows and columns.
+        """
         angle = self.rng.uniform(0, 2 * np.pi, 4 * n)
         r = np.sqrt(self.rng.uniform(radii[0] ** 2, radii[1] ** 2, 4 * n))
         columns = np.rint(x + r * np.cos(angle)).astype(np.int64)
@@ -107,7 +120,7 @@ class PixelSampler:
         return rows[ok][:n], columns[ok][:n]
 
     def anywhere(self, depth: DepthImage, n: int, clear: tuple[float, float, float] | None) -> Pixels:
-        """Return at most n usable pixels of the whole picture, but for a circle (x, y, radius px)."""
+        """Draw at most n usable pixels of the whole picture, outside a circle clear = (x, y, radius px)."""
         rows = self.rng.integers(0, depth.shape[0], 6 * n)
         columns = self.rng.integers(0, depth.shape[1], 6 * n)
         ok = self._usable(depth[rows, columns].astype(np.int64))
@@ -116,7 +129,7 @@ class PixelSampler:
         return rows[ok][:n], columns[ok][:n]
 
     def surface(self, depth: DepthImage, x: float, y: float) -> float | None:
-        """Return the depth (mm) of the marked surface, if it is where the forest looks."""
+        """Measure the depth (mm) of the surface at pixel (x, y); None where it is outside the range of the scan."""
         surface, plan = surface_depth(depth, x, y), self.settings.look.plan
         return surface if surface is not None and plan.near_mm <= surface <= plan.far_mm else None
 
@@ -127,8 +140,12 @@ class PixelSampler:
 
 @dataclass(frozen=True)
 class Taught:
-    """What a frame taught: pixels learned per class (C,); where hard negatives were taken, and each gesture's
-    maximum."""
+    """Pixels that were learned from one frame.
+
+    learned: number of pixels per class, (C,).
+    mined: places at which hard negatives were learned.
+    maxima: best place of each gesture before learning.
+    """
 
     learned: tuple[int, ...]
     mined: tuple[Localisation, ...]
@@ -137,9 +154,14 @@ class Taught:
 
 @dataclass
 class Learner:
-    """A forest that is being taught, with the random numbers that choose pixels, and how strong gestures are by now.
+    """Growing forest under training, with the random generator that chooses pixels.
 
-    strength: moving average of the maxima in frames that show each gesture (cm^2)."""
+    forest: the forest.
+    rng: the random generator.
+    settings: how many pixels are learned.
+    strength: per gesture, the moving average of the maxima in frames that show it (cm^2).
+    scratch: memory of the localisation.
+    """
 
     forest: GrowingForest
     rng: np.random.Generator
@@ -154,17 +176,23 @@ class Learner:
         settings: LearnSettings | None = None,
         gestures: int = 1,
     ) -> Learner:
-        """Return a learner that knows nothing yet."""
+        """Make a learner with an untrained forest for a number of gestures."""
         grown = GrowingForest.new(forest or ForestSettings(), gestures + 1, rng)
         return Learner(grown, rng, settings or LearnSettings())
 
     def show(
         self, depth: DepthImage, lens: DepthLens, gesture: int, x: float, y: float, *, mine: bool = True
     ) -> Taught | None:
-        """Learn a frame (h, w) uint16 mm in which a gesture (number from 1) is done at pixel (x, y).
+        """Learn a frame in which a gesture is shown.
 
-        None when no surface is measured at that pixel between the nearest and farthest range. mine: also learn hard
-        negatives elsewhere in the frame."""
+        depth: (h, w) uint16 mm, 0 = hole.
+        lens: of the depth camera.
+        gesture: number of the gesture, from 1.
+        x, y: pixel of the gesture.
+        mine: whether to learn hard negatives elsewhere in the frame too.
+        Returns: what was learned; None where no depth within the range of the scan is measured at that pixel.
+        Raises: InputError where there is no such gesture.
+        """
         if not 1 <= gesture < self.forest.classes:
             raise InputError(f"There is no gesture {gesture}; this forest has 1 to {self.forest.classes - 1}.")
         s = self.settings
@@ -190,11 +218,15 @@ class Learner:
         return Taught(tuple(counts), tuple(mined), maxima)
 
     def reject(self, depth: DepthImage, lens: DepthLens, *, mine: bool = True) -> Taught:
-        """Learn a frame in which no gesture is done: hard negatives at every maximum and a few random ones, or only
-        random ones (mine = False).
+        """Learn a frame in which no gesture is shown.
 
-        Deviation: a few random negatives go with the hard ones. Deviation: the number of hard ones is proportional to
-        the maximum relative to what gestures reach."""
+        depth: (h, w) uint16 mm, 0 = hole.
+        lens: of the depth camera.
+        mine: True: hard negatives at every maximum and a few random ones; False: random ones only.
+        Returns: what was learned.
+        Deviations: a few random negatives accompany the hard ones; the number of hard ones is proportional to the
+        maximum relative to the maxima that gestures reach.
+        """
         counts = [0] * self.forest.classes
         maxima = self._take(depth, lens, mine)
         mined = tuple(f for f in maxima if self._mine(depth, lens, f, counts))
@@ -207,7 +239,7 @@ class Learner:
         return PixelSampler(self.rng, self.settings)
 
     def _take(self, depth: DepthImage, lens: DepthLens, look: bool) -> tuple[Localisation, ...]:
-        """Pad the picture for learning, and look for the maxima if wanted."""
+        """Pad the picture for learning, and return the maxima where `look` is set."""
         s = self.settings.look
         if look:
             return tuple(localise(depth, lens, [self.forest], s, self.scratch))
@@ -224,7 +256,7 @@ class Learner:
         return self._learn(self._draw.ring(depth, found.x, found.y, (0.0, radius), number), BACKGROUND, counts) > 0
 
     def _learn(self, pixels: Pixels, label: int, counts: list[int]) -> int:
-        """Learn pixels of the padded picture as a class; their number."""
+        """Learn pixels of the padded picture as one class; return their number."""
         (rows, columns), picture = pixels, self.scratch.picture
         if len(rows) and picture is not None:
             self.forest.learn(picture, rows, columns, np.full(len(rows), label, np.int32))

@@ -1,8 +1,9 @@
-"""The training session as a pure state machine: instructions to the person, learned frames, the threshold.
+"""Training session as a pure state machine: instructions to the person, frames to learn, the threshold.
 
-Alcoverro 2014, 3.4, Fig. 3.10: do gesture, update positive, release, do negatives, repeated, then test. A step takes
-the time and the commands given since the last one and returns the next state and an instruction; drawing, learning and
-recording belong to the caller, so that a session can be replayed exactly.
+The phases are: do the gesture, hold it (positive), release, anything else (negative); they are repeated and followed by
+a test. `advance` takes the time and the commands since the last call, and returns the next state and an instruction.
+Drawing, learning and recording belong to the caller, so that a session can be replayed exactly.
+Source: Alcoverro 2014, section 3.4, Fig. 3.10.
 """
 
 from __future__ import annotations
@@ -33,11 +34,12 @@ _PROMPTS: dict[Phase, str] = {
 
 @dataclass(frozen=True)
 class SessionSettings:
-    """Seconds of every phase.
+    """Settings of a training session. Raises InputError where one is outside its range.
 
-    rounds until the test.
+    do_gesture_s, positive_s, release_s, negative_s: duration of each phase, s.
+    rounds: number of rounds before the test.
     sigma: share of the newest frame in the moving averages of the threshold.
-    rho: weight of the positive one (0.8: few false alarms).
+    rho: weight of the positive average in the threshold (0.8: few false alarms).
     """
 
     do_gesture_s: float = 3.0
@@ -56,20 +58,22 @@ class SessionSettings:
             raise InputError(f"sigma is {self.sigma} and rho {self.rho}; both must be between 0 and 1.")
 
     def seconds(self, phase: Phase) -> float:
-        """Return how long a phase lasts; the test does not end."""
+        """Return the duration of a phase in s; that of the test is infinite."""
         return float("inf") if phase == "test" else float(getattr(self, f"{phase}_s"))
 
 
 @dataclass(frozen=True)
 class Session:
-    """Session.
+    """State of a training session.
 
-    phase, entered at a time (s), in a round (from 0).
-    segment: number of the learning segment, counted up whenever one begins.
-    paused since.
-    undone: segments that were taken back.
-    high, low: the moving averages th+ and th- with which the threshold is made, and what they were when the segment
-        began (for undo).
+    phase: current phase.
+    entered: time at which it began, s.
+    round: number of the round, from 0.
+    segment: number of the current learning segment, counted up whenever one begins.
+    paused: time since which the session is paused, s; None: it is not paused.
+    undone: numbers of the segments that were undone.
+    high, low: moving averages th+ and th- from which the threshold is computed.
+    before: high and low when the segment began, for undo.
     """
 
     phase: Phase = "do_gesture"
@@ -83,7 +87,7 @@ class Session:
     before: tuple[float | None, float | None] = (None, None)
 
     def threshold(self, settings: SessionSettings) -> float | None:
-        """rho th+ + (1 - rho) th-; None before both have been seen."""
+        """Compute the threshold rho th+ + (1 - rho) th- (cm^2); None before both averages are known."""
         if self.high is None or self.low is None:
             return None
         return settings.rho * self.high + (1 - settings.rho) * self.low
@@ -91,11 +95,14 @@ class Session:
 
 @dataclass(frozen=True)
 class Instruction:
-    """What to do in this frame: show the prompt and the time left (s; inf in the test), learn the gesture in the box,
-    learn negatives, or nothing.
+    """What to do in one frame.
 
-    segment: which one the frame belongs to (0 = none).
-    restart: the forest must go back to where the last segment began.
+    phase: of the session.
+    prompt: text to show to the person.
+    left_s: time left in the phase, s; infinite in the test.
+    learn: "gesture": learn the gesture in the box; "negative": learn negatives; None: learn nothing.
+    segment: number of the learning segment to which the frame belongs (0 = none).
+    restart: whether the forest must return to its state at the start of the last segment.
     """
 
     phase: Phase
@@ -109,8 +116,16 @@ class Instruction:
 def advance(
     session: Session, settings: SessionSettings, time: float, commands: Sequence[Command] = ()
 ) -> tuple[Session, Instruction]:
-    """Return the session at a time (s), after commands: next phase now; undo the last learned segment; pause and
-    continue; again (another round); test."""
+    """Advance a session to a time, and carry out commands.
+
+    session: state after the last frame.
+    settings: of the session.
+    time: s.
+    commands: "next": go to the next phase; "undo": undo the last learning segment; "pause" and "continue"; "again":
+        start another round; "test": go to the test.
+    Returns: the new state and the instruction for this frame.
+    Raises: InputError for an unknown command.
+    """
     s, restart = session, False
     for c in commands:
         if c not in COMMANDS:
@@ -147,7 +162,7 @@ def advance(
 
 
 def update_maximum(session: Session, settings: SessionSettings, maximum: float) -> Session:
-    """Take the forest's maximum in a frame into the moving average of its phase (th+ or th-)."""
+    """Add the forest's maximum in a frame (cm^2) to the moving average of the current phase (th+ or th-)."""
     if session.paused is not None or session.phase not in ("positive", "negative"):
         return session
     name = "high" if session.phase == "positive" else "low"
@@ -157,7 +172,7 @@ def update_maximum(session: Session, settings: SessionSettings, maximum: float) 
 
 
 def _follow(s: Session, settings: SessionSettings, time: float) -> Session:
-    """Return the phase after this one; after the negatives another round, or the test when that was the last."""
+    """Enter the phase after this one; after the negatives another round, or the test after the last round."""
     if s.phase != "negative":
         return _enter(s, _AFTER[s.phase], time)
     if s.round + 1 >= settings.rounds:

@@ -1,6 +1,7 @@
-"""A session with a forest: every frame goes through the state machine, teaches, and moves the threshold.
+"""Run a training session with a forest: every frame goes through the state machine, is learned, and updates the
+threshold.
 
-What a screen or a command line drives; it draws and writes nothing itself.
+Screens and command lines call it; it draws and writes nothing itself.
 """
 
 from __future__ import annotations
@@ -22,8 +23,14 @@ from hypose.gestures.session import Command, Instruction, Session, SessionSettin
 
 @dataclass(frozen=True)
 class Feedback:
-    """What to show for a frame: the instruction; the box (x, y) px; what was learned (None: nothing); the forest's
-    maximum; the threshold so far (cm^2)."""
+    """What to show for one frame.
+
+    instruction: of the session.
+    box: (x, y) px, where the gesture is to be shown.
+    taught: what was learned; None: nothing.
+    found: best place of the gesture in the frame; None where it was not searched.
+    threshold: current threshold, cm^2; None before it is known.
+    """
 
     instruction: Instruction
     box: tuple[float, float]
@@ -33,12 +40,16 @@ class Feedback:
 
 
 def balanced(gestures: Sequence[float], others: Sequence[float]) -> float:
-    """Return a threshold (cm^2) 0.3 of the way, on a logarithmic scale, from what every tenth frame of other movement
-    reaches to what the gesture usually (median) scores.
+    """Compute a threshold between the scores of the gesture and those of other movement, 0.3 of the way on a
+    logarithmic scale.
 
-    What every tenth frame reaches is read off an exponential tail above the median of the others' scores: all frames
-    have a say in it, where the strongest one alone is chance. At least a tenth of the usual score, because movement
-    that never scored says nothing about movement to come.
+    gestures: scores in frames that show the gesture, cm^2; their median is the upper end.
+    others: scores in frames of other movement, cm^2; the level that every tenth frame exceeds is the lower end.
+    Returns: cm^2.
+
+    The lower end is read off an exponential tail above the median, so that all frames contribute to it; the strongest
+    frame alone would be chance. It is at least a tenth of the upper end, because movement that never scored gives no
+    information about later movement.
     """
     usual, middle = float(np.median(gestures)), float(np.median(others))
     above = [v - middle for v in others if v > middle]
@@ -46,9 +57,9 @@ def balanced(gestures: Sequence[float], others: Sequence[float]) -> float:
     return float(max(level, _LEAST_THRESHOLD * usual) ** (1 - _TOWARDS) * usual**_TOWARDS)
 
 
-_ONE_IN, _TOWARDS, _LEAST_THRESHOLD = 10, 0.3, 0.1  # chosen on people of whom no figure is reported
+_ONE_IN, _TOWARDS, _LEAST_THRESHOLD = 10, 0.3, 0.1  # chosen on people for whom no results are reported
 _KEPT = 16
-"""Frames that show the gesture that are kept to find the threshold in the end."""
+"""Number of frames with the gesture that are kept to compute the final threshold."""
 
 
 @dataclass(frozen=True)
@@ -63,21 +74,21 @@ class _Snapshot:
 
 
 class Trainer:
-    """Teaches one gesture; the forest before the last segment is kept, so that the segment can be taken back."""
+    """Trainer of one gesture. It keeps the forest before the last segment, so that the segment can be undone."""
 
     def __init__(self, learner: Learner, settings: SessionSettings | None = None) -> None:
         self.learner, self.settings = learner, settings or SessionSettings()
         self.session = Session()
         self._before: _Snapshot | None = None
         self._segment = 0
-        # frames that show the gesture; every one has the same chance of being kept; drawn apart from the learned pixels
+        # frames that show the gesture, each kept with the same probability; the generator is not that of the pixels
         self._keep, self._shown = np.random.default_rng(0), 0
         self._kept: list[tuple[DepthImage, DepthLens]] = []
         self._movement: list[float] = []  # what the forest scored in frames of other movement before it learned them
 
     @property
     def threshold(self) -> float | None:
-        """Return the automatic threshold (cm^2); None until gesture and movement have been seen."""
+        """Threshold from the moving averages (cm^2); None until both gesture and other movement were seen."""
         return self.session.threshold(self.settings)
 
     def frame(
@@ -90,8 +101,16 @@ class Trainer:
         *,
         learn: bool = True,
     ) -> Feedback:
-        """Take a frame (h, w) uint16 mm of a time (s); box: the pixel where the gesture is asked for; learn False: the
-        frame is kept from the forest (to judge it by, or because it was shown before)."""
+        """Process one frame of the session.
+
+        time: s.
+        depth: (h, w) uint16 mm, 0 = hole.
+        lens: of the depth camera.
+        box: (x, y) px, where the gesture is to be shown.
+        commands: of the person since the last frame.
+        learn: False: the forest does not learn the frame (to test the forest on it, or because it was learned before).
+        Returns: what to show.
+        """
         self.session, instruction = advance(self.session, self.settings, time, commands)
         if instruction.restart and self._before is not None:
             self._restore(self._before)
@@ -115,11 +134,19 @@ class Trainer:
         *,
         mine: bool = True,
     ) -> Taught | None:
-        """Learn a frame outside the state machine's order (from a recording): the forest, the moving averages and what
-        the threshold is found from change as in a live session. None when no usable surface is at the pixel `at`."""
+        """Learn a frame outside the order of the session, such as one of a recording.
+
+        kind: whether the frame shows the gesture or other movement.
+        depth: (h, w) uint16 mm, 0 = hole.
+        lens: of the depth camera.
+        at: (x, y) px of the gesture.
+        mine: whether to learn hard negatives.
+        Returns: what was learned; None where no usable depth is at the pixel. Forest, moving averages and the data of
+            the threshold change as in a live session.
+        """
         learner, shows = self.learner, kind == "gesture"
         look = learner.settings.look
-        # as hard negatives do, before it is learned
+        # the score is that before the frame is learned, as with hard negatives
         found = None if mine else localise(depth, lens, [learner.forest], look, learner.scratch)[0]
         taught = learner.show(depth, lens, 1, *at, mine=mine) if shows else learner.reject(depth, lens, mine=mine)
         if taught is not None:
@@ -133,11 +160,15 @@ class Trainer:
         return taught
 
     def final_threshold(self, look: LocaliseSettings | None = None) -> float | None:
-        """The threshold (cm^2) of the forest as it is now (`balanced`): the gesture's scores in the kept frames, and
-        those of movement before it was learned, since what was learned scores less than what comes new.
+        """Compute the threshold (cm^2) of the forest as it is now (`balanced`).
 
-        Deviation: the published moving averages follow a forest that goes on changing, and what a gesture scores in the
-        end differs; they are shown while training and used when one kind has not been seen."""
+        look: settings of the localisation.
+
+        It compares the scores of the gesture in the kept frames with those of other movement before it was learned,
+        because learned frames score less than new ones.
+        Deviation: the published moving averages follow a forest that still changes, so that they differ from what a
+        gesture scores in the end. They are shown while training, and used where one kind of frame was not seen.
+        """
         if not self._kept or not self._movement:
             return self.threshold
         forest = self.learner.forest.freeze()

@@ -1,3 +1,3 @@
-"""The spine that every tracker shares: weighted hypotheses, kernels, weights, selection. Arrays only, no
-images, no body.
+"""Core of the search that all trackers share: weighted hypotheses, kernels, weights, resampling.
+It works on arrays only and does not depend on images or on a body model.
 """

@@ -1,8 +1,9 @@
-"""From energies to weights: how strongly a layer selects.
+"""Turn energies into weights, and choose how strongly a layer selects (the annealing rate beta).
 
-Silhouette energies are flat (weights near e^-0 .. e^-V, an ESS of 97 % of N), so a fixed exponent beta <= 1
-hardly selects. Both are offered: the fixed exponent of the papers, and the one solved so that a set share
-survives (default).
+Two choices of beta are offered: a fixed exponent, as in the papers, and the exponent at which a set share of the
+hypotheses survives (default).
+Why: energies of silhouettes are so flat (the effective sample size is 97 % of N) that a fixed exponent beta <= 1 hardly
+selects.
 """
 
 from __future__ import annotations
@@ -17,39 +18,47 @@ from hypose.inference.hypotheses import FloatArray, Hypotheses
 
 
 class Energy(Protocol):
-    """Cost (*B, N) of each hypothesis, low is good, dimensionless; a non-finite cost means a failed
-    measurement.
+    """Function that computes the cost of each hypothesis in a frame.
+
+    Returns: (*B, N) costs, dimensionless, low is good; a non-finite cost means a failed measurement.
     """
 
     def __call__(self, h: Hypotheses, frame: Any, /) -> ArrayLike:
-        """Return one cost per hypothesis."""
+        """Compute one cost per hypothesis."""
         ...
 
 
 class AnnealingRate(Protocol):
-    """The exponent beta (*B,) for energies (*B, N)."""
+    """Function that chooses the exponent beta (*B,) of the weights for energies (*B, N)."""
 
     def __call__(self, energies: FloatArray, /) -> FloatArray:
-        """Return one exponent per population."""
+        """Choose one exponent per population."""
         ...
 
 
 def survival_rate(energies: ArrayLike, beta: ArrayLike) -> FloatArray:
-    """Return (*B,) share of a set that survives selection, (sum w)^2 / (N sum w^2), w = exp(-beta E) of energies (*B,
-    N).
+    """Compute the share of a set that survives resampling: (sum w)^2 / (N sum w^2) with w = exp(-beta E).
 
-    Non-finite energies weigh 0; a set with none finite has rate 0. Source: Deutscher & Reid 2005.
+    energies: (*B, N) costs E; non-finite ones have weight 0.
+    beta: (*B,) exponent of each population.
+    Returns: (*B,) shares in 0..1; 0 for a set without a finite energy.
+    Source: Deutscher & Reid 2005.
     """
     excess, usable = _excess(np.asarray(energies, np.float64))
     return _rate(excess, usable, np.asarray(beta, np.float64))
 
 
 def solve_annealing_rate(energies: ArrayLike, target: float, iterations: int = 56) -> FloatArray:
-    """beta (*B,) at which the survival rate of energies (*B, N) equals target, by bisection in log beta.
+    """Solve for the exponent beta at which the survival rate equals a target, by bisection in log beta.
 
-    The rate falls from the share of finite energies (beta = 0) to the share tied at the minimum (beta ->
-    infinity). A target above that range gives 0, one below it a beta at which only the tied survive;
-    energies that are all equal give 1, as every beta does the same. Never NaN, never infinite.
+    energies: (*B, N) costs of the hypotheses.
+    target: wanted survival rate, 0..1.
+    iterations: number of bisections.
+    Returns: (*B,) exponents, always finite. Where the target is above the reachable rates: 0. Where it is below them: a
+        beta at which only the hypotheses tied at the minimum survive. Where all energies are equal: 1, because every
+        beta does the same.
+
+    The rate falls from the share of finite energies (beta = 0) to the share tied at the minimum (beta -> infinity).
     """
     excess, usable = _excess(np.asarray(energies, np.float64))
     positive = usable & (excess > 0)
@@ -75,7 +84,11 @@ def solve_annealing_rate(energies: ArrayLike, target: float, iterations: int = 5
 
 @dataclass(frozen=True)
 class FixedAnnealingRate:
-    """A beta given beforehand, as in the papers. Source: Alcoverro 2014, eq. (2.9)."""
+    """Annealing rate with a fixed exponent beta, as in the papers.
+
+    Raises: ValueError where beta is negative or not finite.
+    Source: Alcoverro 2014, eq. (2.9).
+    """
 
     beta: float = 1.0
 
@@ -90,7 +103,11 @@ class FixedAnnealingRate:
 
 @dataclass(frozen=True)
 class SurvivalRate:
-    """The beta at which the share ``target`` of the set survives. Source: Deutscher & Reid 2005."""
+    """Annealing rate that solves for the beta at which the share `target` of the set survives.
+
+    Raises: ValueError where the target is not in (0, 1].
+    Source: Deutscher & Reid 2005.
+    """
 
     target: float = 0.15
 
@@ -99,24 +116,26 @@ class SurvivalRate:
             raise ValueError(f"a survival rate lies in (0, 1], got {self.target}")
 
     def __call__(self, energies: FloatArray, /) -> FloatArray:
-        """Solved for each population by itself."""
+        """Solve for the exponent of each population separately."""
         return solve_annealing_rate(energies, self.target)
 
 
 @dataclass(frozen=True)
 class SmoothedWeight:
-    """Log-weights -beta (E - min E) of an energy; `rate` chooses beta.
+    """Weighing function that turns an energy E into log-weights -beta (E - min E).
 
-    The minimum is taken off because weights only count up to a factor, and a large beta would otherwise eat
-    the digits in which energies differ. Non-finite energies get weight 0 (log-weight -inf). Source:
-    Alcoverro 2014, eqs. (2.8) and (2.9).
+    energy: cost of each hypothesis; non-finite costs get weight 0 (log-weight -inf).
+    rate: chooses beta.
+    Source: Alcoverro 2014, eqs. (2.8) and (2.9).
+    Why: the minimum is subtracted because weights count only up to a factor, and a large beta would otherwise remove
+    the digits in which energies differ.
     """
 
     energy: Energy
     rate: AnnealingRate = SurvivalRate()
 
     def __call__(self, h: Hypotheses, frame: Any, /) -> FloatArray:
-        """Log-weights (*B, N), at most 0."""
+        """Compute the log-weights (*B, N), at most 0."""
         energies = np.asarray(self.energy(h, frame), dtype=np.float64)
         beta = self.rate(energies)
         excess, usable = _excess(energies)
@@ -124,7 +143,7 @@ class SmoothedWeight:
 
 
 def _excess(energies: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Energies above the minimum of their set, 0 where not finite; and which are finite."""
+    """Subtract the minimum of each set from its energies (0 where not finite), and mark the finite ones."""
     usable = np.isfinite(energies)
     minimum = np.where(usable, energies, np.inf).min(axis=-1, keepdims=True)
     base = np.where(np.isfinite(minimum), minimum, 0.0)

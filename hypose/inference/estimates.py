@@ -1,6 +1,7 @@
-"""Reading one state and its uncertainty off a weighted set whose coordinates include rotation vectors.
+"""Compute one state, or the most probable sequence of states, from weighted sets.
 
-Angles may not be averaged across +-pi as plain numbers: rotations are averaged on SO(3), the rest as vectors.
+Rotation vectors are averaged on SO(3) and all other coordinates as plain numbers, because angles must not be averaged
+across +-pi.
 """
 
 from __future__ import annotations
@@ -17,18 +18,21 @@ from hypose.inference.hypotheses import FloatArray, Hypotheses
 
 @dataclass(frozen=True)
 class TangentMean:
-    """Weighted mean with the rotation vectors at columns ``rotations`` .. +2 averaged on SO(3) (Karcher mean).
+    """Estimate that takes the weighted mean of a set and averages its rotation vectors on SO(3) (Karcher mean).
 
-    An Estimate for states (*B, N, D) whose listed blocks are rotation vectors (rad); every other coordinate
-    is averaged as it is. The rotation vectors lie on the branch nearest to the hypothesis of largest weight.
-    With sets spread over more than half a turn the mean is a local one, near that hypothesis.
+    rotations: first column of each rotation vector (3 columns, rad) in the states (*B, N, D); all other columns are
+        averaged as they are.
+    iterations: largest number of steps of the Karcher mean.
+
+    The mean rotation vectors lie on the branch nearest to the hypothesis of largest weight. Where a set is spread over
+    more than half a turn, the mean is a local one near that hypothesis.
     """
 
     rotations: tuple[int, ...] = ()
     iterations: int = 30
 
     def __call__(self, h: Hypotheses, /) -> FloatArray:
-        """Return the mean state (*B, D)."""
+        """Compute the mean state (*B, D)."""
         mean = h.mean()
         if not self.rotations:
             return mean
@@ -45,16 +49,17 @@ class TangentMean:
         return mean
 
     def _columns(self) -> NDArray[np.intp]:
-        """Return (R, 3) the columns of the rotation vectors."""
+        """Return the columns (R, 3) of the R rotation vectors."""
         return np.asarray(self.rotations, dtype=np.intp)[:, None] + np.arange(3)
 
 
 def likeliest_path(costs: Sequence[FloatArray], steps: Sequence[FloatArray]) -> tuple[list[int], list[FloatArray]]:
-    """Return the states of least cost, one of each time, and the probability of each state, (N_t,) per time.
+    """Find the sequence of states of least total cost (Viterbi), and the probability of every state.
 
-    costs: negative log-likelihoods (N_t,) of the states of each time t.
-    steps: of going from each to each of the next time (N_t, N_t+1), one fewer.
-
+    costs: for each time t, the negative log-likelihoods (N_t,) of its states.
+    steps: for each time but the last, the costs (N_t, N_t+1) of the transitions from each state to each state of the
+        next time.
+    Returns: the index of the chosen state of each time, and the probabilities (N_t,) of the states of each time.
     Source: Viterbi 1967; forward and backward sums, Baum et al. 1970.
     """
     best, came = [costs[0]], list[np.ndarray]()

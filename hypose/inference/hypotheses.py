@@ -1,11 +1,10 @@
-"""A weighted set of hypotheses: the one value that every tracker proposes, weighs, selects and reads.
+"""Weighted set of hypotheses: the value that every tracker moves, weighs, resamples and reads.
 
-Weights live in the log domain and are only defined up to a common factor per population, so adding evidence
-never under- or overflows. Two columns are inherited by selection: ``origin``, where a hypothesis comes from, and
-``role``, what it is. A survival rate is therefore a histogram of a column, and no method needs hidden state or a
-particular row.
-Source: Alcoverro 2014, section 2.2.1 (weighted particle set, eq. 2.5); batch axes for the swarm of
-Asteriadis et al. 2013.
+Weights are kept as logarithms, up to a common factor per population, so that adding evidence never under- or overflows.
+Two integer columns are inherited by resampling: `origin`, where a hypothesis comes from, and `role`, what it is. A
+survival rate is therefore a histogram of a column, and no method needs hidden state or a particular row.
+Source: Alcoverro 2014, section 2.2.1 (weighted particle set, eq. 2.5); batch axes for the swarm of Asteriadis et al.
+    2013.
 """
 
 from __future__ import annotations
@@ -23,7 +22,9 @@ _IntArray = NDArray[np.int32]
 
 
 BEFORE = "before"
-"""Column: the state (D,) that each hypothesis had a step ago, its own history."""
+"""Name of the column with the state (D,) that each hypothesis had one step ago."""
+FOUND_BY = "by "
+"""Prefix of the role that names the search by which a hypothesis was found, such as `by limb search`."""
 
 
 def _none() -> _IntArray:
@@ -32,18 +33,17 @@ def _none() -> _IntArray:
 
 @dataclass(frozen=True)
 class Hypotheses:
-    """N states per population with their log-weights. Never mutated: every operation returns a new set.
+    """Immutable set of N weighted states per population; every operation returns a new set.
 
-    values (*B, N, D) float64, in the units of the caller.
-    log_weights (*B, N) float64, up to a constant per population, NaN and +inf count as no evidence for that hypothesis
-        (weight 0).
-    origin (*B, N) int32: the number of the sensor, kernel or parent that it comes from.
-    role (*B, N) int32: any number of roles, bit k stands for role_names[k]; read it with ``has`` and write it with
-        ``marked``. One number for a column stands for all hypotheses.
-    covariance (*B, N, D, D) float64 of each single hypothesis, or None.
-    columns: whatever else belongs to each single hypothesis (a velocity, a cost), arrays (*B, N, ...) by name.
-
-    Raises ValueError when the shapes do not agree or a population is empty.
+    values: (*B, N, D) states, in the units of the caller; *B are any number of batch axes (populations).
+    log_weights: (*B, N), up to a constant per population; NaN and +inf count as weight 0.
+    origin: (*B, N) number of the sensor, kernel or parent that a hypothesis comes from; one number stands for all.
+    role: (*B, N) bit mask, bit k stands for role_names[k]; one number stands for all. Read it with `has`, write it with
+        `marked`.
+    role_names: names of the roles, at most 31.
+    covariance: (*B, N, D, D) of each single hypothesis, or None.
+    columns: further arrays (*B, N, ...) by name, one row per hypothesis (a velocity, a cost).
+    Raises: ValueError where shapes do not agree or a population is empty.
     """
 
     values: FloatArray
@@ -84,12 +84,12 @@ class Hypotheses:
 
     @staticmethod
     def uniform(values: ArrayLike, origin: ArrayLike = 0) -> Hypotheses:
-        """Equal weights 1/N for values (*B, N, D), which come from origin (*B, N)."""
+        """Make a set of equal weights 1/N from states (*B, N, D) and their origins (*B, N)."""
         states = np.asarray(values, dtype=np.float64)
         return Hypotheses(states, _equal_log_weights(states), np.asarray(origin, np.int32))
 
     def equal(self, values: FloatArray | None = None) -> Hypotheses:
-        """Return the same hypotheses, or other values (*B, N, D) for them, with equal weights 1/N."""
+        """Return the same hypotheses with equal weights 1/N, at other values (*B, N, D) where given."""
         return (self if values is None else self.at(values))._with(log_weights=_equal_log_weights(self.values))
 
     def at(self, values: FloatArray) -> Hypotheses:
@@ -98,56 +98,64 @@ class Hypotheses:
         return self._with(values=values)
 
     def _with(self, **changed: Any) -> Hypotheses:
-        """`dataclasses.replace` where shapes and types are known to be right: it is called often in every frame."""
+        """Copy the set with some fields replaced, without the checks of `dataclasses.replace`: it is called often per
+        frame.
+        """
         out = object.__new__(Hypotheses)
         for name in _FIELDS:
             object.__setattr__(out, name, changed.get(name, getattr(self, name)))
         return out
 
     def has(self, role: str) -> NDArray[np.bool_]:
-        """Return (*B, N) True for the hypotheses in this role; False everywhere for an unknown role."""
+        """Find the hypotheses in a role.
+
+        Returns: (*B, N) bool; False everywhere for an unknown role.
+        """
         if role not in self.role_names:
             return np.zeros(self.role.shape, np.bool_)
         return (self.role >> self.role_names.index(role) & 1).astype(np.bool_)
 
     def marked(self, role: str, members: ArrayLike) -> Hypotheses:
-        """Return the same set with this role given to the members (*B, N) bool, or their indices, and taken from all
-        others.
+        """Return the set with a role given to some hypotheses and taken from all others.
 
-        A set knows at most 31 roles; ValueError at the next one.
+        role: name of the role; a new name is added.
+        members: (*B, N) bool, or the indices of the hypotheses.
+        Raises: ValueError where it would be the 32nd role.
         """
         names = self.role_names if role in self.role_names else (*self.role_names, role)
         if len(names) > 31:
-            raise ValueError(f"a set of hypotheses knows at most 31 roles, '{role}' is one more")
+            raise ValueError(f"a set of hypotheses has at most 31 roles, '{role}' would be one more")
         chosen = np.zeros(self.role.shape, np.bool_)
         chosen[np.asarray(members)] = True
         bit = np.int32(1 << names.index(role))
         return self._with(role=np.where(chosen, self.role | bit, self.role & ~bit), role_names=names)
 
+    def found_by(self, member: int) -> str:
+        """Return the role that names the search by which a hypothesis of one population was found; empty where it has
+        none.
+        """
+        return next((r for r in self.role_names if r.startswith(FOUND_BY) and self.has(r)[member]), "")
+
     @property
     def count(self) -> int:
-        """N, the hypotheses per population."""
+        """Number N of hypotheses per population."""
         return self.values.shape[-2]
 
     @property
     def dimension(self) -> int:
-        """D, the coordinates of a state."""
+        """Number D of coordinates of a state."""
         return self.values.shape[-1]
 
     @property
     def evidence_lost(self) -> NDArray[np.bool_]:
-        """(*B,) True where no hypothesis of the population has any weight left; its weights are then all
-        equal.
-        """
+        """(*B,) True for populations in which no hypothesis has weight left; their weights are then all equal."""
         return np.logical_not(np.any(_usable(self.log_weights), axis=-1))
 
     @cached_property
     def relative_log_weights(self) -> FloatArray:
-        """(*B, N) log-weights shifted so that the best is 0; unusable ones -inf; all 0 where the evidence
-        is lost.
-        """
+        """(*B, N) log-weights relative to the best, which is 0; -inf for weight 0; all 0 where the evidence is lost."""
         usable = _usable(self.log_weights)
-        if usable.all():  # as nearly always
+        if usable.all():  # the usual case
             return self.log_weights - self.log_weights.max(axis=-1, keepdims=True)
         log_weights = np.where(usable, self.log_weights, -np.inf)
         peak = log_weights.max(axis=-1, keepdims=True)
@@ -156,20 +164,22 @@ class Hypotheses:
 
     @cached_property
     def weights(self) -> FloatArray:
-        """Return (*B, N) weights, non-negative, finite and summing to 1; all 1/N where the evidence is lost."""
+        """(*B, N) weights, non-negative, finite and summing to 1; all 1/N where the evidence is lost."""
         weights = np.exp(self.relative_log_weights)
         return weights / weights.sum(axis=-1, keepdims=True)
 
     @property
     def ess(self) -> FloatArray:
-        """Return (*B,) effective number of hypotheses 1 / sum(weights^2), between 1 and N."""
+        """(*B,) effective sample size 1 / sum(weights^2), between 1 and N."""
         return 1.0 / np.square(self.weights).sum(axis=-1)
 
     def reweighted(self, log_likelihood: ArrayLike) -> Hypotheses:
-        """The same states after new evidence: log_likelihood (*B, N) is added to the log-weights.
+        """Add the log-likelihoods of new evidence to the log-weights.
 
-        A population that had lost all evidence starts again from equal weights, so that one blind frame
-        cannot silence it for ever. Raises ValueError when the shape is not (*B, N).
+        log_likelihood: (*B, N); NaN and +inf count as weight 0.
+        Raises: ValueError where the shape is not (*B, N).
+        Why: a population that had lost all evidence starts again from equal weights, so that one frame without evidence
+        does not disable it for ever.
         """
         extra = np.asarray(log_likelihood, dtype=np.float64)
         if extra.shape != self.log_weights.shape:
@@ -178,28 +188,26 @@ class Hypotheses:
         return self._with(log_weights=self.relative_log_weights + usable)
 
     def mean(self) -> FloatArray:
-        """(*B, D) weighted Euclidean mean. For coordinates that are rotations use
-        ``estimates.TangentMean``.
-        """
+        """Compute the weighted Euclidean mean (*B, D); for rotations use `estimates.TangentMean`."""
         return np.einsum("...n,...nd->...d", self.weights, self.values)
 
     def best(self) -> FloatArray:
-        """Return (*B, D) the state of largest weight (the first one among equals)."""
+        """Return the state (*B, D) of largest weight (the first one among equals)."""
         index = self.weights.argmax(axis=-1)[..., None, None]
         return np.take_along_axis(self.values, index, axis=-2)[..., 0, :]
 
     def scatter(self) -> FloatArray:
-        """Return (*B, D, D) weighted covariance of the states around their mean (no small-sample correction)."""
+        """Compute the weighted covariance (*B, D, D) of the states around their mean (no small-sample correction)."""
         deviation = self.values - self.mean()[..., None, :]
         return np.einsum("...nd,...ne->...de", self.weights[..., None] * deviation, deviation)
 
     def spread(self) -> FloatArray:
-        """Return (*B, D) weighted standard deviation per coordinate, in the units of the coordinates."""
+        """Compute the weighted standard deviation (*B, D) of each coordinate, in the units of the coordinates."""
         deviation = self.values - self.mean()[..., None, :]
         return np.sqrt(np.einsum("...n,...nd->...d", self.weights, np.square(deviation)))
 
     def take(self, index: ArrayLike) -> Hypotheses:
-        """Return the hypotheses at index (*B, M), with their log-weights, origins, roles, covariances and columns."""
+        """Select hypotheses by index (*B, M), with their log-weights, origins, roles, covariances and columns."""
         chosen = np.asarray(index, dtype=np.intp)
         return self._with(
             values=_taken(self.values, chosen),
@@ -220,13 +228,12 @@ def _equal_log_weights(values: FloatArray) -> FloatArray:
 
 
 def _taken(column: NDArray[Any], chosen: NDArray[np.intp]) -> NDArray[Any]:
-    if chosen.ndim == 1:  # one population, as nearly always: the same, sooner
+    if chosen.ndim == 1:  # one population, the usual case: the same result, faster
         return column[chosen]
     index = chosen.reshape(*chosen.shape, *(1,) * (column.ndim - chosen.ndim))
     return np.take_along_axis(column, index, chosen.ndim - 1)
 
 
 def _usable(log_weights: FloatArray) -> NDArray[np.bool_]:
-    """Return True where a log-weight is a finite number: -inf is weight 0, NaN and +inf come from a failed
-    measurement."""
+    """Mark finite log-weights: -inf is weight 0; NaN and +inf come from a failed measurement."""
     return np.isfinite(log_weights)

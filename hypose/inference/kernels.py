@@ -1,9 +1,9 @@
-"""Kernels: how hypotheses move. Values (*B, N, D) in, new values of the same shape out; origins and roles stay unless
-a mixture sets the origins.
+"""Kernels: functions that move hypotheses. Values (*B, N, D) go in, new values of the same shape come out; origins and
+roles stay, unless a mixture of kernels sets the origins.
 
-Every kernel draws its numbers as one block with a row per hypothesis (and a column per coordinate that it moves),
-filled in row order, and hypothesis i reads row i (see ``layer.stream``). Products are formed with einsum and plain
-loops, never with a threaded BLAS, so the numbers do not depend on the number of threads.
+Every kernel draws its random numbers as one block with a row per hypothesis and a column per moved coordinate, filled
+in row order; hypothesis i uses row i (see `layer.stream`). Products are formed with einsum and plain loops, never with
+a threaded BLAS, so that the numbers do not depend on the number of threads.
 """
 
 from __future__ import annotations
@@ -21,20 +21,21 @@ from hypose.inference.layer import Kernel
 
 
 class LogPrior(Protocol):
-    """Log-probability (*B, N) of states (*B, N, D), up to a constant."""
+    """Function that computes the log-probability (*B, N) of states (*B, N, D), up to a constant."""
 
     def __call__(self, values: FloatArray, /) -> FloatArray:
-        """Return one number per state."""
+        """Compute one log-probability per state."""
         ...
 
 
 def reflect(values: FloatArray, lower: ArrayLike | None, upper: ArrayLike | None) -> FloatArray:
-    """Brings values (..., D) into the box [lower, upper] (D,): mirrored once at the violated bound, then
-    clamped.
+    """Bring values into a box: mirror them once at the bound that they violate, then clamp them.
 
-    Mirroring keeps a population from piling up on a joint limit, as clamping alone would do; a step longer
-    than the box is wide would need several mirrors and is clamped. A missing or infinite bound does
-    nothing.
+    values: (..., D).
+    lower, upper: (D,) bounds; None or an infinite bound has no effect.
+    Returns: (..., D) values within the bounds.
+    Why: clamping alone would collect a population at a joint limit. A step longer than the width of the box would need
+    several reflections and is clamped.
     """
     low = -np.inf if lower is None else np.asarray(lower, np.float64)
     high = np.inf if upper is None else np.asarray(upper, np.float64)
@@ -43,17 +44,21 @@ def reflect(values: FloatArray, lower: ArrayLike | None, upper: ArrayLike | None
 
 
 def stay(h: Hypotheses, frame: Any, rng: np.random.Generator, /) -> Hypotheses:
-    """No movement (a refinement layer without propagation)."""
+    """Leave the hypotheses where they are (kernel of a refinement layer that does not move them)."""
     return h
 
 
 @dataclass(frozen=True)
 class HeavyTail:
-    """A share of the hypotheses takes steps ``factor`` times longer on the chosen coordinates (D,) bool.
+    """Setting that makes a share of the hypotheses take longer steps in some coordinates.
 
-    Resampling cannot bring back a lost limb: a few long steps can, while the others keep the small sigma
-    that the mean needs. The far-stepping rows are spread evenly over the set, for resampled sets are sorted
-    by ancestor.
+    share: share of the hypotheses, 0..1; their rows are spread evenly over the set, because resampled sets are sorted
+        by ancestor.
+    factor: how many times longer their steps are.
+    coordinates: (D,) bool mask (or indices) of the coordinates that it concerns.
+    Raises: ValueError where the share is not in 0..1 or the factor is negative.
+    Why: resampling cannot recover a lost limb, a few long steps can; the others keep the small sigma that the mean
+    needs.
     """
 
     share: float
@@ -65,13 +70,18 @@ class HeavyTail:
             raise ValueError(f"a heavy tail needs a share in [0, 1] and a factor >= 0, got {self.share}, {self.factor}")
 
     def gain(self, count: int, dimension: int) -> FloatArray:
-        """Return (N, D) factors on the steps."""
+        """Return the factors (N, D) of the steps, for N = count hypotheses and D = dimension coordinates."""
         gain = np.ones((count, dimension))
         gain[np.ix_(every(self.share, count), _mask(self.coordinates, dimension))] = self.factor
         return gain
 
     def stretch(self, steps: FloatArray, own: NDArray[np.intp], dimension: int) -> None:
-        """`gain` of the coordinates own (d,) times steps (*B, N, d), in place."""
+        """Multiply steps by their factors, in place.
+
+        steps: (*B, N, d) of the moved coordinates only.
+        own: (d,) indices of the moved coordinates.
+        dimension: number D of all coordinates.
+        """
         chosen = _mask(self.coordinates, dimension)[own]
         count = steps.shape[-2]
         if chosen.all():
@@ -82,11 +92,13 @@ class HeavyTail:
 
 @dataclass(frozen=True)
 class GaussianDiffusion:
-    """Independent Gaussian steps, sigma (D,) in the units of the coordinates; a sigma of 0 leaves a
-    coordinate alone.
+    """Kernel that adds an independent Gaussian step to each coordinate.
 
-    lower, upper (D,): bounds by ``reflect``, applied to the moved coordinates only, so that a frozen one
-    keeps its value to the last bit. Source: Alcoverro 2014, section 2.2.1 (kernel K) and 2.2.4.
+    sigma: (D,) standard deviation per coordinate, in its unit; 0 leaves the coordinate unchanged to the last bit.
+    lower, upper: (D,) bounds of the moved coordinates, applied by `reflect`.
+    heavy_tail: longer steps for a share of the hypotheses, or None.
+    Raises: ValueError where sigma is negative, not finite or not (D,).
+    Source: Alcoverro 2014, section 2.2.1 (kernel K) and 2.2.4.
     """
 
     sigma: FloatArray
@@ -101,7 +113,7 @@ class GaussianDiffusion:
         object.__setattr__(self, "sigma", sigma)
 
     def __call__(self, h: Hypotheses, frame: Any, rng: np.random.Generator, /) -> Hypotheses:
-        """Return one Gaussian step for every hypothesis."""
+        """Move every hypothesis by one Gaussian step."""
         own = np.flatnonzero(self.sigma > 0)
         step = rng.standard_normal((*h.values.shape[:-1], own.size)) * self.sigma[own]
         if self.heavy_tail is not None:
@@ -114,11 +126,13 @@ class GaussianDiffusion:
 
 @dataclass(frozen=True)
 class AdaptiveDiffusion:
-    """Gaussian steps whose covariance is scale^2 times the sample covariance of the current set.
+    """Kernel that adds Gaussian steps whose covariance is scale^2 times the covariance of the current set.
 
-    The steps follow the shape of the set, so coordinates that the layers have already pinned down are
-    disturbed no more; no schedule is needed. Source: Deutscher & Reid 2005, adaptive diffusion (covariance
-    proportional to that of the set).
+    scale: factor of the standard deviation, finite and not negative (else ValueError).
+    lower, upper: (D,) bounds, applied by `reflect`.
+    Source: Deutscher & Reid 2005, adaptive diffusion.
+    Why: coordinates that the layers have already determined are moved little, so that no schedule of step sizes is
+    needed.
     """
 
     scale: float
@@ -130,7 +144,7 @@ class AdaptiveDiffusion:
             raise ValueError(f"the scale of an adaptive diffusion must be finite and not negative, got {self.scale}")
 
     def __call__(self, h: Hypotheses, frame: Any, rng: np.random.Generator, /) -> Hypotheses:
-        """Return one step in the shape of the current set."""
+        """Move every hypothesis by one step drawn from the covariance of the set."""
         factor = semidefinite_cholesky(self.scale**2 * h.scatter())
         step = np.einsum("...nk,...dk->...nd", rng.standard_normal(h.values.shape), factor)
         return replace(h, values=reflect(h.values + step, self.lower, self.upper))
@@ -138,10 +152,11 @@ class AdaptiveDiffusion:
 
 @dataclass(frozen=True)
 class ConstantVelocity:
-    """The step between two frames: gain * velocity (D,), per frame, then ``reflect`` into the bounds.
+    """Kernel that adds the same step gain * velocity to every hypothesis: the motion between two frames.
 
-    A gain of 0 is constant position. A velocity from unrefined means mostly adds noise: use refined
-    estimates.
+    velocity: (D,) per frame. Take it from refined estimates: the mean of an unrefined set adds mostly noise.
+    gain: 0 gives a constant position.
+    lower, upper: (D,) bounds, applied by `reflect`.
     """
 
     velocity: FloatArray
@@ -150,7 +165,7 @@ class ConstantVelocity:
     upper: FloatArray | None = None
 
     def __call__(self, h: Hypotheses, frame: Any, rng: np.random.Generator, /) -> Hypotheses:
-        """Return the same step for every hypothesis."""
+        """Move every hypothesis by the same step."""
         step = self.gain * np.asarray(self.velocity, np.float64)
         moved = reflect(h.values + step, self.lower, self.upper)
         return replace(h, values=np.where(step != 0, moved, h.values))
@@ -158,12 +173,12 @@ class ConstantVelocity:
 
 @dataclass(frozen=True)
 class Compose:
-    """Kernels one after the other, drawing from the same stream."""
+    """Kernel that applies several kernels one after the other, with the same random generator."""
 
     kernels: tuple[Kernel, ...]
 
     def __call__(self, h: Hypotheses, frame: Any, rng: np.random.Generator, /) -> Hypotheses:
-        """Return the last kernel's result."""
+        """Apply all kernels in order."""
         for kernel in self.kernels:
             h = kernel(h, frame, rng)
         return h
@@ -171,12 +186,17 @@ class Compose:
 
 @dataclass(frozen=True)
 class RejectionSampling:
-    """Steps that a prior may refuse: a candidate x' from ``propagate`` is accepted if P(x') > tau P(x).
+    """Kernel that accepts a step of another kernel only where a prior allows it: P(x') > tau P(x).
 
-    Refused hypotheses try again, ``trials`` times at most, and then stay where they are (the thesis says
-    only that the trials are limited). A state of probability 0 accepts any candidate that is possible at
-    all. Source: Alcoverro 2014, section 2.3.3, where the test is printed with the candidate on both sides;
-    tau = 0.7 there.
+    propagate: kernel that proposes the candidates x'.
+    log_prior: log-probability of a state.
+    tau: threshold; 0.7 in the thesis.
+    trials: largest number of proposals; a hypothesis refused every time stays at x.
+    Raises: ValueError where tau is not positive or trials is below 1.
+    Source: Alcoverro 2014, section 2.3.3. Deviations: the test is printed with the candidate on both sides; the number
+        of trials is not printed.
+
+    A state of probability 0 accepts any candidate of probability above 0.
     """
 
     propagate: Kernel
@@ -189,7 +209,7 @@ class RejectionSampling:
             raise ValueError(f"rejection sampling needs tau > 0 and at least one trial, got {self.tau}, {self.trials}")
 
     def __call__(self, h: Hypotheses, frame: Any, rng: np.random.Generator, /) -> Hypotheses:
-        """Return the accepted steps."""
+        """Move the hypotheses to the accepted candidates."""
         threshold = np.log(self.tau) + self.log_prior(h.values)
         values, waiting = h.values, np.ones(h.log_weights.shape, bool)
         for _ in range(self.trials):
@@ -203,15 +223,17 @@ class RejectionSampling:
 
 
 def layered_sigma(sigma: ArrayLike, partitions: Sequence[ArrayLike], nu: float, layer: int) -> FloatArray:
-    """Step sizes (D,) of one layer of a layered filter.
+    """Compute the step sizes (D,) of one layer of a layered filter.
 
-    sigma (D,) per frame.
-    partitions: the coordinate indices (or (D,) bool mask) of each layer; layer counts from 0. A coordinate first
-        filtered at this layer gets sigma, one first filtered at layer m < l gets nu^(l - m) sigma, one not filtered
-        yet gets 0. With every partition = all coordinates this is the annealed schedule (2.10).
-
-    Source: Alcoverro 2014, Algorithm 3. As printed, its loop over m overwrites a hit with 0 at the next m, and only
-    Psi_(l-1) is asked for the first visit; this is the meaning of the text around it.
+    sigma: (D,) step size per frame.
+    partitions: coordinates (indices or a (D,) bool mask) of each layer.
+    nu: decay of the step size per layer.
+    layer: number l of the layer, from 0.
+    Returns: sigma for coordinates first filtered in this layer, nu^(l - m) sigma for those first filtered in an earlier
+        layer m, 0 for those not filtered yet. Where every partition holds all coordinates, this is the annealed
+        schedule (2.10).
+    Source: Alcoverro 2014, Algorithm 3. Deviation: the printed loop over m overwrites a match with 0 at the next m, and
+        checks only Psi_(l-1) for the first visit; this follows the text around it.
     """
     sigma_frame = np.asarray(sigma, dtype=np.float64)
     first = first_layer(partitions, sigma_frame.size)
@@ -219,7 +241,12 @@ def layered_sigma(sigma: ArrayLike, partitions: Sequence[ArrayLike], nu: float, 
 
 
 def first_layer(partitions: Sequence[ArrayLike], dimension: int) -> NDArray[np.intp]:
-    """Return (D,) the first layer whose partition holds each coordinate; len(partitions) where none does."""
+    """Find the first layer whose partition holds each coordinate.
+
+    partitions: coordinates (indices or a (D,) bool mask) of each layer.
+    dimension: number D of coordinates.
+    Returns: (D,) numbers of layers; len(partitions) for coordinates in no partition.
+    """
     first = np.full(dimension, len(partitions), dtype=np.intp)
     for number in range(len(partitions) - 1, -1, -1):
         first[_mask(partitions[number], dimension)] = number
@@ -227,26 +254,27 @@ def first_layer(partitions: Sequence[ArrayLike], dimension: int) -> NDArray[np.i
 
 
 def filtered_mask(partitions: Sequence[ArrayLike], dimension: int, layer: int) -> NDArray[np.bool_]:
-    """Return (D,) True for the coordinates in the union of the partitions of layers 0..layer: what Algorithm 4
-    resamples."""
+    """Mark the coordinates (D,) in the partitions of layers 0..layer, which Algorithm 4 of Alcoverro 2014 resamples."""
     return first_layer(partitions, dimension) <= min(layer, len(partitions) - 1)
 
 
 def annealed_sigma(sigma: ArrayLike, variance_decays: Sequence[float], layer: int) -> FloatArray:
-    """Step sizes (D,) of layer k of the annealed filter: Sigma^k = alpha_0 ... alpha_(k-1) Sigma_0.
+    """Compute the step sizes (D,) of one layer of the annealed filter: Sigma^k = alpha_0 ... alpha_(k-1) Sigma_0.
 
-    The alphas are rates of *variance*, so sigma shrinks by their square roots. Source: Alcoverro 2014, eq.
-    (2.10).
+    sigma: (D,) step sizes of the first layer.
+    variance_decays: alphas of the layers. They are rates of the variance, so that sigma shrinks by their square roots.
+    layer: number k of the layer, from 0.
+    Source: Alcoverro 2014, eq. (2.10).
     """
     return np.asarray(sigma, dtype=np.float64) * np.sqrt(np.prod(np.asarray(variance_decays[:layer], np.float64)))
 
 
 def semidefinite_cholesky(covariance: ArrayLike) -> FloatArray:
-    """Lower factor L (..., D, D) with L L^T = covariance, positive semidefinite: exact zeros where it has
-    no rank.
+    """Factor positive semidefinite matrices (..., D, D) as L L^T, with L lower triangular.
 
-    A plain column loop: a sample covariance is singular as soon as a coordinate is frozen, where LAPACK's
-    refuses.
+    Returns: (..., D, D) factors L; columns without rank are exactly 0.
+    Why: the covariance of a set is singular as soon as one coordinate is frozen, where LAPACK's Cholesky factorisation
+    fails.
     """
     remainder = np.array(covariance, dtype=np.float64)
     size = remainder.shape[-1]
@@ -264,14 +292,16 @@ def semidefinite_cholesky(covariance: ArrayLike) -> FloatArray:
 
 @lru_cache(64)
 def every(share: float, count: int) -> NDArray[np.intp]:
-    """Return the numbers of a share of `count` rows, spread evenly; which of the first rows does not depend on
-    count."""
+    """Choose a share of `count` rows, spread evenly.
+
+    Returns: indices of the chosen rows. Whether a row is chosen is the same for every `count`.
+    """
     return np.flatnonzero(np.diff(np.floor(np.arange(count + 1) * share)) > 0)
 
 
 @lru_cache(64)
 def _stretch(share: float, factor: float, count: int) -> FloatArray:
-    """Return (N, 1) the factor in the rows of `every`, else 1."""
+    """Return (N, 1) factors: `factor` in the rows that `every` chooses, 1 in all others."""
     out = np.ones((count, 1))
     out[every(share, count)] = factor
     return out

@@ -1,8 +1,9 @@
-"""The spine: a recipe is a whole method as one value, and one loop runs the layers of them all.
+"""Recipes and the loop that runs them: a recipe describes a whole method as a list of layers, and `search` runs the
+layers on one frame (propagate, weigh, estimate, resample).
 
-propose -> weigh -> (estimate) -> select. Methods differ only in what they put into the layers: the
-annealed, partitioned, layered and detector-driven particle filters, the swarm over depth sensors and the
-pruned multiple hypotheses are lists for this loop. Source: Alcoverro 2014, Algorithms 1, 2 and 5.
+The annealed, partitioned, layered and detector-driven particle filters, the swarm of several depth sensors and the
+pruned multiple hypotheses differ only in what they put into the layers.
+Source: Alcoverro 2014, Algorithms 1, 2 and 5.
 """
 
 from __future__ import annotations
@@ -20,51 +21,57 @@ from hypose.inference.hypotheses import FloatArray, Hypotheses
 
 RngOfLayer = Callable[[int], np.random.Generator]
 Memory = Mapping[str, NDArray[Any]]
-"""What a method remembers from frame to frame, arrays by name; empty at first."""
+"""Arrays by name that a method keeps from frame to frame; empty at first."""
 
 
 class Kernel(Protocol):
-    """Moves hypotheses: sees the frame too, for a local optimiser or a detector is a kernel that looks at
-    the evidence.
+    """Function that moves hypotheses. It gets the frame too, because a local optimiser or a detector
+    uses the evidence.
     """
 
     def __call__(self, h: Hypotheses, frame: Any, rng: np.random.Generator, /) -> Hypotheses:
-        """Return the moved set, of the same number of populations."""
+        """Return the moved set, with the same number of populations."""
         ...
 
 
 class Weigh(Protocol):
-    """Log-likelihoods (*B, N) of the hypotheses; sees the whole population because its mean may place the
-    evidence.
+    """Function that computes the log-likelihoods (*B, N) of a set. It gets the whole set, because its mean may define
+    where the evidence is measured.
     """
 
     def __call__(self, h: Hypotheses, frame: Any, /) -> FloatArray:
-        """Log-likelihoods, up to a constant per population."""
+        """Compute the log-likelihoods (*B, N), up to a constant per population."""
         ...
 
 
 class Resample(Protocol):
-    """Chooses which hypotheses go on, and resets their weights (only ``keep`` does not)."""
+    """Function that draws the hypotheses that go on, and resets their weights (only `resampling.keep` does not)."""
 
     def __call__(self, h: Hypotheses, rng: np.random.Generator, /) -> Hypotheses:
-        """Return the set that goes on."""
+        """Return the resampled set."""
         ...
 
 
 class Estimate(Protocol):
-    """One state (*B, D) out of a weighted set; ``Hypotheses.mean`` and ``Hypotheses.best`` are the plain
-    ones.
+    """Function that computes one state (*B, D) from a weighted set, for example `Hypotheses.mean` or
+    `Hypotheses.best`.
     """
 
     def __call__(self, h: Hypotheses, /) -> FloatArray:
-        """Return the state that the set stands for."""
+        """Compute the state of each population."""
         ...
 
 
 @dataclass(frozen=True)
 class Layer:
-    """One turn of the cycle. weigh None: it moves without weighing. needed(h, frame) False: the layer is left out of
-    this frame; None: it never is."""
+    """One turn of propagate, weigh and resample.
+
+    propagate: kernel that moves the hypotheses.
+    weigh: computes log-likelihoods; None: the layer moves without weighing.
+    resample: draws the hypotheses that go on.
+    name: name of the layer.
+    needed(h, frame): False: the layer is skipped in this frame; None: it is never skipped.
+    """
 
     propagate: Kernel
     weigh: Weigh | None
@@ -74,33 +81,41 @@ class Layer:
 
 
 def as_given(pose: FloatArray, frame: Any, /) -> FloatArray:
-    """Start: the pose that the caller gives."""
+    """Start the first frame at the pose that the caller gives (default of `Recipe.start`)."""
     return pose
 
 
 def stand_still(step: FloatArray, blind: int, /) -> FloatArray:
-    """Prediction: the next pose is the last one."""
+    """Predict no motion: the next pose is the last one (default of `Recipe.predict`)."""
     return np.zeros_like(step)
 
 
 @dataclass(frozen=True)
 class GoOn:
-    """Prediction: the share `gain` of the last step is expected again, less after every frame without evidence.
+    """Prediction that repeats a share of the last step, less after every frame without evidence.
 
-    For poses that are solved: the step between two means of a set is mostly noise, which it would feed back."""
+    gain: the predicted step is gain^(1 + number of frames without evidence) times the last step.
+
+    Use it for poses that are solved: the step between two means of a set is mostly noise, which the prediction would
+    feed back.
+    """
 
     gain: float = 0.8
 
     def __call__(self, step: FloatArray, blind: int, /) -> FloatArray:
-        """Return the step (D,) that is expected."""
+        """Predict the next step (D,)."""
         return self.gain ** (1 + blind) * step
 
 
 @dataclass(frozen=True, kw_only=True)
 class Recovery:
-    """What a recipe does when it may be wrong. find(pose, last, frame): the pose (D,) to go on from when the person is
-    lost, out of the estimate and the last pose. rival(pose, frame): by how much another pose, that the evidence may
-    mean as well, is better, and that pose (None: none is looked for)."""
+    """Functions of a recipe that find another pose when the current one may be wrong.
+
+    find(pose, last, frame): pose (D,) from which to continue when the person is lost; `pose` is the estimate, `last`
+        the pose of the frame before.
+    rival(pose, frame): another pose that the evidence supports as well, and by how much it is better, as (improvement,
+        pose); None: no other pose is searched.
+    """
 
     find: Callable[[FloatArray, FloatArray, Any], FloatArray]
     rival: Callable[[FloatArray, Any], tuple[float, FloatArray]] | None = None
@@ -108,26 +123,27 @@ class Recovery:
 
 @dataclass(frozen=True)
 class Recipe:
-    """A method as one value; the defaults are a plain particle filter. Raises ValueError without layers.
+    """Whole method as one value; the defaults describe a plain particle filter.
 
     name: of the method.
     layers: turns of propagate, weigh, resample, one after the other.
     particles: number of hypotheses N.
-    needs: kinds of evidence the layers require: 'silhouettes', 'keypoints', 'detections', 'picture' (one camera).
-    start(pose, frame): pose (D,) at which the first frame's search begins, from the given one.
+    needs: kinds of evidence that the layers require: 'silhouettes', 'keypoints', 'detections', 'picture' (one camera).
+    start(pose, frame): pose (D,) at which the search of the first frame begins, from the given one.
     predict(step, blind): step (D,) expected after the last step and `blind` frames without evidence; None: the layers
-        move every hypothesis by itself and keep its limits.
+        move every hypothesis themselves and apply its limits.
     estimate(h): state (*B, D) of a weighted set.
     uncertainty(pose, h, frame): uncertainty of the estimate; None: the spread of the set.
     lost(pose, h, frame): whether the person is lost; None: decided by the overlap with the masks.
     recover: search after a loss; None: no search.
-    rivals: number of hypotheses the last layer hands on, with the column BEFORE, each predicted by its own last step;
-        0: the set moves as one.
-    smooth(clip): the motion with all frames solved together at the end, and sentences about it; None: no smoothing.
-    learn(memory, pose, h, frame): arrays by name that the method keeps from frame to frame in addition to its
-        hypotheses, after a frame in which the person was not lost; None: nothing.
-    likes: kinds of evidence the layers use where it is available ('colours').
+    rivals: number of hypotheses that the last layer hands on with the column BEFORE, each predicted by its own last
+        step; 0: the set moves as one.
+    smooth(clip): solves all frames together at the end; returns the motion and sentences about it; None: no smoothing.
+    learn(memory, pose, h, frame): arrays by name that the method keeps from frame to frame, updated after every frame
+        in which the person was not lost; None: nothing is kept.
+    likes: kinds of evidence that the layers use where available ('colours').
     citation: source of the method.
+    Raises: ValueError where there is no layer, particles is below 1, or rivals is negative.
     """
 
     name: str
@@ -153,29 +169,38 @@ class Recipe:
         if self.particles < 1:
             raise ValueError(f"recipe '{self.name}' needs at least one particle, got {self.particles}")
         if self.rivals < 0:
-            raise ValueError(f"recipe '{self.name}' cannot hand on {self.rivals} rivals; 0 is none")
+            raise ValueError(f"recipe '{self.name}' needs a number of rivals of 0 or more, got {self.rivals}")
 
 
 @dataclass(frozen=True)
 class SearchResult:
-    """estimate (*B, D); the weighted set of the last layer it was read from; the selected set to carry to
-    the next frame.
+    """Result of `search` on one frame.
+
+    estimate: (*B, D) state, read from `weighted`.
+    weighted: set of the last layer after weighing.
+    resampled: set of the last layer after resampling, to be carried to the next frame.
+    first: (*B, D) estimate after the first layer, of a recipe that keeps rivals; else the estimate.
     """
 
     estimate: FloatArray
     weighted: Hypotheses
     resampled: Hypotheses
+    first: FloatArray
 
 
 def search(h: Hypotheses, recipe: Recipe, frame: Any, rng_of_layer: RngOfLayer) -> SearchResult:
-    """Runs the layers of a recipe on one frame.
+    """Run the layers of a recipe on one frame.
 
-    ``rng_of_layer(l)`` gives the generator of layer l, for example ``partial(stream, seed, frame.index)``.
-    Weighing adds to the log-weights, selectors reset them. Deviation: the thesis starts the cycle at the weighing; here
-    it starts at the proposal, so that a frame ends with its own estimate. The estimate is read after the last weighing
-    and before its selection, which would only add noise to it.
+    h: set of hypotheses from the last frame.
+    frame: evidence, passed on to the layers.
+    rng_of_layer(l): random generator of layer l, for example `partial(stream, seed, frame.index)`.
+
+    Weighing adds to the log-weights, resampling resets them. The estimate is read after the last weighing and before
+    its resampling, which would only add noise.
+    Deviation: the cycle of the thesis starts at the weighing; here it starts at the propagation, so that a frame ends
+    with its own estimate.
     """
-    weighted = h
+    weighted, first = h, None
     for index, layer in enumerate(recipe.layers):
         if layer.needed is not None and not layer.needed(h, frame):
             continue
@@ -184,36 +209,42 @@ def search(h: Hypotheses, recipe: Recipe, frame: Any, rng_of_layer: RngOfLayer) 
         if layer.weigh is not None:
             weighted = weighted.reweighted(layer.weigh(weighted, frame))
         h = layer.resample(weighted, rng)
-    return SearchResult(recipe.estimate(weighted), weighted, h)
+        if first is None and recipe.rivals:
+            first = recipe.estimate(weighted)
+    estimate = recipe.estimate(weighted)
+    return SearchResult(estimate, weighted, h, estimate if first is None else first)
 
 
 _WORD = 2**64
 
 
 def stream(seed: int, frame: int, layer: int) -> np.random.Generator:
-    """Return the generator of one layer of one frame, counter-based (Philox 4x64, Salmon et al. 2011).
+    """Make the random generator of one layer of one frame, independent of all others (Philox 4x64, Salmon et al. 2011).
 
-    The key is the hashed seed; the two high words of the 256-bit counter are (frame, layer), so that the streams of
-    different layers never overlap and each is reached without drawing any other: a resumed run reads the same numbers.
-    The per-particle rule is kept by drawing one (N, D) block per kernel from this stream: it is filled in row order by
-    one thread, so that row i is a function of (seed, frame, layer, i) alone, and a larger N does not change it.
-    Integers of any sign; frame and layer count modulo 2^64 (layer -1 is free for what happens between two frames).
+    seed, frame, layer: any integers; frame and layer count modulo 2^64 (layer -1 is free for use between two frames).
+
+    The key is the hashed seed and the two high words of the 256-bit counter are (frame, layer). Streams therefore never
+    overlap, and each is reached without drawing any other: a resumed run reads the same numbers. A kernel draws one (N,
+    D) block, filled in row order, so that row i depends on (seed, frame, layer, i) alone and does not change when N
+    grows.
     """
     counter = np.array([0, 0, layer % _WORD, frame % _WORD], dtype=np.uint64)
     return np.random.Generator(np.random.Philox(_key(seed % 2**128), counter=counter))
 
 
 class _Key(ISeedSequence):
-    """A key as a generator asks for it: given as such, numpy first asks the system for chance that it then leaves."""
+    """Seed sequence that returns a given key. Why: with a plain key numpy first reads entropy from the system and
+    discards it.
+    """
 
     def __init__(self, seed: int) -> None:
         self._words = np.random.SeedSequence(seed).generate_state(2, np.uint64)
 
     def generate_state(self, n_words: int, dtype: Any = np.uint32) -> Any:
-        """Return the key, two words of 64 bits."""
+        """Return the key as two words of 64 bits."""
         return self._words
 
 
 @lru_cache(16)
-def _key(seed: int) -> Any:  # numpy takes a sequence of one's own, its stubs do not say so
+def _key(seed: int) -> Any:  # numpy accepts a seed sequence of its user, which its type stubs do not say
     return _Key(seed)

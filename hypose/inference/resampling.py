@@ -1,9 +1,8 @@
-"""Selection: who goes on. Every selector but ``keep`` returns equal weights; origins, roles and covariances are
-inherited.
+"""Resampling: draw the hypotheses that go on, by their weights. Every function but `keep` returns equal weights;
+origins, roles and covariances are inherited. All work on any batch axes (*B, N).
 
-Sources: Alcoverro 2014, Algorithms 1 and 4; systematic resampling after Kitagawa 1996; roulette wheel:
-Asteriadis et al. 2013; keeping the k best: Sminchisescu & Triggs 2001, Fig. 4. All work on any leading
-batch axes (*B, N).
+Sources: Alcoverro 2014, Algorithms 1 and 4; systematic resampling after Kitagawa 1996; roulette wheel: Asteriadis et
+    al. 2013; keeping the k best: Sminchisescu & Triggs 2001, Fig. 4.
 """
 
 from __future__ import annotations
@@ -19,13 +18,13 @@ IndexArray = NDArray[np.intp]
 
 
 def systematic_indices(weights: FloatArray, u: ArrayLike) -> IndexArray:
-    """Ancestors (*B, N), sorted, for weights (*B, N) summing to 1 and one number u (*B,) in [0, 1) per
-    population.
+    """Draw ancestors by systematic resampling: hypothesis i gets floor or ceil of N w_i copies, N w_i on average.
 
-    The points (u + j) / N are carried along the cumulated weights, so that hypothesis i gets floor or ceil
-    of N w_i copies, N w_i on average. Source: Alcoverro 2014, Algorithm 4 lines 1-9, whose loop test is
-    printed reversed (``while u_j < cdf_i``). Deviation: on an exact tie the index advances, so that a
-    weight of 0 is never drawn.
+    weights: (*B, N), summing to 1.
+    u: (*B,) one random number in [0, 1) per population.
+    Returns: (*B, N) indices of the ancestors, sorted.
+    Source: Alcoverro 2014, Algorithm 4 lines 1-9, whose loop test is printed reversed (`while u_j < cdf_i`). Deviation:
+        on an exact tie the index advances, so that a weight of 0 is never drawn.
     """
     count = weights.shape[-1]
     cumulated = np.cumsum(weights.reshape(-1, count), axis=-1)
@@ -42,8 +41,10 @@ def systematic_indices(weights: FloatArray, u: ArrayLike) -> IndexArray:
 
 
 def roulette_indices(weights: FloatArray, rng: np.random.Generator) -> IndexArray:
-    """N independent draws per population (multinomial resampling), (*B, N) for weights (*B, N) summing to
-    1.
+    """Draw N ancestors independently per population (multinomial resampling).
+
+    weights: (*B, N), summing to 1.
+    Returns: (*B, N) indices of the ancestors.
     """
     count = weights.shape[-1]
     cumulated = np.cumsum(weights.reshape(-1, count), axis=-1)
@@ -54,18 +55,18 @@ def roulette_indices(weights: FloatArray, rng: np.random.Generator) -> IndexArra
 
 
 def systematic(h: Hypotheses, rng: np.random.Generator, /) -> Hypotheses:
-    """Systematic resampling: one random number per population, low variance."""
+    """Resample systematically: one random number per population, low variance."""
     return h.take(systematic_indices(h.weights, rng.random(h.values.shape[:-2]))).equal()
 
 
 def roulette(h: Hypotheses, rng: np.random.Generator, /) -> Hypotheses:
-    """Roulette wheel: independent draws."""
+    """Resample with independent draws (roulette wheel)."""
     return h.take(roulette_indices(h.weights, rng)).equal()
 
 
 def keep(h: Hypotheses, rng: np.random.Generator, /) -> Hypotheses:
-    """No selection: states and weights go on as they are (a refinement layer, or evidence gathered over
-    layers).
+    """Return the set unchanged, with its weights (for a refinement layer, or where evidence accumulates
+    over layers).
     """
     return h
 
@@ -74,9 +75,10 @@ def keep(h: Hypotheses, rng: np.random.Generator, /) -> Hypotheses:
 class LayeredResampling:
     """Systematic resampling of the coordinates filtered so far; the others keep their own values.
 
-    filtered (D,) bool is the union of the coordinate subsets of the layers up to this one. Diversity
-    survives in the coordinates that neither dynamics nor evidence has touched yet. Source: Alcoverro 2014,
-    Algorithm 4 (corrected).
+    filtered: (D,) bool, the union of the coordinates of all layers up to this one.
+    Raises: ValueError where it is not a (D,) mask of bools.
+    Source: Alcoverro 2014, Algorithm 4 (corrected).
+    Why: coordinates that neither dynamics nor evidence has changed yet keep their diversity.
     """
 
     filtered: NDArray[np.bool_]
@@ -88,6 +90,6 @@ class LayeredResampling:
         object.__setattr__(self, "filtered", filtered)
 
     def __call__(self, h: Hypotheses, rng: np.random.Generator, /) -> Hypotheses:
-        """Return the set with its filtered coordinates resampled."""
+        """Resample the filtered coordinates."""
         drawn = h.take(systematic_indices(h.weights, rng.random(h.values.shape[:-2])))
         return drawn.equal(np.where(self.filtered, drawn.values, h.values))

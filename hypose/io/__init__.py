@@ -1,2 +1,4 @@
-"""Files in, files out: recordings, videos, calibrations, results. Units other than SI and other axes end
-here."""
+"""Reading and writing of files: recordings, videos, calibrations, results.
+
+Other units and axes are converted here, so that the rest of hypose has SI units and a world with z up.
+"""

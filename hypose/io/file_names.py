@@ -1,7 +1,8 @@
-"""Files' names out of foreign text, and text out of foreign files' names.
+"""Safe names for files, and comparison of names.
 
-Names of views, cameras, persons and sensors come from files that anybody may have written, and names of files are bytes
-that need not be text. Whatever is named after the one or shown of the other goes through here.
+Names of views, cameras, people and sensors come from files of other programs, and a file's name may contain any bytes.
+`file_name` makes a file's name of any text, `text_of` makes text of any file's name, and `match_names` finds the names
+that mean the same camera.
 """
 
 from __future__ import annotations
@@ -17,8 +18,8 @@ from typing import Any
 
 from hypose.errors import InputError, visible
 
-_MOST_BYTES = 100  # in UTF-8; parts added around a name (a frame's number, an ending) fits into 255, too
-# separators and what Windows forbids, the ends it drops, and beginnings that hide a file or make it an option
+_MOST_BYTES = 100  # in UTF-8; with added parts (a frame's number, an ending) a name still fits into 255
+# separators, characters that Windows forbids, ends that it drops, beginnings that hide a file or look like an option
 _FORBIDDEN = re.compile(r'[\x00-\x1f\x7f-\x9f\\/:*?"<>|\u2028-\u202e\u2066-\u2069\ud800-\udfff]')
 _ENDS = re.compile(r"^[\s.\-~]+|[\s.]+$")
 _RESERVED = re.compile(r"(con|prn|aux|nul|conin\$|conout\$|com[0-9¹²³]|lpt[0-9¹²³])(\..*)?", re.IGNORECASE | re.DOTALL)
@@ -26,15 +27,17 @@ _MADE = re.compile(r".*~[0-9a-f]{10}", re.DOTALL)
 
 
 def file_name(text: str) -> str:
-    """A name for a file or folder, made of any text: an ordinary name as it is; of others the harmless characters, and
-    a mark (~ and ten hexadecimal digits) that tells different texts apart.
+    """Convert any text to a safe name for a file or folder.
 
-    The same text gives the same name everywhere. It means nothing else to any system: no separators, control
-    characters, leading dots or dashes, no device of Windows; at most 112 bytes in UTF-8.
+    An ordinary name stays as it is. In any other, forbidden characters are replaced and a mark (~ and ten hexadecimal
+    digits of a hash) is added, so that different texts get different names. The same text always gives the same name.
+
+    Returns: at most 112 bytes in UTF-8, without separators, control characters, leading dots or dashes, or device names
+        of Windows.
     """
     plain = _ENDS.sub("", _FORBIDDEN.sub("_", text))
     if plain == text and text and len(text.encode()) <= _MOST_BYTES and not _RESERVED.fullmatch(text):
-        if not _MADE.fullmatch(text):  # else it could be the name that another text gets
+        if not _MADE.fullmatch(text):  # otherwise it could equal the name made of another text
             return text
     short = plain.encode()[:_MOST_BYTES].decode(errors="ignore") or "_"
     mark = hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()[:10]
@@ -42,8 +45,12 @@ def file_name(text: str) -> str:
 
 
 def folder_for(folder: str | Path, text: str) -> Path:
-    """The folder named after a foreign text in a folder, made if needed; an InputError when what lies there is a link
-    that leads out of the folder, or cannot be made."""
+    """Make the subfolder named after a text, where it does not exist yet.
+
+    folder: the parent folder.
+    text: any text; `file_name` makes the folder's name of it.
+    Raises: InputError where the folder cannot be made or is a link that leads out of the parent folder.
+    """
     path = Path(folder) / file_name(text)
     try:
         path.mkdir(parents=True, exist_ok=True)
@@ -60,14 +67,19 @@ def folder_for(folder: str | Path, text: str) -> Path:
 
 
 def text_of(name: str | Path) -> str:
-    """A file's name as text that can be written, compared and shown: bytes that are no UTF-8 become escapes."""
+    """Convert a file's name to printable text; bytes that are not UTF-8 become escapes."""
     return visible(os.fspath(name))
 
 
 @contextlib.contextmanager
 def utf8_path(path: Path) -> Iterator[str]:
-    """A path of an existing file for libraries that take UTF-8 only (OpenCV is killed by any other): the path itself,
-    else that of a link to it, which is gone after the block. An InputError when no link can be made."""
+    """Provide a UTF-8 path of an existing file within a with block.
+
+    It is the path itself or, where that is not UTF-8, a temporary link to the file.
+
+    Raises: InputError where the link cannot be made.
+    Why: OpenCV ends the whole process at a path that is not UTF-8.
+    """
     if os.fsencode(path) == os.fspath(path).encode("utf-8", "surrogatepass"):
         yield os.fspath(path)
         return
@@ -88,9 +100,13 @@ def utf8_path(path: Path) -> Iterator[str]:
 
 
 def match_names(wanted: Sequence[str], available: Sequence[str]) -> list[int | None]:
-    """Index in `available` for each wanted name: the same name; else the same letters and digits without
-    decoration (cam01_json, ext_cam01_img, Cam-01); else the only one with the same number. None where nothing
-    fits uniquely."""
+    """Find, for each wanted name, the available name of the same camera.
+
+    Three rules are tried in this order: the same name; the same letters and digits without decoration (cam01_json,
+    ext_cam01_img, Cam-01); the same last number.
+
+    Returns: for each wanted name an index into `available`; None where no unique name fits.
+    """
 
     def unique(key: Any) -> list[int | None]:
         keys = [key(a) for a in available]
@@ -109,7 +125,7 @@ def match_names(wanted: Sequence[str], available: Sequence[str]) -> list[int | N
 
 
 def natural_key(name: str) -> list[tuple[int, int, str]]:
-    """Sort key under which cam2 comes before cam10."""
+    """Make a sort key that puts cam2 before cam10."""
     return [(0, int(p), "") if p.isdecimal() else (1, 0, p.lower()) for p in re.split(r"(\d+)", name) if p]
 
 
@@ -118,7 +134,9 @@ def _bare(name: str) -> str:
 
 
 def last_number(name: str) -> int | None:
-    """The last number of a name (cam_01 -> 1, trial2_cam03 -> 3); None without one, or with one of more than 15
-    digits."""
+    """Extract the last number of a name (cam_01 -> 1, trial2_cam03 -> 3).
+
+    Returns: None without a number, or where it has more than 15 digits.
+    """
     digits = re.findall(r"[0-9]+", name)
     return int(digits[-1]) if digits and len(digits[-1]) <= 15 else None

@@ -1,5 +1,7 @@
-"""Files that others may have made are opened here, within bounds, and every file is written here, whole or not at all;
-errors in one sentence."""
+"""Bounded reading of files from any source, and atomic writing: a file is written whole or not at all.
+
+Each error becomes an InputError of one sentence.
+"""
 
 from __future__ import annotations
 
@@ -30,8 +32,8 @@ MAX_TEXT_BYTES = 256 * 2**20
 MAX_JSON_BYTES = 4 * 2**20
 MAX_TOML_BYTES = 5_000_000
 FULL = (errno.ENOSPC, errno.EDQUOT)
-"""The system's numbers for a disk that is full."""
-# another program's FIFO or terminal must not hold us up
+"""Error numbers of the operating system for a full disk."""
+# do not wait for a FIFO or terminal
 _READ = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0)
 _NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0)
 
@@ -40,8 +42,14 @@ _NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0)
 
 
 def open_file(path: str | Path, kind: str, limit: int, least: int = 1) -> BufferedReader:
-    """Open a regular file of `least` to `limit` bytes to read it. An InputError for anything else, which says with
-    `kind` ("a TRC file") what was expected. A FIFO or a device is never waited for."""
+    """Open a regular file to read its bytes.
+
+    kind: the expected type of file in error messages, such as "a TRC file".
+    limit: largest accepted size, bytes.
+    least: smallest accepted size, bytes.
+    Raises: InputError where the file does not exist, is not a regular file, cannot be read, or has another size.
+    Why: it never waits for a FIFO or a device.
+    """
     try:
         if not Path(path).is_file():
             what = "is not a file" if Path(path).exists() else "does not exist"
@@ -61,23 +69,30 @@ def open_file(path: str | Path, kind: str, limit: int, least: int = 1) -> Buffer
 
 
 def readable_size(path: str | Path, kind: str, limit: int) -> int:
-    """Size in bytes of a file that a library opens by its path; an InputError as of `open_file`."""
+    """Check a file as `open_file` does, for a library that opens it by its path.
+
+    Returns: size, bytes.
+    """
     with open_file(path, kind, limit) as stream:
         return os.fstat(stream.fileno()).st_size
 
 
 def unreadable(path: str | Path, error: OSError) -> InputError:
-    """The InputError for a file that the system does not let us read."""
+    """Make the InputError for a file that the system does not allow to be read."""
     return InputError(f"{path} cannot be read ({reason_of(error)}); check its permissions.")
 
 
 def reason_of(error: OSError) -> str:
-    """What the system says, in lower case."""
+    """Format the system's reason of an error in lower case."""
     return (error.strerror or str(error)).lower()
 
 
 def read_bytes(path: str | Path, kind: str, limit: int, least: int = 1) -> bytes:
-    """The content of a file; an InputError as of `open_file`."""
+    """Read the content of a file.
+
+    kind, limit, least: as for `open_file`.
+    Raises: InputError as `open_file`.
+    """
     try:
         with open_file(path, kind, limit, least) as stream:
             return stream.read(limit)
@@ -86,8 +101,11 @@ def read_bytes(path: str | Path, kind: str, limit: int, least: int = 1) -> bytes
 
 
 def read_text(path: str | Path, kind: str, limit: int = MAX_TEXT_BYTES) -> str:
-    """The text of a file, which may be empty, its lines ended by \\n; an InputError as of `open_file`, and for all that
-    is no UTF-8."""
+    r"""Read a UTF-8 text file, which may be empty; line ends become \n.
+
+    kind, limit: as for `open_file`.
+    Raises: InputError as `open_file`, and where the file is not UTF-8.
+    """
     try:
         return read_bytes(path, kind, limit, 0).decode("utf-8-sig").replace("\r\n", "\n")
     except UnicodeDecodeError:
@@ -95,7 +113,11 @@ def read_text(path: str | Path, kind: str, limit: int = MAX_TEXT_BYTES) -> str:
 
 
 def text_lines(path: str | Path, kind: str, limit: int = MAX_TEXT_BYTES) -> list[str]:
-    """Lines of a text file, invalid UTF-8 as U+FFFD; an InputError as of `open_file`, and for a binary file."""
+    """Read the lines of a text file; invalid UTF-8 becomes U+FFFD.
+
+    kind, limit: as for `open_file`.
+    Raises: InputError as `open_file`, and for a binary file.
+    """
     data = read_bytes(path, kind, limit)
     if b"\0" in data[:65536]:
         raise InputError(f"{path} is a binary file, not {kind}.")
@@ -105,8 +127,13 @@ def text_lines(path: str | Path, kind: str, limit: int = MAX_TEXT_BYTES) -> list
 def csv_rows(
     path: str | Path, kind: str, limit: int = MAX_TEXT_BYTES
 ) -> tuple[list[str], Iterator[tuple[int, list[str]]]]:
-    """The first line's names, and every other line's number, from 2, and cells; an InputError as of `bounded_lines`,
-    and for a line of another number of cells."""
+    """Read a CSV file row by row.
+
+    kind, limit: as for `bounded_lines`.
+    Returns: the cells of the first line, and an iterator over the line number (from 2) and cells of each later line;
+        empty lines are skipped.
+    Raises: InputError as `bounded_lines`, and for a line with another number of cells than the first.
+    """
     lines = bounded_lines(path, kind, limit)
     names = _cells(next(lines, ""))
 
@@ -131,7 +158,11 @@ def _cells(line: str) -> list[str]:
 
 @contextmanager
 def numbers_of(where: str) -> Iterator[None]:
-    """Within, cells become numbers; an InputError that begins with `where` for one that is none, or is missing."""
+    """Turn errors of number conversion within a with block into an InputError.
+
+    where: start of the message, such as the file and its line.
+    Raises: InputError where a cell is missing or is not a number.
+    """
     try:
         yield
     except (ValueError, OverflowError, IndexError):
@@ -141,7 +172,11 @@ def numbers_of(where: str) -> Iterator[None]:
 
 
 def read_json(path: str | Path, kind: str, limit: int = MAX_JSON_BYTES) -> Any:
-    """The value of a JSON file; an InputError as of `open_file`, and for invalid JSON."""
+    """Read the value of a JSON file.
+
+    kind, limit: as for `open_file`.
+    Raises: InputError as `open_file`, and for invalid JSON.
+    """
     try:
         return parse_json(read_bytes(path, kind, limit))
     except (ValueError, RecursionError) as error:
@@ -149,7 +184,10 @@ def read_json(path: str | Path, kind: str, limit: int = MAX_JSON_BYTES) -> Any:
 
 
 def read_toml(path: str | Path, kind: str = "a TOML file") -> dict[str, Any]:
-    """The tables of a TOML file of at most 5 MB; an InputError names it, the cause and the next step."""
+    """Read the tables of a TOML file of at most 5 MB.
+
+    Raises: InputError as `open_file`, and for invalid TOML.
+    """
     text = read_text(path, kind, MAX_TOML_BYTES)
     try:
         return tomllib.loads(text)
@@ -159,7 +197,7 @@ def read_toml(path: str | Path, kind: str = "a TOML file") -> dict[str, Any]:
 
 
 def toml_value(value: Any) -> str:
-    """A TOML literal of a string, bool, number, sequence or array; floats keep every bit (repr)."""
+    """Format a string, bool, number, sequence or array as a TOML literal; floats keep every bit."""
     value = value.tolist() if hasattr(value, "tolist") else value  # numpy's
     if isinstance(value, bool):
         return "true" if value else "false"
@@ -173,12 +211,12 @@ def toml_value(value: Any) -> str:
 
 
 def toml_key(key: str) -> str:
-    """A TOML key, quoted where needed."""
+    """Format a key for TOML, in quotes where needed."""
     return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else toml_value(key)
 
 
 def toml_lines(table: Mapping[str, Any]) -> list[str]:
-    """The lines of a table; None values are left out."""
+    """Format a table as lines of TOML; values that are None are left out."""
     return [f"{toml_key(key)} = {toml_value(value)}" for key, value in table.items() if value is not None]
 
 
@@ -187,12 +225,14 @@ def toml_lines(table: Mapping[str, Any]) -> list[str]:
 
 @contextmanager
 def atomic_path(path: str | Path, synced: bool = True) -> Iterator[Path]:
-    """A new, empty file in the folder of `path` (same ending) to write to, renamed to `path` when the block ends well.
+    """Provide a temporary file to write to, and rename it to `path` when the with block ends without an error.
 
-    synced: it is on the disk before, so that a power cut leaves the old file or the new one; without, it may leave an
-    empty one, which is for the many pictures of a series.
-    The folder is made if needed. If the block raises, the temporary file is removed and an existing `path`
-    stays as it was; an OSError (disk full, read-only) becomes an InputError.
+    The temporary file is empty, in the same folder and has the same ending; the folder is made if needed. When the
+    block raises, the temporary file is removed and an existing `path` stays as it was.
+
+    synced: wait until the data are on the disk before the renaming, so that after a power cut either the old or the new
+        file is there. Without it the file may be empty then, which is accepted for the many pictures of a series.
+    Raises: InputError for any OSError, such as a full disk or a read-only folder.
     """
     path = Path(path)
     temporary = path.with_name(f".{path.stem}.{secrets.token_hex(8)}.tmp{path.suffix}")
@@ -213,33 +253,39 @@ def atomic_path(path: str | Path, synced: bool = True) -> Iterator[Path]:
 
 
 def _onto_disk(path: Path) -> None:
-    """Have the system write a file or the names in a folder to the disk now; where it knows no such thing, nothing."""
+    """Flush a file, or the names in a folder, to the disk; file systems that cannot do so are skipped."""
     if os.name == "nt" and path.is_dir():
         return
     number = os.open(path, os.O_RDWR if os.name == "nt" else os.O_RDONLY)
     try:
         os.fsync(number)
     except OSError as error:
-        if error.errno not in (errno.EINVAL, errno.ENOTSUP):  # of a file system without
+        if error.errno not in (errno.EINVAL, errno.ENOTSUP):  # a file system that cannot do it
             raise
     finally:
         os.close(number)
 
 
 def write_bytes(path: str | Path, data: bytes, synced: bool = True) -> None:
-    """Write a binary file whole or not at all; synced as in `atomic_path`."""
+    """Write a binary file whole or not at all; `synced` as for `atomic_path`."""
     with atomic_path(path, synced) as temporary:
         temporary.write_bytes(data)
 
 
 def write_text(path: str | Path, text: str) -> None:
-    """Write UTF-8 text atomically, with the same line ends on every system; names that are no UTF-8 as escapes."""
+    """Write a UTF-8 text file whole or not at all, with the same line ends on every system.
+
+    Characters that UTF-8 cannot encode, as in some files' names, become escapes.
+    """
     write_bytes(path, text.encode("utf-8", "backslashreplace"))
 
 
 def check_writable(folder: str | Path, option: str = "--out") -> None:
-    """Fail now, with one sentence that names the option for another place, instead of after the work is done; the
-    folder is made if needed."""
+    """Test before the work starts that a folder can be written to; it is made if needed.
+
+    option: name of the command line's option for another folder, used in the error message.
+    Raises: InputError where the folder cannot be made or written to.
+    """
     folder = Path(folder)
     test = folder / f".write-test-{secrets.token_hex(8)}"
     try:
@@ -253,7 +299,7 @@ def check_writable(folder: str | Path, option: str = "--out") -> None:
 
 
 def cannot_write(path: Path, error: OSError) -> str:
-    """The sentence for a file that the system does not let us write."""
+    """Format the message for a file that the system does not allow to be written, or a full disk."""
     if error.errno in FULL:
         try:
             free = f" ({shutil.disk_usage(path.parent).free / 1e6:.0f} MB free)"
@@ -261,7 +307,7 @@ def cannot_write(path: Path, error: OSError) -> str:
             free = ""
         return (
             f"{path} cannot be written because the disk is full{free}; what was written before is intact: "
-            "free some space and run the same command again, with --resume where it knows that."
+            "free some space and run the same command again, with --resume where it has that option."
         )
     return (
         f"{path} cannot be written ({reason_of(error)}); what was written before is intact: choose a folder that you "
@@ -270,8 +316,10 @@ def cannot_write(path: Path, error: OSError) -> str:
 
 
 class RecordingFolder:
-    """A new or empty folder that is written to while something is recorded; InputError when it is neither, and, within
-    `writing`, when the system does not let us."""
+    """A new or empty folder for the files of a running recording.
+
+    Raises: InputError where the path is a file, is a folder that is not empty, or cannot be written to.
+    """
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
@@ -284,7 +332,7 @@ class RecordingFolder:
 
     @contextmanager
     def writing(self) -> Iterator[None]:
-        """Report a failed write within the block in one sentence."""
+        """Turn failed writes within a with block into an InputError."""
         try:
             yield
         except OSError as error:
@@ -293,7 +341,7 @@ class RecordingFolder:
             ) from None
 
     def table(self, name: str, header: Sequence[str]) -> IO[str]:
-        """A new CSV file, open for its rows."""
+        """Create a CSV file with its header and leave it open for the rows."""
         with self.writing():
             stream = (self.path / name).open("x", encoding="utf-8", newline="\n")
             stream.write(",".join(header) + "\n")
@@ -301,8 +349,10 @@ class RecordingFolder:
         return stream
 
     def check(self) -> None:
-        """An InputError when a table was removed or replaced since it was opened, so that all that is written is
-        lost."""
+        """Check that no CSV file was removed or replaced after it was opened.
+
+        Raises: InputError where one was, because all rows written since then are lost.
+        """
         for name, opened in self._tables.items():
             try:
                 there = os.path.samestat(opened, os.stat(self.path / name))
@@ -316,7 +366,7 @@ class RecordingFolder:
 
 
 # ---- text in -------------------------------------------------------------------------------------------------------
-# Text from outside, line by line and within bounds, plain or gzipped.
+# Text of any source, line by line and of limited size, plain or gzipped.
 
 
 _CHUNK = 1 << 20
@@ -326,11 +376,14 @@ MAX_LINE_BYTES = 1 << 20
 def bounded_lines(
     path: str | Path, kind: str, limit: int = MAX_TEXT_BYTES, line_limit: int = MAX_LINE_BYTES
 ) -> Iterator[str]:
-    """Lines of a text file, gzipped when it ends in .gz, without line ends; undecodable bytes become U+FFFD.
+    """Read the lines of a text file, unpacked where its name ends in .gz; undecodable bytes become U+FFFD.
 
-    Never more than one line and one MiB is held, and reading stops with an InputError when the (unpacked) text exceeds
-    `limit` or a line `line_limit` bytes, so that a gzip bomb costs no more than an honest file. `kind` ("a CSV of ...")
-    says in the errors what was expected.
+    kind: the expected type of file in error messages, such as "a CSV of markers".
+    limit: largest size of the unpacked text, bytes.
+    line_limit: largest size of a line, bytes.
+    Returns: an iterator over lines without their line ends.
+    Raises: InputError as `open_file`, for a binary or damaged file, and above one of the limits.
+    Why: at most one line and 1 MiB are in memory, so a gzip bomb costs no more than an ordinary file.
     """
     total, rest, first = 0, b"", True
     try:
@@ -371,19 +424,24 @@ def _decoded(line: bytes, path: str | Path, kind: str, limit: int) -> str:
 
 
 # ---- claims --------------------------------------------------------------------------------------------------------
-# A folder that one run writes to: looked at before the work, and held against other runs while it goes on.
+# Lock of an output folder: tested before the work, and held against other runs until its end.
 
 
 LOCK = ".hypose-lock"
-"""The file in a folder that is being written to, which says by whom; what locks it is the system, which lets go of it
+"""Name of the lock file in a folder that a run writes to; its text names the process. The system releases the lock
 however the run ends."""
 _TAKEN = (errno.EWOULDBLOCK, errno.EAGAIN, errno.EACCES, errno.EDEADLK)
 
 
 @contextlib.contextmanager
 def claimed(folder: str | Path, option: str = "--out") -> Iterator[None]:
-    """Within the block the folder is this run's alone. An InputError, before any work, when it cannot be written to or
-    another run writes to it; `option` names another folder. Where the file system knows no locks there is none."""
+    """Lock an output folder for this run within a with block.
+
+    Where the file system has no locks, the folder is not locked.
+
+    option: name of the command line's option for another folder, used in the error messages.
+    Raises: InputError at the start of the block where the folder cannot be written to or another run writes to it.
+    """
     path = Path(folder)
     check_writable(path, option)
     held = _held(path / LOCK, option)
@@ -392,12 +450,12 @@ def claimed(folder: str | Path, option: str = "--out") -> Iterator[None]:
     finally:
         if held is not None:
             with contextlib.suppress(OSError):
-                (path / LOCK).unlink()  # before it is let go of, so that no process locks a file that is gone
+                (path / LOCK).unlink()  # before the lock is released, so that no process locks a deleted file
             os.close(held)
 
 
 def _held(path: Path, option: str) -> int | None:
-    """The locked file; None where there are no locks."""
+    """Open and lock the lock file; None where the file system has no locks."""
     flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0)
     while True:
         try:
@@ -425,7 +483,7 @@ def _held(path: Path, option: str) -> int | None:
 
 
 def _lock(file: int) -> None:
-    """An OSError when another process holds it, or there are no locks."""
+    """Lock an open file; OSError where another process holds the lock or there are no locks."""
     if sys.platform == "win32":
         import msvcrt
 

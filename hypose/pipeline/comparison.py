@@ -29,6 +29,7 @@ from hypose.io.motions.c3d import read_c3d
 from hypose.io.motions.marker_files import read_mot, read_trc
 from hypose.io.motions.results import load_archive, load_result
 from hypose.pipeline.settings import SETTINGS
+from hypose.pipeline.track_options import CompareOptions
 from hypose.synthetic.metrics import carriers, coverage, joint_errors, population_offsets
 
 # ---- compared files ------------------------------------------------------------------------------------------------
@@ -155,16 +156,6 @@ def _joint_name(name: str) -> str | None:
 
 
 _BONES = (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist"))
-
-
-@dataclass(frozen=True)
-class CompareOptions:
-    """offset: s added to the other's times, None = found. align: move the other rigidly onto ours. frames that are
-    lost or predicted are left out unless `all_frames`."""
-
-    offset: float | None = None
-    align: bool = True
-    all_frames: bool = False
 
 
 @dataclass(frozen=True)

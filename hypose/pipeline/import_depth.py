@@ -37,10 +37,11 @@ from hypose.io.sensors.depth import FOLDER_RATE, DepthFile, open_depth, write_de
 from hypose.io.videos.video import list_images
 from hypose.pipeline.first_frame import TrackedSubject
 from hypose.pipeline.person_paths import count_people
-from hypose.pipeline.run import TrackOptions, TrackResult, track_source
+from hypose.pipeline.run import TrackResult, track_source
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.subject_from_motion import AnthropometryOptions, different_poses, estimate_subject
 from hypose.pipeline.track_loop import FrameList, StageProgress
+from hypose.pipeline.track_options import TrackOptions
 
 _MADE = ("read", "depth", "background", "calibration.toml", "recording.toml")
 

@@ -18,7 +18,7 @@ from hypose.calibration.diagnose_masks import focal_by_masks, focal_by_points, f
 from hypose.calibration.diagnose_person import height_findings, up_by_cameras, wrong_set, wrong_way_up
 from hypose.calibration.diagnose_points import best_trial, disagreement, gross_finding, late_views, timing_findings
 from hypose.calibration.diagnostics import gross_silhouettes
-from hypose.calibration.findings import REFUTED_PLACES, Finding, Limits, depth_findings
+from hypose.calibration.findings import INVALID, REFUTED_PLACES, Finding, Limits, depth_findings
 from hypose.calibration.sync_motion import mask_tracks
 from hypose.cameras.camera import PARALLEL, triangulate, widest_angle
 from hypose.errors import EvidenceError, HyposeError
@@ -85,9 +85,9 @@ def places_refuted(found: Sequence[Finding]) -> bool:
     return any(f.fault and f.kind in REFUTED_PLACES for f in found)
 
 
-def sentences(found: Sequence[Finding], *, fault: bool = True) -> tuple[str, ...]:
-    """The faults among the findings, each with its next step; or else what only has to be looked at."""
-    return tuple(f.sentence for f in found if f.fault == fault)
+def sentences(found: Sequence[Finding], severity: str = INVALID) -> tuple[str, ...]:
+    """List the findings of a severity as sentences, each with its next step."""
+    return tuple(f.sentence for f in found if f.severity == severity)
 
 
 def _in_step(keypoints: Sequence[Keypoints | None], frame_rate: float, o: Limits) -> Iterator[Finding]:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from hypose.body.body import Body
 from hypose.calibration.depth_registration import in_camera, place_error, refine_registration
+from hypose.calibration.findings import REVIEW, Finding
 from hypose.evidence.depth_evidence import Depth, SurfacePoints
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.fitting.articulated import SolveSettings
@@ -56,8 +57,8 @@ class PlacedSource:
 
 def moved_sensors(
     source: FrameSource, body: Body, poses: Array, iou: Array, frame_rate: float
-) -> tuple[tuple[Places, ...], tuple[str, ...]]:
-    """Where depth cameras stand that are not where the source says, and sentences on it; nothing where all are, or with
+) -> tuple[tuple[Places, ...], tuple[Finding, ...]]:
+    """Where depth cameras stand that are not where the source says, and findings on it; nothing where all are, or with
     fewer than two. poses (T, D), as tracked; iou (T,): how well each agrees with what was seen, NaN: it does not
     tell."""
     depths = source.frame(0).of(Depth)
@@ -86,7 +87,7 @@ def moved_sensors(
     if count >= 2 * least and _off(first, last, poses[count // 2]):
         change = _changes(source, body, poses, first, last)
     stretches = [s for s in (range(change), range(change, count)) if len(s) >= least]
-    found, said = list[Places](), list[str]()
+    found, said = list[Places](), list[Finding]()
     before = reported
     for stretch in stretches:
         now = places(stretch)
@@ -94,10 +95,11 @@ def moved_sensors(
         for c, (degrees, metres) in off.items():
             when = "" if len(stretches) < 2 else f" from frame {stretch.start} to {stretch.stop - 1}"
             off_by = f"{1e3 * metres:.0f} mm off and turned by {degrees:.1f} degrees{when}"
-            said.append(
+            text = (
                 f"{depth.rig.names[c]} stood {off_by}, by the person before all depth cameras: its place was found "
-                "anew for this run, and is to be corrected in the calibration"
+                "again for this run, and is to be corrected in the calibration"
             )
+            said.append(Finding("moved", (depth.rig.names[c],), text, size=metres, severity=REVIEW))
         now = np.where(np.isin(np.arange(len(reported)), list(off))[:, None, None], now, reported)
         if not np.array_equal(now, before):
             found.append(Places(stretch.start if len(found) or stretch.start >= least else 0, now))

@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from hypose.calibration.findings import INFO, Finding
 from hypose.cameras.camera import CameraRig
 from hypose.errors import InputError
 from hypose.evidence.frame import Silhouettes, pieces_of
@@ -29,10 +30,11 @@ from hypose.pipeline.assessment import other_people_note
 from hypose.pipeline.input_checks import places_refuted
 from hypose.pipeline.people_run import PeopleRun
 from hypose.pipeline.person_paths import KeypointPeople, count_people
-from hypose.pipeline.run import TrackOptions, TrackResult
+from hypose.pipeline.run import TrackResult
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.subject_from_motion import load_subject
 from hypose.pipeline.track_loop import FrameSource, StageProgress
+from hypose.pipeline.track_options import TrackOptions
 from hypose.pipeline.tracked_people import Wanted, said_of_places
 
 
@@ -113,7 +115,7 @@ def chosen_people(text: str, wanted: Sequence[Wanted]) -> tuple[int | None, str 
     )
 
 
-def people_frames(recording: Recording, options: TrackOptions) -> FrameStream:
+def people_frames(recording: Recording, options: TrackOptions, progress: StageProgress | None = None) -> FrameStream:
     """The frames of a recording with all people in the masks, if masks are wanted. An InputError for key points
     together with depth cameras."""
     depth = [v.name for v in recording.depth_views]
@@ -123,13 +125,13 @@ def people_frames(recording: Recording, options: TrackOptions) -> FrameStream:
             f"by key points; leave out --evidence {options.looks_at}, or --people."
         )
     silhouettes = None if options.looks_at == "keypoints" else recording.silhouettes
-    return FrameStream(recording, FrameSettings(silhouettes=silhouettes, people=True, colours=True))
+    return FrameStream(recording, FrameSettings(silhouettes=silhouettes, people=True, colours=True), progress=progress)
 
 
-def frames_to_examine(recording: Recording) -> tuple[FrameStream, bool]:
+def frames_to_examine(recording: Recording, progress: StageProgress | None = None) -> tuple[FrameStream, bool]:
     """The frames of a recording whose calibration is in doubt, with all people in the masks when several stand side by
     side there, and whether they do: which person a view shows is not known before the calibration is right."""
-    one = FrameStream(recording)
+    one = FrameStream(recording, progress=progress)
     depth = bool(recording.depth_views)
     alone = depth and len(recording.views) == 1
     if one.options.silhouettes is None or not recording.has_pictures or one.tells_apart or alone:
@@ -213,15 +215,12 @@ def track_one_of(
     one = found.people[0]
     more = found.others
     said = (other_people_note(more, "masks", command),) if more and not places_refuted(run.looked) else ()
-    said = (*said, *(f"Note: {n}." for n in said_of_places(wanted, 1 + more)))
-    faults = one.result.faults
+    notes = said_of_places(wanted, 1 + more)
+    found_so = [*one.result.findings, *said, *(Finding("places", (), f"Note: {n}", severity=INFO) for n in notes)]
     if wanted and wanted[0].place is not None and one.name != wanted[0].name:
-        faults = (
-            *faults,
-            f"{wanted[0].not_found}; the result is that of somebody else instead: correct place and time of the "
-            "[[person]] in recording.toml",
-        )
-    out = replace(one.result, faults=faults, remarks=said, complete=found.complete)
+        text = f"{wanted[0].not_found}; the result is that of another person"
+        found_so.append(Finding("other person", (), text, "correct place and time of the [[person]] in recording.toml"))
+    out = replace(one.result, findings=tuple(found_so), complete=found.complete)
     if results is not None:
         save_motion(out.motion, results.motion)
         if found.complete:

@@ -28,9 +28,10 @@ from hypose.io.motions.results import ResultsFolder, provenance_identity, save_m
 from hypose.pipeline.first_frame import SubjectOptions, TrackedSubject, find_subject, keep_subject, kept_subject
 from hypose.pipeline.frame_anomalies import as_now, in_words, looked_at, mask_change
 from hypose.pipeline.input_checks import check_depth_inputs, sentences
+from hypose.pipeline.passes import ClipState, tracker_of
 from hypose.pipeline.person_paths import KeypointPeople, Path, PointFrames, follow_places, lasting, padded
 from hypose.pipeline.rough_bodies import RoughTrack, fitted_again, frame_of_person, least_hidden, rough_bodies
-from hypose.pipeline.run import TrackOptions, finish, track_source, tracker_of
+from hypose.pipeline.run import finish, track_source
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.track_loop import Deferred, FrameSource, StageProgress, Tracked
 from hypose.pipeline.track_management import (
@@ -45,6 +46,7 @@ from hypose.pipeline.track_management import (
     update_appearance,
     without_doubles,
 )
+from hypose.pipeline.track_options import TrackOptions
 from hypose.pipeline.tracked_people import (
     Followed,
     OwnFrames,
@@ -471,9 +473,10 @@ class PeopleRun:
         present, hidden = np.array(p.present, dtype=np.bool_), np.array(p.hidden, dtype=np.bool_)
         source = OwnFrames(self.source, p, people, self._points)
         shared = len(people) > 1 and p.present[0]
-        given = p.subject, p.member.tracker, tracked, self.options, p.results, self.record, self.progress
-        said = sentences(self.looked), sentences(self.looked, fault=False)
-        out = finish(source, *given, *said, shared=shared)
+        clip = ClipState(source, self.frame_rate, self.options, results=p.results, record=self.record)
+        known = {"subject": p.subject, "tracker": p.member.tracker, "tracked": tracked, "notes": p.subject.notes}
+        clip = replace(clip, **known, shared_masks=shared, progress=self.progress)
+        out = finish(clip.with_findings(*self.looked))
         motion, notes = replace(out.motion, lost=out.motion.lost | ~present), [*out.notes, *p.said]
         if hidden.any():
             motion = replace(

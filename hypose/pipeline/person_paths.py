@@ -18,6 +18,7 @@ from hypose.evidence.person_tracks import PersonTrack
 from hypose.evidence.shared_masks import Other
 from hypose.geometry import Array
 from hypose.pipeline.settings import SETTINGS
+from hypose.pipeline.trace import later, trace_of, with_trace
 from hypose.pipeline.track_loop import FrameSource
 
 
@@ -193,7 +194,8 @@ def padded(motion: Motion, first: int, total: int) -> Motion:
     outside = (np.arange(total) < first) | (np.arange(total) >= first + len(motion))
     arrays = per_frame(motion, rows) | {"times": np.arange(total) / motion.frame_rate}
     out = replace(motion, **arrays)
-    return replace(out, lost=out.lost | outside, extrapolated=out.extrapolated | outside)
+    out = replace(out, lost=out.lost | outside, extrapolated=out.extrapolated | outside)
+    return with_trace(out, later(trace_of(motion), first))
 
 
 def per_frame(motion: Motion, rows: np.ndarray) -> dict[str, np.ndarray]:

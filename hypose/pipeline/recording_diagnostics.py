@@ -40,9 +40,10 @@ from hypose.io.recordings.recording_people import RecordedPerson, load_person
 from hypose.io.recordings.recording_views import ViewSettings, open_pictures
 from hypose.pipeline.first_frame import SubjectOptions, find_subject
 from hypose.pipeline.one_of_several import frames_to_examine
-from hypose.pipeline.run import TrackOptions, track_source
+from hypose.pipeline.run import track_source
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.subject_from_motion import with_outlines
+from hypose.pipeline.track_options import TrackOptions
 from hypose.tracking.keypoint_evidence import KeypointModel, keypoint_model, keypoint_term
 from hypose.tracking.subject import shape_from_keypoints, subject_from_keypoints
 
@@ -99,10 +100,8 @@ def observe_recording(recording: Recording, most: int = 100, progress: _Progress
     together = False
     blind = replace(few, views=tuple(replace(v, keypoints=None) for v in few.views), keypoint_set=None)
     if all(v.has_pictures for v in few.views):
-        progress("background", 0, 1)
-        stream, together = frames_to_examine(blind)
+        stream, together = frames_to_examine(blind, progress)
         with stream:
-            progress("background", 1, 1)
             silhouettes = []
             for i in range(len(stream)):
                 progress("masks", i, len(stream))
@@ -292,9 +291,7 @@ def _by_body(
     blind = recording
     if method == "silhouettes":  # masks that know nothing of the key points
         blind = replace(recording, views=tuple(replace(v, keypoints=None) for v in recording.views), keypoint_set=None)
-    progress("background", 0, 1)
-    with FrameStream(blind) as stream:
-        progress("background", 1, 1)
+    with FrameStream(blind, progress=progress) as stream:
         source = Resampled(stream, late)
         frames: list[Frame] = []
         for done, k in enumerate(used):

@@ -272,6 +272,7 @@ class PipelineSettings:
         was never wrong, .19 to .40 where it was for some frames, and .28 to .91 where a limb was wrong all along. Where
         something else makes the whole clip worth a look, to be doubtful in half of the frames is enough: that is so in
         no usual clip of these seeds, and in three others, whose joints are off by 34 to 70 mm.
+    trace_least_m: m; smaller displacements of joints by a pass are not recorded
     verdict_lost_share: Share of the frames without the person from which on the motion is not that of the recording.
     verdict_few_s: s: doubtful stretches that are shorter are not worth a look by themselves: they are named as all that
         is not good
@@ -521,6 +522,7 @@ class PipelineSettings:
     verdict_wrong_share: float = 0.12
     verdict_limb_share: float = 0.5
     verdict_limb_p: float = 0.35
+    trace_least_m: float = 0.02
     verdict_lost_share: float = 0.3
     verdict_few_s: float = 0.12
     wardrobe_near_m: float = 0.7

@@ -24,9 +24,10 @@ from hypose.pipeline.one_of_several import (
     with_all_people,
 )
 from hypose.pipeline.people_run import PeopleRun
-from hypose.pipeline.run import TrackOptions, TrackResult, check_views, frames_wanted, track_source
+from hypose.pipeline.run import TrackResult, track_source
 from hypose.pipeline.subject_from_motion import load_subject
 from hypose.pipeline.track_loop import FrameList, StageProgress
+from hypose.pipeline.track_options import TrackOptions, check_views, frames_wanted
 from hypose.pipeline.tracked_people import PeopleResult
 
 

@@ -65,7 +65,7 @@ class TrackedPerson:
     @property
     def assessment(self) -> Assessment:
         """Of the frames in which the person is there; frames are counted as in the recording."""
-        found = assess(while_present(self.result.motion, self.present), self.result.faults, self.result.looks)
+        found = assess(while_present(self.result.motion, self.present), self.result.findings)
         at = np.flatnonzero(self.present)
         if self.present.all() or not len(at):
             return found

@@ -1,1 +1,3 @@
-"""Scenes with known truth (bodies, motions, rendering, sensors, faults), and the measures that compare with it."""
+"""Synthetic scenes with known truth (bodies, motions, rendering, sensors, faults), and measures that
+compare with it.
+"""

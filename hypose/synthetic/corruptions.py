@@ -1,5 +1,6 @@
-"""What goes wrong in real recordings, switchable and named: in the images, in the masks, in the timing, in
-the rig."""
+"""Faults of real recordings, by name: in the images, the masks, the timing and the calibration. Simulated key points
+too.
+"""
 
 from __future__ import annotations
 
@@ -22,17 +23,18 @@ from hypose.synthetic.subjects import SyntheticSubject
 
 @dataclass(frozen=True)
 class Corruptions:
-    """Switches; the defaults corrupt nothing. Lengths in px are those of the camera's own image size.
+    """Faults of a synthetic recording; the defaults corrupt nothing. Lengths in px refer to the camera's own image
+    size.
 
-    boundary_px: sd of the smooth displacement of a mask's outline.
-    holes, blobs: mean number of missing and false pieces per mask (ellipses of 4-14 px).
-    shadow: 0..1, share of the cast shadow that is taken for the person (in RGB frames the shadow is always there).
-    occluder: "" or "table" or "treadmill", in front of the person in several views; it belongs to the room.
+    boundary_px: sd of the smooth displacement of a mask's outline, px.
+    holes, blobs: mean number of missing and of false pieces per mask (ellipses of 4-14 px).
+    shadow: share of the cast shadow that is segmented as the person, 0..1 (RGB frames always contain the shadow).
+    occluder: "", "table" or "treadmill", in front of the person in several views; it belongs to the room.
     dropped: share of frames that a camera does not deliver (its last image is repeated).
     dead_camera: index of a camera whose images are black from a third of the recording on, -1 for none.
-    desync: the c-th camera is late by desync[c % len] frames, so (0, 1, 0, 2) delays the second camera by one frame and
-        the fourth by two.
-    calibration_error: relative; 0.01 changes focal lengths and positions by 1 % (1 sd).
+    desync: delay of each camera in frames; the c-th camera is late by desync[c % len], so (0, 1, 0, 2) delays the
+        second camera by one frame and the fourth by two.
+    calibration_error: relative sd; 0.01 changes focal lengths and positions by 1 %.
     """
 
     boundary_px: float = 0.0
@@ -62,12 +64,16 @@ CORRUPTIONS: dict[str, Corruptions] = {
     "calibration-error": Corruptions(calibration_error=0.01),
     "bad-calibration": Corruptions(calibration_error=0.03),
 }
-"""The corruptions by name. level-1 is what a decent background model leaves in a good room, level-2 a bad
-one."""
+"""Corruptions by name. level-1 is what a decent background model leaves in a good room, level-2 what a
+bad one leaves.
+"""
 
 
 def corruptions(*names: str) -> Corruptions:
-    """Return the named corruptions (CORRUPTIONS) together; where two set the same switch, the later one counts."""
+    """Combine named corruptions (CORRUPTIONS); where two set the same fault, the later one counts.
+
+    Raises: InputError with the list of names for an unknown name.
+    """
     out = Corruptions()
     for name in names:
         if name not in CORRUPTIONS:
@@ -79,7 +85,7 @@ def corruptions(*names: str) -> Corruptions:
 
 
 def smooth_noise(rng: np.random.Generator, shape: tuple[int, int], cell: float) -> NDArray[np.float32]:
-    """Noise of sd 0.8, smooth over `cell` px, (h, w)."""
+    """Draw noise (h, w) of sd 0.8 that is smooth over `cell` px."""
     h, w = shape
     s = max(1, round(cell))
     coarse = rng.normal(size=(h // s + 3, w // s + 3)).astype(np.float32)
@@ -88,12 +94,12 @@ def smooth_noise(rng: np.random.Generator, shape: tuple[int, int], cell: float) 
 
 
 def corrupt_mask(mask: Mask, shadow: Mask, what: Corruptions, rng: np.random.Generator, scale: float = 1.0) -> Mask:
-    """Return a mask as a background model would deliver it.
+    """Corrupt a mask as a background model would.
 
     mask, shadow: (h, w) uint8 0/1, the true silhouette and the person's cast shadow (without the silhouette).
+    what: faults to apply.
     scale: working size / camera size, by which lengths in px are multiplied.
-
-    Returns a new (h, w) mask.
+    Returns: a new (h, w) mask.
     """
     out = mask.copy()
     x, y, w, h = cv2.boundingRect(mask)
@@ -131,7 +137,10 @@ def corrupt_mask(mask: Mask, shadow: Mask, what: Corruptions, rng: np.random.Gen
 
 
 def box_mesh(low: tuple[float, float, float], high: tuple[float, float, float]) -> tuple[Array, NDArray[np.int32]]:
-    """Return an axis-aligned box as a mesh: vertices (8, 3) m, faces (12, 3) counter-clockwise from outside."""
+    """Make a mesh of an axis-aligned box with corners low and high, m.
+
+    Returns: vertices (8, 3) m, and faces (12, 3), counter-clockwise seen from outside.
+    """
     x, y, z = zip(low, high, strict=True)
     v = np.array([[a, b, c] for a in x for b in y for c in z], dtype=np.float64)
     quads = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
@@ -140,11 +149,13 @@ def box_mesh(low: tuple[float, float, float], high: tuple[float, float, float]) 
 
 
 def occluder_mesh(name: str) -> tuple[Array, NDArray[np.int32]] | None:
-    """World mesh (vertices (V, 3) m, faces (F, 3)) of an occluder, or None for "".
+    """Make the mesh of an occluder in the world.
 
-    "table": 1.6 x 0.7 m, 0.75 m high, 1.55 m from the volume's centre, before the cameras near azimuth 218 degrees (all
-    rigs but court-4 have one there). "treadmill": two hand rails with posts, 0.55 m left and right of the centre, 1.0 m
-    high, and a console bar in front (for people who stay at the centre).
+    name: "" for none. "table": 1.6 x 0.7 m, 0.75 m high, 1.55 m from the centre of the volume, before the cameras near
+        azimuth 218 degrees (all rigs but court-4 have one there). "treadmill": two hand rails with posts, 0.55 m left
+        and right of the centre, 1.0 m high, and a console bar in front (for people who stay at the centre).
+    Returns: vertices (V, 3) m and faces (F, 3); None for "".
+    Raises: InputError for an unknown name.
     """
     if name == "":
         return None
@@ -171,9 +182,12 @@ def occluder_mesh(name: str) -> tuple[Array, NDArray[np.int32]] | None:
 
 
 def disturb_rig(rig: CameraRig, relative: float, rng: np.random.Generator) -> CameraRig:
-    """Return the rig as a careless calibration gives it: for `relative` = 0.01, focal lengths off by 1 % and camera
-    positions by 1 % of the distance to the volume's centre per axis, and the centre seen up to 1 % of the image's half
-    width away from where it is (each 1 sd). Image size and lens distortion stay."""
+    """Disturb the calibration of a rig as a careless calibration would.
+
+    relative: sd; for 0.01 focal lengths change by 1 %, camera positions by 1 % of the distance to the centre of the
+        volume per axis, and the image of that centre by 1 % of half the image width.
+    Returns: the disturbed rig; image size and lens distortion stay.
+    """
     if relative <= 0:
         return rig
     out = []
@@ -196,7 +210,12 @@ def disturb_rig(rig: CameraRig, relative: float, rng: np.random.Generator) -> Ca
 
 
 def dropped_frames(n_frames: int, share: float, rng: np.random.Generator) -> NDArray[np.bool_]:
-    """Return (T,) True where a camera delivers no image; single frames and short runs, never the first frame."""
+    """Draw the frames that a camera does not deliver: single frames and short runs, never the first frame.
+
+    n_frames: number T of frames.
+    share: share of the frames that is missing.
+    Returns: (T,) True where there is no image.
+    """
     out = np.zeros(n_frames, dtype=bool)
     t = 1
     while share > 0 and t < n_frames:
@@ -213,44 +232,46 @@ def dropped_frames(n_frames: int, share: float, rng: np.random.Generator) -> NDA
 
 
 class Filmed(Protocol):
-    """The filmed views of a scene (`hypose.synthetic.scenes.Scene`)."""
+    """Interface of the filmed views of a scene (`hypose.synthetic.scenes.Scene`)."""
 
     @property
     def subject(self) -> SyntheticSubject:
-        """Who moves."""
+        """The person."""
         ...
 
     @property
     def performance(self) -> Performance:
-        """How."""
+        """The person's motion."""
         ...
 
     @property
     def rig(self) -> CameraRig:
-        """What films it."""
+        """The cameras."""
         ...
 
     @property
     def seed(self) -> int:
-        """Of the noise."""
+        """Seed of the noise."""
         ...
 
     def __len__(self) -> int:
-        """Return number of frames."""
+        """Return the number of frames."""
         ...
 
     def shown(self, view: int, index: int, /) -> int:
-        """Return the frame that a view shows at frame index."""
+        """Return the frame of the scene that a view shows as its frame `index`."""
         ...
 
     def dead(self, view: int, index: int, /) -> bool:
-        """Does the view show nothing then?"""
+        """Return whether the images of a view are black at frame `index`."""
         ...
 
 
 def surface_landmarks(subject: SyntheticSubject) -> dict[str, tuple[int, Array]]:
-    """Nose, eyes, ears, toes and heels of a subject: name -> (joint, point (3,) m in the model frame at
-    rest)."""
+    """Compute the positions of nose, eyes, ears, toes and heels on a subject.
+
+    Returns: by name, the joint that carries it and the point (3,) m in the model frame at rest.
+    """
     v, j, part = subject.vertices, subject.joints, subject.main_joint
     out: dict[str, tuple[int, Array]] = {}
     head = v[part == 4] if (part == 4).any() else j[4:5] + [[0, -0.1, 0.08], [0, 0.1, 0.08], [0, 0, 0.2]]
@@ -272,8 +293,11 @@ def surface_landmarks(subject: SyntheticSubject) -> dict[str, tuple[int, Array]]
 
 
 def keypoint_places(subject: SyntheticSubject, rotations: Array, joints: Array) -> Array:
-    """Return (T, 25, 3) m: where the points of BODY_25 are on a subject; rotations (T, 19, 3, 3) world_from_joint,
-    joints (T, 19, 3)."""
+    """Compute the positions (T, 25, 3) m of the points of BODY_25 on a subject.
+
+    rotations: (T, 19, 3, 3) world_from_joint.
+    joints: (T, 19, 3) m.
+    """
     marks = surface_landmarks(subject)
     world = np.zeros((len(joints), len(BODY_25), 3))
     for k, name in enumerate(BODY_25):
@@ -289,13 +313,16 @@ def keypoint_places(subject: SyntheticSubject, rotations: Array, joints: Array) 
 
 
 def keypoint_detections(scene: Filmed, view: int, noise_px: float = 4.0) -> Array:
-    """Return (T, 25, 3) = (u px, v px, confidence): BODY_25 detections of the subject in the camera's own (distorted)
-    images.
+    """Simulate BODY_25 detections of the subject in one camera's own (distorted) images.
 
-    Where joints and surface landmarks really are, plus noise of noise_px at a person 250 px tall, in proportion to the
-    size: half of it white, half slow (detectors err alike in neighbouring frames). 2 % of the points are off by ten
-    times that, with low confidence, 2 % are missing. Detectors' systematic offsets and left-right swaps are not
-    imitated.
+    scene: the filmed scene.
+    view: index of the camera.
+    noise_px: sd of the noise at a person 250 px tall; it grows with the person's size.
+    Returns: (T, 25, 3) = (u px, v px, confidence), 0 where missing.
+
+    The noise is half white, half slow, because detectors make similar errors in neighbouring frames. 2 % of the points
+    are off by ten times the noise, with low confidence; 2 % are missing. Systematic offsets of detectors and left-right
+    swaps are not simulated.
     """
     p, camera = scene.performance, scene.rig[view]
     t = np.array([scene.shown(view, k) for k in range(len(scene))])

@@ -1,10 +1,9 @@
-"""Whole recordings of depth cameras, simulated: a known person who moves in a room, as sensors would deliver them.
+"""Simulate recordings of depth cameras: a known person who moves in a room with floor, walls and furniture.
 
-The person is of another shape space than the tracker's body; the room has a floor, walls and things. What the sensors
-do wrong is that of time of flight: noise that grows with the square of the distance and at grazing angles, values
-between both sides of an edge (flying pixels), light that came by another way (multipath), a pattern that stays, holes
-in hair and at grazing surfaces, and disturbance by the other sensors. The figures are checked against real frames in
-docs/depth.md; everything made here is simulated.
+The person is of another shape space than the tracker's body. The faults are those of time-of-flight sensors: noise that
+grows with the square of the distance and at grazing angles, values between both sides of an edge (flying pixels), light
+that arrives by other paths (multipath), a fixed pattern, holes in hair and at grazing surfaces, and interference by
+other sensors. The parameters are checked against real frames in docs/depth.md.
 """
 
 from __future__ import annotations
@@ -27,26 +26,28 @@ from hypose.synthetic.scenes import look_at
 from hypose.synthetic.subjects import SyntheticSubject
 
 KINECT_SIZE, FOCAL_PX = (320, 288), 252.0
-"""the Azure Kinect's narrow binned mode"""
+"""Image size (px) and focal length (px) of the Azure Kinect's narrow binned mode."""
 AZIMUTHS = {1: (0.0,), 2: (0.0, 90.0), 3: (0.0, 120.0, 240.0)}
-"""degrees from straight in front of a person who faces -y, towards the person's left"""
+"""By number of sensors, their azimuths in degrees, from straight in front of a person who faces -y towards the person's
+left.
+"""
 _PATTERN, _EMPTY, _FRAME = range(3)
 
 
 @dataclass(frozen=True)
 class SensorFaults:
-    """What a depth camera does wrong.
+    """Faults of a depth camera.
 
-    constant_m, square: sd of a value, as `DepthNoise`.
-    pattern_m: sd of what stays the same per pixel, smooth.
-    flying: share of the pixels on an edge whose value lies between both sides, half of which are holes.
-    multipath: share of the depth round about that is mixed into a value.
-    grazing: cosine below which holes begin.
-    holes: share at random.
-    hair: share of the head's crown.
-    disturbed: share of a frame that each other sensor disturbs, where noise is three times as large and a tenth are
-        holes.
-    near_m, far_m: range.
+    constant_m, square: the sd of a value is constant_m + square z^2, m.
+    pattern_m: sd of the fixed smooth pattern, m.
+    flying: share of the pixels on an edge whose value lies between both sides; half of them are holes.
+    multipath: share of the surrounding depth that is mixed into a value.
+    grazing: cosine between ray and normal below which holes begin.
+    holes: share of pixels that are holes at random.
+    hair: share of the pixels on the crown of the head that are holes.
+    disturbed: share of the rows of a frame that each other sensor disturbs; there noise is three times as large and a
+        tenth of the pixels are holes.
+    near_m, far_m: range, m.
     """
 
     constant_m: float = 0.0015
@@ -63,7 +64,12 @@ class SensorFaults:
 
 
 def depth_rig(name: str, distance: float = 2.7, height: float = 1.2) -> CameraRig:
-    """depth-1 (in front), depth-2 (front and side), depth-3 (all round) or depth-N, up to 8, in a ring."""
+    """Make a rig of depth sensors by name.
+
+    name: depth-1 (in front), depth-2 (front and side), depth-3 (all round), or depth-N up to 8, in a ring.
+    distance, height: of the sensors from the centre and above the floor, m.
+    Raises: InputError for another name.
+    """
     count = name.removeprefix("depth-")
     if not count.isdigit() or not 1 <= int(count) <= 8:
         raise InputError(f"There are no sensors {name!r}; give depth-1 to depth-8.")
@@ -77,7 +83,7 @@ def depth_rig(name: str, distance: float = 2.7, height: float = 1.2) -> CameraRi
 
 
 def turning(performance: Performance, subject: SyntheticSubject, heading: Array) -> Performance:
-    """Return the performance turned about the vertical axis of the world by heading (T,) rad, frame by frame."""
+    """Turn a performance about the vertical axis of the world by heading (T,) rad, frame by frame."""
     r = so3_exp(np.asarray(heading, dtype=np.float64)[:, None] * np.array([0, 0, 1.0]))
     rotations = np.einsum("tab,tjbc->tjac", r, performance.rotations)
     root = np.einsum("tab,tb->ta", r, performance.root)
@@ -85,8 +91,10 @@ def turning(performance: Performance, subject: SyntheticSubject, heading: Array)
 
 
 def to_profile(frames: int, seed: int) -> Array:
-    """Return (T,) rad: facing the first sensor, one profile, back, the other one, and back; the seed says which
-    first."""
+    """Make a heading (T,) rad over T = frames: facing the first sensor, one profile, back, the other profile, and back.
+
+    seed: decides which profile is first.
+    """
     x = np.linspace(0, 1, frames)
     side = 1.0 if seed % 2 else -1.0
     return side * np.radians(90) * np.sin(2 * np.pi * x)
@@ -94,15 +102,16 @@ def to_profile(frames: int, seed: int) -> Array:
 
 @dataclass(frozen=True)
 class DepthScene(OfPerformance):
-    """Depth scene.
+    """Synthetic recording of depth sensors with known truth.
 
-    subject: the truth body (dressed).
-    performance.
+    name: of the scene.
+    subject: body of the person (dressed).
+    performance: motion of the person.
     rig: the sensors, pinhole.
-    faults.
-    seed of everything random.
-    furniture: boxes that stand where they may hide the person, x, y of their middle, width along x, along y, height, m.
-    others: further people, with their motions.
+    faults: of the sensors.
+    seed: of everything random.
+    furniture: boxes that may hide the person: x, y of the middle, width along x, along y, height, m.
+    others: further people with their motions.
     """
 
     name: str
@@ -115,7 +124,10 @@ class DepthScene(OfPerformance):
     others: tuple[tuple[SyntheticSubject, Performance], ...] = ()
 
     def clean_map(self, view: int, index: int) -> tuple[DepthMap, NDArray[np.uint8]]:
-        """What sensor `view` would measure of frame `index` without any fault, (h, w) m, and the person's pixels."""
+        """Render frame `index` of sensor `view` without faults.
+
+        Returns: depth (h, w) m, and the pixels of the person (h, w) 0/1.
+        """
         camera, p = self.rig[view], self.performance
         vertices = self.subject.skin(p.rotations[index], p.root[index])
         own, room = _drawn(camera, vertices, self.subject.faces), self._rooms[view]
@@ -124,7 +136,7 @@ class DepthScene(OfPerformance):
         return np.minimum(own, room), (own < room).astype(np.uint8)
 
     def depth_map(self, view: int, index: int) -> DepthMap:
-        """What sensor `view` measures of frame `index`, (h, w) m, 0 = hole, in whole millimetres."""
+        """Render frame `index` of sensor `view` with its faults: (h, w) m, 0 = hole, rounded to millimetres."""
         camera, p = self.rig[view], self.performance
         vertices = self.subject.skin(p.rotations[index], p.root[index])
         clean, person = self.clean_map(view, index)
@@ -142,7 +154,7 @@ class DepthScene(OfPerformance):
         return sensed(clean, camera, self.faults, self._patterns[view], rng, len(self.rig) - 1, hair)
 
     def empty_map(self, view: int, index: int) -> DepthMap:
-        """Return a map (h, w) m of the empty room."""
+        """Render the empty room from sensor `view` with its faults: (h, w) m, 0 = hole."""
         rng = np.random.default_rng([self.seed, _EMPTY, view, index])
         return sensed(
             self._rooms[view], self.rig[view], self.faults, self._patterns[view], rng, len(self.rig) - 1, None
@@ -171,7 +183,13 @@ def depth_scene(
     seed: int = 0,
     faults: SensorFaults | None = None,
 ) -> DepthScene:
-    """Return the scene of a performance of that subject before sensors (`depth_rig`)."""
+    """Make the scene of a subject's performance in front of depth sensors.
+
+    performance, subject: motion, and body of the person.
+    sensors: name of a rig (`depth_rig`), or a rig.
+    seed: of everything random.
+    faults: of the sensors; None: the defaults.
+    """
     rig = depth_rig(sensors) if isinstance(sensors, str) else sensors
     what = sensors if isinstance(sensors, str) else f"{len(rig)} sensors"
     name = f"{performance.name}-{subject.name}-{what}-{seed}"
@@ -187,8 +205,16 @@ def sensed(
     others: int,
     hair: NDArray[np.bool_] | None,
 ) -> DepthMap:
-    """Return a map (h, w) m without faults as a sensor with `faults` delivers it, with so many other sensors; hair (h,
-    w): dark."""
+    """Add the faults of a sensor to a depth map.
+
+    clean: (h, w) m without faults.
+    camera: of the sensor.
+    faults: to add.
+    pattern: (h, w) m, fixed pattern of the sensor.
+    others: number of other sensors that disturb it.
+    hair: (h, w) pixels of hair, or None.
+    Returns: (h, w) m, 0 = hole, rounded to millimetres.
+    """
     z = clean.astype(np.float32)
     h, w = z.shape
     kernel = np.ones((3, 3), np.uint8)
@@ -220,7 +246,7 @@ def sensed(
 
 
 def _cosines(z: DepthMap, camera: Camera) -> DepthMap:
-    """Return (h, w) of the angle between ray and normal; of the two one-sided differences the smaller."""
+    """Compute the cosine (h, w) between ray and normal, from the smaller of the two one-sided differences."""
     ax = np.minimum(np.abs(np.diff(z, axis=1, append=z[:, -1:])), np.abs(np.diff(z, axis=1, prepend=z[:, :1])))
     ay = np.minimum(np.abs(np.diff(z, axis=0, append=z[-1:])), np.abs(np.diff(z, axis=0, prepend=z[:1])))
     slope = np.hypot(ax * camera.K[0, 0] / z, ay * camera.K[1, 1] / z)
@@ -233,7 +259,7 @@ def _drawn(camera: Camera, vertices: Array, faces: NDArray[np.int32]) -> DepthMa
 
 
 def _room(camera: Camera, things: tuple[Array, NDArray[np.int32]]) -> DepthMap:
-    """Return (h, w) m: floor, four walls and ceiling, and things in it."""
+    """Render floor, four walls, ceiling and the things in the room: (h, w) m."""
     v, u = np.indices((camera.size[1], camera.size[0]))
     k, r = camera.K, camera.camera_from_world[:3, :3]
     rays = np.stack([(u - k[0, 2]) / k[0, 0], (v - k[1, 2]) / k[1, 1], np.ones(u.shape)], -1) @ r
@@ -259,8 +285,9 @@ _SIDES = np.array(
 def _things(
     rng: np.random.Generator, furniture: Sequence[tuple[float, float, float, float, float]]
 ) -> tuple[Array, NDArray[np.int32]]:
-    """Boxes on the floor, outside the space in which people move and not before the sensors of AZIMUTHS, and those that
-    are asked for."""
+    """Make the mesh of boxes on the floor, outside the space of the people and away from the sensors of AZIMUTHS, plus
+    the furniture.
+    """
     vertices = []
     for azimuth in (45, 160, 200, 285, 315):
         angle, away = np.radians(azimuth) + rng.uniform(-0.15, 0.15), rng.uniform(2.4, 2.9)

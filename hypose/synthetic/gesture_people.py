@@ -1,7 +1,8 @@
-"""People with fingers for the simulated depth sensor: bodies of other shapes than the tracker's, and how to pose them.
+"""People with fingers for the simulated depth sensor, of other shapes than the tracker's body, and how to pose them.
 
-Everyone is posed by one global rotation per joint over 51 joints (the 19 of the body, a twist joint per forearm, 3 per
-finger): arms by a two-bone reach, hands by flexions. Where the bodies come from: hypose/assets/LICENSE-assets.md.
+A person is posed by one global rotation per joint over 51 joints (the 19 of the body, a twist joint per forearm, 3 per
+finger): arms by two-bone inverse kinematics, hands by flexion angles. The source of the bodies is in
+hypose/assets/LICENSE-assets.md.
 """
 
 from __future__ import annotations
@@ -46,13 +47,13 @@ HAND_SHAPES = tuple(_FLEXION)
 
 
 def unit(v: ArrayLike) -> Array:
-    """v (3,) at length 1."""
+    """Normalise a vector (3,) to length 1."""
     a = np.asarray(v, dtype=np.float64)
     return a / np.linalg.norm(a)
 
 
 def rotation_about(axis: ArrayLike, angle: float) -> Array:
-    """Rotation (3, 3) about an axis by an angle (rad), Rodrigues' formula."""
+    """Compute the rotation (3, 3) about an axis (3,) by an angle in rad (Rodrigues' formula)."""
     x, y, z = unit(axis)
     k = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     return np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * k @ k
@@ -66,17 +67,17 @@ def _frame(a: ArrayLike, b: ArrayLike) -> Array:
 
 
 def _align(a0: ArrayLike, b0: ArrayLike, a1: ArrayLike, b1: ArrayLike) -> Array:
-    """Rotation that takes direction a0 to a1 and b0 into the half plane of a1 and b1."""
+    """Compute the rotation that takes direction a0 to a1, and b0 into the half plane of a1 and b1."""
     return _frame(a1, b1) @ _frame(a0, b0).T
 
 
 @dataclass(frozen=True)
 class HandShape:
-    """Hand shape.
+    """Shape of a hand.
 
-    flexion (4, 3) rad of index to little finger.
-    spread rad between neighbours.
-    thumb (3, 3, 3): rotations of its joints relative to the hand.
+    flexion: (4, 3) rad, joints of index to little finger.
+    spread: angle between neighbouring fingers, rad.
+    thumb: (3, 3, 3) rotations of the thumb's joints relative to the hand.
     """
 
     flexion: Array
@@ -84,14 +85,19 @@ class HandShape:
     thumb: Array
 
     def towards(self, other: HandShape, t: float) -> HandShape:
-        """Return the shape a share t of the way to another."""
+        """Interpolate to another shape by a share t."""
         u, _, v = np.linalg.svd((1 - t) * self.thumb + t * other.thumb)
         return HandShape((1 - t) * self.flexion + t * other.flexion, (1 - t) * self.spread + t * other.spread, u @ v)
 
 
 @dataclass(frozen=True)
 class ArmGoal:
-    """Where an arm goes: wrist (3,) m, directions of the fingers, the palm and the elbow's side (3,), the hand."""
+    """Goal of an arm.
+
+    wrist: (3,) m, position of the wrist.
+    fingers, palm, elbow: (3,) directions in which the fingers point, the palm faces and the elbow lies.
+    hand: shape of the hand.
+    """
 
     wrist: Array
     fingers: Array
@@ -102,13 +108,17 @@ class ArmGoal:
 
 @dataclass(frozen=True)
 class GesturePerson:
-    """Gesture person.
+    """Body of a person with fingers, V vertices and 51 joints.
 
-    vertices (V, 3) f4 and joints (51, 3) m in the body's frame (origin at the pelvis, x = the person's left, y =
-        backward, z = up).
-    faces (F, 3).
-    weights (V, 51) f4.
-    ends (2, 5, 3) of the fingers of the left and right hand.
+    name: of the person.
+    joint_names, parents: of the joints.
+    vertices: (V, 3) float32 m at rest, in the body's frame (origin at the pelvis, x = the person's left, y = backward,
+        z = up).
+    joints: (51, 3) m at rest, in the same frame.
+    faces: (F, 3).
+    weights: (V, 51) float32 skinning weights.
+    ends: (2, 5, 3) m, finger tips of the left and right hand.
+    fitted: cache of fitted thumbs.
     """
 
     name: str
@@ -122,7 +132,7 @@ class GesturePerson:
     fitted: dict[tuple[str, str], Array] = field(default_factory=dict, compare=False, repr=False)
 
     def joint(self, name: str) -> Array:
-        """Rest position (3,) of a joint."""
+        """Return the position (3,) m of a joint at rest."""
         return self.joints[self.joint_names.index(name)]
 
     @property
@@ -131,7 +141,9 @@ class GesturePerson:
         return float(self.vertices[:, 2].min())
 
     def hand_axes(self, side: str) -> tuple[Array, Array, float]:
-        """At rest: direction of the fingers, direction the palm faces (3,), length of the palm (m)."""
+        """Return for a hand at rest the direction of the fingers (3,), the direction that the palm faces (3,), and the
+        length of the palm (m).
+        """
         wrist, middle = self.joint(f"{side}_wrist"), self.joint(f"{side}_middle_1")
         along = unit(middle - wrist)
         across = self.joint(f"{side}_index_1") - self.joint(f"{side}_pinky_1")
@@ -139,7 +151,13 @@ class GesturePerson:
         return along, unit(palm - along * (along @ palm)), float(np.linalg.norm(middle - wrist))
 
     def shape(self, side: str, kind: str, rng: np.random.Generator | None = None, jitter_deg: float = 0.0) -> HandShape:
-        """Return a named hand shape, with every joint off by jitter_deg (sd) where it is not to touch."""
+        """Return a named hand shape.
+
+        side: "left" or "right".
+        kind: one of HAND_SHAPES.
+        rng, jitter_deg: vary every joint by jitter_deg (sd), less where fingers touch.
+        Raises: InputError for an unknown shape.
+        """
         if kind not in _FLEXION:
             raise InputError(f"There is no hand shape {kind!r}; the shapes are {', '.join(HAND_SHAPES)}.")
         touches = kind not in _THUMB
@@ -171,8 +189,11 @@ class GesturePerson:
 
 @lru_cache(maxsize=4)
 def load_people(cloth_m: float = 0.008) -> tuple[GesturePerson, ...]:
-    """Return the baked people, dressed: clothes stand off by up to 1.5 cloth_m (each person another share) except on
-    head and hands. InputError when the asset is missing."""
+    """Load the people, dressed.
+
+    cloth_m: clothes stand off by up to 1.5 cloth_m (another share for each person), but not on head and hands.
+    Raises: InputError where the asset is missing.
+    """
     file = resources.files("hypose.assets").joinpath("gesture_people.npz")
     try:
         with file.open("rb") as stream:
@@ -211,7 +232,7 @@ def load_people(cloth_m: float = 0.008) -> tuple[GesturePerson, ...]:
 
 
 class Puppet:
-    """A person being posed: joints that are not turned follow their parent."""
+    """Person that is being posed: joints without a rotation of their own follow their parent."""
 
     def __init__(self, person: GesturePerson) -> None:
         self.person = person
@@ -220,12 +241,12 @@ class Puppet:
         self._placed: tuple[Array, Array] | None = None
 
     def set(self, name: str, rotation: Array) -> None:
-        """Give a joint its rotation in the world (3, 3)."""
+        """Set the rotation (3, 3) of a joint in the world."""
         self._turned[self._index[name]] = rotation
         self._placed = None
 
     def place(self) -> tuple[Array, Array]:
-        """Rotations (51, 3, 3) and centres (51, 3) m of all joints."""
+        """Compute the rotations (51, 3, 3) and centres (51, 3) m of all joints."""
         if self._placed is not None:
             return self._placed
         p = self.person
@@ -237,27 +258,29 @@ class Puppet:
         return r, c
 
     def at(self, name: str) -> Array:
-        """Centre (3,) of a joint."""
+        """Return the centre (3,) m of a joint."""
         return self.place()[1][self._index[name]]
 
     def rotation(self, name: str) -> Array:
-        """Rotation (3, 3) of a joint."""
+        """Return the rotation (3, 3) of a joint."""
         return self.place()[0][self._index[name]]
 
     def carried(self, name: str, point: Array) -> Array:
-        """Return where a point (3,) of the rest pose is that moves with a joint."""
+        """Return the current position (3,) m of a point of the rest pose that moves with a joint."""
         r, c = self.place()
         j = self._index[name]
         return c[j] + r[j] @ (point - self.person.joints[j])
 
     def finger_end(self, side: str, finger: int) -> Array:
-        """End (3,) of finger 0 (thumb) to 4."""
+        """Return the tip (3,) m of finger 0 (thumb) to 4."""
         return self.carried(f"{side}_{FINGERS[finger]}_3", self.person.ends[SIDES.index(side), finger])
 
     def reach(self, side: str, goal: ArmGoal) -> None:
-        """Bring a wrist to its goal, as far as the arm reaches, and shape the hand.
+        """Move the wrist of a side ("left", "right") to its goal as far as the arm reaches, and shape the hand.
 
-        Two-bone reach; the twist between elbow and hand is spread over the forearm (15 and 55 %)."""
+        The arm is solved by two-bone inverse kinematics; the twist between elbow and hand is spread over the forearm
+        (15 and 55 %).
+        """
         p = self.person
         shoulder = self.at(f"{side}_shoulder")
         a, b, c = (p.joint(f"{side}_{k}") for k in ("shoulder", "elbow", "wrist"))
@@ -286,7 +309,7 @@ class Puppet:
         self.shape_hand(side, goal.hand, r_hand)
 
     def shape_hand(self, side: str, shape: HandShape, r_hand: Array) -> None:
-        """Bend the fingers of a hand whose rotation in the world is r_hand."""
+        """Bend the fingers of one hand to a shape; r_hand (3, 3) is the rotation of the hand in the world."""
         along, palm, _ = self.person.hand_axes(side)
         axis = np.cross(along, palm)
         for k, finger in enumerate(FINGERS[1:]):
@@ -297,7 +320,7 @@ class Puppet:
             self.set(f"{side}_thumb_{q + 1}", r_hand @ shape.thumb[q])
 
     def skin(self) -> NDArray[np.float32]:
-        """Vertices (V, 3) m, linear blend skinning."""
+        """Compute the vertices (V, 3) m by linear blend skinning."""
         r, c = self.place()
         moves = np.concatenate([r.reshape(-1, 9), c - np.einsum("jab,jb->ja", r, self.person.joints)], 1)
         m = self.person.weights @ moves.astype(np.float32)
@@ -307,7 +330,7 @@ class Puppet:
 
 
 def _thumb_of(person: GesturePerson, side: str, x: Array) -> Array:
-    """Rotations of the thumb for a rotation vector of its root (x[:3]) and two flexions (x[3:5])."""
+    """Compute the rotations of the thumb from a rotation vector of its root (x[:3]) and two flexions (x[3:5])."""
     base = person.joint(f"{side}_thumb_1")
     t = unit(person.joint(f"{side}_thumb_3") - base)
     axis = unit(np.cross(t, unit(person.joint(f"{side}_index_1") - person.joint(f"{side}_thumb_2"))))
@@ -319,7 +342,7 @@ def _thumb_of(person: GesturePerson, side: str, x: Array) -> Array:
 
 
 def _chain_end(person: GesturePerson, side: str, finger: int, rotations: Sequence[Array]) -> Array:
-    """End (3,) of a finger whose joints have these rotations, with the hand at rest."""
+    """Compute the tip (3,) of a finger whose joints have these rotations, with the hand at rest."""
     at = [person.joint(f"{side}_{FINGERS[finger]}_{k}") for k in (1, 2, 3)]
     at.append(person.ends[SIDES.index(side), finger])
     out = at[0]
@@ -329,7 +352,7 @@ def _chain_end(person: GesturePerson, side: str, finger: int, rotations: Sequenc
 
 
 def _fit_thumb(person: GesturePerson, side: str, kind: str) -> Array:
-    """Angles (8,) with which the thumb's end meets the index finger's ("ok") or lies on the folded middle finger."""
+    """Fit angles (8,) by which the thumb touches the index finger's tip ("ok") or lies on the folded middle finger."""
     along, palm, _ = person.hand_axes(side)
     axis = np.cross(along, palm)
     flexion = np.deg2rad(np.array(_FLEXION[kind]))

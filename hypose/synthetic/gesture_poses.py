@@ -1,7 +1,7 @@
-"""Gestures to be found, near misses and free movement, as poses of people with fingers.
+"""Poses of people with fingers: gestures to be found, near misses and free movement.
 
-Positions are in the body's frame (x = the person's left, y = backward, z = up, metres); the person faces -y. Everything
-is written for a right-handed person and mirrored for a left-handed one.
+Positions are in the body's frame (x = the person's left, y = backward, z = up, m); the person faces -y. Poses are
+written for a right-handed person and mirrored for a left-handed one.
 """
 
 from __future__ import annotations
@@ -15,20 +15,24 @@ from hypose.geometry import Array
 from hypose.synthetic.gesture_people import SIDES, ArmGoal, GesturePerson, HandShape, Puppet, rotation_about, unit
 
 GESTURES = ("tee", "cross", "pause", "silence", "ok", "volume_up")
-"""What the detectors learn. volume_up is a thumb up: the thesis does not say what it is."""
+"""Gestures that detectors learn. volume_up is a thumb up: the thesis does not define it."""
 _SHOULDER = {"left": 1.0, "right": -1.0}
 
 
 @dataclass(frozen=True)
 class Keyframe:
-    """angles (6,) rad: root yaw, trunk pitch, trunk roll, chest yaw, head pitch, head yaw; goals of both arms."""
+    """Pose of a person.
+
+    angles: (6,) rad: root yaw, trunk pitch, trunk roll, chest yaw, head pitch, head yaw.
+    left, right: goals of both arms.
+    """
 
     angles: Array
     left: ArmGoal
     right: ArmGoal
 
     def towards(self, other: Keyframe, t: float) -> Keyframe:
-        """Return the pose a share t of the way to another."""
+        """Interpolate to another pose by a share t."""
         return Keyframe(
             (1 - t) * self.angles + t * other.angles,
             _blend(self.left, other.left, t),
@@ -51,7 +55,7 @@ def _blend(a: ArmGoal, b: ArmGoal, t: float) -> ArmGoal:
 
 
 def bend(puppet: Puppet, angles: Array) -> None:
-    """Turn trunk and head."""
+    """Turn trunk and head of a person by angles (6,) as in `Keyframe`."""
     root = rotation_about([0, 0, 1], angles[0])
     spine = root @ rotation_about([1, 0, 0], angles[1]) @ rotation_about([0, 1, 0], angles[2])
     chest = spine @ rotation_about([0, 0, 1], angles[3])
@@ -74,7 +78,7 @@ def _angles(rng: np.random.Generator, amount: float) -> Array:
 
 
 class Doer:
-    """A person, which hand leads, and the directions of the chest: what the gestures below are written with."""
+    """Person with a leading hand and the frame of the chest, in which the gestures below are written."""
 
     def __init__(self, puppet: Puppet, rng: np.random.Generator, leading: str, amount: float) -> None:
         self.puppet, self.rng, self.amount = puppet, rng, amount
@@ -88,24 +92,28 @@ class Doer:
         self.middle = 0.5 * (self.lead_shoulder + self.other_shoulder)
 
     def way(self, x: float, y: float, z: float, noise: float = 0.0) -> Array:
-        """Return a direction or offset seen from the chest, mirrored for left-handed people, with noise (sd)."""
+        """Return the direction or offset (x, y, z), given in the chest's frame and mirrored for left-handed people, in
+        the world.
+
+        noise: sd of the random variation.
+        """
         return self.chest @ (np.array([x, y, z]) * self.mirror) + self.rng.normal(0, noise, 3) * self.amount
 
     def elbow(self, x: float, y: float, z: float) -> Array:
-        """Direction of the elbow, mirrored for a left-handed person."""
+        """Return the direction (x, y, z) of the elbow, mirrored for left-handed people."""
         return np.array([x, y, z]) * self.mirror
 
     def middle_finger(self, side: str) -> Array:
-        """From the wrist to the end of the middle finger (3,) at rest."""
+        """Return the vector (3,) m from the wrist to the tip of the middle finger at rest."""
         person = self.puppet.person
         return person.ends[SIDES.index(side), 2] - person.joint(f"{side}_wrist")
 
     def shape(self, side: str, kind: str, jitter: float = 6.0) -> HandShape:
-        """Return a hand of one of HAND_SHAPES, fingers varied by `jitter` degrees."""
+        """Return a hand of one of HAND_SHAPES, its fingers varied by `jitter` degrees."""
         return self.puppet.person.shape(side, kind, self.rng, jitter)
 
     def hanging(self, side: str) -> ArmGoal:
-        """Return an arm that hangs at the side of the body."""
+        """Return the goal of an arm that hangs at the side of the body."""
         x, rng = _SHOULDER[side], self.rng
         offset = [x * rng.uniform(0.05, 0.2), rng.uniform(-0.15, 0.05), -rng.uniform(0.45, 0.6)]
         return ArmGoal(
@@ -117,14 +125,14 @@ class Doer:
         )
 
     def keyframe(self, lead: ArmGoal, other: ArmGoal | None = None) -> Keyframe:
-        """Return the pose with the leading arm and the other one, which hangs by default."""
+        """Return the pose with the leading arm and the other one (None: it hangs)."""
         other = self.hanging(self.other) if other is None else other
         left, right = (other, lead) if self.lead == "right" else (lead, other)
         return Keyframe(self.angles, left, right)
 
 
 def lips(person: GesturePerson) -> Array:
-    """Return the middle of the lips at rest: 4 cm below the tip of the nose."""
+    """Return the middle of the lips (3,) m at rest: 4 cm below the tip of the nose."""
     head = person.joint("head")
     v = person.vertices
     front = v[(np.abs(v[:, 0]) < 0.01) & (v[:, 2] > head[2] - 0.08) & (v[:, 2] < head[2] + 0.2)]
@@ -135,9 +143,15 @@ def lips(person: GesturePerson) -> Array:
 def gesture(
     puppet: Puppet, name: str, rng: np.random.Generator, leading: str = "right", amount: float = 1.0
 ) -> tuple[Keyframe, Array]:
-    """Pose a person doing a gesture; returns the pose and the annotated point (3,) m, which lies on the surface.
+    """Pose a person who shows a gesture.
 
-    amount: how much the pose varies (1 = as different people do it)."""
+    puppet: the person, which is posed.
+    name: one of GESTURES.
+    leading: side of the leading hand.
+    amount: how much the pose varies (1 = as between people).
+    Returns: the pose, and the annotated point (3,) m on the surface.
+    Raises: InputError for an unknown gesture.
+    """
     do = Doer(puppet, rng, leading, amount)
     if name not in _GESTURES:
         raise InputError(f"There is no gesture {name!r}; the gestures are {', '.join(GESTURES)}.")
@@ -155,7 +169,7 @@ def _tee(do: Doer) -> Keyframe:
     up, length = unit(do.way(0, 0, 1, 0.08)), float(np.linalg.norm(do.middle_finger(side)))
     wrist = do.middle + do.way(0, -0.33, -0.12, 0.03) - up * length
     upright = ArmGoal(wrist, up, do.way(-1, 0.3, 0, 0.12), do.elbow(1, 0.2, -0.5), do.shape(side, "flat"))
-    # short arms do not reach the middle: the flat hand comes to where the fingers of the upright one are
+    # short arms do not reach the middle, so that the flat hand is placed at the fingers of the upright one
     do.puppet.reach(side, upright)
     tip = do.puppet.finger_end(side, 2)
     along, palm = unit(do.way(1, -0.1, 0, 0.08)), unit(do.way(0, 0, -1, 0.08))
@@ -226,7 +240,12 @@ _GESTURES = {
 
 
 def annotated(puppet: Puppet, name: str, leading: str) -> Array:
-    """Return the point (3,) m on the surface that a gesture is annotated at, of a person who is doing it."""
+    """Return the point (3,) m on the surface at which a gesture is annotated.
+
+    puppet: person who is posed in the gesture.
+    name: one of GESTURES.
+    leading: side of the leading hand.
+    """
     lead, other = leading, "left" if leading == "right" else "right"
     chest = puppet.rotation("chest")
     if name == "tee":  # where the fingers of the upright hand meet the flat one
@@ -248,8 +267,11 @@ def annotated(puppet: Puppet, name: str, leading: str) -> Array:
 
 
 def movement(puppet: Puppet, rng: np.random.Generator) -> Keyframe:
-    """Return a random pose that is none of the gestures: arms hanging or anywhere in front, hands of any shape but
-    "ok"; a quarter of the hands are near misses (a fist, a pointing finger, ... held up to the camera)."""
+    """Make a random pose of a person that is none of the gestures: arms hanging or anywhere in front, hands of any
+    shape but "ok".
+
+    A quarter of the raised hands are near misses (a fist, a pointing finger, ... held up to the camera).
+    """
     do = Doer(puppet, rng, "right", 1.5)
     goals = {}
     for side, x in _SHOULDER.items():

@@ -1,4 +1,4 @@
-"""Depth pictures of people doing gestures in rooms: what a structured-light sensor would deliver, with the truth.
+"""Depth pictures of people who show gestures in rooms, as a structured-light sensor would deliver them, with the truth.
 
 World: the person stands at the origin and faces -y, z up, floor at z = 0, metres. Cameras look along +y.
 """
@@ -31,7 +31,7 @@ _BOX_FACES = np.array(
 
 
 def _floor() -> tuple[Array, NDArray[np.int32]]:
-    """Return the floor, 8 x 8 m, in tiles: those that reach behind the camera are left out when it is drawn."""
+    """Make the floor, 8 x 8 m, in tiles: those that reach behind the camera are omitted when it is drawn."""
     x, y = np.meshgrid(np.arange(-4, 5.0), 0.8 * np.arange(-5, 6), indexing="ij")
     i, j = (g.ravel() for g in np.mgrid[:8, :10])
     a = i * 11 + j
@@ -44,9 +44,10 @@ _FLOOR = _floor()
 
 @dataclass(frozen=True)
 class GestureRoom:
-    """Gesture room.
+    """Mesh of a room.
 
-    vertices (V, 3) m in the world, faces (F, 3).
+    vertices: (V, 3) m in the world.
+    faces: (F, 3).
     wall: distance of the back wall behind the person, m.
     """
 
@@ -57,18 +58,18 @@ class GestureRoom:
 
 @dataclass(frozen=True)
 class _View:
-    """A camera: camera_from_world rotation (3, 3) and its position (3,) m in the world."""
+    """Camera pose: camera_from_world rotation (3, 3), and position (3,) m in the world."""
 
     rotation: Array
     position: Array
 
     def points(self, world: NDArray) -> NDArray:
-        """Return points (N, 3) of the world in the camera's frame."""
+        """Transform points (N, 3) from the world to the camera's frame."""
         return (world - self.position) @ self.rotation.T
 
 
 def make_gesture_room(rng: np.random.Generator, level: str) -> GestureRoom:
-    """Return a random room: empty (floor and a wall far behind), furnished, or cluttered close to the person."""
+    """Make a random room: "empty" (floor and a wall far behind), "furnished", or "cluttered" close to the person."""
     parts: list[tuple[Array, NDArray[np.int32]]] = []
 
     def box(centre: Sequence[float], size: Sequence[float], yaw: float) -> None:
@@ -94,7 +95,7 @@ def make_gesture_room(rng: np.random.Generator, level: str) -> GestureRoom:
 
 
 def make_view(rng: np.random.Generator, distance: float) -> _View:
-    """Return a camera `distance` m before the person, 1.0 to 1.6 m high, up to 20 degrees to the side."""
+    """Make a random camera `distance` m in front of the person, 1.0 to 1.6 m high, up to 20 degrees to the side."""
     height, yaw = rng.uniform(1.0, 1.6), np.deg2rad(rng.uniform(-20, 20))
     tilt = np.arctan2(height - 1.25, distance) + rng.normal(0, 0.03)
     position = np.array([np.sin(yaw) * distance, -np.cos(yaw) * distance, height])
@@ -105,7 +106,11 @@ def make_view(rng: np.random.Generator, distance: float) -> _View:
 
 
 def backdrop(room: GestureRoom, view: _View, lens: DepthLens = KINECT) -> NDArray[np.float32]:
-    """Inverse depth (480, 640) 1/m of a room without people: drawn once where the camera stands still."""
+    """Render the inverse depth (480, 640) 1/m of a room without people.
+
+    room: mesh of the room.
+    view, lens: the camera; one backdrop is enough while it stands still.
+    """
     inverse = np.zeros((PICTURE_SIZE[1], PICTURE_SIZE[0]), np.float32)
     depth_sensor.draw(view.points(room.vertices), room.faces, (lens.fx, lens.fy, lens.cx, lens.cy), inverse)
     return inverse
@@ -118,8 +123,13 @@ def render(
     rng: np.random.Generator,
     lens: DepthLens = KINECT,
 ) -> tuple[DepthImage, NDArray[np.float32]]:
-    """Depth (480, 640) uint16 mm of posed people (person, vertices in the world) before a backdrop, and the exact
-    inverse depth (1/m)."""
+    """Render people in front of a backdrop with a simulated depth sensor.
+
+    people: (person, vertices in the world) of each.
+    behind: (480, 640) inverse depth of the empty room, 1/m (`backdrop`).
+    view, lens: the camera.
+    Returns: depth (480, 640) uint16 mm as sensed, and the exact inverse depth (480, 640) 1/m.
+    """
     inverse = behind.copy()
     pinhole = (lens.fx, lens.fy, lens.cx, lens.cy)
     for person, vertices in people:
@@ -128,18 +138,23 @@ def render(
 
 
 def stand_at(puppet: Puppet, yaw: float = 0.0, at: Sequence[float] = (0, 0)) -> Array:
-    """Vertices (V, 3) m of a posed person standing on the floor at a place, turned by yaw (rad)."""
+    """Return the vertices (V, 3) m of a posed person who stands on the floor at a place, turned by yaw (rad)."""
     return puppet.skin() @ rotation_about([0, 0, 1], yaw).T + [at[0], at[1], -puppet.person.ground]
 
 
 def handedness(person: int) -> str:
-    """Return the handedness of a person: every fourth one is left-handed."""
+    """Return the leading side of a person: every fourth one is left-handed."""
     return "left" if person % 4 == 3 else "right"
 
 
 @dataclass(frozen=True)
 class Setting:
-    """A room seen by a camera, and what it looks like empty."""
+    """Room seen by a camera.
+
+    room: the room.
+    view: the camera.
+    behind: inverse depth of the empty room.
+    """
 
     room: GestureRoom
     view: _View
@@ -147,32 +162,34 @@ class Setting:
 
     @staticmethod
     def new(room: GestureRoom, view: _View) -> Setting:
-        """Return the setting with its backdrop drawn."""
+        """Make the setting of a room and a camera, with its backdrop rendered."""
         return Setting(room, view, backdrop(room, view))
 
 
 # ---- a simulated depth camera that films gestures --------------------------------------------------------------------
-# A simulated person who moves as it is asked to: smooth ways between poses, seen by the simulated sensor.
+# A simulated person who shows a gesture on demand: smooth movements between poses, seen by the simulated sensor.
 #
-# What a session with a screen shows where there is no camera. Unlike the independent pictures of `gesture_sessions`,
-# neighbouring frames are alike, as they are of a real person.
+# A session with a screen shows it where there is no camera. Neighbouring frames are similar, as those of a real person.
 
 
 _OTHERS = 0.3
-"""Share of ways that lead to another gesture while none is asked for."""
+"""Share of movements that are another gesture while the gesture is not asked for."""
 _HIDDEN = 0.06
-"""m: something nearer than the annotated point by more hides it."""
+"""m; a surface nearer than the annotated point by more hides it."""
 _REACH, _VARY, _MOVE = (0.55, 0.8), (0.4, 0.7), (0.5, 1.2)
-"""s: how long the way into the gesture takes, from one variation of it to the next, and any other way."""
+"""s, least and largest duration of the movement into the gesture, between two variations of it, and of any other
+movement.
+"""
 
 
 @dataclass(frozen=True)
 class SimulatedFrame:
-    """Simulated frame.
+    """Frame of the simulated depth camera.
 
-    depth (480, 640) uint16 mm.
-    point: the pixel of the gesture, None while it is not done or not seen.
-    clear: the gesture is done and seen, or not done at all: not on the way to or from it, and not hidden.
+    depth: (480, 640) uint16 mm.
+    point: pixel of the gesture; None while it is not shown or not visible.
+    clear: whether the gesture is shown and visible, or not shown at all; False on the way to and from it, and where it
+        is hidden.
     """
 
     depth: DepthImage
@@ -181,10 +198,15 @@ class SimulatedFrame:
 
 
 def live_person(number: int, name: str, rng: np.random.Generator, rate: float) -> Generator[SimulatedFrame, bool, None]:
-    """Endless frames at a rate (Hz) of person `number` in a furnished room before a fixed camera.
+    """Yield endless frames of a simulated person in a furnished room before a fixed camera.
 
-    `send(True)` after the first frame asks for the gesture, `send(False)` for anything else. InputError when there is
-    no such person or gesture."""
+    number: of the person.
+    name: of the gesture.
+    rate: Hz.
+
+    After the first frame `send(True)` asks the person for the gesture, `send(False)` for anything else.
+    Raises: InputError for an unknown person or gesture.
+    """
     people = load_people()
     if not 0 <= number < len(people):
         raise InputError(f"There is no simulated person {number}; they have the numbers 0 to {len(people) - 1}.")
@@ -200,8 +222,8 @@ def _frames(
     leading = handedness(number)
     others = [g for g in GESTURES if g != name]
     start = goal = movement(puppet, rng)
-    shows = asked = False  # the goal is the gesture; the gesture is wanted
-    arrived = leaving = False  # the way leads from one variation of the gesture to the next; out of the gesture
+    shows = asked = False  # the goal is the gesture; the gesture is asked for
+    arrived = leaving = False  # moving from one variation of the gesture to the next; moving out of the gesture
     share, seconds = 1.0, 1.0
     while True:
         if asked != shows or share >= 1:

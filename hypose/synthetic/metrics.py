@@ -1,12 +1,11 @@
 """Measures of an estimate against the truth, and the one-time alignment of joint definitions.
 
-Every length goes in and comes out in metres (reports print millimetres). Arrays of joints are (T, J, 3),
-world.
+Lengths are in metres (reports print millimetres). Arrays of joints are (T, J, 3), world.
 
-What "error" means here: the Euclidean distance between an estimated and a true joint centre. Two bodies
-rarely define a joint at the same anatomical place, so definitions are aligned once, by a fixed offset per
-joint in the frame of a segment, never per frame: `definition_offsets`, from two neutral rest bodies, once for all
-subjects and sequences, so that no information about the subject or the sequence enters.
+An error is the Euclidean distance between an estimated and a true joint centre. Two bodies rarely define a joint at the
+same anatomical place, so that definitions are aligned once, by a fixed offset per joint in the frame of a segment,
+never per frame: `definition_offsets`, from two neutral rest bodies, once for all subjects and sequences, so that no
+information about the subject or the sequence enters.
 """
 
 from __future__ import annotations
@@ -30,30 +29,33 @@ EVALUATED_JOINTS: tuple[str, ...] = (
 )
 """The 15 joints of the mean error (HumanEva also averages over 15 virtual markers)."""
 EVALUATED: NDArray[np.int64] = np.array([JOINT_NAMES.index(n) for n in EVALUATED_JOINTS])
-"""Their indices among the 19 joints."""
+"""Indices of the evaluated joints among the 19 joints."""
 LOST_M = 0.120
-"""A frame whose mean error exceeds this counts as lost."""
-# The segment whose frame carries a joint's offset: the one that ends in the joint (an elbow's place is a
-# matter of the upper arm), the joint's own for the root. The head joint is carried by the head.
+"""m; a frame whose mean error is larger counts as lost."""
+# The segment whose frame carries a joint's offset: the one that ends in the joint (an elbow is fixed to
+# the upper arm), the joint's own for the root. The head joint is carried by the head.
 _CARRIER = np.array([j if JOINT_NAMES[j] in ("pelvis", "head") else int(PARENTS[j]) for j in range(len(JOINT_NAMES))])
 
 
 def carriers() -> NDArray[np.int64]:
-    """Return (19,) joint whose frame carries each joint's definition offset."""
+    """Return for each of the 19 joints the joint whose frame carries its definition offset."""
     return _CARRIER.copy()
 
 
 def definition_offsets(
     estimated_rest: ArrayLike, true_rest: ArrayLike, estimated_stature: float, true_stature: float
 ) -> Array:
-    """Return (19, 3) offsets: where the truth defines each joint, seen from where the estimate's body defines it, in
-    the rest frame, per metre of stature.
+    """Compute where the truth defines each joint relative to the estimate's body, per metre of stature.
 
-    estimated_rest, true_rest: (19, 3) rest joints of two NEUTRAL bodies in the model frame (e.g. the tracker's template
-        and the mean of all subjects), measured once; statures in m. Both are scaled to stature 1 and placed so that all
-        joints agree in the mean. A limb segment that rests more than 10 degrees apart in the two bodies is turned to
-        the same direction first: that is posture, not definition. Multiply by the subject's stature and give to
-        `joint_errors`; no information about a subject or a sequence is used except that stature.
+    estimated_rest, true_rest: (19, 3) m, rest joints of two NEUTRAL bodies in the model frame (e.g. the tracker's
+        template and the mean of all subjects), measured once.
+    estimated_stature, true_stature: m.
+    Returns: (19, 3) offsets in the rest frame. Multiply by the subject's stature and give to `joint_errors`; no other
+        information about a subject or a sequence is used.
+
+    Both bodies are scaled to stature 1 and placed so that all joints agree in the mean. A limb segment that rests more
+    than 10 degrees apart in the two bodies is turned to the same direction first, because that is posture, not
+    definition.
     """
     a = np.asarray(estimated_rest, dtype=np.float64) / estimated_stature
     b = np.asarray(true_rest, dtype=np.float64) / true_stature
@@ -64,8 +66,11 @@ def definition_offsets(
 
 
 def population_offsets(body: Body) -> Array:
-    """`definition_offsets` of a body (the tracker's template as shipped, not fitted to anybody) against the subject
-    "neutral", per metre of stature: measured once, the same for every subject and sequence."""
+    """Compute the `definition_offsets` of a body against the subject "neutral", per metre of stature.
+
+    body: the tracker's template as shipped, not fitted to a person: measured once, the same for every subject and
+        sequence.
+    """
     neutral = load_subjects()["neutral"]
     return definition_offsets(body.skeleton.rest_joints, neutral.joints, body.stature, neutral.stature)
 
@@ -83,9 +88,12 @@ def _posed_like(joints: Array, other: Array) -> Array:
 
 
 def with_offsets(estimated: ArrayLike, rotations: ArrayLike, offsets: ArrayLike) -> Array:
-    """Return (T, 19, 3) m: estimated joints moved by offsets (19, 3) m, fixed in their carrying segments.
+    """Move estimated joints by definition offsets that are fixed in their carrying segments.
 
-    rotations (T, 19, 3, 3): world_from_joint of the estimate (`Skeleton.forward`).
+    estimated: (T, 19, 3) m.
+    rotations: (T, 19, 3, 3) world_from_joint of the estimate (`Skeleton.forward`).
+    offsets: (19, 3) m.
+    Returns: (T, 19, 3) m.
     """
     e, r, o = (np.asarray(x, dtype=np.float64) for x in (estimated, rotations, offsets))
     return e + np.einsum("tjab,jb->tja", r[:, _CARRIER], o)
@@ -93,12 +101,10 @@ def with_offsets(estimated: ArrayLike, rotations: ArrayLike, offsets: ArrayLike)
 
 @dataclass(frozen=True)
 class JointErrors:
-    """Joint errors.
+    """Errors of joints over frames, with their statistics; NaN is ignored in all statistics.
 
-    distances: (T, J) m, joint by joint and frame by frame; frames with NaN in the truth or the estimate are NaN.
-    names: the J joints.
-
-    The figures below ignore NaN.
+    distances: (T, J) m; frames with NaN in the truth or the estimate are NaN.
+    names: of the J joints.
     """
 
     distances: Array
@@ -106,40 +112,40 @@ class JointErrors:
 
     @property
     def frame_means(self) -> Array:
-        """Return (T,) m: mean over the joints; NaN where none is known."""
+        """(T,) m, mean over the joints; NaN where none is known."""
         known = np.isfinite(self.distances)
         with np.errstate(invalid="ignore"):
             return np.where(known, self.distances, 0.0).sum(1) / known.sum(1)
 
     @property
     def mean(self) -> float:
-        """m: mean over frames of the mean over joints (HumanEva's error)."""
+        """Mean over frames of the mean over joints, m (HumanEva's error)."""
         return float(np.nanmean(self.frame_means))
 
     @property
     def sd(self) -> float:
-        """m: standard deviation over the frames of the per-frame mean (the papers' bracketed number)."""
+        """Standard deviation over the frames of the mean over joints, m (the number in brackets in the papers)."""
         return float(np.nanstd(self.frame_means))
 
     @property
     def median(self) -> float:
-        """m: median over all joints and frames."""
+        """Median over all joints and frames, m."""
         return float(np.nanmedian(self.distances))
 
     @property
     def p95(self) -> float:
-        """m: 95th percentile over all joints and frames: one lost hand shows here, not in the mean."""
+        """95th percentile over all joints and frames, m: it shows one lost hand, which the mean does not."""
         return float(np.nanpercentile(self.distances, 95))
 
     @property
     def lost_share(self) -> float:
-        """Return share of the frames (0..1) whose mean exceeds LOST_M (120 mm)."""
+        """Share of the frames (0..1) whose mean exceeds LOST_M (120 mm)."""
         m = self.frame_means
         return float((m[np.isfinite(m)] > LOST_M).mean())
 
     @property
     def per_joint(self) -> dict[str, float]:
-        """m: mean over the frames, joint by joint."""
+        """Mean over the frames, m, by joint."""
         return dict(zip(self.names, np.nanmean(self.distances, axis=0).tolist(), strict=True))
 
 
@@ -150,10 +156,13 @@ def joint_errors(
     rotations: ArrayLike | None = None,
     joints: ArrayLike | None = None,
 ) -> JointErrors:
-    """Distances between estimated and true joints (T, 19, 3) m in world coordinates, no alignment of any frame.
+    """Compute the distances between estimated and true joints in world coordinates, without aligning any frame.
 
-    offsets (19, 3) m: added to the estimate in its carrying segments (needs rotations (T, 19, 3, 3) of the estimate).
-    joints: indices of the joints that count, EVALUATED (15) by default.
+    estimated, truth: (T, 19, 3) m.
+    offsets: (19, 3) m, definition offsets added to the estimate in its carrying segments.
+    rotations: (T, 19, 3, 3) world_from_joint of the estimate, needed with offsets.
+    joints: indices of the joints that count; None: EVALUATED (15).
+    Raises: InputError where shapes differ, or offsets are given without rotations.
     """
     e, t = np.asarray(estimated, dtype=np.float64), np.asarray(truth, dtype=np.float64)
     _check_joints(e, t)
@@ -169,13 +178,13 @@ def joint_errors(
 def coverage(
     estimated: ArrayLike, joint_sd: ArrayLike, truth: ArrayLike, levels: tuple[float, ...] = (0.5, 0.9, 0.95)
 ) -> dict[float, Array]:
-    """Return share of the frames in which the true joint lies in the reported region, per level: {level: (J,)}.
+    """Compute how often the true joint lies in the reported confidence region.
 
-    estimated, truth (T, J, 3) m.
-    joint_sd (T, J) m per axis, or covariances (T, J, 3, 3) m^2.
-
-    The region of a level is the sphere (ellipsoid) of `hypose.body.motion.region_reach`. A well calibrated method has
-    coverage = level. NaN where no sd is known.
+    estimated, truth: (T, J, 3) m.
+    joint_sd: (T, J) m per axis, or covariances (T, J, 3, 3) m^2.
+    levels: probabilities of the regions; the region of a level is the sphere (ellipsoid) of `body.motion.region_reach`.
+    Returns: by level, the share of the frames (J,); NaN where no sd is known. A well calibrated method has coverage =
+        level.
     """
     d = np.asarray(truth, dtype=np.float64) - np.asarray(estimated, dtype=np.float64)
     s = np.asarray(joint_sd, dtype=np.float64)

@@ -1,10 +1,7 @@
-"""Built-in motions: walk, jog, box, wave, cross_arms, punch, sit_down, serve, combo; nothing external is
-needed.
+"""Built-in motions: walk, jog, box, wave, cross_arms, punch, sit_down, serve, combo; no external data is needed.
 
-Walking and running follow published joint-angle curves (Winter 2009, normal gait, rounded; a slow run
-likewise), the rest are key poses joined smoothly. `amplitude` scales how far the limbs move, `speed` how
-fast; with an rng every take differs a little in both, in posture and in timing. All angles are anatomical,
-see performance.CHANNELS.
+Walking and running follow published joint-angle curves (Winter 2009, normal gait, rounded; a slow run likewise); the
+others are key poses joined smoothly. Angles are anatomical, see performance.CHANNELS.
 """
 
 from __future__ import annotations
@@ -40,7 +37,7 @@ _GUARD = {
 
 
 def _pose(*parts: Mapping[str, float]) -> dict[str, float]:
-    """Later parts override earlier ones; both_X sets left_X and right_X."""
+    """Combine key poses, later parts override earlier ones; both_X sets left_X and right_X."""
     out: dict[str, float] = {}
     for part in parts:
         for k, v in part.items():
@@ -57,7 +54,7 @@ def _keyed(
     stance: Stance,
     smooth: float = 0.05,
 ) -> Angles:
-    """Key poses (time, channels) joined monotonically and smoothed by `smooth` s, with a little sway."""
+    """Join key poses (time, channels) monotonically, smooth them by `smooth` s, and add a little sway."""
     keys = [k for i, k in enumerate(keys) if i == 0 or k[0] > keys[i - 1][0] + 1e-6]
     at = np.array([k for k, _ in keys])
     channels = sorted({c for _, pose in keys for c in pose})
@@ -81,7 +78,7 @@ def _keyed(
 
 
 def _scaled(pose: Mapping[str, float], base: Mapping[str, float], amplitude: float) -> dict[str, float]:
-    """Return the pose with its distance from the base pose scaled."""
+    """Scale the difference of a pose from a base pose."""
     keys = set(pose) | set(base)
     return {k: base.get(k, 0.0) + amplitude * (pose.get(k, 0.0) - base.get(k, 0.0)) for k in keys}
 
@@ -110,8 +107,11 @@ def box(
     amplitude: float = 1.0,
     speed: float = 1.0,
 ) -> Performance:
-    """Shadow boxing from a guard, left foot forward: jabs and crosses about every 0.8 s, bobbing on planted
-    feet."""
+    """Simulate shadow boxing from a guard, left foot forward: jabs and crosses about every 0.8 s, bobbing on planted
+    feet.
+
+    Arguments as in `act`.
+    """
     take, t = Take(rng), sample_times(duration, frame_rate)
     guard = _pose(_GUARD)
     keys, now, side = [(0.0, guard)], 0.35, "left"
@@ -141,7 +141,10 @@ def punch(
     amplitude: float = 1.0,
     speed: float = 1.0,
 ) -> Performance:
-    """Strong straight punches of the right hand from a relaxed stance, with wind-up, every 1.6 s."""
+    """Simulate strong straight punches of the right hand from a relaxed stance, with wind-up, every 1.6 s.
+
+    Arguments as in `act`.
+    """
     take, t = Take(rng), sample_times(duration, frame_rate)
     rest = _pose(_RELAXED, {"up": -0.02})
     wind = {
@@ -170,8 +173,10 @@ def wave(
     amplitude: float = 1.0,
     speed: float = 1.0,
 ) -> Performance:
-    """Raising the right arm and waving the forearm from side to side, then lowering it; again after a
-    pause."""
+    """Simulate waving: raise the right arm, wave the forearm from side to side, lower it; again after a pause.
+
+    Arguments as in `act`.
+    """
     take, t = Take(rng), sample_times(duration, frame_rate)
     rest = _pose(_RELAXED)
     up = {"right_shoulder_flexion": 30, "right_shoulder_abduction": 92, "right_shoulder_internal": -78}
@@ -201,7 +206,10 @@ def cross_arms(
     amplitude: float = 1.0,
     speed: float = 1.0,
 ) -> Performance:
-    """Folding the arms in front of the chest, holding, and letting them hang again (an IXMAS action)."""
+    """Simulate folding the arms in front of the chest, holding, and letting them hang again (an IXMAS action).
+
+    Arguments as in `act`.
+    """
     take, t = Take(rng), sample_times(duration, frame_rate)
     rest = _pose(_RELAXED)
     folded = {
@@ -228,8 +236,10 @@ def sit_down(
     amplitude: float = 1.0,
     speed: float = 1.0,
 ) -> Performance:
-    """Sitting down as on a chair 45 cm high (which is not there) and standing up again; the trunk leads the
-    way."""
+    """Simulate sitting down on an invisible chair 45 cm high, and standing up again; the trunk leads the movement.
+
+    Arguments as in `act`.
+    """
     take, t = Take(rng), sample_times(duration, frame_rate)
     rest = _pose(_RELAXED, {"forward": 0.02})
     half = {"up": -0.24, "forward": -0.24, "pelvis_lean": 24, "spine_lean": 22, "neck_lean": -18}
@@ -255,8 +265,11 @@ def serve(
     amplitude: float = 1.0,
     speed: float = 1.0,
 ) -> Performance:
-    """Return a right-handed tennis serve without racket: toss, trophy pose with bent knees, strike, follow-through;
-    every 3.2 s."""
+    """Simulate a right-handed tennis serve without racket: toss, trophy pose with bent knees, strike, follow-through;
+    every 3.2 s.
+
+    Arguments as in `act`.
+    """
     take, t = Take(rng), sample_times(duration, frame_rate)
     ready = _pose(_RELAXED, {"both_shoulder_flexion": 32, "both_elbow_flexion": 55, "both_shoulder_internal": 35})
     ready |= {"spine_turn": -12, "pelvis_turn": -10, "neck_turn": 15, "up": -0.03}
@@ -341,8 +354,10 @@ def combo(
     amplitude: float = 1.0,
     speed: float = 1.0,
 ) -> Performance:
-    """Walk, jog, box and wave one after the other (HumanEva's combo likewise starts with walking and
-    jogging)."""
+    """Simulate walk, jog, box and wave one after the other (HumanEva's combo also starts with walking and jogging).
+
+    Arguments as in `act`.
+    """
     parts = [(walk, 0.34), (jog, 0.24), (box, 0.22), (wave, 0.20)]
     blend, n = 0.5, round(duration * frame_rate)
     extra = blend * (len(parts) - 1) / len(parts)
@@ -361,8 +376,16 @@ def act(
     amplitude: float = 1.0,
     speed: float = 1.0,
 ) -> Performance:
-    """Return a built-in motion by name (MOTIONS) of `duration` s at `frame_rate` Hz about the origin; an InputError
-    lists them."""
+    """Make a built-in motion by name.
+
+    name: one of MOTIONS.
+    subject: the person.
+    duration, frame_rate: s and Hz.
+    rng: for random variation of size, speed, posture and timing; None: none.
+    amplitude, speed: factors of the size and speed of the movement.
+    Returns: the performance, about the origin.
+    Raises: InputError with the list of motions for an unknown name.
+    """
     if name not in MOTIONS:
         raise InputError(f"There is no motion {name!r}; the motions are {', '.join(MOTIONS)}.")
     return MOTIONS[name](subject, duration, frame_rate, rng, amplitude, speed)
@@ -373,7 +396,10 @@ def act(
 
 
 def sample_times(duration: float, frame_rate: float) -> Array:
-    """Return (T,) s: at least two times from 0 on."""
+    """Return the times (T,) s of the frames, at least two, from 0.
+
+    Raises: InputError where duration or frame rate is not positive.
+    """
     if not (duration > 0 and frame_rate > 0):
         raise InputError(f"A motion needs a positive duration and frame rate, got {duration} s and {frame_rate} Hz.")
     return np.arange(max(2, round(duration * frame_rate))) / frame_rate
@@ -386,15 +412,19 @@ class Take:
         self.rng = rng
 
     def factor(self, share: float) -> float:
-        """Return a factor of relative sd `share`."""
+        """Draw a factor of relative sd `share`."""
         return 1.0 if self.rng is None else float(np.exp(np.clip(self.rng.normal(0, share), -2 * share, 2 * share)))
 
     def offset(self, size: float) -> float:
-        """Return an offset of sd `size`."""
+        """Draw an offset of sd `size`."""
         return 0.0 if self.rng is None else float(np.clip(self.rng.normal(0, size), -2 * size, 2 * size))
 
     def drift(self, t: Array, size: float, period: float = 2.5) -> Array:
-        """Return a smooth random course of the given sd: people are never quite periodic."""
+        """Draw a smooth random curve over times t (T,) s, because people are never exactly periodic.
+
+        size: sd of the curve.
+        period: mean period of its waves, s.
+        """
         if self.rng is None:
             return np.zeros_like(t)
         n = 4
@@ -485,7 +515,9 @@ def walk(
     speed: float = 1.0,
     radius: float = 0.8,
 ) -> Performance:
-    """Walking on a circle of `radius` m to the left (infinite: straight on), about 1.2 m/s."""
+    """Simulate walking on a circle of `radius` m to the left (infinite: straight on), about 1.2 m/s; other arguments as
+    in `act`.
+    """
     return _around(
         perform(_gait("walk", sample_times(duration, frame_rate), rng, amplitude, speed, radius, False), subject)
     )
@@ -500,7 +532,9 @@ def jog(
     speed: float = 1.0,
     radius: float = 0.9,
 ) -> Performance:
-    """Slow running on a circle of `radius` m to the left (infinite: straight on), with short flights."""
+    """Simulate slow running with short flights on a circle of `radius` m to the left (infinite: straight on); other
+    arguments as in `act`.
+    """
     return _around(
         perform(_gait("jog", sample_times(duration, frame_rate), rng, amplitude, speed, radius, True), subject)
     )

@@ -1,8 +1,8 @@
-"""Performance: a subject's known motion, and how joint angles become one.
+"""Performance: a subject's known motion, and how it is made from joint angles.
 
-Angles are anatomical and relative to standing upright with hanging arms; `perform` turns them into one world
-rotation per joint for a given subject, whatever its rest pose, and finds the root's path from the feet: a
-foot that carries stays on the ground and does not slide.
+Angles are anatomical and relative to standing upright with hanging arms. `perform` converts them to one world rotation
+per joint for a given subject, whatever its rest pose, and finds the root's path from the feet: a foot that carries the
+body stays on the ground and does not slide.
 """
 
 from __future__ import annotations
@@ -44,12 +44,16 @@ CHANNELS = (
         )
     ),
 )
-"""The channels of `Angles`. Angles are in degrees, zero standing upright with hanging arms."""
+"""Channels of `Angles`. Angles are in degrees, zero standing upright with hanging arms."""
 
 
 class Stance(NamedTuple):
-    """Where planted feet stand, in m per m of leg length, relative to the point under the pelvis at rest:
-    forward and outward (half the width) of the left and right ankle, and toes turned out in degrees."""
+    """Positions of planted feet, in m per m of leg length, relative to the point under the pelvis at rest.
+
+    left_forward, right_forward: forward position of each ankle.
+    half_width: outward position of both ankles.
+    toes_out: outward turn of the toes, degrees.
+    """
 
     left_forward: float = 0.0
     right_forward: float = 0.0
@@ -59,13 +63,14 @@ class Stance(NamedTuple):
 
 @dataclass(frozen=True)
 class Angles:
-    """A motion as angles over time.
+    """Motion as joint angles over time.
 
-    times (T,) s.
-    values: channel -> (T,), absent ones are 0.
+    name: of the motion.
+    times: (T,) s.
+    values: (T,) by channel; missing channels are 0.
     stance: the feet stay planted there and the legs follow by inverse kinematics (leg channels are ignored); None: the
-        legs follow the channels, and the body travels as far as its feet push it, on a circle of `turn_radius` m
-        (infinite: straight).
+        legs follow the channels, and the body travels as far as its feet push it.
+    turn_radius: radius of the circle on which it travels, m (infinite: straight).
     """
 
     name: str
@@ -79,18 +84,19 @@ class Angles:
         assert not unknown, f"unknown channels {sorted(unknown)}"
 
     def get(self, channel: str) -> Array:
-        """Return (T,) values of a channel."""
+        """Return the values (T,) of a channel."""
         return np.broadcast_to(np.asarray(self.values.get(channel, 0.0), dtype=np.float64), self.times.shape)
 
 
 @dataclass(frozen=True)
 class Performance:
-    """What a subject does, exactly.
+    """Exact motion of a subject.
 
-    times (T,) s.
-    rotations (T, 19, 3, 3) world_from_joint.
-    root (T, 3) m: pelvis in the world.
-    joints (T, 19, 3) m, world.
+    name: of the motion.
+    times: (T,) s.
+    rotations: (T, 19, 3, 3) world_from_joint.
+    root: (T, 3) m, pelvis in the world.
+    joints: (T, 19, 3) m, world.
     """
 
     name: str
@@ -104,12 +110,12 @@ class Performance:
 
     @property
     def frame_rate(self) -> float:
-        """Return frames per second."""
+        """Frames per second."""
         return float((len(self.times) - 1) / (self.times[-1] - self.times[0])) if len(self.times) > 1 else 25.0
 
 
 class OfPerformance:
-    """Attributes of an object that has a `performance`."""
+    """Base class that gives an object with a `performance` the attributes of it."""
 
     performance: Performance
 
@@ -118,40 +124,45 @@ class OfPerformance:
 
     @property
     def times(self) -> Array:
-        """Return (T,) s."""
+        """(T,) s."""
         return self.performance.times
 
     @property
     def frame_rate(self) -> float:
-        """Return frames per second."""
+        """Frames per second."""
         return self.performance.frame_rate
 
     @property
     def joints(self) -> Array:
-        """Return (T, 19, 3) true joint centres, m, world."""
+        """(T, 19, 3) true joint centres, m, world."""
         return self.performance.joints
 
     @property
     def rotations(self) -> Array:
-        """Return (T, 19, 3, 3) true world_from_joint rotations; identity in the subject's rest pose."""
+        """(T, 19, 3, 3) true world_from_joint rotations; identity in the subject's rest pose."""
         return self.performance.rotations
 
 
 def assemble(name: str, subject: SyntheticSubject, times: Array, rotations: Array, root: Array) -> Performance:
-    """Return a Performance with the joint centres that the subject's own bones give."""
+    """Make a performance from rotations (T, 19, 3, 3) and root (T, 3) m, with the joint centres of the subject's own
+    bones.
+    """
     return Performance(name, times, rotations, root, subject.place_joints(rotations, root))
 
 
 def turn(axis: int, degrees: Array) -> Array:
-    """Rotations (T, 3, 3) about coordinate axis 0, 1 or 2 by angles (T,) in degrees."""
+    """Compute rotations (T, 3, 3) about coordinate axis 0, 1 or 2 by angles (T,) in degrees."""
     v = np.zeros((*np.shape(degrees), 3))
     v[..., axis] = np.radians(degrees)
     return so3_exp(v)
 
 
 def hanging_from_rest(subject: SyntheticSubject) -> Array:
-    """Return (19, 3, 3) rotations that take the subject's rest pose to upright standing with arms and legs hanging
-    straight down, the smallest ones; feet stay level. Angles are measured from there."""
+    """Compute the smallest rotations (19, 3, 3) that take the subject's rest pose to upright standing, from which
+    angles are measured.
+
+    Arms and legs hang straight down and the feet stay level.
+    """
     down, j = np.array([0.0, 0.0, -1.0]), subject.joints
     out = np.tile(np.eye(3), (len(JOINT_NAMES), 1, 1))
     for a, b, c in ((6, 7, 8), (10, 11, 12), (13, 14, 15), (16, 17, 18)):
@@ -163,10 +174,11 @@ def hanging_from_rest(subject: SyntheticSubject) -> Array:
 
 
 def joint_rotations(angles: Angles) -> Array:
-    """Rotations (T, 19, 3, 3) of each joint in its parent's frame, relative to the hanging pose.
+    """Compute the rotations (T, 19, 3, 3) of each joint in its parent's frame, relative to the hanging pose, from joint
+    angles.
 
-    x = left, y = backward, z = up: a lean forwards is a positive turn about x, flexion of hip, shoulder and
-    elbow a negative one, and left and right mirror the turns about y and z.
+    x = left, y = backward, z = up: a lean forwards is a positive turn about x, flexion of hip, shoulder and elbow a
+    negative one, and left and right mirror the turns about y and z.
     """
     g = angles.get
     out = np.tile(np.eye(3), (len(angles.times), len(JOINT_NAMES), 1, 1))
@@ -192,7 +204,7 @@ def joint_rotations(angles: Angles) -> Array:
 
 
 def global_rotations(local: Array) -> Array:
-    """Return (T, 19, 3, 3) local -> world rotations down the joint tree."""
+    """Multiply local rotations (T, 19, 3, 3) down the joint tree to world rotations (T, 19, 3, 3)."""
     out = local.copy()
     for j, p in enumerate(PARENTS):
         if p >= 0:
@@ -201,7 +213,7 @@ def global_rotations(local: Array) -> Array:
 
 
 def perform(angles: Angles, subject: SyntheticSubject) -> Performance:
-    """Return the subject doing the motion, about the origin of the world, facing -y at the start."""
+    """Make the performance of a motion by a subject, about the origin of the world, facing -y at the start."""
     world = global_rotations(joint_rotations(angles))
     align = hanging_from_rest(subject)
     times = angles.times
@@ -217,8 +229,12 @@ def perform(angles: Angles, subject: SyntheticSubject) -> Performance:
 
 
 def soles(subject: SyntheticSubject, rotations: Array, joints: Array) -> tuple[Array, Array]:
-    """Lowest point of each foot (left, right): (T, 2) heights (m) and (T, 2, 3) the motion of that point of
-    the foot per frame (m), for rotations (T, 19, 3, 3) and joints (T, 19, 3)."""
+    """Find the lowest point of each foot (left, right).
+
+    rotations: (T, 19, 3, 3) world_from_joint.
+    joints: (T, 19, 3) m.
+    Returns: heights (T, 2) m, and the motion of that point of the foot per frame (T, 2, 3) m.
+    """
     low, motion = [], []
     for j in (15, 18):
         rest = subject.vertices[subject.main_joint == j] - subject.joints[j]
@@ -234,14 +250,13 @@ def soles(subject: SyntheticSubject, rotations: Array, joints: Array) -> tuple[A
 
 
 def _soft_minimum(values: Array, width: float) -> Array:
-    """Smooth minimum over the last axis (never above the true one by more than 0, below by at most width * ln
-    n)."""
+    """Compute a smooth minimum over the last axis (below the true one by at most width * ln n)."""
     lowest = values.min(-1, keepdims=True)
     return lowest[..., 0] - width * np.log(np.exp(-(values - lowest) / width).sum(-1))
 
 
 def _travel(angles: Angles, subject: SyntheticSubject, rotations: Array) -> tuple[Array, Array]:
-    """Root path (T, 3) and heading rotations (T, 3, 3) of a body whose feet push it along a circle."""
+    """Compute the root path (T, 3) m and heading rotations (T, 3, 3) of a body whose feet push it along a circle."""
     times = angles.times
     dt = np.gradient(times) if len(times) > 1 else np.ones(1)
     joints = subject.place_joints(rotations, np.zeros((len(times), 3)))
@@ -282,8 +297,9 @@ def _travel(angles: Angles, subject: SyntheticSubject, rotations: Array) -> tupl
 
 
 def _planted(angles: Angles, subject: SyntheticSubject, world: Array, align: Array) -> tuple[Array, Array]:
-    """Rotations (T, 19, 3, 3) and root (T, 3) with the feet at their stance, the legs by inverse
-    kinematics."""
+    """Compute rotations (T, 19, 3, 3) and root (T, 3) m with the feet at their stance and the legs by inverse
+    kinematics.
+    """
     stance, scale, g = angles.stance or Stance(), subject.leg_length, angles.get
     joints = subject.joints
     rotations = world @ align
@@ -327,8 +343,11 @@ def _planted(angles: Angles, subject: SyntheticSubject, world: Array, align: Arr
 
 
 def _leg(to_ankle: Array, thigh: float, shank: float, forward: Array) -> tuple[Array, Array]:
-    """Rotations (T, 3, 3) of thigh and shank from hanging, that reach to_ankle (T, 3) from the hip with the
-    knee bent towards `forward` (T, 3): the two-bone triangle."""
+    """Compute the rotations (T, 3, 3) of thigh and shank from hanging, by the two-bone triangle.
+
+    to_ankle: (T, 3) m from the hip.
+    forward: (T, 3) direction in which the knee bends.
+    """
     d = np.linalg.norm(to_ankle, axis=1)
     d = np.clip(d, abs(thigh - shank) * 1.05 + 0.02, (thigh + shank) * 0.99999)
     axis = to_ankle / np.linalg.norm(to_ankle, axis=1, keepdims=True)
@@ -350,21 +369,26 @@ def _leg(to_ankle: Array, thigh: float, shank: float, forward: Array) -> tuple[A
 
 
 def moved(p: Performance, yaw: float = 0.0, shift: tuple[float, float] = (0.0, 0.0)) -> Performance:
-    """Return the performance turned about the world's z axis by yaw (rad), then shifted on the floor (m)."""
+    """Turn a performance about the world's z axis by yaw (rad), then shift it on the floor (m)."""
     r = so3_exp([0.0, 0.0, yaw])
     offset = np.array([shift[0], shift[1], 0.0])
     return Performance(p.name, p.times, r @ p.rotations, p.root @ r.T + offset, p.joints @ r.T + offset)
 
 
 def heading(rotation: Array) -> float:
-    """Direction the pelvis faces, as a turn about z from -y (rad), of its world rotation (3, 3)."""
+    """Compute the direction that the pelvis faces, as a turn about z from -y (rad), from its world rotation (3, 3)."""
     facing = rotation @ np.array([0.0, -1.0, 0.0])
     return float(np.arctan2(facing[0], -facing[1]))
 
 
 def chain(name: str, parts: list[Performance], subject: SyntheticSubject, blend: float = 0.5) -> Performance:
-    """Performances one after the other, each starting where (and facing as) the one before ends, cross-faded
-    over `blend` seconds; the ground contact is restored in the blends."""
+    """Join performances one after the other, cross-faded over `blend` seconds.
+
+    name: of the result.
+    parts: the performances, of one subject.
+    Returns: one performance. Each part starts where the one before ends, facing the same way; the ground contact is
+        restored in the blends.
+    """
     out = parts[0]
     rate = out.frame_rate
     n = max(2, round(blend * rate))
@@ -395,6 +419,6 @@ def chain(name: str, parts: list[Performance], subject: SyntheticSubject, blend:
 
 
 def centred(p: Performance) -> Performance:
-    """Return the performance with the middle of its root's range at the world's origin."""
+    """Move a performance so that the middle of its root's range is at the world's origin."""
     middle = (p.root[:, :2].min(0) + p.root[:, :2].max(0)) / 2
     return moved(p, 0.0, (-float(middle[0]), -float(middle[1])))

@@ -1,9 +1,7 @@
-"""Colour pictures of synthetic scenes: a dressed person in a textured room, with light, shadow, noise and
-lens.
+"""Render colour pictures of synthetic scenes: a dressed person in a textured room, with light, shadow, noise and lens.
 
-The point is not beauty but that a real background model meets what it meets in reality: colours of clothes
-that are near the room's in places, a soft cast shadow, light that drifts, noise. All colours are linear-ish
-BGR in 0..255.
+The pictures are made to test a real background model as reality does: colours of clothes that are near those of the
+room in places, a soft cast shadow, light that drifts, noise. All colours are approximately linear BGR in 0..255.
 """
 
 from __future__ import annotations
@@ -27,15 +25,16 @@ LIGHT = np.array([0.42, -0.28, 0.86])
 """Direction towards the main light, world."""
 LIGHT = LIGHT / np.linalg.norm(LIGHT)
 SHADOW_DEPTH = 0.42
-"""Share of the floor's brightness that the main light gives, and a full shadow takes."""
+"""Share of the floor's brightness that comes from the main light, which a full shadow removes."""
 
 
 @dataclass(frozen=True)
 class Room:
-    """A box-shaped room about the origin with procedural textures.
+    """Box-shaped room about the origin with procedural textures.
 
-    half: (3,) m half width, half depth, height.
-    floor, walls: BGR colours; tile: (256, 256) float32 noise of unit range, repeated.
+    half: (3,) m, half width, half depth, height.
+    floor, walls: (3,) BGR colours.
+    tiles: (3, 256, 256) float32, repeated noise of unit range: fine, middle, coarse.
     """
 
     half: Array
@@ -45,7 +44,7 @@ class Room:
 
 
 def make_room(rng: np.random.Generator, reach: float = 5.0) -> Room:
-    """Return a room that holds every camera within `reach` m of its centre; colours and textures from the rng."""
+    """Make a room that holds every camera within `reach` m of its centre; colours and textures are random."""
     floor = np.array([70.0, 95.0, 120.0]) * rng.uniform(0.85, 1.25) + rng.normal(0, 8, 3)
     walls = np.array([150.0, 160.0, 165.0]) * rng.uniform(0.85, 1.15) + rng.normal(0, 8, 3)
     tiles = []
@@ -59,7 +58,7 @@ def make_room(rng: np.random.Generator, reach: float = 5.0) -> Room:
 
 
 def _sample(tile: Floats, u: Array, v: Array, per_metre: float) -> Floats:
-    """Repeated texture (256, 256) at coordinates (m), `per_metre` texels per metre."""
+    """Sample a repeated texture (256, 256) at coordinates (m) with `per_metre` texels per metre."""
     x = np.mod(u * per_metre, 255.0).astype(np.float32)
     y = np.mod(v * per_metre, 255.0).astype(np.float32)
     out = cv2.remap(tile, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
@@ -68,11 +67,11 @@ def _sample(tile: Floats, u: Array, v: Array, per_metre: float) -> Floats:
 
 @dataclass(frozen=True)
 class Backdrop:
-    """What one camera sees of the empty room.
+    """Empty room as one camera sees it.
 
-    image (h, w, 3) float32 BGR.
-    floor (h, w) bool: pixels of the floor that nothing hides.
-    depth (h, w) m of the occluders (inf elsewhere).
+    image: (h, w, 3) float32 BGR.
+    floor: (h, w) bool, pixels of the floor that nothing hides.
+    depth: (h, w) m of the occluders (inf elsewhere).
     """
 
     image: Floats
@@ -81,7 +80,10 @@ class Backdrop:
 
 
 def render_room(room: Room, camera: Camera, occluder: tuple[Array, NDArray[np.int32]] | None = None) -> Backdrop:
-    """Return the empty room through a camera with its lens distortion, and what stands in it."""
+    """Render the empty room through a camera with its lens distortion.
+
+    occluder: mesh (vertices (V, 3) m, faces (F, 3)) that stands in it, or None.
+    """
     w, h = camera.size
     uv = np.stack(np.meshgrid(np.arange(w), np.arange(h)), -1).astype(np.float64)
     origin, d = camera.rays(uv)
@@ -144,7 +146,9 @@ def _depth(camera: Camera, points: Array) -> Array:
 class Outfit:
     """Colours of a subject.
 
-    color (V, 3) BGR per vertex, weave (V,) strength of the cloth's pattern, pattern (3, 3) wave vectors of it (1/m).
+    color: (V, 3) BGR per vertex.
+    weave: (V,) strength of the cloth's pattern.
+    pattern: (3, 3) wave vectors of the pattern, 1/m.
     gloss: grey levels of the highlight where the surface mirrors the main light.
     """
 
@@ -155,10 +159,11 @@ class Outfit:
 
 
 def make_outfit(subject: SyntheticSubject, rng: np.random.Generator, hands_only: bool = False) -> Outfit:
-    """Shirt, trousers, shoes, skin and hair by body part, colours from the rng.
+    """Choose random colours for shirt, trousers, shoes, skin and hair of a subject.
 
-    hands_only: only face and hands are bare, and no cloth has the colour of skin."""
-    # no grey one: on the grey walls a background model takes it for a shadow, and rightly so
+    hands_only: only face and hands are bare, and no cloth has the colour of skin.
+    """
+    # no grey one: on the grey walls a background model would take it for a shadow
     palette = np.array([[140, 60, 40], [40, 40, 150], [60, 120, 50], [120, 45, 115], [45, 45, 50], [35, 120, 170]])
     i, k = rng.permutation(len(palette) - hands_only)[:2]  # the last one is the colour of skin
     shirt, trousers = palette[i] * rng.uniform(0.8, 1.15), palette[k] * rng.uniform(0.55, 0.9)
@@ -200,11 +205,11 @@ def make_outfit(subject: SyntheticSubject, rng: np.random.Generator, hands_only:
 
 @dataclass(frozen=True)
 class Sensor:
-    """Sensor.
+    """Properties of the simulated colour camera.
 
     noise_sd: grey levels of Gaussian noise per channel.
     drift: relative sd of the slow change of the light.
-    samples: supersampling of the body's outline.
+    samples: samples per pixel and axis for the body's outline.
     """
 
     noise_sd: float = 2.5
@@ -213,8 +218,12 @@ class Sensor:
 
 
 def light_at(time: float, drift: float, phase: Array) -> Array:
-    """Return (3,) gain per colour channel at a time (s): slow drift of the light, periods of 20 to 90 s, colour
-    included."""
+    """Compute the gain (3,) per colour channel at a time (s): slow drift of the light and its colour, periods of 20 to
+    90 s.
+
+    drift: relative size.
+    phase: (5,) phases of the waves, rad.
+    """
     common = np.sin(2 * np.pi * time / 37.0 + phase[0]) + 0.6 * np.sin(2 * np.pi * time / 90.0 + phase[1])
     color = 0.35 * np.sin(2 * np.pi * time / 23.0 + phase[2:5])
     return 1 + drift * (common + color)
@@ -229,8 +238,15 @@ def render_person(
     vertices: Array,
     samples: int,
 ) -> None:
-    """Draw the subject's vertices (V, 3) m, world, with the cast shadow on the floor, into picture (h, w,
-    3)."""
+    """Draw a subject with its cast shadow on the floor into a picture, in place.
+
+    picture: (h, w, 3) float32 BGR.
+    backdrop: the empty room, whose occluders hide the subject.
+    camera: with lens distortion.
+    subject, outfit: the person, and the colours of the clothes.
+    vertices: (V, 3) m, world.
+    samples: samples per pixel and axis.
+    """
     cast_shadow(picture, backdrop, camera, subject, vertices)
     uv, z = camera.project(vertices), _depth(camera, vertices)
     w, h = camera.size
@@ -257,13 +273,14 @@ def render_person(
 
 
 _LIT = (0.42, 0.62, 0.10)
-"""Share of the light that comes from everywhere, from the main light, and from above."""
+"""Shares of the light: ambient, from the main light, from above."""
 _SHARPNESS = 24
 
 
 def _highlight(camera: Camera, vertices: Array, normals: Array, gloss: float) -> Array:
-    """Return (V,) grey levels to add to the vertices' colours so that, once shaded, a highlight of `gloss` remains
-    (Blinn)."""
+    """Compute the grey levels (V,) to add to the vertices' colours, so that a highlight of `gloss` remains after
+    shading (Blinn).
+    """
     to_eye = camera.position - vertices
     half = to_eye / np.linalg.norm(to_eye, axis=1, keepdims=True) + LIGHT
     half /= np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-9)
@@ -276,7 +293,9 @@ def _highlight(camera: Camera, vertices: Array, normals: Array, gloss: float) ->
 def cast_shadow(
     picture: Floats, backdrop: Backdrop, camera: Camera, subject: SyntheticSubject, vertices: Array
 ) -> None:
-    """Darken the floor where the body hides the main light; the edge is as soft as a lamp's."""
+    """Darken the floor of a picture in place where the body hides the main light; the edge is as soft as that of a
+    lamp.
+    """
     mask = shadow_mask(camera, subject.faces, vertices)
     x, y, w, h = cv2.boundingRect(mask)
     if w == 0:
@@ -287,18 +306,22 @@ def cast_shadow(
 
 
 def shadow_mask(camera: Camera, faces: NDArray[np.int32], vertices: Array) -> NDArray[np.uint8]:
-    """Return (h, w) 0/1: floor that the body (V, 3) m hides from the main light, as the camera sees it (body not
-    drawn)."""
+    """Compute the mask (h, w) 0/1 of the floor that a body hides from the main light, as the camera sees it without the
+    body.
+
+    faces, vertices: (F, 3) and (V, 3) m, world.
+    """
     ground = vertices - LIGHT * (vertices[:, 2:] / LIGHT[2])
     ground[:, 2] = 0.0
     return covered(camera.project(ground), _depth(camera, ground), faces, camera.size[::-1])
 
 
 def develop(picture: Floats, gain: Array, noise: NDArray[np.int16], rng: np.random.Generator) -> Image:
-    """What the sensor delivers: picture (h, w, 3) times the light's gain, plus noise, as 8 bit.
+    """Convert a picture (h, w, 3) to 8 bit with the light's gain (3,) and sensor noise.
 
-    noise: a bank (h + 64, w + 64, 3) of which each frame takes another window, mirrored at random: as good as
-    fresh noise for a background model, and ten times faster."""
+    noise: bank (h + 64, w + 64, 3) of which each frame uses another window, mirrored at random.
+    Why: for a background model this is as good as new noise, and ten times faster.
+    """
     h, w = picture.shape[:2]
     y, x = rng.integers(0, 65, 2)
     grain = noise[y : y + h, x : x + w]
@@ -310,7 +333,9 @@ def develop(picture: Floats, gain: Array, noise: NDArray[np.int16], rng: np.rand
 
 
 def noise_bank(size: tuple[int, int], sd: float, rng: np.random.Generator) -> NDArray[np.int16]:
-    """Return (h + 64, w + 64, 3) whole grey levels of Gaussian noise for `develop`."""
+    """Draw the bank (h + 64, w + 64, 3) of Gaussian noise of a standard deviation, for `develop`, in
+    whole grey levels.
+    """
     w, h = size
     return np.round(rng.normal(0, sd, (h + 64, w + 64, 3))).astype(np.int16)
 
@@ -328,12 +353,15 @@ def blend_shaded(
     samples: int,
     light: tuple[float, float, float],
 ) -> None:
-    """Blend a drawn mesh into picture (h, w, 3), in place.
+    """Blend a drawn mesh into a picture (h, w, 3), in place.
 
-    face, bary: what `rasterize` drew at samples x samples per pixel.
-    values (V, 5): BGR colour, cosine to the light, and upward component of the normal, per vertex.
-    light: (ambient, direct, sky). A pixel gets the mean of its samples, Lambert-shaded, the picture showing through
-        where there are none.
+    face, bary: result of `rasterize` at samples x samples per pixel.
+    faces: (F, 3) of the mesh.
+    values: (V, 5) per vertex: BGR colour, cosine to the light, and upward component of the normal.
+    samples: samples per pixel and axis.
+    light: (ambient, direct, sky).
+
+    A pixel gets the mean of its samples, Lambert-shaded; where there are none, the picture shows through.
     """
     (h, w), drawn = picture.shape[:2], face >= 0
     ambient, direct, sky = (np.float32(x) for x in light)
@@ -347,13 +375,13 @@ def blend_shaded(
 
 
 def darken(picture: NDArray[np.float32], shade: NDArray[np.float32], where: NDArray[np.bool_], depth: float) -> None:
-    """picture (h, w, 3) *= 1 - depth * shade (h, w) where `where` (h, w), in place."""
+    """Multiply a picture (h, w, 3) by 1 - depth * shade (h, w) where `where` (h, w) is True, in place."""
     at = where & (shade > 0)
     picture[at] *= (1 - np.float32(depth) * shade[at])[:, None]
 
 
 def expose(picture: NDArray[np.float32], gain: ArrayLike, noise: NDArray[np.int16]) -> NDArray[np.uint8]:
-    """round(picture (h, w, 3) * gain (3,) + noise (h, w, 3)), clipped to 8 bit."""
+    """Compute round(picture (h, w, 3) * gain (3,) + noise (h, w, 3)), clipped to 8 bit."""
     seen = picture * np.asarray(gain, dtype=np.float32)
     seen += noise
     seen += np.float32(0.5)

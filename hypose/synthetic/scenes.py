@@ -1,9 +1,8 @@
-"""Scene: a subject that moves in front of a rig, with exact truth and the evidence that cameras would give of
-it.
+"""Scene: a subject that moves in front of cameras, with exact truth and the evidence that the cameras would give.
 
-Truth: times, joints (T, 19, 3), rotations (T, 19, 3, 3), vertices on demand. Evidence: `mask_frames`
-(silhouettes straight from the truth, corrupted) or `rgb_frames` (colour pictures for the real background
-model). The same seed gives the same scene, picture for picture, in whatever order they are asked for.
+Truth: times, joints (T, 19, 3), rotations (T, 19, 3, 3), vertices on demand. Evidence: `mask_frames` (silhouettes from
+    the truth, corrupted) or `rgb_frames` (colour pictures for the real background model). The same seed gives the same
+    scene, picture for picture, in any order of calls.
 """
 
 from __future__ import annotations
@@ -52,7 +51,7 @@ from hypose.synthetic.subjects import SyntheticSubject, dress, load_subjects
 
 RIG_NAMES = ("humaneva-4", "humaneva-7", "ixmas-5", "court-4", "ring-N")
 DISTORTION = np.array([-0.18, 0.06, 0.0008, -0.0006, 0.0])
-"""A common wide lens: barrel distortion of about 20 px in the corners of a 640x480 image."""
+"""Distortion of a common wide lens: barrel distortion of about 20 px in the corners of a 640x480 image."""
 _HEIGHTS = (1.6, 2.0, 1.3, 1.8, 1.5, 1.9, 1.4, 2.2)
 
 
@@ -64,7 +63,13 @@ def look_at(
     size: tuple[int, int],
     distortion: Array | None = None,
 ) -> Camera:
-    """Return a camera at `position` (3,) m that looks at `target` (3,) m, upright."""
+    """Make an upright camera at `position` (3,) m that looks at `target` (3,) m.
+
+    name: of the camera.
+    focal_px: focal length, px.
+    size: (width, height), px.
+    distortion: (5,) of the lens, or None.
+    """
     c, t = np.asarray(position, dtype=np.float64), np.asarray(target, dtype=np.float64)
     forward = (t - c) / np.linalg.norm(t - c)
     up = np.array([0.0, 0.0, 1.0]) if abs(forward[2]) < 0.999 else np.array([0.0, 1.0, 0.0])
@@ -84,7 +89,11 @@ def circle(
     target: ArrayLike = (0.0, 0.0, 0.95),
     distortion: Array | None = None,
 ) -> list[Camera]:
-    """Cameras cam1, cam2, ... on a circle of `radius` m about the z axis that look at `target`."""
+    """Make cameras cam1, cam2, ... on a circle of `radius` m about the z axis that look at `target` (3,) m.
+
+    azimuths_deg, heights: degrees and m, of each camera.
+    focal_px, size, distortion: as in `look_at`.
+    """
     return [
         look_at(
             f"cam{k + 1}",
@@ -99,12 +108,15 @@ def circle(
 
 
 def camera_rig(name: str, *, distorted: bool = False) -> CameraRig:
-    """Return a rig by name: humaneva-4, humaneva-7, ixmas-5, court-4, or ring-N with N from 1 to 16.
+    """Make a rig of cameras by name: humaneva-4, humaneva-7, ixmas-5, court-4, or ring-N with N from 1 to 16.
 
-    The volume is centred at the world's origin; a person within about 1 m of it (court-4: 3 m) is seen whole by every
-    camera. distorted: with the lens distortion DISTORTION instead of ideal pinholes. humaneva-*: 640x480, indoor
-    corners, 4.1 m away, the person about 270 px tall. ixmas-5: 390x291, four cameras high on the walls and one
-    overhead. court-4: 640x480, 14 m away in the court's corners 5 m up, the person about 80 px tall.
+    name: humaneva-*: 640x480, indoor corners, 4.1 m away, the person about 270 px tall. ixmas-5: 390x291, four cameras
+        high on the walls and one overhead. court-4: 640x480, 14 m away in the court's corners 5 m up, the person about
+        80 px tall.
+    distorted: whether lenses have the distortion DISTORTION; else they are ideal pinholes.
+    Returns: the rig, centred at the world's origin; every camera sees the whole of a person within about 1 m of it
+        (court-4: 3 m).
+    Raises: InputError for an unknown name.
     """
     d = DISTORTION if distorted else None
     ring = re.fullmatch(r"ring-(\d+)", name)
@@ -135,15 +147,18 @@ _CLOTHES, _MOTION, _ROOM, _RIG, _DROPS, _MASKS, _NOISE, _PHASE, _OTHER = range(9
 
 @dataclass(frozen=True)
 class Scene(OfPerformance):
-    """Scene.
+    """Synthetic recording of colour cameras with known truth.
 
-    subject: the truth body (dressed).
-    performance: what it does.
-    rig: the cameras as they are, given_rig: the calibration that the user has.
-    corruption: what goes wrong.
+    name: of the scene.
+    subject: true body of the person (dressed).
+    performance: motion of the person.
+    rig: the true cameras.
+    given_rig: the calibration that the user has.
+    corruption: faults of the recording.
     seed: of everything random.
     others: further people in view (subject, performance) that are not to be tracked.
-    hands_only: the clothes leave only face and hands bare, and none has the colour of skin.
+    sensor: properties of the cameras.
+    hands_only: whether the clothes leave only face and hands bare, and none has the colour of skin.
     """
 
     name: str
@@ -158,33 +173,37 @@ class Scene(OfPerformance):
     hands_only: bool = False
 
     def vertices(self, index: int) -> Array:
-        """Return (V, 3) m: the subject's skin (and clothes) in frame `index`."""
+        """Compute the subject's skin (and clothes) (V, 3) m in frame `index`."""
         p = self.performance
         return self.subject.skin(p.rotations[index], p.root[index])
 
     def shown(self, view: int, index: int) -> int:
-        """The frame that camera `view` shows as its frame `index`: late by its desynchronisation, the last
-        one delivered before a dropped one."""
+        """Return the frame that camera `view` shows as its frame `index`.
+
+        It is late by the camera's desynchronisation; a dropped frame shows the last one delivered before it.
+        """
         while index > 0 and self._dropped[view, index]:
             index -= 1
         return max(0, index - self.corruption.desync[view % len(self.corruption.desync)])
 
     def dead(self, view: int, index: int) -> bool:
-        """Return True when the camera's images are black."""
+        """Return whether the camera's images are black at frame `index`."""
         return view == self.corruption.dead_camera and index >= len(self) // 3
 
     def clean_mask(self, view: int, index: int, scale: float = 1.0) -> NDArray[np.uint8]:
-        """(h, w) 0/1: the subject alone in frame `index` through camera `view`, undistorted, at `scale` times
-        its size; cut by what stands in front, by nothing else."""
+        """Render the mask (h, w) 0/1 of the subject alone in frame `index` of camera `view`, without faults.
+
+        It is undistorted, at `scale` times the camera's size, and cut only by the occluder.
+        """
         camera = self.rig.pinhole().scaled(scale)[view]
         return _mask(camera, self.subject, self.vertices(index), self._occluder_depth(view, scale))
 
     def mask_frames(self, scale: float = 1.0, *, keypoints: bool = False) -> Iterator[Frame]:
-        """Frames with silhouettes straight from the truth, corrupted, undistorted, at `scale` times the
-        cameras' size.
+        """Yield frames with corrupted silhouettes made from the truth, undistorted, at `scale` times the cameras' size.
 
-        Views without an image (dropped, dead) are marked unusable with the reason. keypoints: with noisy 2D key points
-        (detections.keypoint_detections) in addition to the masks.
+        keypoints: whether to add noisy 2D key points (`corruptions.keypoint_detections`).
+
+        Views without an image (dropped, dead) are marked unusable with the reason.
         """
         given = self.given_rig.pinhole().scaled(scale)
         cameras = self.rig.pinhole().scaled(scale)
@@ -223,13 +242,14 @@ class Scene(OfPerformance):
         return corrupt_mask(mask, shadow.astype(np.uint8) & (1 - mask), self.corruption, rng, scale)
 
     def rgb_frames(self, view: int) -> Iterator[Image]:
-        """Return the T pictures (h, w, 3) uint8 BGR of camera `view`, with its lens distortion."""
+        """Yield the T pictures (h, w, 3) uint8 BGR of camera `view`, with its lens distortion."""
         for t in range(len(self)):
             yield self.rgb_frame(view, t)
 
     def rgb_frame(self, view: int, index: int) -> Image:
-        """Picture `index` of camera `view`; black from a dead camera, the last delivered one where a frame is
-        dropped."""
+        """Render picture `index` of camera `view`: black from a dead camera, the last delivered one where a frame is
+        dropped.
+        """
         camera = self.rig[view]
         if self.dead(view, index):
             return np.zeros((camera.size[1], camera.size[0], 3), np.uint8)
@@ -247,15 +267,21 @@ class Scene(OfPerformance):
         return self._develop(picture, view, float(self.times[s]), index + 1)
 
     def background_frames(self, view: int, n: int = 25) -> list[Image]:
-        """n pictures of the empty room, taken during the 10 s before the recording; black ones from no
-        camera."""
+        """Render n pictures of the empty room, taken during the 10 s before the recording; a dead camera delivers them
+        too.
+        """
         return [self.room_frame(view, -11.0 + 10.0 * k / max(n - 1, 1), -1 - k) for k in range(n)]
 
     def room_frame(
         self, view: int, time: float, index: int, paint: Callable[[NDArray[np.float32]], None] | None = None
     ) -> Image:
-        """A picture of the room without people, in the light of `time` (s); index: of its noise, negative. paint: puts
-        something into the picture (h, w, 3)."""
+        """Render a picture of the room without people.
+
+        view: index of the camera.
+        time: s, which determines the light.
+        index: negative number that determines the noise.
+        paint: draws something into the picture (h, w, 3) before the noise, or None.
+        """
         picture = self._backdrop(view).image.copy()
         if paint is not None:
             paint(picture)
@@ -344,12 +370,18 @@ def make_scene(
     amplitude: float = 1.0,
     speed: float = 1.0,
 ) -> Scene:
-    """Return a scene by names.
+    """Make a scene by names.
 
     motion: a name of motions.MOTIONS, or a Performance of that subject.
-    subject: a name of `load_subjects` ("": chosen by the seed) or a Subject, dressed in clothing_m (0 to 0.04).
-    rig: a name (camera_rig) or a rig.
-    corruption: Corruptions or names of them. `court-4` puts a second person into view.
+    subject: a name of `load_subjects` ("": chosen by the seed), or a SyntheticSubject.
+    rig: a name (`camera_rig`) or a rig; "court-4" adds a second person.
+    seconds, frame_rate: s and Hz.
+    seed: of everything random.
+    corruption: Corruptions, or names of them.
+    clothing_m: thickness of the clothes, 0 to 0.04 m.
+    distorted: whether lenses have distortion.
+    amplitude, speed: factors of the size and speed of the movement.
+    Raises: InputError for an unknown name.
     """
     known = {} if isinstance(subject, SyntheticSubject) else load_subjects()
     if isinstance(subject, SyntheticSubject):

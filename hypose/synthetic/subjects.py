@@ -1,9 +1,8 @@
-"""Subjects: truth bodies of synthetic scenes, from another shape space than the tracker's own body.
+"""Subjects: true bodies of synthetic scenes, from another shape space than the tracker's own body.
 
-A subject has its own mesh and joint centres and is posed by one global rotation per joint (linear blend
-skinning over the 19-joint tree), never by the tracker's degrees of freedom, so that the truth is not confined
-to what the tracker can express. The subjects in hypose/assets/subjects.npz are described in
-hypose/assets/LICENSE-assets.md.
+A subject has its own mesh and joint centres and is posed by one global rotation per joint (linear blend skinning over
+the 19-joint tree), never by the tracker's degrees of freedom, so that the truth is not limited to the poses of the
+tracker. The subjects in hypose/assets/subjects.npz are described in hypose/assets/LICENSE-assets.md.
 """
 
 from __future__ import annotations
@@ -23,14 +22,17 @@ from hypose.geometry import Array
 
 @dataclass(frozen=True)
 class SyntheticSubject:
-    """A person whose every point is known.
+    """Person with exactly known mesh and joints.
 
-    vertices (V, 3) m and joints (19, 3) m in the model frame at rest (origin at the pelvis joint, x = the subject's
-        left, y = backward, z = up).
-    faces (F, 3) counter-clockwise from outside.
-    skin_index, skin_weight (V, 4).
-    cloth_weight (V,) 0..1: where clothing may lie.
-    clothing_m: the thickness it was dressed with.
+    name: of the subject.
+    vertices: (V, 3) m in the model frame at rest (origin at the pelvis joint, x = the subject's left, y = backward, z =
+        up).
+    joints: (19, 3) m in the same frame.
+    faces: (F, 3), counter-clockwise seen from outside.
+    skin_index, skin_weight: (V, 4) joints that carry a vertex and their weights.
+    cloth_weight: (V,) 0..1, where clothes may lie.
+    clothing_m: thickness of the clothes, m.
+    Raises: InputError where shapes do not agree.
     """
 
     name: str
@@ -51,7 +53,7 @@ class SyntheticSubject:
 
     @property
     def stature(self) -> float:
-        """Height of the rest mesh, m."""
+        """Height of the mesh at rest, m."""
         return float(np.ptp(self.vertices[:, 2]))
 
     @property
@@ -62,7 +64,7 @@ class SyntheticSubject:
 
     @cached_property
     def dense_weights(self) -> Array:
-        """Return (V, 19) skinning weights, rows sum to 1."""
+        """(V, 19) skinning weights, rows sum to 1."""
         w = np.zeros((len(self.vertices), len(JOINT_NAMES)))
         for k in range(4):
             np.add.at(w, (np.arange(len(w)), self.skin_index[:, k]), self.skin_weight[:, k])
@@ -70,12 +72,13 @@ class SyntheticSubject:
 
     @cached_property
     def main_joint(self) -> NDArray[np.int64]:
-        """Return (V,) the joint of largest weight."""
+        """(V,) joint of largest weight."""
         return self.dense_weights.argmax(1)
 
     def place_joints(self, rotations: ArrayLike, root: ArrayLike) -> Array:
-        """Joint centres (..., 19, 3) m for world_from_joint rotations (..., 19, 3, 3) and pelvis positions
-        (..., 3)."""
+        """Compute the joint centres (..., 19, 3) m for world_from_joint rotations (..., 19, 3, 3) and pelvis positions
+        (..., 3).
+        """
         r, p = np.asarray(rotations, dtype=np.float64), np.asarray(root, dtype=np.float64)
         out = np.zeros((*r.shape[:-3], len(JOINT_NAMES), 3))
         out[..., 0, :] = p
@@ -85,7 +88,7 @@ class SyntheticSubject:
         return out
 
     def skin(self, rotations: ArrayLike, root: ArrayLike) -> Array:
-        """Skinned vertices (V, 3) m for one pose: rotations (19, 3, 3), root (3,). Linear blend skinning."""
+        """Compute the vertices (V, 3) m for one pose by linear blend skinning: rotations (19, 3, 3), root (3,) m."""
         r = np.asarray(rotations, dtype=np.float64)
         centres = self.place_joints(r, root)
         offset = centres - np.einsum("jab,jb->ja", r, self.joints)
@@ -96,7 +99,10 @@ class SyntheticSubject:
 
 @lru_cache(maxsize=1)
 def load_subjects() -> dict[str, SyntheticSubject]:
-    """Return the baked subjects by name; an InputError when the asset is missing from the installation."""
+    """Load the shipped subjects by name.
+
+    Raises: InputError where the asset is missing from the installation.
+    """
     file = resources.files("hypose.assets").joinpath("subjects.npz")
     try:
         with file.open("rb") as stream:
@@ -104,9 +110,9 @@ def load_subjects() -> dict[str, SyntheticSubject]:
     except FileNotFoundError:
         raise InputError(
             "The synthetic subjects (hypose/assets/subjects.npz) are missing from this installation; "
-            "install hypose again, or use a procedural subject."
+            "install hypose again."
         ) from None
-    vertices = np.cumsum(data["vertices_step"], axis=0) * float(data["vertex_scale"])  # kept as what people differ by
+    vertices = np.cumsum(data["vertices_step"], axis=0) * float(data["vertex_scale"])  # stored as differences
     out = {}
     for k, name in enumerate(data["names"].tolist()):
         joints = data["joints"][k].astype(np.float64)
@@ -126,11 +132,15 @@ MAX_CLOTHING_M = 0.04
 
 
 def dress(subject: SyntheticSubject, thickness_m: float, rng: np.random.Generator) -> SyntheticSubject:
-    """Return the subject in clothes: a smooth outward displacement of 0.3 to 1 times thickness_m (<= 4 cm) where
-    cloth_weight is 1, less towards the naked parts. Joints stay where they are.
+    """Dress a subject: move its surface outwards, joints stay.
 
-    The folds are a sum of random plane waves over the body (wavelengths about 15 to 60 cm), so that clothing differs
-    from place to place, as it does on real people, without roughness that no silhouette would show.
+    thickness_m: of the clothes (<= 0.04 m); the displacement is 0.3 to 1 times this where cloth_weight is 1, less
+        towards bare parts.
+    Returns: the dressed subject.
+    Raises: InputError for a thickness outside the range.
+
+    The folds are a sum of random plane waves over the body (wavelengths about 15 to 60 cm), so that the thickness
+    varies as on real people, without roughness too fine for a silhouette.
     """
     if not 0 <= thickness_m <= MAX_CLOTHING_M:
         raise InputError(f"Clothing of {thickness_m} m was asked for; between 0 and {MAX_CLOTHING_M} m is possible.")

@@ -1,5 +1,4 @@
-"""Writes a scene as a recording folder, as a user would have it: videos, background clips, calibration, key
-points."""
+"""Write a scene as a recording folder, as a user would have it: videos, background clips, calibration, key points."""
 
 from __future__ import annotations
 
@@ -34,8 +33,10 @@ from hypose.synthetic.subjects import dress, load_subjects
 
 
 def check_folder(folder: Path) -> None:
-    """Raise InputError when a recording cannot be written to the folder, because something else is there; one that
-    `write_scene` has begun is written again."""
+    """Raise InputError where a recording cannot be written to the folder because something else is there.
+
+    A folder that `write_scene` has begun is allowed, and is written again.
+    """
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder} is a file; give a folder.")
     if folder.is_dir() and not (folder / "truth.npz").is_file():
@@ -44,13 +45,15 @@ def check_folder(folder: Path) -> None:
 
 
 def write_truth(scene: Scene, folder: Path) -> None:
-    """`save_truth` of a scene."""
+    """Write the truth of a scene to a folder (`save_truth`)."""
     save_truth(folder, scene.times, scene.joints, scene.rotations, scene.subject.stature)
 
 
 def save_truth(folder: Path, times: Array, joints: Array, rotations: Array, stature: float) -> None:
-    """truth.npz: times (T,), joints (T, 19, 3) m, rotations (T, 19, 3, 3), joint_names, stature m. To be written first,
-    for a folder that is not finished is known by it (`check_folder`)."""
+    """Write truth.npz: times (T,) s, joints (T, 19, 3) m, rotations (T, 19, 3, 3), joint_names, stature m.
+
+    Write it first, because `check_folder` recognises an unfinished folder by it.
+    """
     with atomic_path(folder / "truth.npz") as temporary, open(temporary, "wb") as file:
         np.savez_compressed(
             file,
@@ -71,12 +74,16 @@ def write_scene(
     keypoint_noise_px: float = 4.0,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
-    """Write the scene to a folder; returns recording.toml's path.
+    """Write a scene to a folder as a recording.
 
-    videos/NAME.mp4 and background/NAME.mp4 per camera (their width and height even, the calibration to
-    match), calibration.toml with the rig the user was given, recording.toml, with keypoints=True
-    pose/NAME_json/ with one OpenPose BODY_25 file per frame, and truth.npz (`write_truth`). progress(done, total) is
-    called after every picture.
+    scene: the scene.
+    folder: gets videos/NAME.mp4 and background/NAME.mp4 per camera (width and height even, the calibration to match),
+        calibration.toml with the rig that the user has, recording.toml and truth.npz.
+    background_frames: number of pictures of the empty room per camera.
+    keypoints: whether to write pose/NAME_json/ with one OpenPose BODY_25 file per frame.
+    keypoint_noise_px: sd of the key points' noise, px.
+    progress(done, total): called after every picture.
+    Returns: path of recording.toml.
     """
     folder = Path(folder)
     write_truth(scene, folder)
@@ -122,7 +129,7 @@ def write_scene(
 
 
 def _even(camera: Camera) -> Camera:
-    """Videos need even sides: the last row or column is cut off."""
+    """Cut off the last row or column of a camera with odd sides, because videos need even ones."""
     return replace(camera, size=(camera.size[0] // 2 * 2, camera.size[1] // 2 * 2))
 
 
@@ -132,8 +139,15 @@ EMPTY_FRAMES = 20
 def walking_scene(
     motion: str, subject: str, sensors: str, *, seconds: float, frame_rate: float, seed: int, clothing_m: float = 0.02
 ) -> DepthScene:
-    """Return a built-in motion of a subject (name, "": chosen by the seed), who turns to both profiles, before
-    sensors."""
+    """Make a scene of a built-in motion in front of depth sensors, by a subject who turns to both profiles.
+
+    motion: a name of motions.MOTIONS.
+    subject: name of the subject ("": chosen by the seed).
+    sensors: name of the rig (`depth_rig`).
+    seconds, frame_rate: s and Hz.
+    seed: of everything random.
+    clothing_m: thickness of the clothes, m.
+    """
     known = load_subjects()
     body = known[subject or sorted(known)[seed % len(known)]]
     body = dress(body, clothing_m, np.random.default_rng([seed, 0])) if clothing_m > 0 else body
@@ -145,8 +159,13 @@ def walking_scene(
 def write_depth_scene(
     scene: DepthScene, folder: str | Path, progress: Callable[[int, int], None] | None = None
 ) -> Path:
-    """Write the scene to a folder; returns recording.toml's path: depth/NAME/ and background/NAME/ with 16-bit PNG in
-    millimetres, calibration.toml, recording.toml and truth.npz. progress(done, total) is called after every map."""
+    """Write a scene of depth sensors to a folder as a recording.
+
+    folder: gets depth/NAME/ and background/NAME/ with 16-bit PNG in millimetres, calibration.toml, recording.toml and
+        truth.npz.
+    progress(done, total): called after every map.
+    Returns: path of recording.toml.
+    """
     folder = Path(folder)
     save_truth(folder, scene.times, scene.joints, scene.rotations, scene.subject.stature)
     total, done = len(scene.rig) * (len(scene) + EMPTY_FRAMES), 0
@@ -168,8 +187,8 @@ def write_depth_scene(
 
 
 # ---- film session ----------------------------------------------------------------------------------------------------
-# A scene as it is filmed: videos of a board, of the empty room and of the person, and nothing else. What a newcomer
-# has, to practise the whole way on it, from calibration to the motion.
+# A scene as it is filmed: videos of a board, of the empty room and of the person, and nothing else. A newcomer can
+# practise the whole procedure on it, from calibration to the motion.
 
 
 SQUARE_PX = 40
@@ -178,14 +197,16 @@ _FINE = 3  # rays per pixel and axis
 
 
 def board_sheet(board: Board) -> NDArray[np.float32]:
-    """Return (h, w) grey levels of the print, SQUARE_PX pixels per square, with a white rim of one square."""
+    """Draw a board as grey levels (h, w), SQUARE_PX pixels per square, with a white rim of one square."""
     cells = (np.indices((board.rows + 1, board.columns + 1)).sum(0) % 2) * 210.0 + 20
     inner = np.kron(cells, np.ones((SQUARE_PX, SQUARE_PX)))
     return np.pad(inner, _RIM * SQUARE_PX, constant_values=235.0).astype(np.float32)
 
 
 def board_from_sheet(board: Board) -> Array:
-    """Return (3, 3) from the sheet's pixels to the board's metres; the origin is the first inner corner."""
+    """Compute the transform (3, 3) from the sheet's pixels to the board's metres; the origin is the
+    first inner corner.
+    """
     scale = board.square / SQUARE_PX
     shift = -(1 + _RIM) * board.square + 0.5 * scale
     return np.array([[scale, 0, shift], [0, scale, shift], [0, 0, 1]])
@@ -193,14 +214,17 @@ def board_from_sheet(board: Board) -> Array:
 
 @dataclass(frozen=True)
 class BoardPainter:
-    """Paints a board into pictures (h, w, 3) of one camera, with its lens, where nothing is in front of it; its back is
-    plain cardboard."""
+    """Painter that draws a board into pictures of one camera with its lens; nothing else may be in front of the board.
+
+    camera: the camera.
+    board: the board; its back is plain cardboard.
+    """
 
     camera: Camera
     board: Board
 
     def __call__(self, picture: NDArray[np.float32], world_from_board: Array) -> None:
-        """The board at a pose (4, 4)."""
+        """Draw the board at a pose (4, 4) into a picture (h, w, 3), in place."""
         h, w = self._sheet.shape
         rim = np.array([[0, 0], [w / 2, 0], [w, 0], [w, h / 2], [w, h], [w / 2, h], [0, h], [0, h / 2]]) - 0.5
         flat = np.c_[rim, np.ones(len(rim))] @ board_from_sheet(self.board).T
@@ -234,24 +258,33 @@ class BoardPainter:
 
     @cached_property
     def _ideal(self) -> NDArray[np.float32]:
-        """Return (h, w, 2) where a camera without distortion sees what each pixel sees."""
+        """(h, w, 2) pixel at which a camera without distortion sees what each pixel sees."""
         w, h = self.camera.size
         grid = np.stack(np.meshgrid(np.arange(w), np.arange(h)), -1)
         return self.camera.undistort_points(grid).astype(np.float32)
 
 
 BOARD = Board("chessboard", 9, 6, 0.08)
-"""Corners and size of the board that is filmed."""
+"""The board that is filmed: corners, and size of a square in m."""
 _EMPTY_S = 2.0
 _STATIONS, _LYING = 28, 25
 _HELD, _MOVED = (5, 10), (4, 10)
-"""Places to which the board is carried; frames on the floor; frames (from, to) held in a place, and carried on."""
+"""Constants of the carried board. _STATIONS: number of places to which it is carried. _LYING: number of frames on the
+floor. _HELD: least and largest number of frames in a place. _MOVED: least and largest number of frames between two
+places.
+"""
 
 
 def write_session(scene: Scene, folder: str | Path, *, progress: Callable[[int, int], None] | None = None) -> Path:
-    """Write board/NAME.mp4, empty/NAME.mp4 and walk/NAME.mp4 for each camera, and truth.npz (see `write_scene`), in the
-    world that the board on the floor gives: the first corner is the origin, its first row x. Returns the folder.
-    progress(done, total) is called after every picture."""
+    """Write the videos of a film session: a carried board, the empty room, and the person.
+
+    scene: the scene.
+    folder: gets board/NAME.mp4, empty/NAME.mp4 and walk/NAME.mp4 for each camera, and truth.npz.
+    progress(done, total): called after every picture.
+    Returns: the folder.
+
+    The world is that of the board on the floor: its first corner is the origin, its first row the x axis.
+    """
     folder = Path(folder)
     write_truth(scene, folder)
     poses = carried_board(BOARD, np.random.default_rng([scene.seed, 31]))
@@ -275,7 +308,7 @@ def write_session(scene: Scene, folder: str | Path, *, progress: Callable[[int, 
 
 
 def _boards(scene: Scene, view: int, poses: Array) -> Iterator[Image]:
-    """Return the pictures of one camera while the board is carried about."""
+    """Yield the pictures of one camera while the board is carried around."""
     painter = BoardPainter(scene.rig[view], BOARD)
     for n, pose in enumerate(poses):
         paint = partial(painter, world_from_board=pose)
@@ -283,8 +316,9 @@ def _boards(scene: Scene, view: int, poses: Array) -> Iterator[Image]:
 
 
 def carried_board(board: Board, rng: np.random.Generator) -> Array:
-    """Return (F, 4, 4) world_from_board of each frame: from place to place, held still in each, at last flat on the
-    floor."""
+    """Make the poses world_from_board (F, 4, 4) of a carried board: held still in each place, at last flat on the
+    floor.
+    """
     centre = board.points.mean(0)
     places, turns = [], []
     for _ in range(_STATIONS):

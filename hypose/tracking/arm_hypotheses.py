@@ -21,7 +21,7 @@ from hypose.evidence.cues import PoseMemory
 from hypose.evidence.terms import Evidence, PointTerm
 from hypose.fitting.articulated import PoseFit, SolveSettings
 from hypose.geometry import Array
-from hypose.inference.hypotheses import BEFORE, Hypotheses
+from hypose.inference.hypotheses import BEFORE, FOUND_BY, Hypotheses
 from hypose.tracking.arm_workspace import ArmReach, arm_ends, ends
 from hypose.tracking.costs import frame_energy, limb_energy
 from hypose.tracking.frame_evidence import PreparedFrame
@@ -30,6 +30,9 @@ from hypose.tracking.refinement import COMPOSITE, RIVAL, SOLVED, keep_fits, memb
 
 _SOLVE, _LOOK, _ORDERED = "rivals solved", "arms looked up", "rivals in order"
 """What has been begun next to other layers, and the hypotheses of the last frame, in a frame's `shared`."""
+
+SEARCH_ROLES = tuple(FOUND_BY + name for name in ("limb search", "arm table", "rival's arm", "old rival"))
+"""Roles: where a hypothesis was found."""
 
 DEPTH_KEEPS = 2
 """hypotheses that live on where depth cameras see, which leave less open; a third one is no gain there. Chosen on the
@@ -115,6 +118,10 @@ class RefineRivals:
         for row, (k, n) in enumerate(whose, start=1 + len(composite) + len(looked_up)):
             before[row, self.arms[n][0].own] = last[1 + k, self.arms[n][0].own]
         found = Hypotheses(s.clamp(poses), -scores / c.softness, parents, columns={BEFORE: before})
+        row = 1
+        for role, of in zip(SEARCH_ROLES, (composite, looked_up, crossed, old), strict=True):
+            found = found.marked(role, np.arange(row, row + len(of)))
+            row += len(of)
         living = self._living(scores, costs, at.reshape(len(poses), -1, 3), frame)
         for one in frame.evidence:  # the estimate, which is clamped, is asked about again
             one.same(frame.body, poses[living[0]], found.values[living[0]])

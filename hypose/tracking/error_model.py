@@ -227,7 +227,7 @@ DEPTH_DOUBTFUL = 0.2
 @cache
 def depth_error_model() -> DepthErrorModel:
     """As scripts/train_depth_spread.py fitted it."""
-    kept = json.loads(files("hypose.assets").joinpath("depth_error_model.json").read_text(encoding="utf-8"))
+    kept = json.loads(files("hypose.assets").joinpath("depth_doubt.json").read_text(encoding="utf-8"))
     return DepthErrorModel(np.array(kept["level"]), np.array(kept["slope"]))
 
 

@@ -79,7 +79,7 @@ def apf(
     scale: float = 0.5,
     frame_rate: float = 25.0,
 ) -> Recipe:
-    """SmoothedWeight particle filter with adaptive diffusion: the first layer moves all coordinates by the motion of a frame,
+    """Annealed particle filter with adaptive diffusion: the first layer moves all coordinates by the motion of a frame,
     every further one by `scale` times the spread of the set that the layer before left.
 
     Source: Deutscher & Reid 2005; 15 layers x 240 particles with adaptive diffusion as run by Alcoverro 2014, section

@@ -20,13 +20,15 @@ from hypose.errors import InputError
 from hypose.evidence.cues import OwnEvidence
 from hypose.evidence.frame import Frame
 from hypose.geometry import Array
-from hypose.inference.hypotheses import BEFORE, Hypotheses
+from hypose.inference.hypotheses import BEFORE, FOUND_BY, Hypotheses
 from hypose.inference.layer import Memory, Recipe, Recovery, search, stand_still, stream
 from hypose.tracking.costs import agreement, mean_overlap
 from hypose.tracking.frame_evidence import PreparedFrame, prepare, view_count
 from hypose.tracking.keypoint_evidence import KeypointModel
 from hypose.tracking.pose_covariance import PoseUncertainty, nothing_known, uncertainty_of_set
 
+RECOVERED = f"{FOUND_BY}recovery"
+"""Origin of an estimate that was found again after a loss."""
 BETWEEN_FRAMES, RECOVERY, START = -1, -2, -3
 """Layer numbers of the random streams used outside a recipe's layers."""
 _NO_PERSON = 0.3
@@ -73,7 +75,9 @@ class FrameEstimate:
     than where it was held to be, NaN when not looked at.
     seen (C, 3): what frame_anomalies keeps of each view, (0, 3) when nothing; audit (J, A): what speaks for and
     against each joint (hypose.tracking.joint_features), (0, 0) when not looked at. rivals (K, D), rival_weights (K,):
-    other poses that the evidence allows, as in `Motion`."""
+    other poses that the evidence allows, as in `Motion`.
+    origin: role of the best hypothesis, RECOVERED, or empty where the first solve was the best; moved (J,): m, by which
+    the search moved each joint from the first solve, or the recovery from the lost pose; (0,) when not known."""
 
     pose: Array
     uncertainty: PoseUncertainty
@@ -87,6 +91,8 @@ class FrameEstimate:
     audit: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0), np.float32))
     rivals: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0), np.float32))
     rival_weights: NDArray[np.float32] = field(default_factory=lambda: np.zeros(0, np.float32))
+    origin: str = ""
+    moved: NDArray[np.float32] = field(default_factory=lambda: np.zeros(0, np.float32))
 
     @property
     def joint_sd(self) -> Array:
@@ -209,6 +215,7 @@ class Tracker:
             h, prepared = replace(best, columns={}), replace(prepared, rivals=h)
         result = search(h, recipe, prepared, partial(stream, self.settings.seed, frame.index))
         pose, selected = self._within(result.estimate), result.resampled
+        searched = pose
         iou = agreement(self.body, pose, prepared)
         lost = self._is_lost(iou, state.usual_iou)
         if recipe.lost is not None:
@@ -232,9 +239,16 @@ class Tracker:
             gain = self._rival_gain(state, pose, prepared)
         rivals, weights = self._rivals(None if lost else selected)
         views = view_count(prepared)
-        return following, FrameEstimate(
-            pose, known, cost, lost, False, views, overlap, gain, rivals=rivals, rival_weights=weights
-        )
+        from_lost = pose is not searched
+        origin = RECOVERED if from_lost else selected.found_by(int(selected.relative_log_weights.argmax()))
+        moved = self._moved(searched if from_lost else result.first, pose) if recipe.rivals else np.zeros(0, np.float32)
+        known_of = {"rivals": rivals, "rival_weights": weights, "origin": origin, "moved": moved}
+        return following, FrameEstimate(pose, known, cost, lost, False, views, overlap, gain, **known_of)
+
+    def _moved(self, before: Array, pose: Array) -> NDArray[np.float32]:
+        """(J,) m: distance of each joint between two poses (D,)."""
+        joints = self.body.joints(np.stack([before, pose]))
+        return np.linalg.norm(joints[1] - joints[0], axis=-1).astype(np.float32)
 
     def predicted(self, state: TrackerState) -> Array:
         """(D,) the pose that is expected in the next frame."""
@@ -394,8 +408,9 @@ class Tracker:
         )
         rivals, weights = self._rivals(None)
         nothing = nothing_known(covariance, s.dof)
+        still = np.zeros(len(s.joint_names) if self.recipe.rivals else 0, np.float32)
         return following, FrameEstimate(
-            prediction, nothing, float("nan"), lost, True, 0, rivals=rivals, rival_weights=weights
+            prediction, nothing, float("nan"), lost, True, 0, rivals=rivals, rival_weights=weights, moved=still
         )
 
 
@@ -447,6 +462,8 @@ def estimates_to_arrays(estimates: Sequence[FrameEstimate]) -> dict[str, NDArray
         "audit": np.stack([e.audit for e in estimates]),
         "rivals": np.stack([e.rivals for e in estimates]),
         "rival_weights": np.stack([e.rival_weights for e in estimates]),
+        "origin": np.array([e.origin for e in estimates], dtype=np.str_),
+        "moved": np.stack([e.moved for e in estimates]),
     }
 
 
@@ -454,33 +471,18 @@ def estimates_from_arrays(arrays: Mapping[str, np.ndarray]) -> list[FrameEstimat
     """The estimates that `estimates_to_arrays` wrote."""
     stated = {k.removeprefix(_MODES): v for k, v in arrays.items() if k.startswith(_MODES)}
     modes = Modes(**stated).rows() if stated else [None] * len(arrays["poses"])
+    alike = ("seen", "audit", "rivals", "rival_weights", "moved")
     return [
         FrameEstimate(
             pose,
-            PoseUncertainty(around, known, allowed),
-            float(cost),
-            bool(flags[0]),
-            bool(flags[1]),
-            int(views),
-            exchanged=float(exchanged),
-            seen=seen,
-            audit=audit,
-            rivals=rivals,
-            rival_weights=rival_weights,
+            PoseUncertainty(arrays["joint_covariances"][t], arrays["information"][t], modes[t]),
+            float(arrays["costs"][t]),
+            bool(arrays["flags"][t][0]),
+            bool(arrays["flags"][t][1]),
+            int(arrays["views"][t]),
+            exchanged=float(arrays["exchanged"][t]),
+            origin=str(arrays["origin"][t]),
+            **{name: arrays[name][t] for name in alike},
         )
-        for allowed, pose, around, known, cost, flags, views, exchanged, seen, audit, rivals, rival_weights in zip(
-            modes,
-            arrays["poses"],
-            arrays["joint_covariances"],
-            arrays["information"],
-            arrays["costs"],
-            arrays["flags"],
-            arrays["views"],
-            arrays["exchanged"],
-            arrays["seen"],
-            arrays["audit"],
-            arrays["rivals"],
-            arrays["rival_weights"],
-            strict=True,
-        )
+        for t, pose in enumerate(arrays["poses"])
     ]

@@ -16,7 +16,7 @@ from hypose.io.videos import video
 from tests.app.studio.conftest import serving
 
 HYPOSE = [sys.executable, "-m", "hypose.app"]
-EVIL = ("numpy", "multiprocessing", "encodings", "runpy", "json", "typer", "hypose", "venv", "pip", "socket")
+EVIL = ("numpy", "multiprocessing", "encodings", "runpy", "json", "click", "hypose", "venv", "pip", "socket")
 
 
 def run(*arguments, before="", **more):

@@ -13,7 +13,7 @@ from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import load_recording
 from hypose.io.sensors.depth import read_depth_png, write_depth_png
 from hypose.pipeline.one_of_several import frames_to_examine, people_frames, with_all_people
-from hypose.pipeline.run import TrackOptions
+from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.depth_scenes import depth_scene
 from hypose.synthetic.motions import act
 from hypose.synthetic.subjects import load_subjects

@@ -1,4 +1,4 @@
-"""The page of figures: every benchmark has an entry, and nothing kept has no origin."""
+"""Pages of figures: every benchmark is on one, and nothing kept has no origin."""
 
 import json
 import re
@@ -9,17 +9,28 @@ from benchmarks import pages
 from benchmarks.bench_list import benchmarks, run_benchmark
 from benchmarks.bench_origin import ROOT, YARDSTICK, beside_yardstick
 from benchmarks.bench_report import BenchReport, Row
-from benchmarks.bench_tables import Column, Line, Page, cell, least, most, table, verdicts, within
+from benchmarks.targets import TARGETS, Figure
 from hypose.errors import InputError
 
 KEPT = pages.documents()
 
 
-def test_every_benchmark_has_an_entry_and_every_entry_a_benchmark():
-    assert set(pages.pages()) == set(benchmarks()) - {"golden"}  # golden.json keeps that one
-    text = pages.page_text({})
-    for name in pages.pages():
-        assert f"### {name}\n" in text and f"`./run bench {name} --keep`" in text
+def test_every_benchmark_is_on_the_page_and_every_shown_figure_is_kept():
+    assert {b.name for b in TARGETS} == set(benchmarks()) - {"golden"}  # golden.json keeps that one
+    for benchmark in TARGETS:
+        if benchmark.name in KEPT:
+            rows = pages.rows_of(KEPT[benchmark.name])
+            assert [f for f in benchmark.figures if (f.metric, f.case) not in rows] == []
+
+
+def test_the_accuracy_page_takes_its_numbers_from_kept_documents(tmp_path, monkeypatch):
+    kept = {"a": {"results": [{"metric": "error_mm", "case": "all", "value": 0.1234}]}}
+    monkeypatch.setattr(pages, "TEMPLATE", tmp_path / "accuracy.md")
+    pages.TEMPLATE.write_text("{a | error_mm | all} m, {a | error_mm | all | *100} cm")
+    assert pages.accuracy_page(kept) == "0.12 m, 12.3 cm"
+    pages.TEMPLATE.write_text("{a | error_mm | one}")
+    with pytest.raises(InputError, match="error_mm"):
+        pages.accuracy_page(kept)
 
 
 @pytest.mark.parametrize("name", KEPT)
@@ -43,41 +54,26 @@ def test_kept_speeds_have_a_ratio_of_the_same_run(name):
 
 
 ROWS = {
-    (m, c): {"metric": m, "case": c, "value": v, "unit": u, "sd": sd, "n": 3, "baseline": b, "ratio": r}
-    for m, c, v, u, sd, b, r in (
-        ("error_mm", "apf/walk", 50.04, "mm", 3.21, None, None),
-        ("error_mm", "hpf/walk", 40.0, "mm", None, "apf/walk", 0.8),
-        ("recovery_s", "hpf", None, "s", None, None, None),
-        ("ms_per_frame", "fit", 0.25, "ms", None, YARDSTICK, 0.5),
-    )
+    ("error_mm", "apf"): {"value": 50.0, "ratio": None},
+    ("error_mm", "hpf"): {"value": 40.0, "ratio": 0.8},
+    ("error_mm", "never"): {"value": None, "ratio": None},
 }
 
 
-def test_a_table_shows_figures_spreads_and_bars():
-    columns = (Column("walk", "error_mm", "{}/walk", spread=True), Column("ratio", "error_mm", "{}/walk", ratio=True))
-    lines = (
-        Line("apf", "apf", (most(45), within(50, 60))),
-        Line("hpf", "hpf", (most(0.9, 0, "apf"), least(0.85, 1))),
-        Line("gone", "gone", (most(1),)),
-    )
-    assert table(Page("a", "prose", columns, lines), ROWS).splitlines() == [
-        "|  | walk | ratio | bar |",
-        "| --- | --- | --- | --- |",
-        "| apf | 50 (3.2) |  | walk ≤ 45: **missed**; walk 50 to 60: met |",
-        "| hpf | 40 | 0.8 | walk ≤ 0.9 x apf: met; ratio ≥ 0.85: **missed** |",
-        "| gone |  |  | walk ≤ 1: not measured |",
-    ]
-
-
-def test_a_speed_stands_with_its_ratio_and_what_never_came_is_missed():
-    page = Page(
-        "a",
-        "prose",
-        lines=(Line("fit", "fit", (most(0.3),), "ms_per_frame"), Line("hpf", "hpf", (most(1),), "recovery_s")),
-    )
-    assert cell(page.columns[0], page.lines[0], ROWS) == f"0.25 ms, 0.5 x {YARDSTICK}"
-    assert cell(page.columns[0], page.lines[1], ROWS) == "never"
-    assert [met for line in page.lines for _, met in verdicts(page, line, ROWS)] == [True, False]
+@pytest.mark.parametrize(
+    ("figure", "met"),
+    [
+        (Figure("error_mm", "apf"), None),
+        (Figure("error_mm", "apf", at_most=45), False),
+        (Figure("error_mm", "apf", at_least=50, at_most=60), True),
+        (Figure("error_mm", "hpf", at_most=0.9, of="apf"), True),
+        (Figure("error_mm", "hpf", at_least=0.85, ratio=True), False),
+        (Figure("error_mm", "never", at_most=1), False),
+        (Figure("error_mm", "gone", at_most=1), None),
+    ],
+)
+def test_a_target_is_met_or_missed(figure, met):
+    assert figure.met(ROWS) is met
 
 
 def test_a_document_says_what_was_called_and_compares_speeds(monkeypatch):
@@ -97,6 +93,7 @@ def test_a_document_says_what_was_called_and_compares_speeds(monkeypatch):
         "quick": False,
     }
     assert [r["ratio"] for r in document["results"]] == [4.0, None, 0.005]
+    assert [r["baseline"] for r in document["results"]] == [YARDSTICK, None, YARDSTICK]
     assert [r["value"] for r in document["results"]] == [2.0, None, 10.0]
 
 
@@ -106,19 +103,3 @@ def test_quick_figures_and_figures_of_unknown_code_are_not_kept(monkeypatch):
     monkeypatch.setattr(pages, "commit", lambda: None)
     with pytest.raises(InputError, match="git checkout"):
         pages.check_keep("sync", False)
-
-
-def test_keeping_writes_document_picture_and_page(tmp_path, monkeypatch):
-    for name, path in (("RESULTS", "results"), ("IMAGES", "images")):
-        monkeypatch.setattr(pages, name, tmp_path / path)
-        (tmp_path / path).mkdir()
-    monkeypatch.setattr(pages, "PAGE", tmp_path / "benchmarks.md")
-    report = KEPT["silhouette-scorer"]
-    written = pages.keep_report(report)
-    assert written == [
-        tmp_path / "results/silhouette-scorer.json",
-        tmp_path / "images/bench-silhouette-scorer.png",
-        tmp_path / "benchmarks.md",
-    ]
-    assert json.loads(written[0].read_text()) == report and written[1].stat().st_size > 2000
-    assert "| [silhouette-scorer](#silhouette-scorer) | 4 of 4 |" in written[2].read_text()

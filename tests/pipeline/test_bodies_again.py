@@ -10,9 +10,10 @@ from hypose.body.default_body import human
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.pipeline import rough_bodies
 from hypose.pipeline.first_frame import TrackedSubject
+from hypose.pipeline.passes import tracker_of
 from hypose.pipeline.rough_bodies import AGAIN, fitted_again
-from hypose.pipeline.run import TrackOptions, tracker_of
 from hypose.pipeline.track_management import without_doubles
+from hypose.pipeline.track_options import TrackOptions
 from hypose.pipeline.tracked_people import Followed, Wanted
 from hypose.synthetic.scenes import make_scene
 from hypose.tracking.several import Member, shape_of, step_together

@@ -11,7 +11,8 @@ from hypose.evidence.body_parts import UNNAMED
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import load_recording
 from hypose.pipeline.one_camera import ColourDetections, centre_of, tracked_frames
-from hypose.pipeline.run import TrackOptions, track_source
+from hypose.pipeline.run import track_source
+from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.scenes import camera_rig, make_scene
 from hypose.synthetic.write_recording import write_scene
 

@@ -19,8 +19,9 @@ from hypose.pipeline.first_frame import TrackedSubject
 from hypose.pipeline.import_depth import register_depth
 from hypose.pipeline.input_checks import check_inputs
 from hypose.pipeline.people_run import PeopleRun
-from hypose.pipeline.run import TrackOptions, track_source
+from hypose.pipeline.run import track_source
 from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.depth_scenes import depth_scene, to_profile, turning
 from hypose.synthetic.metrics import EVALUATED, population_offsets, with_offsets
 from hypose.synthetic.motions import act

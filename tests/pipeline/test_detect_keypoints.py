@@ -9,7 +9,7 @@ from hypose.io.keypoints.read_keypoints import load_detected
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import keypoints_of_recording, load_recording
 from hypose.pipeline.detect_keypoints import detect_keypoints, wants_detector
-from hypose.pipeline.run import TrackOptions
+from hypose.pipeline.track_options import TrackOptions
 from tests.io.recordings import SIZE, frame_number, make_recording
 
 

@@ -14,9 +14,10 @@ from hypose.evidence.silhouettes import make_silhouettes
 from hypose.fitting.articulated import fit_pose
 from hypose.fusion import joints as jt
 from hypose.geometry import se3, se3_inverse, so3_exp, transform
-from hypose.pipeline.run import TrackOptions, track_source
+from hypose.pipeline.run import track_source
 from hypose.pipeline.sensor_skeletons import fuse_mixture, skeleton_rows
 from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.track_options import TrackOptions
 from hypose.tracking.refinement import anatomical_prior
 from hypose.tracking.starts import known_pose
 

@@ -5,9 +5,10 @@ import pytest
 
 from hypose.body.default_body import human
 from hypose.pipeline.assessment import UNTRUSTED
-from hypose.pipeline.run import TrackOptions, track_source
+from hypose.pipeline.run import track_source
 from hypose.pipeline.subject_from_motion import measured_height
 from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.scenes import make_scene
 
 

@@ -5,8 +5,9 @@ import pytest
 
 from hypose.evidence.frame import Frame
 from hypose.pipeline.assessment import GOOD, assess
-from hypose.pipeline.run import TrackOptions, track_source
+from hypose.pipeline.run import track_source
 from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.metrics import EVALUATED, population_offsets, with_offsets
 from hypose.synthetic.performance import Angles, Stance, moved, perform
 from hypose.synthetic.scenes import make_scene

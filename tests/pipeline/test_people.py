@@ -13,8 +13,8 @@ from hypose.evidence.person_tracks import PersonTrack
 from hypose.io.motions.results import ResultsFolder
 from hypose.pipeline.people_run import PeopleRun
 from hypose.pipeline.person_paths import KeypointPeople, count_people
-from hypose.pipeline.run import TrackOptions
 from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.track_options import TrackOptions
 from hypose.pipeline.tracked_people import (
     Wanted,
     free_name,

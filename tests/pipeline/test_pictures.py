@@ -7,9 +7,9 @@ from hypose.body.default_body import human
 from hypose.cameras.camera import CameraRig
 from hypose.errors import InputError
 from hypose.evidence.frame import Frame, Keypoints, Picture
-from hypose.pipeline.run import TrackOptions
 from hypose.pipeline.track import track
 from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.track_options import TrackOptions
 from tests.monocular.pictures import camera, mask, picture, wall
 
 NAMES = tuple(f"{s}_{j}" for s in ("left", "right") for j in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle"))

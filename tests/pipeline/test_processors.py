@@ -11,7 +11,8 @@ PROGRAM = """
 import sys
 import numpy as np
 from benchmarks.robustness.small_recordings import small_scene
-from hypose.pipeline.run import TrackOptions, track_source
+from hypose.pipeline.run import track_source
+from hypose.pipeline.track_options import TrackOptions
 
 class Frames:
     def __init__(self, frames):

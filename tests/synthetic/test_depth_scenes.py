@@ -8,7 +8,7 @@ from hypose.geometry import se3_inverse
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import load_recording
 from hypose.pipeline.one_of_several import people_frames
-from hypose.pipeline.run import TrackOptions, check_views
+from hypose.pipeline.track_options import TrackOptions, check_views
 from hypose.synthetic.depth_scenes import depth_rig, depth_scene, to_profile, turning
 from hypose.synthetic.motions import act
 from hypose.synthetic.subjects import load_subjects

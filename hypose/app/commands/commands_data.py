@@ -6,31 +6,22 @@ import contextlib
 import shlex
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
-import typer
-
-from hypose.app.commands.commands_track import detect, detected, open_network_asking, set_threads, stopping
-from hypose.app.commands.console import Seconds, Seed, Stages, Threads, number, print_note, say
+from hypose.app.commands.commands_track import stopping
+from hypose.app.commands.console import Stages, print_note, print_notes, say
+from hypose.app.options import SynthCommand
 from hypose.errors import EvidenceError, InputError
-
-if TYPE_CHECKING:
-    pass
-
-Yes = Annotated[bool, typer.Option("--yes", help="Fetch the detector's models, once, without asking.")]
+from hypose.options import FrameSpan, Option, RecordingPath, Resume, Seed, Threads, Yes
 
 
 def silhouettes(
-    recording: Annotated[Path, typer.Argument(help="Folder with recording.toml, that file, or a Pose2Sim project.")],
+    recording: RecordingPath,
     folder: Annotated[
-        Path | None, typer.Option("--out", help="Folder to write to. [default: results/silhouettes there]")
+        Path | None, Option("Folder to write to. [default: results/silhouettes there]", flag="--out")
     ] = None,
-    frames: Annotated[
-        str | None, typer.Option(help="first:stop, counted from 0. [default: recording.toml's, else all]")
-    ] = None,
-    detector: Annotated[
-        bool, typer.Option("--detector", help="By hypose's detector of people, whatever tells the empty room.")
-    ] = False,
+    frames: FrameSpan = None,
+    detector: Annotated[bool, Option("By hypose's detector of people, whatever tells the empty room.")] = False,
     yes: Yes = False,
 ) -> None:
     """Write the masks of the person as PNG, one folder per view, and a contact sheet."""
@@ -42,19 +33,17 @@ def silhouettes(
 
     loaded = choose_frames(load_recording(recording), frames)
     if detector:
+        from hypose.app.jobs.person_job import detected
+
         found = detected(loaded, loaded.frames, yes=yes, why="--detector")
         loaded = replace(loaded, views=tuple(replace(v, masks=found.masks(v.name)) for v in loaded.views))
     target = folder or loaded.folder / "results" / "silhouettes"
     with claimed(target), Stages() as progress:
-        progress("background", 0, 1)
-        with FrameStream(loaded) as source:
-            progress("background", 1, 1)
+        with FrameStream(loaded, progress=progress) as source:
             with stopping(f"Stopped; the masks written until then are in {target}."):
                 shown = write_masks(source, target, lambda done, total: progress("masks", done, total))
-            notes = source.notes
             write_sheet(loaded, source, target / "sheet.jpg", 4)
-    for text in (*loaded.notes, *notes):
-        print_note(f"note: {text}")
+    print_notes((*loaded.notes, *source.notes))
     say(f"Masks: {target} (0 and 255, undistorted, one folder per view)")
     say(f"Contact sheet: {target / 'sheet.jpg'}")
     if not shown:
@@ -65,80 +54,43 @@ def silhouettes(
     say('To use them, corrected by hand perhaps, give each view in recording.toml: masks = "FOLDER/VIEW"')
 
 
-def synth(
-    folder: Annotated[Path, typer.Argument(metavar="OUT", help="Folder to write the recording to.")],
-    motion: Annotated[
-        str, typer.Option(help="walk, jog, box, wave, cross_arms, punch, sit_down, serve or combo.")
-    ] = "walk",
-    subject: Annotated[str, typer.Option(help="Name or number of a subject. [default: chosen by the seed]")] = "",
-    rig: Annotated[str, typer.Option(help="humaneva-4, humaneva-7, ixmas-5, court-4 or ring-N.")] = "humaneva-4",
-    sensors: Annotated[
-        str,
-        typer.Option(help="Depth cameras instead of a rig: depth-1 (in front), depth-2 (and beside), depth-3 (round)."),
-    ] = "",
-    seconds: Seconds = 4.0,
-    frame_rate: Annotated[float, number("Frames per second.", 1, 1000)] = 25.0,
-    corruption: Annotated[
-        list[str] | None,
-        typer.Option(help="What goes wrong: level-1, shadow, desync, ... (may be repeated)."),
-    ] = None,
-    clothing: Annotated[float, number("Thickness of the clothes in metres.", 0, 0.04, unit="metres")] = 0.02,
-    distorted: Annotated[bool, typer.Option(help="Lenses with distortion.")] = True,
-    keypoints: Annotated[
-        bool, typer.Option("--keypoints", help="Write 2D key points (OpenPose JSON) as well.")
-    ] = False,
-    raw: Annotated[
-        bool,
-        typer.Option(
-            "--raw", help="As it is filmed: videos of a board, the empty room and the person, to practise on."
-        ),
-    ] = False,
-    seed: Seed = 0,
-    threads: Threads = None,
-) -> None:
-    """Make a synthetic recording with known truth: videos, background clips, calibration, recording.toml, truth.npz."""
-    set_threads(threads)
+def synth(c: SynthCommand) -> None:
+    """Do what `hypose synth` is asked for."""
     from hypose.io.files import claimed
+    from hypose.synthetic import write_recording
     from hypose.synthetic.depth_scenes import DepthScene
     from hypose.synthetic.scenes import make_scene
-    from hypose.synthetic.write_recording import (
-        BOARD,
-        check_folder,
-        walking_scene,
-        write_depth_scene,
-        write_scene,
-        write_session,
-    )
 
-    if raw and keypoints:
+    if c.raw and c.keypoints:
         raise InputError("--raw writes what cameras give, and key points are not; leave one of the two out.")
-    check_folder(folder)
-    if sensors and (raw or keypoints or corruption):
+    write_recording.check_folder(c.folder)
+    if c.sensors and (c.raw or c.keypoints or c.corruption):
         raise InputError(
             "Depth cameras write depth maps with their own faults; leave --raw, --keypoints, --corruption out."
         )
-    about = {"seconds": seconds, "frame_rate": frame_rate, "seed": seed, "clothing_m": clothing}
-    who = _subject_name(subject)
-    if sensors:
-        scene = walking_scene(motion, who, sensors, **about)
+    about = {"seconds": c.seconds, "frame_rate": c.frame_rate, "seed": c.seed, "clothing_m": c.clothing}
+    who = _subject_name(c.subject)
+    if c.sensors:
+        scene = write_recording.walking_scene(c.motion, who, c.sensors, **about)
     else:
-        scene = make_scene(motion, who, rig, corruption=tuple(corruption or ()), distorted=distorted, **about)
-    unfinished = f"Stopped; {folder} is not complete. Start again with the same command."
-    with stopping(unfinished), claimed(folder, "OUT"), Stages() as progress:
+        scene = make_scene(c.motion, who, c.rig, corruption=c.corruption, distorted=c.distorted, **about)
+    unfinished = f"Stopped; {c.folder} is not complete. Start again with the same command."
+    with stopping(unfinished), claimed(c.folder, "OUT"), Stages() as progress:
 
         def shown(done: int, total: int) -> None:
             progress("render", done, total)
 
         if isinstance(scene, DepthScene):
-            path = write_depth_scene(scene, folder, progress=shown)
-        elif raw:
-            path = write_session(scene, folder, progress=shown)
+            path = write_recording.write_depth_scene(scene, c.folder, progress=shown)
+        elif c.raw:
+            path = write_recording.write_session(scene, c.folder, progress=shown)
         else:
-            path = write_scene(scene, folder, keypoints=keypoints, progress=shown)
-    kind = "depth cameras (simulated)" if sensors else "cameras"
+            path = write_recording.write_scene(scene, c.folder, keypoints=c.keypoints, progress=shown)
+    kind = "depth cameras (simulated)" if c.sensors else "cameras"
     say(f"{path}: {scene.name}, {len(scene)} frames, {len(scene.rig)} {kind}")
-    if raw:
-        say(f"The board has {BOARD.columns} x {BOARD.rows} inner corners and squares of {1000 * BOARD.square:g} mm.")
+    if c.raw:
+        board = write_recording.BOARD
+        say(f"The board has {board.columns} x {board.rows} inner corners and squares of {1000 * board.square:g} mm.")
 
 
 def _subject_name(text: str) -> str:
@@ -155,18 +107,18 @@ def _subject_name(text: str) -> str:
 
 def depth_import(
     sources: Annotated[
-        list[Path],
-        typer.Argument(help="One per camera: Azure Kinect .mkv, RealSense .bag, Record3D .r3d, or a folder of maps."),
+        tuple[Path, ...],
+        Option("One per camera: Azure Kinect .mkv, RealSense .bag, Record3D .r3d, or a folder of maps.", argument=True),
     ],
-    out: Annotated[Path, typer.Option(help="Folder to write the recording to.")],
+    out: Annotated[Path, Option("Folder to write the recording to.")],
     empty: Annotated[
-        list[Path] | None, typer.Option(help="The empty room, one per camera in the same order (may be repeated).")
-    ] = None,
+        tuple[Path, ...], Option("The empty room, one per camera in the same order (may be repeated).")
+    ] = (),
     frame_rate: Annotated[
-        float | None, number("Frames per second of folders of maps, which do not tell it. [default: 30]", 1, 1000)
+        float | None, Option("Frames per second of folders of maps, which do not tell it. [default: 30]", 1, 1000)
     ] = None,
     millimetres: Annotated[
-        float, number("Millimetres that one step of a value stands for, of folders of maps.", 0, 100, above=True)
+        float, Option("Millimetres that one step of a value stands for, of folders of maps.", 0, 100, above=True)
     ] = 1.0,
     seed: Seed = 0,
 ) -> None:
@@ -186,26 +138,25 @@ def depth_import(
         if new:
             with contextlib.suppress(OSError):  # the recording is in it
                 out.rmdir()
-    for text in notes:
-        print_note(f"note: {text}")
+    print_notes(notes)
     say(f"{path}: {len(sources)} depth cameras; track it with: hypose track {shlex.quote(str(out))}")
 
 
 def keypoints(
-    recording: Annotated[Path, typer.Argument(help="Folder with recording.toml, that file, or a Pose2Sim project.")],
+    recording: RecordingPath,
     detector: Annotated[
         str | None,
-        typer.Option(help="Your own detector instead, FILE.py:NAME or MODULE:NAME (docs/recordings.md)."),
+        Option("Your own detector instead, FILE.py:NAME or MODULE:NAME (docs/recordings.md)."),
     ] = None,
     yes: Yes = False,
     folder: Annotated[
-        Path | None, typer.Option("--out", help="Folder to write to. [default: keypoints in the recording's folder]")
+        Path | None, Option("Folder to write to. [default: keypoints in the recording's folder]", flag="--out")
     ] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on where an interrupted run stopped.")] = False,
+    resume: Resume = False,
     threads: Threads = None,
 ) -> None:
     """Detect 2D key points and masks of people in the videos, which `hypose track` then uses."""
-    set_threads(threads)
+    from hypose.app.jobs.person_job import detect, open_network_asking
     from hypose.io.keypoints.detectors import open_own_detector
     from hypose.io.keypoints.read_keypoints import KEYPOINT_FOLDER
     from hypose.io.recordings.recording import load_recording

@@ -7,29 +7,32 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from hypose.app.commands.commands_track import stopping
-from hypose.app.commands.console import MOST_FRAMES, Seed, Stages, number, print_note, say
+from hypose.app.commands.console import Stages, print_note, say
 from hypose.errors import InputError
+from hypose.options import MOST_FRAMES, Option, Seed
 
-gesture_app = typer.Typer(
-    no_args_is_help=True, help="Learn still gestures from a depth camera in minutes, and watch for them."
-)
+GESTURE_COMMANDS = {
+    "Commands": {
+        "record": ("commands_gesture:record", "Record a session with its prompts, to train from later."),
+        "train": ("commands_gesture:gesture_train", "Teach a gesture, live or from recorded sessions."),
+        "run": ("commands_gesture:gesture_run", "Watch for gestures: events as JSON lines, OSC, commands."),
+        "eval": ("commands_gesture:gesture_evaluate", "Judge a model on a recorded session."),
+    }
+}
 
 SourceOption = Annotated[
     str,
-    typer.Option(help="realsense, FILE.bag, .db3 or .mkv (Azure), the folder of a session, or simulated[:PERSON]."),
+    Option("realsense, FILE.bag, .db3 or .mkv (Azure), the folder of a session, or simulated[:PERSON]."),
 ]
-Gesture = Annotated[str, typer.Option(help="Name of the gesture.")]
-Rounds = Annotated[int, number("Rounds of gesture and other movement.", 1, 1000)]
+Gesture = Annotated[str, Option("Name of the gesture.")]
+Rounds = Annotated[int, Option("Rounds of gesture and other movement.", 1, 1000)]
 _LETTERS = "Commands (letter and Enter): n next, u undo, p pause, c continue, a again, t end with the test"
-_Frames = Annotated[int, number("Stop after so many frames; 0 = never.", 0, MOST_FRAMES)]
+_Frames = Annotated[int, Option("Stop after so many frames; 0 = never.", 0, MOST_FRAMES)]
 
 
-@gesture_app.command(short_help="Record a session with its prompts, to train from later.")
 def record(
-    out: Annotated[Path, typer.Argument(help="New folder to record to.")],
+    out: Annotated[Path, Option("New folder to record to.", argument=True)],
     gesture: Gesture,
     source: SourceOption = "simulated",
     rounds: Rounds = 3,
@@ -48,18 +51,15 @@ def record(
     say(f"Recorded: {out}")
 
 
-@gesture_app.command("train", short_help="Teach a gesture, live or from recorded sessions.")
 def gesture_train(
-    out: Annotated[Path, typer.Argument(help="Model file to write (.npz).")],
+    out: Annotated[Path, Option("Model file to write (.npz).", argument=True)],
     gesture: Gesture,
-    recording: Annotated[
-        list[Path] | None, typer.Option(help="Recorded session to learn from (may be repeated); else live.")
-    ] = None,
+    recording: Annotated[tuple[Path, ...], Option("Recorded session to learn from (may be repeated); else live.")] = (),
     source: SourceOption = "simulated",
     rounds: Rounds = 3,
-    passes: Annotated[int, number("Over the recordings.", 1, 100)] = 1,
-    resume: Annotated[Path | None, typer.Option(help="Model whose trees go on growing.")] = None,
-    record_to: Annotated[Path | None, typer.Option("--record", help="New folder to record a live session to.")] = None,
+    passes: Annotated[int, Option("Over the recordings.", 1, 100)] = 1,
+    resume: Annotated[Path | None, Option("Model whose trees go on growing.")] = None,
+    record_to: Annotated[Path | None, Option("New folder to record a live session to.", flag="--record")] = None,
     seed: Seed = 0,
 ) -> None:
     """Teach a gesture: a live session that learns while you watch, or recorded sessions again."""
@@ -104,23 +104,22 @@ def gesture_train(
     say(f"Model: {out}")
 
 
-@gesture_app.command("run", short_help="Watch for gestures: events as JSON lines, OSC, commands.")
 def gesture_run(
-    models: Annotated[list[Path], typer.Argument(help="Model files, one per gesture.")],
+    models: Annotated[tuple[Path, ...], Option("Model files, one per gesture.", argument=True)],
     source: SourceOption = "simulated",
-    osc: Annotated[str | None, typer.Option(help="HOST:PORT to send scores and events to by OSC.")] = None,
-    ws: Annotated[int | None, number("Port of this computer to serve them by WebSocket.", 0, 65535)] = None,
+    osc: Annotated[str | None, Option("HOST:PORT to send scores and events to by OSC.")] = None,
+    ws: Annotated[int | None, Option("Port of this computer to serve them by WebSocket.", 0, 65535)] = None,
     command: Annotated[
-        str | None, typer.Option(help="Program to run at each start, {gesture} replaced; with {event}, at ends too.")
+        str | None, Option("Program to run at each start, {gesture} replaced; with {event}, at ends too.")
     ] = None,
     threshold: Annotated[
-        float | None, number("cm² instead of the models' own.", 0, 1_000_000, above=True, unit="cm²")
+        float | None, Option("cm² instead of the models' own.", 0, 1_000_000, above=True, unit="cm²")
     ] = None,
     adaptation_rate: Annotated[
-        float, number("Share of the new frame in the density (1: no temporal recursion).", 0, 1, above=True)
+        float, Option("Share of the new frame in the density (1: no temporal recursion).", 0, 1, above=True)
     ] = 0.8,
-    hold: Annotated[float, number("Seconds a gesture must be held.", 0, 3600)] = 0.15,
-    rest: Annotated[float, number("Seconds after its end in which it does not start again.", 0, 3600)] = 0.5,
+    hold: Annotated[float, Option("Seconds a gesture must be held.", 0, 3600)] = 0.15,
+    rest: Annotated[float, Option("Seconds after its end in which it does not start again.", 0, 3600)] = 0.5,
     frames: _Frames = 0,
     seed: Seed = 0,
 ) -> None:
@@ -160,10 +159,9 @@ def gesture_run(
                 break
 
 
-@gesture_app.command("eval", short_help="Judge a model on a recorded session.")
 def gesture_evaluate(
-    model: Annotated[Path, typer.Argument(help="Model file.")],
-    recording: Annotated[Path, typer.Argument(help="Recorded session that was not learned.")],
+    model: Annotated[Path, Option("Model file.", argument=True)],
+    recording: Annotated[Path, Option("Recorded session that was not learned.", argument=True)],
 ) -> None:
     """Judge a model on a recorded session: average precision, and what its threshold lets through."""
     import json

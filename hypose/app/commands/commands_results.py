@@ -9,11 +9,13 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from click.exceptions import Exit
 
-from hypose.app.commands.commands_track import set_threads, split_names, stopping
-from hypose.app.commands.console import Stages, Threads, number, print_note, say
+from hypose.app.commands.commands_track import stopping
+from hypose.app.commands.console import Stages, print_note, print_notes, say
+from hypose.app.options import CompareCommand
 from hypose.errors import HyposeError, InputError
+from hypose.options import MOST_FRAMES, Option, Threads
 
 if TYPE_CHECKING:
     from pythonosc.osc_message import OscMessage
@@ -24,11 +26,12 @@ if TYPE_CHECKING:
 
 
 def export(
-    results: Annotated[Path, typer.Argument(help="Results folder of hypose track, or its motion.npz.")],
-    formats: Annotated[str, typer.Option(help="Motion files to write; also osim, rrd.")] = "trc,c3d,bvh,glb,csv,mot",
-    out: Annotated[Path | None, typer.Option(help="Folder to write to. [default: the results folder]")] = None,
+    results: Annotated[Path, Option("Results folder of hypose track, or its motion.npz.", argument=True)],
+    formats: Annotated[str, Option("Motion files to write; also osim, rrd.")] = "trc,c3d,bvh,glb,csv,mot",
+    out: Annotated[Path | None, Option("Folder to write to. [default: the results folder]")] = None,
 ) -> None:
     """Write motion files (TRC, C3D, BVH, GLB, CSV, MOT; OpenSim, Rerun) from a tracked motion."""
+    from hypose.app.jobs.job import split_names
     from hypose.io.files import claimed
     from hypose.io.motions.export import export_motion
     from hypose.io.motions.results import load_result_body
@@ -46,14 +49,13 @@ def export(
 
 
 def report(
-    results: Annotated[Path, typer.Argument(help="Results folder of hypose track or hypose fuse, or its motion.npz.")],
-    out: Annotated[
-        Path | None, typer.Option(help="File to write. [default: report.html in the results folder]")
-    ] = None,
+    results: Annotated[
+        Path, Option("Results folder of hypose track or hypose fuse, or its motion.npz.", argument=True)
+    ],
+    out: Annotated[Path | None, Option("File to write. [default: report.html in the results folder]")] = None,
     threads: Threads = None,
 ) -> None:
     """Write the report of a result again: one file that opens from disk and loads nothing."""
-    set_threads(threads)
     from hypose.app.reports.report import write_report
     from hypose.app.studio.view_bundle import find_recording, load_view
     from hypose.io.files import check_writable
@@ -72,14 +74,25 @@ def report(
         progress("report", 0, 1)
         written = write_report(target, shown, recording)
         progress("report", 1, 1)
-    for text in shown.notes:
-        print_note(f"note: {text}")
+    print_notes(shown.notes)
     say(f"Report: {written}")
 
 
+def explain(
+    results: Annotated[Path, Option("Results folder of hypose track, or its motion.npz.", argument=True)],
+    joint: Annotated[str, Option("Name of the joint, for example left_wrist.")],
+    frame: Annotated[int, Option("Number of the frame in the recording.", 0, MOST_FRAMES)],
+) -> None:
+    """Say where a joint of a frame comes from: its evidence, the passes that moved it, where else it may be."""
+    from hypose.app.jobs.explain import explain_joint
+
+    for line in explain_joint(results, joint, frame):
+        say(line)
+
+
 def gait(
-    results: Annotated[Path, typer.Argument(help="Results folder of hypose track, or its motion.npz.")],
-    out: Annotated[Path | None, typer.Option(help="Folder to write to. [default: the results folder]")] = None,
+    results: Annotated[Path, Option("Results folder of hypose track, or its motion.npz.", argument=True)],
+    out: Annotated[Path | None, Option("Folder to write to. [default: the results folder]")] = None,
 ) -> None:
     """Write strikes, steps, cadence and speed (CSV, C3D with events), and joint angles over the gait cycle."""
     from hypose.io.files import claimed
@@ -157,97 +170,58 @@ def _table(path: Path, header: str, rows: Sequence[Sequence[object]]) -> None:
     write_text(path, "\n".join([header, *(",".join(map(cell, row)) for row in rows)]) + "\n")
 
 
-def compare(
-    files: Annotated[
-        list[Path],
-        typer.Argument(
-            help="RESULT OTHER [RESULT OTHER ...]: a results folder, then what to compare it with: .c3d, .trc, .mot, "
-            ".sto or another result."
-        ),
-    ],
-    joint: Annotated[
-        list[str] | None,
-        typer.Option(help="JOINT=MARKER+MARKER: the joint is the middle of these markers (may be repeated)."),
-    ] = None,
-    subject: Annotated[
-        str | None, typer.Option(help="Whose points, where a file names several people's SUBJECT:POINT.")
-    ] = None,
-    offset: Annotated[
-        float | None,
-        number("Seconds to add to the other's times. [default: found]", -100_000, 100_000, unit="seconds"),
-    ] = None,
-    no_align: Annotated[
-        bool, typer.Option("--no-align", help="Both have the same world: do not move the other onto the result.")
-    ] = False,
-    all_frames: Annotated[
-        bool, typer.Option("--all-frames", help="Also frames in which the person was lost or only predicted.")
-    ] = False,
-    max_mm: Annotated[
-        float | None,
-        number("Exit with 1 if the RMSE of the joints, offsets aside, is larger.", 0, 10_000, unit="millimetres"),
-    ] = None,
-    max_degrees: Annotated[
-        float | None, number("Exit with 1 if an angle's RMSE, its offset aside, is larger.", 0, 360, unit="degrees")
-    ] = None,
-    min_coverage: Annotated[
-        float | None, number("Exit with 1 if a smaller share lies in the 90 % regions (0.8, for example).", 0, 1)
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option(help="Folder for compare.csv and compare.html. [default: the first results folder]")
-    ] = None,
-) -> None:
-    """Compare results with markers or other motions: errors per joint and angle, one table, one page."""
+def compare(c: CompareCommand) -> None:
+    """Do what `hypose compare` is asked for."""
     from hypose.app.jobs import compare_job
     from hypose.io.files import check_writable
-    from hypose.pipeline.comparison import CompareOptions
 
-    if len(files) % 2:
+    if len(c.files) % 2:
         raise InputError("Give pairs: a result, what to compare it with, and so on; one of the files has no partner.")
-    pairs = list(zip(files[::2], files[1::2], strict=True))
-    folder = out or (files[0] if files[0].is_dir() else files[0].parent)
-    joints = compare_job.parse_joints(joint or [])
-    compare_job.load_result(files[0])
+    pairs = list(zip(c.files[::2], c.files[1::2], strict=True))
+    folder = c.out or (c.files[0] if c.files[0].is_dir() else c.files[0].parent)
+    joints = compare_job.parse_joints(c.joint)
+    compare_job.load_result(c.files[0])
     check_writable(folder)
-    options = CompareOptions(offset, not no_align, all_frames)
     with Stages() as progress:
         compared = []
         for done, pair in enumerate(pairs):
             progress("compare", done, len(pairs))
-            compared += compare_job.compare_files([pair], options, joints, subject)
+            compared += compare_job.compare_files([pair], c, joints, c.subject)
         progress("compare", len(pairs), len(pairs))
-    failed = compare_job.exceeded(compared, max_mm, max_degrees, min_coverage)
+    failed = compare_job.exceeded(compared, c.max_mm, c.max_degrees, c.min_coverage)
     compare_job.write_csv(folder / "compare.csv", compared)
     compare_job.write_comparison_page(folder / "compare.html", compared, failed)
-    for file in dict.fromkeys(files):
+    for file in dict.fromkeys(c.files):
         tell_untrusted(file)
-    for c in compared:
-        for text in c.found.notes:
-            print_note(f"note: {text}")
-        if c.found.joints:
-            median, p95, rmse = c.found.left_mm
-            share = compare_job.mean_coverage(c.found)
+    for one in compared:
+        print_notes(one.found.notes)
+        if one.found.joints:
+            median, p95, rmse = one.found.left_mm
+            share = compare_job.mean_coverage(one.found)
             inside = f", {100 * share:.0f} % inside our 90 % regions" if share == share else ""
             say(
-                f"{c.other}: {len(c.found.joints)} joints, offsets aside: median {median:.1f} mm, 95 % within "
+                f"{one.other}: {len(one.found.joints)} joints, offsets aside: median {median:.1f} mm, 95 % within "
                 f"{p95:.1f} mm, RMSE {rmse:.1f} mm{inside}"
             )
-        if c.found.angles:
-            degrees = [a.rmse_left for a in c.found.angles if a.unit == "deg" and a.n]
+        if one.found.angles:
+            degrees = [a.rmse_left for a in one.found.angles if a.unit == "deg" and a.n]
             span = f"{min(degrees):.1f} to {max(degrees):.1f} degrees" if degrees else "-"
-            say(f"{c.other}: {len(degrees)} angles, offsets aside: RMSE {span}")
+            say(f"{one.other}: {len(degrees)} angles, offsets aside: RMSE {span}")
     say(f"Table: {folder / 'compare.csv'}")
     say(f"Page:  {folder / 'compare.html'}")
     for text in failed:
         say(text, "yellow")
     if failed:
-        raise typer.Exit(1)
+        raise Exit(1)
 
 
 def play(
-    results: Annotated[Path, typer.Argument(help="Results folder of hypose track or hypose fuse, or its motion.npz.")],
-    vmc: Annotated[str, typer.Option(help="HOST:PORT that the program listens on.")] = "127.0.0.1:39539",
-    speed: Annotated[float, number("How many times as fast as it was.", 0.01, 100)] = 1.0,
-    loop: Annotated[bool, typer.Option("--loop", help="Over and over, until Ctrl-C.")] = False,
+    results: Annotated[
+        Path, Option("Results folder of hypose track or hypose fuse, or its motion.npz.", argument=True)
+    ],
+    vmc: Annotated[str, Option("HOST:PORT that the program listens on.")] = "127.0.0.1:39539",
+    speed: Annotated[float, Option("How many times as fast as it was.", 0.01, 100)] = 1.0,
+    loop: Annotated[bool, Option("Over and over, until Ctrl-C.")] = False,
 ) -> None:
     """Send a tracked motion to an avatar (VMC protocol): VSeeFace, Warudo, Unity, Unreal, Blender. See docs/live.md."""
     from hypose.app.live.osc import OscTarget
@@ -302,9 +276,9 @@ def play_motion(
 
 def cite(
     method: Annotated[
-        str, typer.Argument(help="A results folder, or a recipe or method by name; a wrong one lists them.")
+        str, Option("A results folder, or a recipe or method by name; a wrong one lists them.", argument=True)
     ] = "default",
-    bibtex: Annotated[bool, typer.Option("--bibtex", help="As BibTeX.")] = False,
+    bibtex: Annotated[bool, Option("As BibTeX.")] = False,
 ) -> None:
     """Print the papers behind the method that gave a result."""
     from hypose.app.jobs.cite import formatted_papers, papers_of

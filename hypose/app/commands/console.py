@@ -12,17 +12,16 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from types import TracebackType
-from typing import TYPE_CHECKING, Annotated, Any, TextIO
+from typing import TYPE_CHECKING, TextIO
 
-import typer
-
-from hypose.errors import InputError, visible
+from hypose.errors import visible
 
 if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions, RenderableType
     from rich.progress import Progress, TaskID
+    from rich.table import Table
 
 TITLES = {
     "prepare": "Prepare",
@@ -93,6 +92,12 @@ def print_note(text: str) -> None:
     err().print(text, style="dim", markup=False)
 
 
+def print_notes(notes: Iterable[str]) -> None:
+    """Print notes for the user, each on a line of stderr."""
+    for text in notes:
+        print_note(f"note: {text}")
+
+
 def error(text: str) -> None:
     """Print the sentence that ends a failed command; without colours where memory does not suffice for them."""
     try:
@@ -123,6 +128,16 @@ def _bars(console: Console) -> Progress:
         progress.TimeRemainingColumn(compact=True, elapsed_when_finished=True),
         console=console,
     )
+
+
+def titled_table(title: str, columns: Iterable[str]) -> Table:
+    """A table without rows."""
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left")
+    for column in columns:
+        table.add_column(column)
+    return table
 
 
 def print_table(table: object) -> None:
@@ -218,43 +233,3 @@ def ended_by_signals(ended: threading.Event) -> Iterator[None]:
     finally:
         for n, handler in before.items():
             signal.signal(n, handler)
-
-
-# ---- options -------------------------------------------------------------------------------------------------------
-# How the commands declare numbers: what an option may be is said where it is declared, and refused in one sentence.
-
-
-HEIGHT = (0.4, 2.8)
-"""m: of a person whom the trackers know."""
-MOST_FRAMES = 10**9
-LARGEST_SEED = 2**63 - 1
-
-
-def number(
-    text: str, least: float, most: float, *names: str, above: bool = False, unit: str = "", **more: Any
-) -> typer.models.OptionInfo:
-    """An option that is a number from `least` to `most`, both included (above: least itself is not). text: its help;
-    unit: for the sentence that refuses others, NaN among them; names, more: as for typer.Option."""
-    return typer.Option(*names, help=text, callback=_within(least, most, above, unit), **more)
-
-
-def _within(
-    least: float, most: float, above: bool, unit: str
-) -> Callable[[typer.CallbackParam, float | None], float | None]:
-    allowed = f"more than {least} and at most {most}" if above else f"{least} to {most}"
-    if most in (MOST_FRAMES, LARGEST_SEED):  # which only keep numbers from overflowing later
-        allowed = f"{least} or more"
-
-    def check(param: typer.CallbackParam, value: float | None) -> float | None:
-        # said as a range that a number lies in, for NaN lies in none
-        if value is None or (least <= value <= most and not (above and value == least)):
-            return value
-        shown = f"{value:g}" if isinstance(value, float) else str(value)
-        raise InputError(f"{param.opts[-1]} {shown} is not possible; give {allowed}{unit and ' ' + unit}.")
-
-    return check
-
-
-Threads = Annotated[int | None, number("Processor threads; the result does not depend on it. [default: all]", 1, 256)]
-Seed = Annotated[int, number("Of every random draw; the same seed gives the same result.", 0, LARGEST_SEED)]
-Seconds = Annotated[float, number("Length of the recording.", 0, 3600, above=True, unit="seconds")]

@@ -31,7 +31,9 @@ from hypose.io.recordings.recording import Recording
 from hypose.pipeline.first_frame import GIVEN, SubjectOptions, TrackedSubject, find_subject
 from hypose.pipeline.one_camera import FrameSource
 from hypose.pipeline.person_paths import per_frame
-from hypose.pipeline.run import TrackOptions, frames_wanted, track_source
+from hypose.pipeline.run import track_source
+from hypose.pipeline.trace import later, list_changes, trace_of, with_trace
+from hypose.pipeline.track_options import TrackOptions, frames_wanted
 
 _READ_AT_ONCE = 64
 """Frames that are kept in memory when they are tracked backwards."""
@@ -146,7 +148,10 @@ class Backwards:
 
 def _time_reversed(motion: Motion) -> Motion:
     """A motion with its frames in the opposite order, at the same times."""
-    return replace(motion, **per_frame(motion, np.arange(len(motion))[::-1]) | {"times": motion.times})
+    n = len(motion)
+    trace = [replace(c, frames=range(n - c.frames.stop, n - c.frames.start)) for c in trace_of(motion)]
+    turned = replace(motion, **per_frame(motion, np.arange(n)[::-1]) | {"times": motion.times})
+    return with_trace(turned, trace)
 
 
 _UNKNOWN = {
@@ -173,7 +178,12 @@ def join(old: Motion, new: Motion, row: int, record: Mapping[str, Any] | None) -
         for t in range(row, stop):
             poses[t] = old.skeleton.on_branch(poses[t], poses[t - 1])
     corrections = [*old.provenance.get("corrections", []), *([] if record is None else [dict(record)])]
-    return replace(old, **series, provenance={**old.provenance, "corrections": corrections})
+    joined = replace(old, **series, provenance={**old.provenance, "corrections": corrections})
+    moved = np.linalg.norm(joined.joints - old.joints, axis=-1)
+    corrected = list_changes(
+        "correct", old.skeleton.joint_names, moved, "tracked again from a pose that a person corrected"
+    )
+    return with_trace(joined, [*trace_of(old), *later(trace_of(new), row), *corrected])
 
 
 def _options(motion: Motion, old: ResultsFolder) -> tuple[TrackOptions, int]:

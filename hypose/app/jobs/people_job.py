@@ -25,6 +25,7 @@ from hypose.app.reports.overlay import OverlayRows, PictureRows, colour_of, writ
 from hypose.app.reports.report import report_pictures
 from hypose.app.reports.summary import CONTENT_POLICY, page
 from hypose.app.studio.view_bundle import Rivals, ViewResult, pictured
+from hypose.calibration.findings import REVIEW, Finding
 from hypose.errors import InputError
 from hypose.io.files import check_writable
 from hypose.io.motions.c3d import write_c3d
@@ -35,7 +36,7 @@ from hypose.pipeline.assessment import UNTRUSTED, Assessment
 from hypose.pipeline.frame_anomalies import in_words
 from hypose.pipeline.one_of_several import chosen_people, keypoint_people, people_frames, wanted_of
 from hypose.pipeline.people_run import PeopleRun
-from hypose.pipeline.run import check_views
+from hypose.pipeline.track_options import check_views
 from hypose.pipeline.tracked_people import TrackedPerson, Wanted, said_of_places
 from hypose.tracking.contacts import runs
 from hypose.tracking.recipes import citation_of
@@ -60,9 +61,7 @@ def run_people(job: TrackJob, people: str, progress: ProgressCall = ignore) -> O
     record = record_of(job)
     record = {**record, "settings": {**record["settings"], "people": people}}
     compile_before(progress)
-    progress("background", 0, 1)
-    with people_frames(recording, options) as source:
-        progress("background", 1, 1)
+    with people_frames(recording, options, progress) as source:
         found = PeopleRun(
             source,
             recording.frame_rate,
@@ -71,7 +70,7 @@ def run_people(job: TrackJob, people: str, progress: ProgressCall = ignore) -> O
             wanted,
             results,
             record,
-            job.resume,
+            job.command.resume,
             progress,
             keypoint_people(recording, source.rig) if options.looks_at != "silhouettes" else None,
         )()
@@ -91,7 +90,7 @@ def run_people(job: TrackJob, people: str, progress: ProgressCall = ignore) -> O
             files += top
             remove_stale(results, [*top])
     first = shown[0]
-    assessment = Assessment(UNTRUSTED, (absent,)) if absent else worst_assessment(shown)
+    assessment = Assessment(UNTRUSTED, (Finding("absent", (), absent),)) if absent else worst_assessment(shown)
     results.write_json(ASSESSMENT_FILE, assessment.document())
     said = (*notes, *(f"{p.name}: {n}" for p in shown for n in p.result.notes))
     return Outcome(first.result.motion, first.result.body, found.complete, tuple(files), said, None, assessment)
@@ -111,9 +110,13 @@ def worst_assessment(people: Sequence[TrackedPerson]) -> Assessment:
     assessments = {p.name: p.assessment for p in people}
     order = ("good", "look", UNTRUSTED)
     word = max((v.word for v in assessments.values()), key=order.index)
-    because = [f"{name}: {v.sentence}" for name, v in assessments.items() if v.word == word and v.because]
+    found = [
+        Finding("person", (), f"{name}: {v.sentence}", severity=REVIEW)
+        for name, v in assessments.items()
+        if v.word == word and v.because
+    ]
     frames = tuple(r for v in assessments.values() if v.word == word for r in v.frames)
-    return Assessment(word, tuple(because), () if word == UNTRUSTED else frames)
+    return Assessment(word, tuple(found), () if word == UNTRUSTED else frames)
 
 
 def _written(one: TrackedPerson, results: ResultsFolder) -> list[Path]:
@@ -132,7 +135,7 @@ def _one_report(
     job: TrackJob, one: TrackedPerson, source: FrameStream, written: Sequence[Path], progress: ProgressCall
 ) -> list[Path]:
     """Motion files and report of one person."""
-    own = replace(job, results=ResultsFolder(job.results.path / one.name), overlay=False)
+    own = replace(job, results=ResultsFolder(job.results.path / one.name))
     motion, body = one.result.motion, one.result.body
     files = export_all(own, motion, body, progress)
     mine = [*(p for p in written if p.parent == own.results.path), *files]
@@ -153,7 +156,7 @@ def _one_report(
     def overlay(path: Path, wanted: PictureRows) -> OverlayRows:
         return write_overlay(path, job.recording, source, motion, body, wanted, progress)
 
-    if job.report:
+    if job.command.report:
         files += report_pictures(own.results, about, overlay, mine, (False, True), progress)
     remove_stale(own.results, [*mine, *files])
     return files
@@ -164,7 +167,7 @@ def _together(
 ) -> list[Path]:
     """Overlay, C3D, GLB and index with all people."""
     results, files = job.results, list[Path]()
-    if job.overlay:
+    if job.command.overlay:
         path = results.file("overlay.mp4")
         write_people_overlay(path, job.recording, source, people, progress)
         files.append(path)
@@ -185,7 +188,7 @@ def _together(
         for p in people
     ]
     files.append(results.write_json(PEOPLE, {"people": about, "notes": list(notes)}))
-    if job.report:
+    if job.command.report:
         files.append(results.write_text("report.html", _index(job, people, notes)))
     files.append(results.file(ASSESSMENT_FILE))
     return files
@@ -220,7 +223,7 @@ def _index(job: TrackJob, people: Sequence[TrackedPerson], notes: Sequence[str])
             html.escape(p.assessment.sentence),
         )
         rows.append("<tr>" + "".join(f"<td>{c}</td>" for c in cells) + "</tr>")
-    film = '<p><video src="overlay.mp4" controls></video></p>' if job.overlay else ""
+    film = '<p><video src="overlay.mp4" controls></video></p>' if job.command.overlay else ""
     said = "".join(f"<li>{html.escape(n)}</li>" for n in notes)
     heads = "".join(f"<th>{h}</th>" for h in ("", "person", "height", "there", "assessment"))
     body = f"<h1>{html.escape(job.recording.name)}</h1><table><tr>{heads}</tr>{''.join(rows)}</table>"

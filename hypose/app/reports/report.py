@@ -28,6 +28,8 @@ from hypose.io.motions.results import ResultsFolder, to_json
 from hypose.io.recordings.frames import FrameSettings, FrameStream
 from hypose.io.recordings.recording import Recording
 from hypose.pipeline.gait import angle_cycles, gait_of
+from hypose.pipeline.settings import SETTINGS
+from hypose.pipeline.trace import trace_of
 
 _STATIC = Path(__file__).parents[1] / "studio" / "static"
 """Where the front end's build puts report.js and report.css, which show the result in 3D; without them a report has its
@@ -236,9 +238,27 @@ def _subject(body: Body) -> str:
     return f'<table>{cells}</table><p class="dim">Between joint centres; limbs: mean of both sides.</p>'
 
 
+def _passes(motion: Motion) -> str:
+    """Table of the passes that moved joints after their frame was solved."""
+    trace = trace_of(motion)
+    if not trace:
+        return ""
+    rows = []
+    for stage in dict.fromkeys(c.stage for c in trace):
+        mine = [c for c in trace if c.stage == stage]
+        frames, most = len({t for c in mine for t in c.frames}), max(mine, key=lambda c: c.moved)
+        where = f"{most.joint.replace('_', ' ')}, frames {most.frames.start} to {most.frames.stop - 1} of the clip"
+        cells = (stage, f"{frames}", f"{1e3 * most.moved:.0f} mm: {where}", most.reason)
+        rows.append("<tr>" + "".join(f"<td>{html.escape(c)}</td>" for c in cells) + "</tr>")
+    head = "<tr><th>pass</th><th>frames</th><th>largest</th><th>why</th></tr>"
+    least = f"Displacements of more than {1e3 * SETTINGS.trace_least_m:.0f} mm."
+    how = f'<p class="dim">{least} hypose explain RESULT --joint NAME --frame N tells it of one joint.</p>'
+    return f"<details><summary>What each pass moved</summary><table>{head}{''.join(rows)}</table>{how}</details>"
+
+
 def _origin(what: ViewResult) -> str:
     record: dict[str, Any] = dict(what.motion.provenance)
-    out = "<h2>How this was made</h2>"
+    out = "<h2>How this was made</h2>" + _passes(what.motion)
     if what.citation:
         out += f"<p>Method: {html.escape(what.citation)}</p>"
     if what.seconds:
@@ -246,6 +266,7 @@ def _origin(what: ViewResult) -> str:
             f'<tr><td>{html.escape(k)}</td><td class="n">{v:.1f} s</td></tr>' for k, v in what.seconds.items()
         )
         out += f"<details><summary>Time per stage</summary><table>{rows}</table></details>"
+    record.pop("trace", None)  # the table above
     text = html.escape(to_json(record))
     title = "Provenance: settings, versions, inputs with their hashes"
     return out + f"<details><summary>{title}</summary><pre>{text}</pre></details>"

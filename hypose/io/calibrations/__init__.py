@@ -1,1 +1,1 @@
-"""Calibration files of every family."""
+"""Reading and writing of calibration files of many programs."""

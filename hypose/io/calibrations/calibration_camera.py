@@ -1,10 +1,10 @@
-"""What all readers of calibrations do: cameras out of the numbers of a file, checked; pictures' sizes and the unit of
-length where the file does not say them.
+"""Common parts of all readers of calibrations: conversion of numbers to checked cameras, missing picture sizes and
+units.
 
-Pose2Sim and Caliscope write metres, anipose and FreeMoCap the unit of the calibration board, usually millimetres. Where
-no file records which, the size decides: cameras whose typical distance from each other (for a single camera: from the
-world's origin) exceeds 50 are in millimetres, since rigs wider than 50 m and rigs narrower than 50 mm are both
-implausible.
+Pose2Sim and Caliscope write metres; anipose and FreeMoCap write the unit of the calibration board, usually millimetres.
+Where the file does not state the unit, the size decides: cameras whose typical distance from each other (for a single
+camera: from the world's origin) exceeds 50 are in millimetres.
+Why: rigs wider than 50 m and rigs narrower than 50 mm are both implausible.
 """
 
 from __future__ import annotations
@@ -28,8 +28,7 @@ _UNIT_LIMIT = 50.0
 
 
 def as_numbers(value: Any) -> Array | None:
-    """A number, a (nested, rectangular) list of numbers or an array of them as float64; None for anything else (text,
-    booleans, ragged lists)."""
+    """Convert a number, a (nested, rectangular) list of numbers or an array to float64; None for anything else."""
 
     def plain(v: Any) -> bool:
         if isinstance(v, list):
@@ -43,10 +42,14 @@ def as_numbers(value: Any) -> Array | None:
 
 
 def numbers(where: str, table: Mapping[str, Any], keys: tuple[str, ...], *shapes: tuple[int, ...]) -> Array:
-    """The finite numbers of a table's first known key, in one of the shapes (any, as a row, without shapes).
+    """Get the finite numbers of a table's first key that is present.
 
-    A row of numbers serves as a matrix, and a matrix of one row or column as a row. A CalibrationError, beginning with
-    `where`, names the missing or wrong value.
+    A row of numbers is accepted for a matrix, and a matrix of one row or column for a row.
+
+    where: start of the error messages.
+    keys: alternative names of the entry.
+    shapes: accepted shapes; none for a row of any length.
+    Raises: CalibrationError where the entry is missing or wrong.
     """
     array = numbers_if_any(where, table, keys, *shapes)
     if array is None:
@@ -57,7 +60,7 @@ def numbers(where: str, table: Mapping[str, Any], keys: tuple[str, ...], *shapes
 def numbers_if_any(
     where: str, table: Mapping[str, Any], keys: tuple[str, ...], *shapes: tuple[int, ...]
 ) -> Array | None:
-    """The same, None when the table has no such key."""
+    """Get the finite numbers of a table's entry as `numbers` does; None where the entry is missing."""
     key = next((k for k in keys if table.get(k) is not None), None)
     if key is None:
         return None
@@ -73,7 +76,7 @@ def numbers_if_any(
 
 
 def _fitting(array: Array, shapes: tuple[tuple[int, ...], ...]) -> tuple[int, ...] | None:
-    """The shape that an array has or can be given; None when it is none of these."""
+    """Choose the accepted shape that an array has or can be given; None where there is none."""
     for s in shapes or ((array.size,),):
         if array.size == math.prod(s) and (array.shape == s or 1 in (array.ndim, len(s))):
             return s
@@ -81,10 +84,13 @@ def _fitting(array: Array, shapes: tuple[tuple[int, ...], ...]) -> tuple[int, ..
 
 
 class RigFile:
-    """The cameras of one calibration file in the making.
+    """Builder of the camera rig of one calibration file.
 
-    path: what errors name; needs: what cameras need, for a file without any; sizes: what to add to a file that does not
-    say how large its pictures are; notes: sentences on what was assumed.
+    path: the file, for error messages.
+    needs: what a camera needs, for the error message about a file without cameras.
+    sizes: how to add picture sizes, for the note about a file without them.
+    Attributes:
+    notes: sentences about assumptions that were made.
     """
 
     def __init__(self, path: Path, needs: str, sizes: str = "") -> None:
@@ -93,7 +99,7 @@ class RigFile:
         self._cameras, self._guessed = list[Camera](), list[str]()
 
     def where(self, name: str) -> str:
-        """How sentences about a camera begin."""
+        """Format the start of messages about a camera."""
         return f"{self.path}, camera {name}"
 
     def add(
@@ -106,8 +112,15 @@ class RigFile:
         size: Array | None,
         fisheye: bool = False,
     ) -> None:
-        """A camera of the numbers of the file; rotation: a matrix or a vector; size None: twice the principal point.
-        A CalibrationError says which numbers are implausible."""
+        """Add a camera from the numbers of the file.
+
+        k: (3, 3) intrinsic matrix, px.
+        distortion: OpenCV's coefficients; None for no distortion.
+        rotation: camera_from_world, a matrix (3, 3) or rotation vector (3,).
+        translation: (3,) camera_from_world, in the file's unit.
+        size: width and height, px; None for twice the principal point, with a note.
+        Raises: CalibrationError where a number is implausible.
+        """
         if size is None:
             size = np.maximum(1, np.round(2 * k[:2, 2]))
             self._guessed.append(name)
@@ -116,7 +129,11 @@ class RigFile:
         self._cameras.append(_checked(self.where(name), name, k, distortion, rotation, translation, size, fisheye))
 
     def rig(self, unit: str) -> tuple[CameraRig, tuple[str, ...]]:
-        """The rig, its world in metres, and the notes. unit: of the translations, auto to make it out."""
+        """Build the rig, its world in metres, and return it with the notes.
+
+        unit: unit of the translations; "auto" to determine it from the distances.
+        Raises: CalibrationError where there are no cameras.
+        """
         if not self._cameras:
             raise CalibrationError(f"{self.path} holds no cameras: {self._needs}.")
         if self._guessed:
@@ -130,7 +147,7 @@ class RigFile:
         for i, a in enumerate(self._cameras):
             pose = a.camera_from_world
             same = [c.name for c in self._cameras[i + 1 :] if np.allclose(c.camera_from_world, pose)]
-            if same and not np.array_equal(pose, np.eye(4)):  # lenses alone stand at the origin
+            if same and not np.array_equal(pose, np.eye(4)):  # cameras of lens-only files are at the origin
                 self.notes.append(f"{self.path.name}: cameras {a.name} and {same[0]} stand in one place; correct one.")
         try:
             return CameraRig(tuple(rescaled(c, UNITS[unit]) for c in self._cameras)), tuple(self.notes)
@@ -154,15 +171,18 @@ class RigFile:
 
 
 def rescaled(camera: Camera, factor: float) -> Camera:
-    """The camera with its translation multiplied."""
+    """Copy a camera with its translation multiplied by a factor."""
     pose = camera.camera_from_world.copy()
     pose[:3, 3] *= factor
     return replace(camera, camera_from_world=pose)
 
 
 def plain_lenses(rig: CameraRig, program: str) -> list[Array]:
-    """Five coefficients (k1 k2 p1 p2 k3) per camera; a CalibrationError for a lens that a program's files cannot
-    hold."""
+    """Get the five coefficients (k1 k2 p1 p2 k3) of each camera's lens, for a program that supports no others.
+
+    program: name of the program, for the error message.
+    Raises: CalibrationError where a lens is a fisheye or has more coefficients.
+    """
     out = []
     for camera in rig:
         if camera.fisheye or np.any(camera.distortion[5:]):
@@ -199,15 +219,19 @@ def _checked(
     if found := [fault for fault, there in faults.items() if there]:
         raise CalibrationError(f"{where}: {found[0]}.")
     distortion = np.concatenate([distortion, np.zeros(max(4 - len(distortion), 0))])
-    # Printed digits are few: the nearest exact rotation, so that inverses and products stay exact.
+    # Files have few digits: use the nearest exact rotation, so that inverses and products stay exact.
     u, _, vt = np.linalg.svd(rotation)
     return Camera(name, k, distortion, se3(u @ vt, translation), (int(w), int(h)), fisheye)
 
 
 def decomposed(projection: Array, where: str) -> tuple[Array, Array, Array]:
-    """K, rotation and translation of a projection matrix (3, 4) of any scale, without skew in K.
+    """Decompose a projection matrix (3, 4) of any scale.
 
-    Source: Hartley and Zisserman, Multiple View Geometry, 6.2.4 (RQ decomposition)."""
+    where: start of the error messages.
+    Returns: K (3, 3) without skew, rotation (3, 3), translation (3,).
+    Raises: CalibrationError where it is not the matrix of a camera.
+    Source: Hartley and Zisserman, Multiple View Geometry, 6.2.4 (RQ decomposition).
+    """
     m = projection[:, :3]
     if not np.isfinite(m).all() or abs(np.linalg.det(m)) < 1e-12 * max(1e-30, np.abs(m).max()) ** 3:
         raise CalibrationError(f"{where}: P is no projection matrix (its left part has no inverse); correct it.")

@@ -1,9 +1,10 @@
-"""Calibration files of other programs: how each is recognized, read and written.
+"""Calibration files of all known programs: the choice of the format for reading and writing.
 
-`FORMATS` lists them: the first whose endings a file's name has, and whose `holds` accepts it, reads it. The name tells
-all that is written: camera_array.toml is Caliscope's (nested tables), a .toml with anipose or freemocap in its name
-theirs (millimetres), any other .toml in metres; .yml EasyMocap's intri.yml and extri.yml, .pickle OpenCap's (one file
-per camera), in the folder of the given name."""
+`FORMATS` lists the formats. A file is read by the first one whose endings and test `holds` fit. The file's name
+determines the format that is written: camera_array.toml is Caliscope's (nested tables); a .toml with anipose or
+freemocap in its name is theirs (millimetres); any other .toml is in metres; .yml gives EasyMocap's intri.yml and
+extri.yml, and .pickle gives OpenCap's (one file per camera), in the folder of the given name.
+"""
 
 from __future__ import annotations
 
@@ -30,11 +31,15 @@ from hypose.io.file_names import natural_key
 
 @dataclass(frozen=True)
 class Format:
-    """Calibrations of some programs.
+    """A format of calibration files.
 
-    endings: of the files' names. read(path, unit): the rig, world in metres, and notes; unit of the file's translations
-    (auto: made out), ignored where the format knows it. folder: whether a folder is one of these. holds: whether a file
-    with these endings is. write(rig, path): the files written; None when none are.
+    programs: names of the programs that use it.
+    endings: endings of the files' names.
+    read: function of path and unit that gives the rig, its world in metres, and notes. The unit is that of the file's
+        translations ("auto": determined by the reader), ignored where the format defines it.
+    folder: test whether a folder is of this format.
+    holds: test whether a file with one of the endings is of this format.
+    write: function of rig and path that gives the written files; None where the format is only read.
     """
 
     programs: str
@@ -69,11 +74,11 @@ _READ = (
 
 
 def read_any(path: str | Path, unit: str = "auto") -> Found:
-    """Rig of a calibration of any known program, in the file's camera order, world in metres, and sentences on what was
-    assumed.
+    """Read a calibration file or folder of any known program.
 
-    unit: 'auto' (see `calibration_camera`), 'm', 'cm' or 'mm', the unit of the file's translations. A
-    CalibrationError names the file, the camera and the cause.
+    unit: unit of the file's translations: "m", "cm", "mm", or "auto" to determine it (see `calibration_camera`).
+    Returns: the rig, in the order of cameras in the file, world in metres, and notes about assumptions.
+    Raises: CalibrationError that names the file, the camera and the cause.
     """
     path = Path(path)
     if unit != "auto" and unit not in UNITS:
@@ -109,20 +114,22 @@ def _writer(path: Path) -> Callable[[CameraRig, Path], list[Path]]:
 
 
 def check_format(path: Path) -> None:
-    """An InputError when the file's ending tells no format that is written."""
+    """Check that the ending of a file's name gives a format that can be written; InputError otherwise."""
     _writer(path)
 
 
 def write_any(rig: CameraRig, path: str | Path) -> list[Path]:
-    """Write the rig in the format that the file's name tells; the files written. EasyMocap's and OpenCap's files go to
-    the folder of the given name."""
+    """Write a rig in the format that the file's name gives, and return the written files.
+
+    Files of EasyMocap and OpenCap are written to the folder of the given name.
+    """
     return _writer(Path(path))(rig, Path(path))
 
 
 def find_calibration(folder: Path) -> Path | None:
-    """The calibration file in a folder: calibration.toml, else the only .toml that holds cameras, else .qca.txt.
+    """Find the calibration file in a folder: calibration.toml, else the only .toml with cameras, else .qca.txt.
 
-    With several, the last in natural order of their names; None when there is none.
+    Where there are several, the last in natural order is used; None where there is none.
     """
     if (folder / "calibration.toml").is_file():
         return folder / "calibration.toml"

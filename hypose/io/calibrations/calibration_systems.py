@@ -1,13 +1,13 @@
 """Calibrations of motion capture systems and apps: Qualisys, Vicon, OptiTrack's Motive (XML), OpenCap (pickles).
 
-Motive (.mcal, XML in UTF-16): per camera ImagerPixelWidth and -Height, IntrinsicStandardCameraModel (focal lengths and
-centre in px, k1 k2 k3 and tangential terms, as OpenCV's) and Extrinsic: the camera's place in metres and
-OrientMatrix0..8, row by row the axes of a camera that looks along -z with y up. The world has y up and is turned so
+Motive (.mcal, XML in UTF-16): each camera has ImagerPixelWidth and -Height, IntrinsicStandardCameraModel (focal lengths
+and centre in px, k1 k2 k3 and tangential terms, as OpenCV's) and Extrinsic: the camera's position in metres and
+OrientMatrix0..8, row by row the axes of a camera that looks along -z with y up. The world has y up and is rotated so
 that z points up.
 
-OpenCap (cameraIntrinsicsExtrinsics.pickle) is read without running anything of the file's choice: a pickle may name any
-function and call it, so opening one from elsewhere can run any program. Here the few names that arrays need stand for
-functions of this module, and a file that names another is refused.
+OpenCap (cameraIntrinsicsExtrinsics.pickle) is read safely. A pickle may call any function, so opening a foreign one
+could run any program. Here the few names that arrays need are replaced by functions of this module, and a file with any
+other name is refused.
 """
 
 from __future__ import annotations
@@ -32,14 +32,18 @@ from hypose.io.files import read_bytes, write_bytes
 
 Element = ElementTree.Element
 _FLIP = np.diag([1.0, -1.0, -1.0])
-"""camera (z forward, y down) from one that looks along -z with y up"""
+"""Rotation from a camera that looks along -z with y up to one with z forward and y down."""
 # Motive's (x, y, z) with y up -> (x, -z, y) with z up
 _WORLD_FROM_MOTIVE = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 _NEEDS = "it is no export of calibrated video cameras; calibrate them and export the calibration again"
 
 
 def read_system_xml(path: Path, unit: str = "auto") -> Found:
-    """Rig of a file of Qualisys, Vicon or Motive, which are distinguished by their content."""
+    """Read the rig from a file of Qualisys, Vicon or Motive, which are distinguished by their content.
+
+    unit: not used, because these formats define it.
+    Raises: CalibrationError where the file is not valid.
+    """
     root = _parsed(path)
     rig = RigFile(path, _NEEDS)
     if root.findall("cameras/camera"):
@@ -70,8 +74,13 @@ def _parsed(path: Path) -> Element:
 def _attributes(
     where: str, parent: Element, tag: str, *names: str, count: int = 1, default: float | None = None
 ) -> Array:
-    """The numbers of attributes of the element `tag` in another (of itself: "."), `count` in each; a CalibrationError
-    names the one that is missing or no number."""
+    """Get the numbers of attributes of an XML element.
+
+    tag: name of the element in `parent`; "." for `parent` itself.
+    count: how many numbers each attribute has.
+    default: value of an absent attribute; None where it must be present.
+    Raises: CalibrationError where an attribute is missing or not a number.
+    """
     element = parent.find(tag)
     values: list[float] = []
     for name in names:
@@ -96,7 +105,7 @@ def _attributes(
 def _video_cameras(
     rig: RigFile, elements: list[Element], is_video: Callable[[Element], bool], key: str
 ) -> Iterator[tuple[str, str, Element]]:
-    """Name, beginning of sentences and element of the video cameras, of all where none is marked as one."""
+    """Yield name, start of messages and element of each video camera; all cameras where none is marked as video."""
     video = [e for e in elements if is_video(e)] or elements
     if len(video) < len(elements):
         left = len(elements) - len(video)
@@ -107,12 +116,13 @@ def _video_cameras(
 
 
 def _add_qualisys(rig: RigFile, root: Element) -> None:
-    """Qualisys Track Manager's XML. Intrinsics are in 1/64 px, the translation is the camera's position in
-    mm, the rotation world_from_camera stored by columns, of a camera that looks along -z with y up (turned by
-    pi about x into OpenCV's).
+    """Add the cameras of Qualisys Track Manager's XML.
 
-    Deviation: Pose2Sim divides the distortion coefficients by 64, too. They belong to normalised coordinates,
-    and undivided they agree with a chessboard calibration of the same cameras, so they are taken as they are.
+    Intrinsics are in 1/64 px, the translation is the camera's position in mm, the rotation is world_from_camera stored
+    by columns, of a camera that looks along -z with y up (rotated by pi about x into OpenCV's).
+
+    Why: Pose2Sim divides the distortion coefficients by 64 as well. They belong to normalised coordinates, and without
+        the division they agree with a chessboard calibration of the same cameras, so they are not divided here.
     """
 
     def is_video(element: Element) -> bool:
@@ -143,12 +153,15 @@ _PIXEL_UNITS = 1e-5
 
 
 def _add_vicon(rig: RigFile, root: Element) -> None:
-    """Vicon's XML: FOCAL_LENGTH and PRINCIPAL_POINT in px, ORIENTATION the quaternion (x, y, z, w) of
-    camera_from_world, POSITION of the camera in mm, VICON_RADIAL2 "name cx cy k1 k2 k3" or VICON_RADIAL "k1 k2".
+    """Add the cameras of Vicon's XML.
 
-    The radial coefficients are taken as OpenCV's, as Pose2Sim and OpenCap do; so small that they can only belong to
-    radii in pixels, they are taken as Vicon's own model, which multiplies distorted positions to straighten them:
-    u = c + (1 + k1 r^2 + k2 r^4)(d - c); OpenCV's coefficients that undo it best inside the picture are found."""
+    FOCAL_LENGTH and PRINCIPAL_POINT are in px, ORIENTATION is the quaternion (x, y, z, w) of camera_from_world,
+    POSITION is that of the camera in mm, VICON_RADIAL2 is "name cx cy k1 k2 k3", VICON_RADIAL is "k1 k2".
+
+    The radial coefficients are used as OpenCV's, as in Pose2Sim and OpenCap. Coefficients so small that they can only
+    belong to radii in pixels are converted from Vicon's own model, u = c + (1 + k1 r^2 + k2 r^4)(d - c), which gives
+    undistorted positions u from distorted positions d.
+    """
     from scipy.spatial.transform import Rotation  # takes long to import
 
     def is_video(element: Element) -> bool:
@@ -181,7 +194,7 @@ def _add_vicon(rig: RigFile, root: Element) -> None:
 
 
 def _radial(where: str, frame: Element) -> Array:
-    """(3,) radial coefficients."""
+    """Read the radial coefficients (3,)."""
     raw = frame.get("VICON_RADIAL2")
     words = raw.split()[3:6] if raw is not None else (frame.get("VICON_RADIAL") or "").split()[:3]
     try:
@@ -194,7 +207,7 @@ def _radial(where: str, frame: Element) -> Array:
 
 
 def _straightened(coefficients: Array, focal: float, radius: float) -> Array:
-    """OpenCV's k1 k2 k3 for straightening in pixels: least squares over the picture."""
+    """Fit OpenCV's k1 k2 k3 to Vicon's undistortion in pixels, by least squares over the picture."""
     d = np.linspace(0, radius, 200)[1:]
     u = d * (1 + coefficients[0] * d**2 + coefficients[1] * d**4 + coefficients[2] * d**6) / focal
     powers = np.stack([u**3, u**5, u**7], 1)
@@ -230,7 +243,7 @@ _UP_FROM_BOARD = np.array([[-1.0, 0, 0], [0, 0, -1], [0, -1, 0]])
 
 
 class _Kind:
-    """The number format of an array: its letters and byte order."""
+    """The number format of a pickled array: type code and byte order."""
 
     def __init__(self, code: Any, *_: Any) -> None:
         self.code, self.order = code, "<"
@@ -239,7 +252,7 @@ class _Kind:
         self.order = ">" if state[1] == ">" else "<"
 
     def numbers(self, raw: Any) -> Array:
-        """Bytes (of protocol 0 as text) as numbers; a ValueError for other kinds than numbers."""
+        """Convert bytes (in protocol 0: text) to numbers; ValueError for other types than numbers."""
         if self.code not in ("f4", "f8", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8"):
             raise ValueError("an array in it holds something else than numbers")
         raw = raw.encode("latin-1") if isinstance(raw, str) else bytes(raw)
@@ -247,7 +260,7 @@ class _Kind:
 
 
 class _Array:
-    """An array in the making."""
+    """A pickled array that is being read."""
 
     value: Array | None = None
 
@@ -271,11 +284,12 @@ _OF_ARRAYS = {
     "numpy.core.multiarray.scalar": lambda kind, raw: float(kind.numbers(raw)[0]),
     "numpy.core.numeric._frombuffer": _from_buffer,  # protocol 5
 }
-"""What pickles of arrays name, and what stands for it: numpy's own crash on states that make no sense."""
+"""Names in pickles of arrays, and their replacements here, because numpy's own functions crash on invalid states."""
 
 
 class _ArraysOnly(pickle.Unpickler):
-    """Reads numbers, text, tuples, lists, dictionaries and arrays; a ValueError names what else a file asks for."""
+    """Unpickler for numbers, text, tuples, lists, dictionaries and arrays; ValueError for any other name in the
+    file."""
 
     def find_class(self, module: str, name: str) -> Any:
         full = f"{module}.{name}".replace("numpy._core", "numpy.core")
@@ -285,13 +299,15 @@ class _ArraysOnly(pickle.Unpickler):
 
 
 def read_plain_pickle(data: bytes) -> Any:
-    """The value of a pickle of numbers, text, tuples, lists, dictionaries and arrays; a ValueError names the cause.
-    Nothing that the file names is imported."""
+    """Read a pickle of numbers, text, tuples, lists, dictionaries and arrays, without importing anything that it names.
+
+    Raises: ValueError where it holds anything else or is damaged.
+    """
     try:
         return _plain(_ArraysOnly(io.BytesIO(data)).load())
     except ValueError:
         raise
-    except Exception as error:  # instructions that make no sense may end in any
+    except Exception as error:  # invalid instructions may raise any exception
         raise ValueError(f"it is damaged ({error})") from None
 
 
@@ -304,13 +320,18 @@ def _plain(value: Any) -> Any:
 
 
 def opencap_files(folder: Path) -> list[Path]:
-    """The pickles in a folder and below, in natural order."""
+    """List the pickles in a folder and its subfolders, in natural order."""
     return sorted(folder.rglob("*.pickle"), key=lambda p: natural_key(str(p)))
 
 
 def read_opencap(path: Path, unit: str = "auto") -> Found:
-    """Rig of one OpenCap pickle or of a folder of them (also Videos/Cam0/cameraIntrinsicsExtrinsics.pickle), z up. A
-    CalibrationError names the file and the cause."""
+    """Read the rig from an OpenCap pickle or a folder of them, with z up.
+
+    A folder may have the layout Videos/Cam0/cameraIntrinsicsExtrinsics.pickle.
+
+    unit: not used, because the format defines it.
+    Raises: CalibrationError where a file is not valid.
+    """
     files = opencap_files(path) if path.is_dir() else [path]
     if len(files) > 100:
         raise CalibrationError(f"{path} holds {len(files)} .pickle files; give the folder of the camera files only.")
@@ -337,8 +358,10 @@ def read_opencap(path: Path, unit: str = "auto") -> Found:
 
 
 def write_opencap(rig: CameraRig, path: Path) -> list[Path]:
-    """One .pickle per camera in the folder of the given name, as OpenCap and Pose2Sim read them: millimetres, world of
-    an upright board; the files written."""
+    """Write one OpenCap pickle per camera to the folder of the given name, and return the files.
+
+    They are as OpenCap and Pose2Sim read them: millimetres, in the world of an upright board.
+    """
     out = []
     for camera, lens in zip(rig, plain_lenses(rig, "OpenCap's files"), strict=True):
         rotation = camera.camera_from_world[:3, :3] @ _UP_FROM_BOARD

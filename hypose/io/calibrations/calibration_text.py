@@ -52,7 +52,7 @@ from hypose.io.file_names import natural_key, text_of
 from hypose.io.files import open_file, read_json, read_toml, text_lines, toml_key, toml_lines, write_text
 
 Found = tuple[CameraRig, tuple[str, ...]]
-"""The rig of a calibration, world in metres, and sentences on what was assumed."""
+"""The rig of a calibration, world in metres, and notes about assumptions."""
 _KIND = "a calibration"
 _MOST_FILES = 200
 
@@ -71,8 +71,8 @@ def read_tables(path: Path, unit: str) -> Found:
 
     path: a file with all cameras, or a folder with one XML or YAML file per camera, or EasyMocap's pair of files. A
         camera file without a camera name gets the name of the file (of its folder, if the file name is a common one).
-    unit: unit of length of the translations; "auto": as the file states, if it does.
-    A CalibrationError names the file, the camera and the key where a value is missing or wrong.
+    unit: unit of length of the translations; "auto" to use the unit that the file states, else to determine it.
+    Raises: CalibrationError where a value is missing or wrong; it names the file, the camera and the key.
     """
     pair = easymocap_pair(path if path.is_dir() else path.parent)
     if pair is not None and (path.is_dir() or path in pair):
@@ -95,13 +95,13 @@ def read_tables(path: Path, unit: str) -> Found:
 
 
 def _file_name(path: Path) -> str:
-    """The name of a single camera: its file's, or its folder's where the file is called like others."""
+    """Derive the name of a single camera from its file, or from its folder where the file has a common name."""
     common = path.stem.lower() in ("config", "intrinsics", "calibration", "camera_info")
     return text_of(path.absolute().parent.name if common else path.stem)
 
 
 def _document(path: Path) -> Any:
-    """Parse a file by its ending; matrices are lists or arrays."""
+    """Parse a file by its ending; matrices become lists or arrays."""
     ending = path.suffix.lower()
     if ending == ".toml":
         return read_toml(path, _KIND)
@@ -115,7 +115,7 @@ def _document(path: Path) -> Any:
 
 
 def tables_folder(folder: Path) -> bool:
-    """Whether a folder holds EasyMocap's pair, or one file per camera."""
+    """Test whether a folder holds EasyMocap's pair, or one file per camera."""
     return easymocap_pair(folder) is not None or bool(lens_files(folder))
 
 
@@ -126,7 +126,7 @@ def lens_files(folder: Path) -> list[Path]:
 
 
 def is_storage(path: Path) -> bool:
-    """Whether a file begins as OpenCV's storage or ROS's camera_info does."""
+    """Test whether a file begins as OpenCV's storage or ROS's camera_info does."""
     try:
         with open_file(path, _KIND, MAX_FILE_BYTES) as stream:
             start = stream.read(4096)
@@ -136,7 +136,7 @@ def is_storage(path: Path) -> bool:
 
 
 def easymocap_pair(folder: Path) -> tuple[Path, Path] | None:
-    """Find EasyMocap's two files in a folder; None when they are not there."""
+    """Find EasyMocap's two files in a folder; None where they are not there."""
     pairs = ((folder / first, folder / second) for first, second in _PAIRS)
     return next((pair for pair in pairs if all(p.is_file() for p in pair)), None)
 
@@ -162,7 +162,10 @@ def _read_easymocap(intrinsics: Path, extrinsics: Path, unit: str) -> Found:
 
 
 def write_calibration(rig: CameraRig, path: str | Path, unit: str = "m") -> None:
-    """Write the rig as a TOML file that hypose, Pose2Sim and anipose read; unit (m or mm): of its translations."""
+    """Write a rig as a TOML file that hypose, Pose2Sim and anipose read.
+
+    unit: unit of its translations, m or mm.
+    """
     lines = []
     for camera in rig:
         pose = camera.camera_from_world
@@ -181,7 +184,8 @@ def write_calibration(rig: CameraRig, path: str | Path, unit: str = "m") -> None
 
 
 def write_calibration_toml(rig: CameraRig, path: Path) -> list[Path]:
-    """Write the file of the TOML family that the name tells; the files written."""
+    """Write the TOML format that the file's name gives (hypose, anipose, FreeMoCap or Caliscope), and return the
+    files."""
     name = path.name.lower()
     if name == "camera_array.toml":
         _write_caliscope(rig, path)
@@ -191,7 +195,7 @@ def write_calibration_toml(rig: CameraRig, path: Path) -> list[Path]:
 
 
 def _write_caliscope(rig: CameraRig, path: Path) -> None:
-    """Caliscope's camera_array.toml: tables by number, the rotation as a matrix, metres."""
+    """Write Caliscope's camera_array.toml: numbered tables, the rotation as a matrix, metres."""
     lines = []
     for i, (camera, lens) in enumerate(zip(rig, plain_lenses(rig, "Caliscope's file"), strict=True)):
         table = {
@@ -221,7 +225,7 @@ _SafeLoader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
 class _Loader(_SafeLoader):
-    """Plain YAML with OpenCV's tags and numbers (1., .5, 1e-05, .Nan)."""
+    """Loader for plain YAML with OpenCV's tags and numbers (1., .5, 1e-05, .Nan)."""
 
 
 def _tagged(loader: Any, node: Any) -> Any:
@@ -238,7 +242,10 @@ _Loader.add_implicit_resolver(
 
 
 def parse_yaml(text: str) -> dict[str, Any]:
-    """Parse a YAML document; matrices come as arrays. A ValueError names the cause."""
+    """Parse a YAML document; matrices become arrays.
+
+    Raises: ValueError where it is not valid, has references or holds no values.
+    """
     lines = [line for line in text.splitlines() if not line.startswith("%")]
     if any(re.search(r"(^|[\s\[,])[&*]\w", line.split(" #")[0]) for line in lines if '"' not in line):
         raise ValueError("it has references, which can make a file huge")
@@ -252,7 +259,7 @@ def parse_yaml(text: str) -> dict[str, Any]:
 
 
 def _with_arrays(value: Any) -> Any:
-    """Tables of rows, cols (or sizes) and data become arrays; empty when the data are not as many."""
+    """Convert tables of rows, cols (or sizes) and data to arrays; empty where the number of data is wrong."""
     if not isinstance(value, dict):
         return value
     if "data" in value and ({"rows", "cols"} <= value.keys() or "sizes" in value):
@@ -261,7 +268,10 @@ def _with_arrays(value: Any) -> Any:
 
 
 def parse_xml(text: str) -> dict[str, Any]:
-    """Parse OpenCV's storage in XML; matrices come as arrays. A ValueError names the cause."""
+    """Parse OpenCV's storage in XML; matrices become arrays.
+
+    Raises: ValueError where it is not valid.
+    """
     if "<!DOCTYPE" in text or "<!ENTITY" in text:  # OpenCV writes none; entities can make a file huge
         raise ValueError("it has a DOCTYPE")
     try:
@@ -282,7 +292,7 @@ def parse_xml(text: str) -> dict[str, Any]:
 
 
 def _matrix(sizes: list[str], data: Any) -> Array:
-    """The numbers of a matrix in its shape; empty when they are not as many as the sizes say, or no numbers."""
+    """Shape the numbers of a matrix; empty where their number does not agree with the sizes or they are not numbers."""
     shape = [int(s) if re.fullmatch(r"\s*\d{1,5}\s*", s, re.ASCII) else 0 for s in sizes[:8]]
     values = [_scalar(item) if isinstance(item, str) else item for item in (data if isinstance(data, list) else [data])]
     array = as_numbers(values)
@@ -290,7 +300,7 @@ def _matrix(sizes: list[str], data: Any) -> Array:
 
 
 def _scalar(text: str) -> float | str:
-    """A number as OpenCV writes it (1., .5, .Nan, -.Inf), or a text without its quotes."""
+    """Parse a number as OpenCV writes it (1., .5, .Nan, -.Inf), or a text without its quotes."""
     if text.startswith('"'):
         return text.strip('"')
     if text.lower().lstrip("+-") in (".nan", ".inf"):
@@ -300,7 +310,10 @@ def _scalar(text: str) -> float | str:
 
 
 def write_easymocap(rig: CameraRig, path: Path) -> list[Path]:
-    """EasyMocap's intri.yml and extri.yml in the folder of the given name, metres; the files written."""
+    """Write EasyMocap's intri.yml and extri.yml (metres) to the folder of the given name, and return the files.
+
+    Raises: CalibrationError where a lens or a name cannot be stored in them.
+    """
     names = "%YAML:1.0\n---\nnames:\n" + "".join(f'  - "{c.name}"\n' for c in rig)
     intrinsics, extrinsics = [names], [names]
     for c, lens in zip(rig, plain_lenses(rig, "EasyMocap's files"), strict=True):
@@ -336,14 +349,18 @@ _MOST_LINES = 10_000
 
 
 def plain_files(folder: Path) -> list[Path]:
-    """The files of a folder that look like BioCV's, in natural order."""
+    """List the files of a folder that have BioCV's layout, in natural order."""
     files = [p for p in folder.iterdir() if p.is_file() and p.suffix.lower() in ("", ".calib")]
     found = [p for p in files if not p.name.startswith(".") and p.stat().st_size < _MAX_PLAIN_BYTES]
     return sorted((p for p in found if _is_biocv(p)), key=lambda p: natural_key(p.name))
 
 
 def read_plain(path: Path, unit: str) -> Found:
-    """Rig of a folder of BioCV's files, one of them, or a text file of projection matrices."""
+    """Read a rig from a folder of BioCV files, one of them, or a text file of projection matrices.
+
+    unit: unit of the translations; "auto" for millimetres in BioCV files, else to determine it.
+    Raises: CalibrationError where the file is not valid.
+    """
     needs = (
         "it needs three lines of four numbers for each camera (projection matrices), or is BioCV's (width, height, K, "
         "[R | t], distortion)"
@@ -369,7 +386,7 @@ def read_plain(path: Path, unit: str) -> Found:
 
 
 def _rows(path: Path) -> list[list[float]]:
-    """Lines as numbers; lines with anything else are empty."""
+    """Parse lines as numbers; lines with anything else are empty."""
     rows = []
     for line in text_lines(path, _KIND, _MAX_PLAIN_BYTES)[:_MOST_LINES]:
         try:
@@ -388,7 +405,7 @@ def _is_biocv(path: Path) -> bool:
 
 
 def _projections(path: Path) -> dict[str, list[float]]:
-    """The numbers by the cameras' names."""
+    """Read the twelve numbers of each projection matrix by the camera's name."""
     found: dict[str, list[float]] = {}
     name: str | None = None
     for line, values in zip(text_lines(path, _KIND, _MAX_PLAIN_BYTES), _rows(path), strict=False):

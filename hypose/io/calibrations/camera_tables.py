@@ -1,12 +1,13 @@
-"""Cameras out of the tables of a calibration file, whatever program wrote it.
+"""Conversion of camera tables of calibration files to cameras, whichever program wrote them.
 
 A camera is a table with an intrinsic matrix (3 x 3, 4 x 4, or fx fy cx cy), lens coefficients in OpenCV's order, the
 picture's size, and a pose: a rotation (vector, matrix, quaternion) with a translation, or one matrix. Poses are
-camera_from_world unless the table says otherwise (`camera_to_world`, `world2cam: false`). Or it has a 3 x 4 projection
-matrix. Every other key is passed over, and a note names those that no known program writes; words about lens model,
-direction or unit that are not understood are refused, because a wrong guess would give a wrong result in silence.
+camera_from_world unless the table states otherwise (`camera_to_world`, `world2cam: false`). Alternatively it has a 3 x
+4 projection matrix. Other keys are ignored, with a note about those that no known program writes. Unknown words for
+lens model, direction or unit are refused, because a wrong guess would give a wrong result without any sign.
 
-Kalibr chains its poses from camera to camera (T_cn_cnm1); its world and MC-Calib's are those of their first camera.
+Kalibr chains its poses from camera to camera (T_cn_cnm1). The world of Kalibr and of MC-Calib is that of their first
+camera.
 """
 
 from __future__ import annotations
@@ -48,7 +49,8 @@ _QUATERNION = ("quaternion_wxyz", "quaternion_xyzw", "qvec", *_UNORDERED)
 _PROJECTION = ("P", "projection", "projection_matrix", "proj")
 _CHAINED = "T_cn_cnm1"
 _CLEAR = 0.5
-"""The axes of quaternions in the right order pass each other by less than this share of those in the wrong one."""
+"""With quaternions in the right order, the optical axes pass each other at less than this share of the distance in the
+wrong order."""
 _DIRECTION = {"world2cam": True, "world_to_cam": True, "cam2world": False}
 _AXES = ("convention", "coordinate_system", "camera_convention")
 _MODEL = ("fisheye", "fisheye_model", "is_fisheye", "distortion_model", "distortion_type", "lens_model", "camera_model")
@@ -82,7 +84,11 @@ _NOT_CAMERAS = {"metadata", "capture_volume", "charuco", "checkerboard", "board"
 
 
 def tables_of(document: Any, name: str) -> dict[str, Table]:
-    """Find the cameras' tables in a document, by the cameras' names; name: of a single camera that has none."""
+    """Find the tables of the cameras in a document.
+
+    name: name of a single camera that has none.
+    Returns: tables by camera name.
+    """
     if isinstance(document, Mapping) and any(isinstance(document.get(k), list | np.ndarray) for k in _MATRIX):
         return {str(document.get("camera_name") or name): document}
     nested = document.get("cameras", document) if isinstance(document, Mapping) else document
@@ -101,15 +107,18 @@ def tables_of(document: Any, name: str) -> dict[str, Table]:
 
 
 def _own_name(table: Table) -> str:
-    """The name that a table gives its camera; of ROS topics the part that is no kind of picture."""
+    """Get the camera's name from its table; of a ROS topic, the parts that are not a type of picture."""
     topic = [p for p in str(table.get("rostopic", "")).split("/") if p and not re.match(r"image|compressed", p)]
     name = table.get("name", table.get("camera", "_".join(topic)))
     return str(name) if isinstance(name, str | int) else ""
 
 
 def unit_of(document: Any, unit: str, where: str) -> str:
-    """Choose the unit of length: the given one, else the one that the document states, else auto. A CalibrationError
-    for a stated unit that is not known."""
+    """Choose the unit of length: the given one, else the one that the document states, else "auto".
+
+    where: the file, for the error message.
+    Raises: CalibrationError where the stated unit is not known.
+    """
     if unit != "auto" or not isinstance(document, Mapping):
         return unit
     inner = document.get("metadata")
@@ -126,8 +135,13 @@ def unit_of(document: Any, unit: str, where: str) -> str:
 
 
 def add_cameras(rig: RigFile, tables: Mapping[str, Table]) -> None:
-    """Add the cameras of tables to a rig. Cameras without a pose are left out with a note where others have one; a
-    camera alone is put at the origin. A CalibrationError names file, camera and key."""
+    """Add the cameras of tables to a rig.
+
+    Cameras without a pose are left out, with a note, where others have one. Where none has one, all are put at the
+    origin.
+
+    Raises: CalibrationError that names file, camera and key.
+    """
     kalibr = any(_CHAINED in t for t in tables.values())
     unordered = any(isinstance(t.get(k), list) for t in tables.values() for k in _UNORDERED)
     order = _likely_order(rig, tables) if unordered else ""
@@ -135,7 +149,7 @@ def add_cameras(rig: RigFile, tables: Mapping[str, Table]) -> None:
     placed = [name for name, pose in poses.items() if pose is not None]
     if tables and not placed:
         rig.notes.append(
-            f"{rig.path.name} says nothing about where cameras stand; they are put at the origin. These are lenses "
+            f"{rig.path.name} has no camera poses; the cameras are put at the origin. These are lenses "
             "alone: run hypose calibrate with --intrinsics and this file."
         )
     if kalibr or any("camera_pose_matrix" in t for t in tables.values()):
@@ -157,7 +171,7 @@ def add_cameras(rig: RigFile, tables: Mapping[str, Table]) -> None:
 
 
 def _chained(rig: RigFile, tables: Mapping[str, Table]) -> Iterator[tuple[str, Array]]:
-    """Yield Kalibr's poses: each camera's from the camera before it, the first at the origin."""
+    """Yield Kalibr's poses: each relative to the camera before it, the first at the origin."""
     pose = np.eye(4)
     for name, table in tables.items():
         step = numbers_if_any(rig.where(name), table, (_CHAINED,), (4, 4))
@@ -166,7 +180,7 @@ def _chained(rig: RigFile, tables: Mapping[str, Table]) -> Iterator[tuple[str, A
 
 
 def _pose(where: str, table: Table, order: str = "") -> Array | None:
-    """The pose camera_from_world (4, 4) of a table; None when it says nothing about it."""
+    """Get the pose camera_from_world (4, 4) of a table; None where it has none."""
     if not any(k in table for k in _MATRIX):
         _, rotation, translation = decomposed(numbers(where, table, _PROJECTION, (3, 4)), where)
         return _joined(rotation, translation)
@@ -197,7 +211,8 @@ def _joined(rotation: Array, translation: Array) -> Array:
 
 
 def _rotation(where: str, table: Table, order: str) -> Array | None:
-    """The rotation (3,) or (3, 3) of a table; None when it has none. order: of quaternions that do not state it."""
+    """Get the rotation (3,) or (3, 3) of a table; None where it has none. order: of quaternions that do not state
+    it."""
     key = next((k for k in _QUATERNION if k in table), None)
     if key is None:
         return numbers_if_any(where, table, _ROTATION, (3,), (3, 3))
@@ -213,8 +228,10 @@ def _rotation(where: str, table: Table, order: str) -> Array | None:
 
 
 def _apart(poses: Sequence[Array]) -> float:
-    """The distance (rms, in the file's unit) of the cameras' optical axes from the place that they pass by nearest; inf
-    when it is behind one of them, 0 for a single camera."""
+    """Compute the rms distance of the cameras' optical axes from the point nearest to all of them, in the file's unit.
+
+    Returns: infinity where that point is behind a camera; 0 for a single camera.
+    """
     if len(poses) < 2:
         return 0.0
     turns, centres = zip(*((p[2, :3], se3_inverse(p)[:3, 3]) for p in poses), strict=True)
@@ -226,7 +243,7 @@ def _apart(poses: Sequence[Array]) -> float:
 
 
 def _likely_order(rig: RigFile, tables: Mapping[str, Table]) -> str:
-    """Choose the order of quaternions that do not state it: that in which the cameras look at one place."""
+    """Choose the order of quaternions that do not state it: the one with which the cameras look at a common place."""
     first, second = (
         (_apart([p for n, t in tables.items() if (p := _pose(rig.where(n), t, order)) is not None]), order)
         for order in ("wxyz", "xyzw")
@@ -241,7 +258,7 @@ def _likely_order(rig: RigFile, tables: Mapping[str, Table]) -> str:
 
 
 def _matrix(where: str, table: Table) -> Array:
-    """The intrinsic matrix (3, 3) of a table."""
+    """Get the intrinsic matrix (3, 3) of a table."""
     k = numbers_if_any(where, table, _MATRIX, (3, 3), (4, 4), (4,))
     if k is None:
         return decomposed(numbers(where, table, _PROJECTION, (3, 4)), where)[0]
@@ -251,7 +268,7 @@ def _matrix(where: str, table: Table) -> Array:
 
 
 def _lens(where: str, table: Table) -> Array | None:
-    """The lens coefficients of a table, in OpenCV's order; None when it has none."""
+    """Get the lens coefficients of a table in OpenCV's order; None where it has none."""
     lens = numbers_if_any(where, table, _LENS)
     if lens is not None or not any(k in table for k in _SINGLE[:2]):
         return lens
@@ -261,7 +278,7 @@ def _lens(where: str, table: Table) -> Array | None:
 
 
 def _fisheye(where: str, table: Table) -> bool:
-    """Whether the lens coefficients are those of OpenCV's fisheye model; a CalibrationError for other models."""
+    """Test whether the lens coefficients are of OpenCV's fisheye model; CalibrationError for other models."""
     words = {k: str(table[k]).lower().strip() for k in _MODEL if table.get(k) is not None}
     for key, word in words.items():
         if word not in _FISHEYE | _BROWN | _NEUTRAL or (key == "fisheye" and not isinstance(table[key], bool)):
@@ -274,7 +291,7 @@ def _fisheye(where: str, table: Table) -> bool:
 
 
 def _size(where: str, table: Table) -> Array | None:
-    """Width and height of the pictures; None when they are not stated."""
+    """Get width and height of the pictures; None where they are not stated."""
     value = next((table[k] for k in _SIZE if k in table), None)
     if isinstance(value, Mapping):
         table, value = value, None

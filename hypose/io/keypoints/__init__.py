@@ -1,1 +1,1 @@
-"""2D key points of detectors."""
+"""Reading of 2D key points of detectors, and access to detectors."""

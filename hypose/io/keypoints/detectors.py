@@ -1,7 +1,7 @@
 """Detectors of people: hypose's own (`hypose.evidence.pose_network`), and any that the user names.
 
-The models of the own one are fetched once by pip as the package that they are part of. MediaPipe 0.10.21 (Apache 2.0)
-is the last package that carries them. It is only unpacked, not installed.
+The models of hypose's own detector are part of the package MediaPipe 0.10.21 (Apache 2.0), the last one that contains
+them. pip downloads it once; it is unpacked, not installed.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from hypose.json_text import is_plain
 
 PACKAGE, MEGABYTES = "mediapipe==0.10.21", 36
 MODELS_VARIABLE = "HYPOSE_MODELS"
-"""Names a folder with the two files, for machines without network."""
+"""Environment variable with a folder that holds the two model files, for machines without a network."""
 _MODELS = {
     "pose_detection.tflite": (
         "mediapipe/modules/pose_detection",
@@ -45,16 +45,17 @@ _MODELS = {
         "e9a5c5cb17f736fafd4c2ec1da3b3d331d6edbe8a0d32395855aeb2cdfd64b9f",
     ),
 }
-"""File -> folder in the package, SHA-256."""
+"""Model file: folder in the package, SHA-256."""
 _WHEEL = ("--only-binary=:all:", "--python-version=3.11", "--platform=manylinux_2_28_x86_64")
-"""The models are the same in the packages of all systems, and this one can be had on all of them."""
+"""pip options for one system's package: the models are the same for all systems, and pip can download this one on
+any."""
 _MOST_BYTES = 64 << 20
 _OWN = Path(__file__).parent
-"""Where pip runs, apart from what lies in the folder that the user is in."""
+"""Folder in which pip runs, so that files in the user's current folder have no effect."""
 
 
 def models_folder() -> Path:
-    """The folder of the models: HYPOSE_MODELS, or hypose/models in the user's data folder."""
+    """Locate the folder of the models: HYPOSE_MODELS, or hypose/models in the user's data folder."""
     if named := os.environ.get(MODELS_VARIABLE):
         return Path(named).expanduser()
     home = Path.home()
@@ -68,12 +69,15 @@ def models_folder() -> Path:
 
 
 def have_models() -> bool:
-    """Whether both files are there."""
+    """Test whether both model files exist."""
     return all((models_folder() / name).is_file() for name in _MODELS)
 
 
 def fetch_models() -> Path:
-    """Download the package by pip and unpack the models; return their folder. An InputError says what failed."""
+    """Download the package with pip, unpack the models and return their folder.
+
+    Raises: InputError where pip, the package or the writing fails.
+    """
     target = models_folder()
     with tempfile.TemporaryDirectory() as work:
         command = [
@@ -117,19 +121,25 @@ def fetch_models() -> Path:
 
 
 def _check(name: str, data: bytes, where: str) -> None:
-    """An InputError when a model is not the one that was measured."""
+    """Check that a model is the tested version; InputError otherwise."""
     if hashlib.sha256(data).hexdigest() != _MODELS[name][1]:
         raise InputError(f"{name} in {where} is damaged or another version; delete it and fetch the models again.")
 
 
 def runtime(needed_by: str = "Finding people in pictures") -> Any:  # noqa: ANN401 (a module)
-    """The module that runs the models; without it an InputError begins with needed_by and names the command that
-    installs it."""
+    """Import the module that runs the models.
+
+    needed_by: start of the error message.
+    Raises: InputError where it is not installed; it names the command that installs it.
+    """
     return extra("ai_edge_litert.interpreter", needed_by, "detector", "ai-edge-litert")
 
 
 def open_network() -> PoseNetwork:
-    """The network, ready for any number of threads. An InputError names the command that installs it."""
+    """Load the network of hypose's own detector; any number of threads may use it.
+
+    Raises: InputError where the models or the module that runs them are not installed.
+    """
     module = runtime()
     folder, data = models_folder(), dict[str, bytes]()
     if not have_models():
@@ -151,7 +161,7 @@ def open_network() -> PoseNetwork:
 
 
 class _Model:
-    """A model with an interpreter for each thread; called with a picture, it gives its outputs by their shapes."""
+    """A model with one interpreter per thread. A call with a picture returns its outputs by their shapes."""
 
     def __init__(self, runtime: Any, content: bytes) -> None:  # noqa: ANN401 (a module)
         self._runtime, self._content, self._own = runtime, content, threading.local()
@@ -174,7 +184,8 @@ _QUIET = threading.Lock()
 
 @contextlib.contextmanager
 def _no_stderr() -> Iterator[None]:
-    """The runtime writes to the process' stderr when it makes an interpreter."""
+    """Discard the output to stderr within a with block, because the runtime writes to it when it makes an
+    interpreter."""
     sys.stderr.flush()
     kept, nothing = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     try:
@@ -194,7 +205,14 @@ _EXAMPLE = (
 
 @dataclass(frozen=True)
 class OwnDetector:
-    """The user's detector with its answers checked."""
+    """A detector of the user whose results are checked.
+
+    detector: the user's object.
+    keypoint_set: name of the set of its key points.
+    identity: program and model, as plain values.
+    where: its name in error messages.
+    gives_masks: it gives masks as well.
+    """
 
     detector: Any
     keypoint_set: str
@@ -203,11 +221,19 @@ class OwnDetector:
     gives_masks: bool = False
 
     def look(self, image: NDArray[np.uint8], number: int = 0, before: Sequence[Crop] = (), /) -> list[Sighting]:
-        """People in a picture (h, w, 3) BGR; an InputError as of `detect`."""
+        """Detect people in a picture (h, w, 3) BGR; `number` and `before` are not used.
+
+        Raises: InputError as `detect`.
+        """
         return [Sighting(person) for person in self.detect(image)]
 
     def detect(self, image: NDArray[np.uint8], /) -> Array:
-        """People (P, K, 3) in a picture (h, w, 3) BGR; an InputError when the detector answers with something else."""
+        """Detect people in a picture.
+
+        image: (h, w, 3) BGR.
+        Returns: (P, K, 3) px, px, score for P people.
+        Raises: InputError where the user's detector returns anything else.
+        """
         count = len(keypoint_names(self.keypoint_set))
         try:
             people = np.array(self.detector.detect(image), dtype=np.float64)
@@ -228,8 +254,12 @@ class OwnDetector:
 
 
 def open_own_detector(text: str) -> PoseDetector:
-    """The detector that FILE.py:NAME or MODULE:NAME names: an object, or a class or function that makes one when it is
-    called without arguments. Its code runs, so name only what you trust. An InputError when it cannot be used."""
+    """Open the user's detector that FILE.py:NAME or MODULE:NAME names. Its code is executed, so it must be trusted.
+
+    The name is that of an object, or of a class or function that makes one when called without arguments.
+
+    Raises: InputError where it cannot be loaded or is not a detector.
+    """
     place, colon, name = text.rpartition(":")
     if not colon or not place or not name.isidentifier():
         raise InputError(f"--detector {text} is not understood; write FILE.py:NAME or MODULE:NAME.")

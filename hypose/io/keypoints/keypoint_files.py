@@ -1,4 +1,4 @@
-"""Read files of key points as tables: one reader per ending, which finds the program by the content.
+"""Readers of key-point files: one per ending, which identifies the program by the content.
 
 `read_keypoint_csv`: DeepLabCut, SLEAP, Caliscope.
 `read_keypoint_json`: MMPose, COCO, AlphaPose.
@@ -6,12 +6,13 @@
 `read_keypoint_npy`: FreeMoCap.
 `read_keypoint_h5`: DeepLabCut, SLEAP.
 
-Sources of the CSV layouts (those of the others stand above their readers): DeepLabCut's CSV of analysed videos (three
-header lines scorer, bodyparts, coords; four with individuals), the ensemble Kalman smoother's in the same layout (eks:
-x_ens_var, x_posterior_var and so on next to x, y, likelihood); SLEAP's analysis CSV (track, frame_idx, instance.score,
-then node.x, node.y, node.score); Caliscope's xy_<tracker>.csv (sync_index, cam_id - port in old ones -, frame_index,
-frame_time, point_id - keypoint_id in new ones -, img_loc_x, img_loc_y, ...), one row per point that was found, pixels
-of the picture as the camera delivers it, no scores.
+Sources of the CSV layouts (those of the others are above their readers):
+DeepLabCut: CSV of analysed videos, with three header lines scorer, bodyparts, coords; four with individuals.
+Ensemble Kalman smoother (eks): the same layout with x_ens_var, x_posterior_var and so on next to x, y, likelihood.
+SLEAP: analysis CSV with track, frame_idx, instance.score, then node.x, node.y, node.score.
+Caliscope: xy_<tracker>.csv with sync_index, cam_id (port in old files), frame_index, frame_time, point_id (keypoint_id
+    in new files), img_loc_x, img_loc_y, ...; one row per detected point, in pixels of the camera's picture, without
+    scores.
 """
 
 from __future__ import annotations
@@ -35,14 +36,14 @@ from hypose.io.files import csv_rows, numbers_of, open_file, read_bytes, read_js
 from hypose.io.motions.results import parse_array
 
 # ---- keypoint table ------------------------------------------------------------------------------------------------
-# What every reader of 2D key points returns for one camera, and what all of them do with numbers from elsewhere.
+# The table that every reader of 2D key points returns for one camera, and common checks of numbers from files.
 
 
 MAX_BYTES = 512 * 2**20
 MAX_POINTS = 1000
 MAX_POINT_FRAMES = 5_000_000
 _MIN_SCORE = 0.3
-"""Points of less score are not there for tracking."""
+"""Score below which tracking ignores a point."""
 WEIGHED = 0.31
 _SAMPLED = 60
 
@@ -51,12 +52,17 @@ _SAMPLED = 60
 class KeypointTable:
     """Key points of one camera as a file gives them.
 
-    layout: the file's kind, for sentences. people: frame by the file's own number -> (P, K, 3) = (u, v, score >= 0),
-    score 0 where a point is missing; K is the same in all frames with people. first: the number that the video's first
-    frame has; None when the layout does not say, so that the smallest of all views' numbers counts. names: of the
-    points, where the file gives them. shares: positions are shares of the picture's
-    width and height. scored: the file has scores. spread: it has standard deviations of the points too, which are in
-    the scores (`weighed`). frame_rate: where it tells. timed: frames are counted as `VideoReader` gives them at a rate.
+    layout: kind of file, for messages.
+    people: (P, K, 3) per frame, by the file's own frame number: u, v, score >= 0; score 0 where a point is missing. K
+        is the same in all frames with people.
+    first: the file's number of the video's first frame; None where the layout does not define it, and then the smallest
+        number of all views is used.
+    names: names of the K points, where the file gives them.
+    shares: positions are shares of the picture's width and height, not px.
+    scored: the file has scores.
+    spread: the scores come from standard deviations in the file (`scores_from_variance`).
+    frame_rate: frames/s, where the file gives it.
+    timed: frames are numbered as `VideoReader` counts them when it reads by time stamps.
     """
 
     layout: str
@@ -70,7 +76,7 @@ class KeypointTable:
     timed: bool = False
 
     def sample(self) -> Array:
-        """People (N, K, 3) of at most 60 frames with a person, evenly spread; (0, 0, 3) when no person is there."""
+        """Collect the people (N, K, 3) of at most 60 frames, evenly spread; (0, 0, 3) where there are no people."""
         numbers = sorted(self.people)
         found: list[Array] = []
         # every 60th part of the file gives one frame, its first with a person
@@ -87,8 +93,13 @@ class KeypointTable:
 
 
 def checked_people(values: Any, where: str) -> Array:
-    """(P, K, 3) float64 of nested numbers; positions that are not finite, or (0, 0), or have no score, are missing
-    (all 0). An InputError for anything else."""
+    """Convert nested numbers to key points (P, K, 3) float64.
+
+    Points that are at (0, 0), not finite or without a score become missing (all 0).
+
+    where: file and frame, for the error messages.
+    Raises: InputError where the values are not key points.
+    """
     try:
         p = np.array(values, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
@@ -104,10 +115,16 @@ def checked_people(values: Any, where: str) -> Array:
 
 
 def scores_from_variance(points: Array, variance: Array) -> Array:
-    """Points (..., 3) with a variance (..., 2) px^2 of each as those of which the score says how much they weigh: 1 for
-    a point as sure as the median one or surer, else its share of that one's information; not below WEIGHED, since all
-    that is less sure keeps a score that distinguishes it from absent points. Points without a variance stay as
-    they are."""
+    """Replace the scores of points by weights from their variances.
+
+    The weight is 1 for points at least as certain as the median point. For others it is the ratio of the median
+    variance to their own, but at least `WEIGHED`, which distinguishes them from missing points. Points without a
+    variance keep their scores.
+
+    points: (..., 3) u, v, score.
+    variance: (..., 2) of u and v, px^2.
+    Returns: (..., 3).
+    """
     given = np.isfinite(variance).all(-1) & (variance > 0).all(-1) & (points[..., 2] > _MIN_SCORE)
     if not given.any():
         return points
@@ -119,7 +136,11 @@ def scores_from_variance(points: Array, variance: Array) -> Array:
 
 
 def scored_points(positions: Any, scores: Any, where: str) -> Array:
-    """(K, 3) of positions (K, 2 or more) and scores (K,) or None (all 1)."""
+    """Combine positions (K, 2 or more) and scores (K,) of one person to (K, 3); without scores all are 1.
+
+    where: file and frame, for the error messages.
+    Raises: InputError where they are not numbers of this shape.
+    """
     try:
         xy = np.array(positions, dtype=np.float64)
         s = None if scores is None else np.array(scores, dtype=np.float64).ravel()
@@ -135,7 +156,11 @@ def scored_points(positions: Any, scores: Any, where: str) -> Array:
 
 
 def grouped(rows: Sequence[tuple[int, Array]], where: str) -> dict[int, Array]:
-    """People by frame number, from (number, (K, 3)) rows in any order."""
+    """Group people (K, 3) by frame number.
+
+    rows: frame number and points of each person, in any order.
+    Returns: (P, K, 3) by frame number.
+    """
     if not rows:
         return {}
     counts = {len(points) for _, points in rows}
@@ -151,9 +176,11 @@ def grouped(rows: Sequence[tuple[int, Array]], where: str) -> dict[int, Array]:
 
 
 def whole_number(value: Any, where: str, what: str) -> int:
-    """Check that `value` is a frame's number and return it; InputError otherwise.
+    """Check that a value is a frame number and return it.
 
-    where, what: file and name of the value, for the sentence."""
+    where, what: file and name of the value, for the error message.
+    Raises: InputError where it is not a whole number.
+    """
     fine = isinstance(value, int | float) and not isinstance(value, bool) and float(value).is_integer()
     if not fine or not 0 <= value < 2**40:
         raise InputError(f"{where}: {what} is {str(value)[:40]!r}, a whole number is needed; export it again.")
@@ -162,11 +189,15 @@ def whole_number(value: Any, where: str, what: str) -> int:
 
 _KIND = "a CSV of key points of DeepLabCut, SLEAP or Caliscope"
 _VARIANCES = (("x_posterior_var", "y_posterior_var"), ("x_ens_var", "y_ens_var"))
-"""px^2, by the ensemble Kalman smoother of Lightning Pose; the better first."""
+"""Columns of variances, px^2, by the ensemble Kalman smoother of Lightning Pose; the better ones first."""
 
 
 def read_keypoint_csv(path: Path) -> dict[str, KeypointTable]:
-    """Key points by camera; the name is "" where the file is of one camera."""
+    """Read a CSV of DeepLabCut, SLEAP or Caliscope.
+
+    Returns: tables by camera; the name is "" where the file is of one camera.
+    Raises: InputError where the file is none of these or a line cannot be used.
+    """
     header, rows = csv_rows(path, _KIND, MAX_BYTES)
     if header[0] == "scorer":
         return {"": _deeplabcut(header, rows, str(path))}
@@ -180,13 +211,18 @@ def read_keypoint_csv(path: Path) -> dict[str, KeypointTable]:
 
 
 def _number(cell: str) -> float:
-    """NaN for an empty cell; a ValueError for text."""
+    """Convert a cell to a number: NaN for an empty cell, ValueError for text."""
     return float(cell or "nan")
 
 
 def by_individual(columns: Sequence[tuple[str, ...]], where: str) -> dict[str, list[tuple[str, list[int]]]]:
-    """DeepLabCut's columns (individual, body part, coordinate) -> per individual the body parts with the places of
-    x, y, likelihood, and of the variances of x and y where all parts have them."""
+    """Find DeepLabCut's columns of each individual.
+
+    columns: individual, body part and coordinate of each column.
+    Returns: per individual, each body part with the indices of x, y, likelihood, and of the variances of x and y where
+        all parts have them.
+    Raises: InputError where a coordinate is missing.
+    """
     people: dict[str, dict[str, dict[str, int]]] = {}
     for i, (individual, part, coordinate) in enumerate(columns):
         people.setdefault(individual, {}).setdefault(part, {})[coordinate] = i
@@ -205,7 +241,13 @@ def by_individual(columns: Sequence[tuple[str, ...]], where: str) -> dict[str, l
 def deeplabcut_table(
     columns: Sequence[tuple[str, ...]], numbers: Sequence[int], values: Array, where: str
 ) -> KeypointTable:
-    """The table of DeepLabCut's columns (individual, body part, coordinate) and values (T, columns)."""
+    """Build the table of key points from DeepLabCut's columns.
+
+    columns: individual, body part and coordinate of each column.
+    numbers: T frame numbers.
+    values: (T, columns).
+    Raises: InputError where there are no individuals or no frames.
+    """
     people = by_individual(columns, where)
     if not people or not 0 < len(numbers) <= MAX_POINT_FRAMES:
         raise InputError(f"{where} has {len(people)} individuals and {len(numbers)} frames; analyse the video again.")
@@ -219,7 +261,7 @@ def deeplabcut_table(
 
 
 def _seen(people: Array) -> Array:
-    """Those of whom any point is there."""
+    """Select the people with at least one detected point."""
     return people[(people[..., 2] > 0).any(1)] if people.size else people
 
 
@@ -254,7 +296,7 @@ def _sleap(header: list[str], rows: Iterator[tuple[int, list[str]]], where: str)
             points = np.array([[_number(row[at[f"{n}.{c}"]]) for c in "xy"] for n in names])
             scores = [_number(row[at[f"{n}.score"]]) for n in names] if scored else [1.0] * len(names)
         found.append((number, np.column_stack([points, scores])))
-    # frames without anybody have no row, and SLEAP counts from 0
+    # frames without a person have no row, and SLEAP counts from 0
     return KeypointTable("SLEAP analysis", grouped(found, where), 0, tuple(names), scored=scored)
 
 
@@ -301,8 +343,11 @@ def _caliscope(path: Path, header: list[str], rows: Iterator[tuple[int, list[str
 
 
 def _first_frame(shown: Sequence[int], numbers: Sequence[int], where: str) -> int:
-    """The sync_index of the points that is the recording's first frame. numbers: the recording's own; older versions
-    count the points from 0 where the recording's times go on from the calibration's."""
+    """Determine the sync_index of the recording's first frame.
+
+    numbers: the recording's own sync indices. Older versions count the points from 0, although the recording's times
+        continue those of the calibration.
+    """
     low, high = min(shown), max(shown)
     if not numbers:
         return low
@@ -317,8 +362,11 @@ def _first_frame(shown: Sequence[int], numbers: Sequence[int], where: str) -> in
 
 
 def _point_order(stem: str, ids: set[int]) -> list[int]:
-    """The ids of the points in the order of a set. MediaPipe's trackers number the body 0 to 32, the right hand from
-    100 and the left from 200 on, and SIMPLE_HOLISTIC's only wrists are those of the hands."""
+    """Order the ids of points as in a key-point set.
+
+    MediaPipe's trackers number the body 0 to 32, the right hand from 100 and the left hand from 200. SIMPLE_HOLISTIC
+    has no wrists but those of the hands.
+    """
     if "holistic" in stem or "pose" in stem and "rtm" not in stem or max(ids) >= 200:
         order = list(range(33))
         order[15] = 15 if 15 in ids else 200
@@ -328,14 +376,14 @@ def _point_order(stem: str, ids: set[int]) -> list[int]:
 
 
 def clock_file(path: Path) -> Path | None:
-    """Caliscope's table of times next to its points, or one folder above; None when there is none."""
+    """Find Caliscope's table of times next to its points or one folder above; None where there is none."""
     names = ("timestamps.csv", "frame_timestamps.csv", "frametimes.csv", "frame_time_history.csv")
     places = (folder / name for folder in (path.parent, path.parent.parent) for name in names)
     return next((p for p in places if p.is_file()), None)
 
 
 def _clock(path: Path) -> tuple[list[int], float | None]:
-    """The recording's sync indices and frame rate, of its table of times."""
+    """Read the recording's sync indices and frame rate from its table of times."""
     table = clock_file(path)
     if table is None:
         return [], None
@@ -365,12 +413,15 @@ _JSON = "a key-point file of MMPose, COCO or AlphaPose"
 
 
 def read_document(path: Path) -> Any:
-    """The value of a JSON file within bounds; an InputError names it."""
+    """Read the value of a JSON file of limited size; InputError where it cannot be read."""
     return read_json(path, _JSON, MAX_BYTES)
 
 
 def read_keypoint_json(path: Path) -> KeypointTable:
-    """The key points of one JSON file that holds all frames; which layout it has is seen from its content."""
+    """Read one JSON file with the key points of all frames, of MMPose, COCO or AlphaPose.
+
+    Raises: InputError where the file is none of these or an entry cannot be used.
+    """
     document = read_document(path)
     where = str(path)
     table = document if isinstance(document, Mapping) else {}
@@ -456,7 +507,7 @@ def _coco(found: list[Any], images: Any, where: str) -> KeypointTable:
 
 
 def _image_numbers(images: Any) -> dict[int, int]:
-    """Frame numbers by image id, from the images' file names where all of these end in a number."""
+    """Map image ids to frame numbers, where all images' file names end in a number."""
     if not isinstance(images, list):
         return {}
     out = {}
@@ -475,7 +526,7 @@ def _alphapose_frames(document: Mapping[str, Any], where: str) -> KeypointTable:
         number = last_number(Path(name).stem)
         if number is None:
             raise InputError(f"{where}: the frame {name[:40]!r} has no number; export the results again.")
-        if isinstance(bodies := frame.get("bodies"), list):  # its form "cmu": Panoptic's words, OpenPose's 18 points
+        if isinstance(bodies := frame.get("bodies"), list):  # form "cmu": Panoptic's keys, OpenPose's 18 points
             frame = {"people": [{"pose_keypoints_2d": b.get("joints")} for b in bodies if isinstance(b, Mapping)]}
         people[number] = parse_openpose(frame, source=f"{where}, frame {name}", raw=True)
     plain = all(re.fullmatch(r"(0|[1-9]\d*)\.(jpg|png)", n) for n in document)
@@ -485,7 +536,7 @@ def _alphapose_frames(document: Mapping[str, Any], where: str) -> KeypointTable:
 # ---- keypoint folder -----------------------------------------------------------------------------------------------
 # Key points with one file per frame: OpenPose (also of Pose2Sim, RTMLib, AlphaPose), EasyMocap, Ultralytics.
 #
-# Files are read when they are asked for. Sources: OpenPose's JSON output; EasyMocap (annotator/file_utils.py);
+# Files are read when they are needed. Sources: OpenPose's JSON output; EasyMocap (annotator/file_utils.py);
 # Ultralytics (engine/results.py save_txt): `class x y w h`, then per point x y and, if the model has it, confidence,
 # then confidence and track id of the person if asked for; positions are shares of the picture, and a frame without
 # people has no file.
@@ -496,7 +547,7 @@ _COUNTS = sorted({len(names) for names in KEYPOINT_SETS.values()})
 
 
 class _FrameFiles(Mapping[int, Array]):
-    """People by frame number, each read from its file when it is asked for."""
+    """People by frame number; each file is read when its frame is requested."""
 
     def __init__(self, files: Mapping[int, Path], read: Callable[[Path], Array]) -> None:
         self.files, self._read = files, read
@@ -512,7 +563,10 @@ class _FrameFiles(Mapping[int, Array]):
 
 
 def read_keypoint_folder(folder: Path) -> KeypointTable:
-    """The key points of a folder with one file per frame; an InputError names what cannot be used."""
+    """Read a folder with one file of key points per frame, of OpenPose, EasyMocap or Ultralytics.
+
+    Raises: InputError where the folder holds none of these.
+    """
     files = sorted(folder.glob("*.json"))
     if files:
         numbered = numbered_files(files)
@@ -531,7 +585,10 @@ def read_keypoint_folder(folder: Path) -> KeypointTable:
 
 
 def numbered_files(paths: list[Path]) -> dict[int, Path]:
-    """Files by the last number in their names; by order where that does not tell them apart."""
+    """Number files by the last number in their names, or by their order where these numbers are not unique.
+
+    Returns: files by frame number.
+    """
     # OpenPose's names end in _keypoints; a number of the view may stand before the frame's
     numbers = [last_number(p.stem) for p in paths]
     if None in numbers or len(set(numbers)) < len(numbers):
@@ -583,7 +640,7 @@ def _ultralytics(folder: Path, files: dict[int, Path]) -> KeypointTable:
 
 
 def text_lines_or_none(path: Path) -> list[str]:
-    """The lines with something on them; none for an empty file."""
+    """Read the lines of a file that are not blank; an empty file has none."""
     if path.stat().st_size == 0:
         return []
     return [line for line in text_lines(path, "a label file of Ultralytics", _MAX_FILE) if line.strip()]
@@ -621,7 +678,11 @@ _ARRAY = "an array of key points"
 
 
 def read_keypoint_npy(path: Path) -> dict[str, KeypointTable]:
-    """Key points by the camera's place in the array ("0", "1", ...)."""
+    """Read an array of FreeMoCap (.npy).
+
+    Returns: tables by the camera's index in the array ("0", "1", ...).
+    Raises: InputError where the array has another type or shape.
+    """
     try:
         with open_file(path, _ARRAY, MAX_BYTES) as stream:
             data = parse_array("it", stream, os.fstat(stream.fileno()).st_size)
@@ -643,7 +704,10 @@ def read_keypoint_npy(path: Path) -> dict[str, KeypointTable]:
 
 
 def read_keypoint_h5(path: Path) -> KeypointTable:
-    """Key points of one camera out of HDF5. An InputError says what cannot be used, or that h5py is needed."""
+    """Read the key points of one camera from an HDF5 file of DeepLabCut or SLEAP.
+
+    Raises: InputError where the file is neither or h5py is not installed.
+    """
     readable_size(path, _ARRAY, MAX_BYTES)
     h5py = extra("h5py", "Reading HDF5", "h5", or_else="export CSV, which needs nothing")
     try:
@@ -663,7 +727,7 @@ def read_keypoint_h5(path: Path) -> KeypointTable:
 
 
 def _sized(dataset: Any, where: str) -> Any:
-    """A dataset that fits into memory: a compressed file may promise anything."""
+    """Read a dataset after checking its size, because a compressed file can unpack to any size."""
     if dataset.size * dataset.dtype.itemsize > 4 * MAX_BYTES:
         raise InputError(f"{where}: {dataset.name} unpacks to more than 2 GiB; cut the recording into pieces.")
     return dataset[()]
@@ -696,7 +760,7 @@ def _deeplabcut_h5(group: Any, where: str) -> KeypointTable:
         table = _sized(group["table"], where)
         block = next(n for n in table.dtype.names if n.startswith("values_block"))
         values, numbers = np.asarray(table[block], dtype=np.float64), table["index"]
-        raw = group.attrs["non_index_axes"]  # a pickle, of which only plain text, numbers and tuples are followed
+        raw = group.attrs["non_index_axes"]  # a pickle, of which only plain text, numbers and tuples are read
         columns = read_plain_pickle(bytes(raw))[0][1]
     else:
         values = np.asarray(_sized(group["block0_values"], where), dtype=np.float64)

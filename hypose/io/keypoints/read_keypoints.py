@@ -1,4 +1,4 @@
-"""2D key points of any known program: which reader takes a file or folder, which set it holds, and what else was found.
+"""2D key points of any known program: choice of the reader and of the key-point set, checks, notes for the user.
 
 | given | program |
 | --- | --- |
@@ -11,8 +11,8 @@
 
 To add a reader, write reader(path) -> KeypointTable, or a dict of them by camera. Register its ending in `_READERS`; if
 the ending is taken, add a branch to read_keypoint_json, read_keypoint_csv, read_keypoint_h5, read_keypoint_npy or
-read_keypoint_folder. Add it to `_ENDINGS` and to the table above.
-New points need a set in `hypose.evidence.keypoints.KEYPOINT_SETS`.
+read_keypoint_folder. Add it to `_ENDINGS` and to the table above. New points need a set in
+`hypose.evidence.keypoints.KEYPOINT_SETS`.
 """
 
 from __future__ import annotations
@@ -47,20 +47,21 @@ from hypose.io.keypoints.keypoint_files import (
 )
 
 _ENDINGS = "a folder of OpenPose, EasyMocap or Ultralytics files, .json, .csv, .h5 or .npy"
-_OUTSIDE = 0.3  # share of points outside of the picture from which it is another picture
-_CHECKED = 80  # frames that the agreement of the views looks at
+_OUTSIDE = 0.3  # share of points outside the picture above which its size must be wrong
+_CHECKED = 80  # number of frames for the check of the views' agreement
 
 
 @dataclass(frozen=True)
 class ViewKeypoints:
-    """Key points of one view with the set they belong to.
+    """Key points of one view and their set.
 
-    path: of the file or folder.
+    path: file or folder.
     table: the key points that were read.
     keypoint_set: name of their set.
     first: the file's number of the video's first frame.
-    score_scale: divisor of its scores.
-    frames: stored frame of each frame of a video that is read by its time stamps; None: the same."""
+    score_scale: divisor of the scores.
+    frames: stored frame of each frame of a video that is read by its time stamps; None where the numbers are equal.
+    """
 
     path: Path
     table: KeypointTable
@@ -71,14 +72,20 @@ class ViewKeypoints:
 
     @property
     def last(self) -> int:
-        """The last frame of the video, from 0, that the file speaks of; -1 when it is empty."""
+        """The last frame of the video, from 0, for which the file has an entry; -1 where it is empty."""
         last = max(self.table.people, default=self.first - 1) - self.first
         return last if self.frames is None else int(np.searchsorted(self.frames, last, side="right")) - 1
 
     def frame(self, index: int, size: tuple[int, int], stored: tuple[int, int] | None = None) -> Array | None:
-        """People (P, K, 3) in the set's order at a video's frame: px of the calibrated picture (width, height),
-        confidence 0..1; None when the file does not list the frame. stored: the size of the pictures whose pixels the
-        file counts, where that is another."""
+        """Get the people in a frame of the video, with points in the order of the set.
+
+        index: frame of the video, from 0.
+        size: width and height of the calibrated picture, px.
+        stored: width and height of the pictures whose pixels the file uses, where they differ from `size`.
+        Returns: (P, K, 3) px, px of the calibrated picture, confidence 0 to 1; None where the file has no entry for the
+            frame.
+        Raises: InputError where the number of points is not that of the set.
+        """
         if self.frames is not None:
             index = int(self.frames[index]) if 0 <= index < len(self.frames) else -1
         found = self.table.people.get(index + self.first)
@@ -105,7 +112,11 @@ class ViewKeypoints:
 
 
 def read_keypoints(path: Path) -> dict[str, KeypointTable]:
-    """Tables by camera ("" where the file is of one camera); an InputError says in one sentence what cannot be used."""
+    """Read the key points of a file or folder of any known program.
+
+    Returns: tables by camera; the name is "" where the file is of one camera.
+    Raises: InputError where the path cannot be used.
+    """
     if path.is_dir():
         return {"": read_keypoint_folder(path)}
     if not path.exists():
@@ -115,7 +126,7 @@ def read_keypoints(path: Path) -> dict[str, KeypointTable]:
     return _read_file(path, tuple((s.st_mtime_ns, s.st_size) for s in states))
 
 
-@lru_cache(maxsize=8)  # a recording is looked at before it is worked on
+@lru_cache(maxsize=8)  # a recording is checked before it is processed
 def _read_file(path: Path, state: tuple[tuple[int, int], ...]) -> dict[str, KeypointTable]:
     read = _READERS.get(path.suffix.lower())
     if read is None:
@@ -131,7 +142,7 @@ _READERS: Mapping[str, Callable[[Path], KeypointTable | dict[str, KeypointTable]
     ".hdf5": read_keypoint_h5,
     ".npy": read_keypoint_npy,
 }
-"""By the file's ending; those of several cameras give a table for each."""
+"""Readers by the file's ending; files of several cameras give one table per camera."""
 
 
 def keypoints_of_views(
@@ -140,10 +151,15 @@ def keypoints_of_views(
     cameras: Sequence[str],
     stated: str | None = None,
 ) -> tuple[list[ViewKeypoints | None], list[str]]:
-    """Key points of every view (None: it has none) and sentences that say what was found.
+    """Read the key points of all views, and determine their set.
 
-    paths: file or folder per view; one of several cameras may be named by all of them, and gives each view the camera
-    of its name, or of the calibration's name for it. stated: the set that is said to be used.
+    paths: file or folder of each view. One file of several cameras may be given for all views; each view then takes the
+        camera of its name, or of its name in the calibration.
+    names: names of the views.
+    cameras: names of the views' cameras in the calibration.
+    stated: name of the set that the user states.
+    Returns: key points of each view, None where it has none, and notes that describe them.
+    Raises: InputError where a file cannot be used or the views have different sets.
     """
     out: list[ViewKeypoints | None] = []
     tables = [None if p is None else _of_view(p, i, names, cameras, paths) for i, p in enumerate(paths)]
@@ -178,7 +194,7 @@ def keypoints_of_views(
             v if v is not None or p is None or t is None else ViewKeypoints(p, t, kind, t.first or 0, 1.0)
             for p, t, v in zip(paths, tables, out, strict=True)
         ]
-    notes = [f"The key points of {', '.join(empty)} show nobody."] if empty else []
+    notes = [f"The key points of {', '.join(empty)} show no person."] if empty else []
     return out, notes + _together(found)
 
 
@@ -228,11 +244,11 @@ def _reported(
         kind, how = set_of_points(alike, stated, ("BODY_25",))
     scores = sample[..., 2][sample[..., 2] > 0]
     high = float(np.quantile(scores, 0.995)) if len(scores) else 1.0
-    # RTMPose's and AlphaPose's scores are heights of maps and may exceed 1, others are percent
+    # scores of RTMPose and AlphaPose are peaks of maps and may exceed 1; others are percent
     scale = float(np.quantile(scores, 0.95)) if high > 1.05 else 1.0
     if not table.shares and len(scores):
         seen = sample[sample[..., 2] > 0][:, :2]
-        if seen.min() >= -0.5 and seen.max() <= 1.5 and np.ptp(seen) > 0.02:  # no person is a pixel small
+        if seen.min() >= -0.5 and seen.max() <= 1.5 and np.ptp(seen) > 0.02:  # no person is as small as a pixel
             table = replace(table, shares=True)
     return ViewKeypoints(path, table, kind, first, scale), how
 
@@ -255,7 +271,7 @@ def _sentence(name: str, view: ViewKeypoints, how: str) -> str:
 
 
 def _together(found: Sequence[str]) -> list[str]:
-    """One sentence where all views are alike, else one per view."""
+    """Combine the notes to one sentence where all views are alike; one per view otherwise."""
     bodies = [f.split(": ", 1)[1] for f in found]
     if len(set(bodies)) == 1:
         return [f"Key points: {bodies[0]}."]
@@ -269,8 +285,12 @@ def check_keypoints(
     frames: range,
     stored: Sequence[tuple[int, int] | None],
 ) -> None:
-    """An InputError when key points lie outside of their pictures, or when what the views say of the person shows that
-    they were misread: another picture size, y upwards, mirrored. stored: as in `ViewKeypoints.frame`, per view."""
+    """Check that key points lie in their pictures and agree between the views.
+
+    frames: frames of the video that are checked.
+    stored: per view as in `ViewKeypoints.frame`.
+    Raises: InputError where they were misread: another picture size, y upwards, or mirrored.
+    """
     some = [frames[int(i)] for i in np.unique(np.linspace(0, len(frames) - 1, min(_CHECKED, len(frames))).astype(int))]
     people: list[list[Array | None]] = []
     for view, name, camera, size in zip(views, names, rig, stored, strict=True):
@@ -298,27 +318,28 @@ def check_keypoints(
 # ---- detected keypoints --------------------------------------------------------------------------------------------
 # Key points and masks that `hypose keypoints` left in a recording's folder, and how the recording finds them.
 #
-# FOLDER/detector.json says what made them; FOLDER/VIEW/ holds one OpenPose file per frame, in pixels of the calibrated
+# FOLDER/detector.json names the detector; FOLDER/VIEW/ holds one OpenPose file per frame, in pixels of the calibrated
 # picture, numbered from the first frame of the video, and FOLDER/VIEW/masks the masks, if the detector gives any.
 
 
 KEYPOINT_FOLDER = "keypoints"
-"""In the recording's folder."""
+"""Folder of the detected key points in the recording's folder."""
 MASKS = "masks"
 _SIDECAR = "detector.json"
 ALL_FRAMES = 10**9
-"""Frames of a detection that does not say which; an older one looked at all."""
+"""Number of frames of a detection that does not state it; older ones covered all frames."""
 
 
 @dataclass(frozen=True)
 class DetectedKeypoints:
-    """The folder of a detection.
+    """The folder with the results of a detection.
 
-    keypoint_set: name of the points' set.
-    identity: what decides what was found.
-    complete: each of the frames was looked at in every view.
-    frames: of the videos.
-    with_masks: there are masks, too."""
+    keypoint_set: name of the set of the points.
+    identity: detector and settings that determine the result.
+    complete: all of the frames were processed in every view.
+    frames: frames of the videos that were to be processed.
+    with_masks: there are masks as well.
+    """
 
     folder: Path
     keypoint_set: str
@@ -328,27 +349,27 @@ class DetectedKeypoints:
     with_masks: bool
 
     def view(self, name: str) -> Path:
-        """The folder of a view."""
+        """Path of a view's folder."""
         return self.folder / file_name(name)
 
     def file(self, view: str, frame: int) -> Path:
-        """The file of a frame."""
+        """Path of the key points of a view and frame."""
         return self.view(view) / f"{file_name(view)}_{frame:012d}_keypoints.json"
 
     def masks(self, view: str) -> Path:
-        """The folder of a view's masks."""
+        """Path of a view's folder of masks."""
         return self.view(view) / MASKS
 
     def mask(self, view: str, frame: int) -> Path:
-        """The mask of a frame."""
+        """Path of the mask of a view and frame."""
         return self.masks(view) / f"{frame:06d}.png"
 
     def covers(self, frames: range) -> bool:
-        """Whether these frames were looked at."""
+        """Test whether all of the given frames were processed."""
         return self.complete and self.frames.start <= frames.start and frames.stop <= self.frames.stop
 
     def save(self) -> None:
-        """Write what says all this."""
+        """Write these properties to the folder's detector.json."""
         said = {
             "keypoint_set": self.keypoint_set,
             "complete": self.complete,
@@ -360,7 +381,10 @@ class DetectedKeypoints:
 
 
 def load_detected(folder: Path) -> DetectedKeypoints | None:
-    """What a folder says of itself, None when it is not one of these."""
+    """Read the properties of a detection from its folder; None where the folder is not one of a detection.
+
+    Raises: InputError where they are damaged.
+    """
     path = folder / _SIDECAR
     if not path.is_file():
         return None
@@ -377,11 +401,19 @@ def load_detected(folder: Path) -> DetectedKeypoints | None:
 
 
 def with_detected(folder: Path, settings: Mapping[str, Any], notes: list[str]) -> Mapping[str, Any]:
-    """The settings of a recording (keys of recording.toml) with the key points that were detected for it, unless it
-    names its own, and with the detector's masks, unless it says where masks come from."""
+    """Add the detected key points and masks of a recording to its settings.
+
+    Key points are added where the settings have none. Masks are added where the settings have no masks, background or
+    depth.
+
+    folder: folder of the recording.
+    settings: keys of recording.toml.
+    notes: list to which sentences about this are added.
+    Returns: the changed settings.
+    """
     tables = settings.get("view", [])
     if not isinstance(tables, list) or not all(isinstance(t, dict) for t in tables):
-        return settings  # which the recording's own check tells
+        return settings  # the check of the recording reports it
     if any("keypoints" in t for t in tables):
         return settings
     found = load_detected(folder / KEYPOINT_FOLDER)

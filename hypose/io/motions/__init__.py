@@ -1,1 +1,1 @@
-"""Motions, bodies and results, in and out."""
+"""Reading and writing of motions, bodies and results."""

@@ -1,7 +1,8 @@
-"""What BVH and glTF share: Y-up axes, gap-free poses, and rotations relative to the parent.
+"""BVH files, and the parts that BVH and glTF have in common: Y-up axes, poses without gaps, rotations relative to
+parents.
 
-Axes: file (x, y, z) = world (x, z, -y). The body then faces +z of the file, as glTF wants, and Blender's
-importers of both formats, which turn the file back, show the world's own coordinates.
+Axes: file (x, y, z) = world (x, z, -y). The body then faces +z of the file, as glTF requires. Blender's importers of
+    both formats undo this rotation, so Blender shows the world's own coordinates.
 """
 
 from __future__ import annotations
@@ -22,10 +23,14 @@ Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 
 
 def filled_poses(motion: Motion, path: str | Path) -> Array:
-    """Poses (T, D) of a motion, unusable frames replaced by the last usable pose (at the start by the first
-    one).
+    """Fill the frames of a motion that have no usable pose.
 
-    Animation files cannot leave a frame out. An InputError when the motion has no usable pose at all.
+    Each takes the last usable pose before it; frames at the start take the first usable pose.
+
+    path: file to be written, for the error messages.
+    Returns: (T, D) poses.
+    Raises: InputError where the motion has no usable pose.
+    Why: animation files cannot leave a frame out.
     """
     if motion.poses is None:
         raise InputError(
@@ -39,7 +44,11 @@ def filled_poses(motion: Motion, path: str | Path) -> Array:
 
 
 def local_joint_rotations(skeleton: Skeleton, poses: Array) -> Array:
-    """parent_from_joint rotations (T, J, 3, 3) in the file's axes; for the root world_from_joint."""
+    """Compute the rotation of each joint relative to its parent, in the axes of the file.
+
+    poses: (T, D).
+    Returns: (T, J, 3, 3) parent_from_joint; world_from_joint for the root.
+    """
     world_from_joint, _ = skeleton.forward(poses)
     local = world_from_joint.copy()
     for j, p in enumerate(skeleton.parents):
@@ -49,19 +58,23 @@ def local_joint_rotations(skeleton: Skeleton, poses: Array) -> Array:
 
 
 def without_flips(quaternions: Array) -> Array:
-    """Quaternions (T, 4) with signs (q and -q are one rotation) such that neighbours lie on one side: players would
-    interpolate the long way round."""
+    """Choose the signs of a series of quaternions so that neighbours differ least (q and -q are the same rotation).
+
+    quaternions: (T, 4).
+    Returns: (T, 4).
+    Why: players would otherwise interpolate the long way round.
+    """
     flips = np.cumprod(np.where((quaternions[1:] * quaternions[:-1]).sum(1) < 0, -1.0, 1.0))
     return np.concatenate([quaternions[:1], quaternions[1:] * flips[:, None]])
 
 
 def children(skeleton: Skeleton, joint: int) -> list[int]:
-    """Indices of a joint's children."""
+    """List the indices of a joint's children."""
     return [int(c) for c in np.flatnonzero(skeleton.parents == joint)]
 
 
 # ---- bvh -----------------------------------------------------------------------------------------------------------
-# BVH animation: the skeleton with Euler channels, centimetres, Y up (axes: see io.animation).
+# BVH animation: the skeleton with Euler channels, centimetres, Y up (axes: see the module).
 #
 # The rest pose of the file is the body's rest pose, not a T pose: the OFFSETs are its bones and all channels
 # zero is its stance, at the origin. The root has its position and rotation, every other joint three rotations Z
@@ -75,8 +88,10 @@ _UP, _FORWARD = np.array([0.0, 0.0, 0.12]), np.array([0.0, -0.15, -0.05])
 
 
 def write_bvh(path: str | Path, motion: Motion) -> None:
-    """Write the poses of a motion. Frames without a pose hold the last one; an InputError when there are
-    no poses."""
+    """Write the poses of a motion as a BVH file; frames without a pose repeat the last one.
+
+    Raises: InputError where the motion has no usable pose.
+    """
     poses = filled_poses(motion, path)
     skeleton = motion.skeleton
     order: list[int] = []
@@ -89,7 +104,7 @@ def write_bvh(path: str | Path, motion: Motion) -> None:
 
 
 def _joint(skeleton: Skeleton, j: int, depth: int, lines: list[str], order: list[int]) -> None:
-    """Append joint j and its subtree; `order` collects the joints in the order of their channels."""
+    """Append joint j and its subtree to the lines; `order` collects the joints in the order of their channels."""
     indent = "\t" * depth
     root = skeleton.parents[j] < 0
     order.append(j)
@@ -111,7 +126,7 @@ def _joint(skeleton: Skeleton, j: int, depth: int, lines: list[str], order: list
 
 
 def _end(skeleton: Skeleton, j: int) -> Array:
-    """File-frame offset (cm) of the end site of a leaf joint."""
+    """Compute the offset of the end site of a leaf joint, in the axes of the file, cm."""
     name = skeleton.joint_names[j]
     if name == "head":
         model = _UP

@@ -1,10 +1,11 @@
-"""C3D marker files: written as 32-bit floats in millimetres with ezc3d, read by a bounded reader of our own.
+"""C3D marker files: written with ezc3d as 32-bit floats in millimetres, read with a bounded reader of hypose.
 
-Axes are those of the world (z up; X_SCREEN = +X, Y_SCREEN = +Z say so). Residuals follow the C3D manual: -1 =
-not seen, 0 = computed rather than measured (here: lost or predicted frames), positive = measured, here the
-standard deviation in whole millimetres, at least 1. Why not read with ezc3d as well: version 1.7 takes
-truncated files without a word and allocates what a damaged header asks for. Here every size is compared with
-the file before anything is read. Source: the C3D file format, user guide.
+Axes are those of the world, z up; the parameters X_SCREEN = +X and Y_SCREEN = +Z say so.
+Residuals follow the C3D manual: -1 for not seen, 0 for computed and not measured (here: lost or predicted frames),
+    positive for measured (here: the standard deviation in whole millimetres, at least 1).
+Why: ezc3d 1.7 accepts truncated files without a warning and allocates what a damaged header asks for. The reader here
+    compares every size with the file first.
+Source: the C3D file format, user guide.
 """
 
 from __future__ import annotations
@@ -40,13 +41,18 @@ def write_c3d(
     events: Sequence[tuple[float, str, str]] = (),
     subjects: Sequence[str] = (),
 ) -> None:
-    """Write points (T, M, 3), world metres, as float C3D in mm; NaN points get residual -1.
+    """Write points as a C3D file of floats in mm.
 
-    residuals_mm (T, M): 0 where a point was computed rather than measured, else the standard deviation (the
-    format keeps whole millimetres, 1 to 255; NaN counts as 1). More than 255 names go on in LABELS2 and so
-    on. More than 65535 frames are refused, since the format cannot count them. events: (seconds after the first frame,
-    context such as Left, label such as Foot Strike), at most 255, of the first subject. subjects: who is in the file;
-    with several, each one's names begin with SUBJECT and a colon, as Vicon writes them.
+    names: M names; more than 255 continue in the parameters LABELS2, LABELS3 and so on.
+    points: (T, M, 3) world, m; NaN points get residual -1. T is at most 65535, the format's limit.
+    frame_rate: Hz.
+    residuals_mm: (T, M) 0 where a point was computed and not measured, else its standard deviation; the format keeps
+        whole millimetres from 1 to 255, and NaN counts as 1.
+    events: seconds after the first frame, context such as Left, label such as Foot Strike; at most 255, all of the
+        first subject.
+    subjects: names of the people in the file. With several people, names of points begin with SUBJECT and a colon, as
+        in files of Vicon.
+    Raises: InputError where names, points or residuals are not valid or exceed a limit of the format.
     """
     names, p = checked_markers(names, points, frame_rate, str(path))
     t, m = p.shape[:2]
@@ -87,7 +93,7 @@ def write_c3d(
 
 
 def _add_subjects(file: Any, subjects: Sequence[str]) -> None:
-    """The SUBJECTS group as Vicon writes it: which prefix of the points' names is whose."""
+    """Add the SUBJECTS group as Vicon writes it: the prefix of each subject's points."""
     several = len(subjects) > 1
     file.add_parameter("SUBJECTS", "USED", [len(subjects)])
     file.add_parameter("SUBJECTS", "IS_STATIC", [0])
@@ -97,7 +103,7 @@ def _add_subjects(file: Any, subjects: Sequence[str]) -> None:
 
 
 def _add_events(file: Any, events: Sequence[tuple[float, str, str]], subject: str) -> None:
-    """The EVENT group as Vicon writes it: times in minutes and seconds."""
+    """Add the EVENT group as Vicon writes it, with times in minutes and seconds."""
     file.add_parameter("EVENT", "USED", [len(events)])
     file.add_parameter("EVENT", "CONTEXTS", [context for _, context, _ in events])
     file.add_parameter("EVENT", "LABELS", [label for _, _, label in events])
@@ -108,12 +114,13 @@ def _add_events(file: Any, events: Sequence[tuple[float, str, str]], subject: st
 
 
 def read_c3d(path: str | Path) -> Markers:
-    """Read the points of a C3D file: integer or float, Intel, DEC or MIPS byte order; metres, axes as in the
-    file.
+    """Read the points of a C3D file of integers or floats, in the byte order of Intel, DEC or MIPS.
 
-    Points of negative residual become NaN; LABELS, LABELS2, ... are joined; a point without a label is named
-    point_<number>. Analog channels are skipped. An InputError says in one sentence what makes a file
-    unusable, truncation included.
+    Labels of LABELS, LABELS2 and so on are joined, and a point without a label is named point_<number>. Analog channels
+    are skipped.
+
+    Returns: points in metres, in the axes of the file; NaN where the residual is negative.
+    Raises: InputError where the file is not C3D, damaged, truncated or without points.
     """
     try:
         with open_file(path, _KIND, _MAX_BYTES) as file:
@@ -127,7 +134,7 @@ def read_c3d(path: str | Path) -> Markers:
 
 
 def _read(file: BinaryIO, size: int, path: str | Path) -> tuple[bytes, _Layout, dict[str, tuple[Any, ...]], str]:
-    """Bytes of the frames, their layout, the parameters and the byte order."""
+    """Read the bytes of the frames, their layout, the parameters and the byte order."""
     head = file.read(_BLOCK)
     if len(head) < _BLOCK or head[1] != 0x50 or head[0] < 1:
         raise InputError(f"{path} is not {_KIND}: its header lacks the C3D mark.")
@@ -153,7 +160,7 @@ _PROCESSORS = {84: "intel", 85: "dec", 86: "mips"}
 
 @dataclass(frozen=True)
 class _Layout:
-    """Where the frames lie: points and analog samples per frame, scale (negative: floats), first byte."""
+    """Layout of the frames in the file: points and analog samples per frame, scale (negative: floats), first byte."""
 
     points: int
     analog: int
@@ -184,7 +191,7 @@ def _floats(data: bytes, order: str) -> Array:
 
 
 def _parameters(section: bytes, order: str, path: str | Path) -> dict[str, tuple[Any, ...]]:
-    """Parameters by "GROUP:NAME": strings for text, numbers else."""
+    """Parse the parameters; keys are "GROUP:NAME", values are strings or numbers."""
     groups: dict[int, str] = {}
     found: list[tuple[int, str, tuple[Any, ...]]] = []
     at = 4
@@ -245,8 +252,8 @@ def _layout(head: bytes, parameters: Mapping[str, tuple[Any, ...]], order: str, 
     block = int(_first(parameters.get("POINT:DATA_START"), words[8])) & 0xFFFF
     if points == 0 and _first(parameters.get("ROTATION:USED"), 0):
         raise InputError(
-            f"{path} holds turns and places of segments, as Theia3D writes them, and no points; export joint centres "
-            "as points, from Visual3D for example."
+            f"{path} holds rotations and positions of segments, as Theia3D writes them, and no points; export joint "
+            "centres as points, from Visual3D for example."
         )
     if points == 0 or last < first or block < 2:
         raise InputError(f"{path} holds no points: {points} markers, frames {first} to {last}; a recording is needed.")

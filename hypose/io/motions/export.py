@@ -1,4 +1,4 @@
-"""All motion files of one tracked motion, by format name."""
+"""Export of a tracked motion to the motion file formats, which are chosen by name."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from hypose.io.motions.opensim_model import shoulder_places, write_ik_markers, w
 # Rerun recordings (.rrd): the body, its skeleton and the 90 % regions of its joints over time, for Rerun's viewer.
 #
 # The world is the recording's, metres, z up; times are the motion's, in seconds. Frames that are lost or predicted
-# are in another colour, and say so. Needs the extra [rerun]; nothing else of hypose does.
+# are in another colour. Only this format needs the extra [rerun].
 
 
 _SURE, _UNSURE = (51, 122, 183), (217, 83, 79)
@@ -32,7 +32,11 @@ _RADIUS = 0.012
 
 
 def write_rrd(path: str | Path, motion: Motion, body: Body) -> None:
-    """Write a motion; the body's surface where it has poses. An InputError when rerun-sdk is not installed."""
+    """Write a motion as a Rerun recording: the skeleton, 90 % regions of its joints, and the body's surface where it
+    has poses.
+
+    Raises: InputError where rerun-sdk is not installed.
+    """
     rr = rerun_module()
     skeleton = motion.skeleton
     bones = [(int(p), j) for j, p in enumerate(skeleton.parents) if p >= 0]
@@ -76,7 +80,7 @@ def _regions(rr: Any, centres: np.ndarray, reach: np.ndarray, axes: np.ndarray, 
 
 
 def rerun_module() -> Any:  # noqa: ANN401 (a module)
-    """Rerun's package; an InputError says how to get it."""
+    """Import the package of Rerun; InputError where it is not installed."""
     return extra("rerun", "A Rerun recording", "rerun", "rerun-sdk")
 
 
@@ -130,8 +134,12 @@ def _osim(motion: Motion, body: Body, model: Path, markers: Path, setup: Path) -
 
 @dataclass(frozen=True)
 class _MotionFormat:
-    """write(motion, body, *paths) writes files of these names, and returns which, where it is not all of them; poses:
-    the format needs them."""
+    """A motion file format.
+
+    write: function of motion, body and one path per file; it returns the written paths, or None for all.
+    files: names of the files.
+    poses: the format needs poses; joint positions are not enough.
+    """
 
     write: Callable[..., list[Path] | None]
     files: tuple[str, ...]
@@ -151,11 +159,14 @@ _KNOWN = {
     **MOTION_FORMATS,
     "rrd": _MotionFormat(lambda motion, body, path: write_rrd(path, motion, body), ("motion.rrd",)),
 }
-"""With those that need an extra to be installed, so that no one gets them unasked."""
+"""The default formats and those that need an extra, which are written on request only."""
 
 
 def known_formats(asked: Sequence[str]) -> None:
-    """An InputError for a format that is asked for and does not exist, or lacks what it needs here."""
+    """Check the names of requested export formats.
+
+    Raises: InputError for a format that does not exist or whose package is not installed.
+    """
     if unknown := [f for f in asked if f not in _KNOWN]:
         raise InputError(f"There is no export format {unknown[0]!r}; the formats are {', '.join(_KNOWN)}.")
     if "rrd" in asked:
@@ -165,15 +176,22 @@ def known_formats(asked: Sequence[str]) -> None:
 def export_motion(
     motion: Motion, body: Body, folder: str | Path, formats: Sequence[str] = tuple(MOTION_FORMATS)
 ) -> list[Path]:
-    """Write the motion into a folder in the named formats and return the paths.
+    """Write a motion to a folder in the given formats.
 
-    trc, c3d, bvh, glb and mot give motion.<format>, csv gives angles.csv and joints.csv, mot also motion_sd.sto where
-    the angles' sd is known; osim gives motion.osim, the model of this body on which motion.mot plays, and
-    motion_markers.trc and motion_ik.xml for OpenSim's inverse kinematics; rrd, with the extra
-    [rerun], motion.rrd. Each file appears whole or not at all. Lost and extrapolated
-    frames keep their predicted points: TRC has no mark for them, C3D gives them residual 0 (computed, not measured),
-    joints.csv has a column for each flag. An InputError names an unknown format, or one that needs poses when the
-    motion has none, before anything is written.
+    Each file is written whole or not at all. The formats give these files:
+    trc, c3d, bvh, glb: motion.<format>.
+    csv: joints.csv and, where the motion has poses, angles.csv.
+    mot: motion.mot, and motion_sd.sto where the standard deviations of the angles are known.
+    osim: motion.osim, the model of this body on which motion.mot plays; motion_markers.trc and motion_ik.xml for
+        OpenSim's inverse kinematics.
+    rrd: motion.rrd; needs the extra [rerun].
+
+    Lost and extrapolated frames keep their predicted points. TRC does not mark them, C3D gives them residual 0
+    (computed, not measured), and joints.csv has a column for each flag.
+
+    Returns: the written paths.
+    Raises: InputError before anything is written, where a format is unknown, or needs poses that the motion does not
+        have, or where there are no frames.
     """
     known_formats(formats)
     if not len(motion):

@@ -1,8 +1,8 @@
-"""GLB (binary glTF 2.0): the fine mesh, skinned and animated; metres, Y up (axes: see io.animation).
+"""GLB files (binary glTF 2.0): writes the fine mesh, skinned and animated, in metres with Y up; reads skinned meshes.
 
-Mesh, joints and motion are all turned into Y-up, so no node carries a correcting rotation and the skinned
-mesh is a root node as the specification recommends. Node defaults are the rest pose at the origin. Rotations
-are quaternions, linear (spherical) between frames; the root is also translated. Everything is float32.
+Mesh, joints and motion are all rotated to Y-up, so no node has a correcting rotation and the skinned mesh is a root
+node, as the specification recommends. Node defaults are the rest pose at the origin. Rotations are quaternions,
+interpolated between frames; the root has a translation as well. All numbers are float32.
 Source: Khronos glTF 2.0 specification, sections 3.6 (accessors), 3.7.3 (skins), 3.11 (animations).
 """
 
@@ -39,16 +39,19 @@ _SKIN = {
 
 
 def write_glb(path: str | Path, motion: Motion, body: Body) -> None:
-    """Write the motion of a body as one GLB. Frames without a pose hold the last one.
+    """Write the motion of a body as a GLB file; frames without a pose repeat the last one.
 
-    An InputError when the motion has no poses, or its skeleton is not the body's.
+    Raises: InputError where the motion has no poses or its skeleton is not that of the body.
     """
     _write(path, [("", motion, body)])
 
 
 def write_people_glb(path: str | Path, people: Sequence[tuple[str, Motion, Body]]) -> None:
-    """Write several people, each a name, motion and body, as one GLB with one animation; nodes are named NAME.JOINT.
-    An InputError as for `write_glb`."""
+    """Write the motions of several people as one GLB file with one animation; nodes are named NAME.JOINT.
+
+    people: name, motion and body of each person.
+    Raises: InputError as `write_glb`.
+    """
     _write(path, [(f"{name}.", motion, body) for name, motion, body in people])
 
 
@@ -111,7 +114,7 @@ def _write(path: str | Path, people: Sequence[tuple[str, Motion, Body]]) -> None
 
 
 class _BinaryBuffer:
-    """The one binary buffer of the file, with a view and an accessor per array."""
+    """The binary buffer of a GLB file, with one view and one accessor per array."""
 
     def __init__(self) -> None:
         self.data = bytearray()
@@ -119,7 +122,10 @@ class _BinaryBuffer:
         self.accessors: list[dict[str, Any]] = []
 
     def add(self, values: np.ndarray, kind: str, target: int | None = None, limits: bool = False) -> int:
-        """Append an array (rows = elements) and return its accessor. float64 is stored as float32."""
+        """Append an array whose rows are the elements; float64 is stored as float32.
+
+        Returns: number of its accessor.
+        """
         array = np.ascontiguousarray(values.astype("<f4") if values.dtype == np.float64 else values)
         self.data.extend(b"\0" * (-len(self.data) % 4))  # accessors start at multiples of their component size
         view = {"buffer": 0, "byteOffset": len(self.data), "byteLength": array.nbytes}
@@ -154,7 +160,7 @@ def _primitive(store: _BinaryBuffer, mesh: Mesh, joints: int) -> dict[str, Any]:
 
 
 def _normals(vertices: Array, faces: np.ndarray) -> Array:
-    """Area-weighted unit vertex normals (V, 3); up for a vertex without faces."""
+    """Compute area-weighted unit normals (V, 3) of the vertices; up for a vertex without faces."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     face = np.cross(b - a, c - a)
     out = np.zeros_like(vertices)
@@ -165,7 +171,7 @@ def _normals(vertices: Array, faces: np.ndarray) -> Array:
 
 
 def _animate(whole: dict[str, Any], store: _BinaryBuffer, motion: Motion, poses: Array, first: int) -> None:
-    """Adds the motion of the skeleton whose root is node `first` to an animation."""
+    """Add the motion of the skeleton whose root is node `first` to the animation `whole`."""
     skeleton = motion.skeleton
     # frames at equal steps: time stamps of real files may repeat, which glTF forbids
     times = np.arange(len(poses)) / motion.frame_rate
@@ -196,15 +202,19 @@ Skinned = tuple[Array, NDArray[np.int32], tuple[str, ...], NDArray[np.int64], Ar
 
 
 def read_skin(data: bytes, where: str) -> Skinned | None:
-    """Vertices (V, 3), faces (F, 3), joint names (n), parents (n,), joint centres (n, 3) and weights (V, n) of the
-    first skin of a GLB, in the mesh's space at bind time; None when nothing in it is skinned.
+    """Read the first skinned mesh of a GLB file, in the mesh's space at bind time.
 
-    An InputError when the file is damaged or compressed."""
+    data: content of the file.
+    where: name of the file in error messages.
+    Returns: vertices (V, 3), faces (F, 3), n joint names, parents (n,), joint centres (n, 3), weights (V, n); None
+        without a skinned mesh.
+    Raises: InputError where the file is damaged or compressed.
+    """
     from pygltflib import GLTF2
 
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # what it warns of becomes an error below, in words
+            warnings.simplefilter("ignore")  # its warnings become an error below
             gltf = GLTF2.load_from_bytes(data)
         if gltf is None or not gltf.skins:
             return None
@@ -265,7 +275,7 @@ def _skin(gltf: Any, blob: bytes) -> Skinned | None:
 
 
 def _array(gltf: Any, blob: bytes, number: int) -> Array:
-    """The values of an accessor as float64 (count, columns); normalized integers become fractions."""
+    """Read an accessor as float64 (count, columns); normalised integers become fractions."""
     a = gltf.accessors[number]
     if a.bufferView is None or a.sparse is not None:
         raise ValueError("sparse or compressed data")

@@ -1,8 +1,9 @@
-"""TRC marker files (OpenSim, Pose2Sim): tab-separated text, Y up.
+"""Marker files (TRC), OpenSim motions (.mot) and tables for spreadsheets (CSV).
 
-Axes: TRC (x, y, z) = world (y, z, x), the rotation that Pose2Sim uses between its z-up calibration and
-OpenSim's Y-up ground. A marker that was not seen is three empty cells, which OpenSim 4.6 reads as NaN, except
-that the last cell of a row says NaN: OpenSim counts an empty one as missing and refuses the file.
+TRC files are tab-separated text with Y up, as OpenSim and Pose2Sim use them. Axes: TRC (x, y, z) = world (y, z, x), the
+rotation of Pose2Sim between its z-up calibration and OpenSim's Y-up ground. A marker that was not seen is three empty
+cells, which OpenSim 4.6 reads as NaN. Only the last cell of a row is written as NaN, because OpenSim refuses a file
+whose last cell is empty.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from hypose.geometry import Array
 from hypose.io.files import numbers_of, text_lines, write_text
 
 # ---- markers -------------------------------------------------------------------------------------------------------
-# Markers: what every reader of marker files returns.
+# Markers: the type that every reader of marker files returns.
 
 
 # metres per unit of length, by the names that marker files use
@@ -31,8 +32,13 @@ METRES = {"m": 1.0, "meters": 1.0, "cm": 0.01, "mm": 0.001}
 
 @dataclass(frozen=True)
 class Markers:
-    """Marker trajectories: names (M), points (T, M, 3) m with NaN where a marker was not seen, frame_rate Hz,
-    and the unit of length that the file was written in."""
+    """Trajectories of markers, as every reader of marker files returns them.
+
+    names: M names.
+    points: (T, M, 3) m; NaN where a marker was not seen.
+    frame_rate: Hz.
+    units: unit of length in the file.
+    """
 
     names: tuple[str, ...]
     points: Array
@@ -41,7 +47,11 @@ class Markers:
 
 
 def metres_per_unit(unit: str, where: str) -> float:
-    """Metres per file unit; an InputError names the file (`where`) and the units that are known."""
+    """Convert the name of a unit of length to metres per unit.
+
+    where: the file, for the error message.
+    Raises: InputError for an unknown unit; it lists the known ones.
+    """
     try:
         return METRES[unit.strip().lower()]
     except KeyError:
@@ -51,7 +61,14 @@ def metres_per_unit(unit: str, where: str) -> float:
 def checked_markers(
     names: Sequence[str], points: ArrayLike, frame_rate: float, where: str
 ) -> tuple[tuple[str, ...], Array]:
-    """Names and points (T, M, 3) of a file to be written, or an InputError that names the cause."""
+    """Check the markers to be written to a file.
+
+    points: (T, M, 3); may be NaN.
+    where: the file, for the error messages.
+    Returns: M names as strings, and points as float64.
+    Raises: InputError where shapes differ, names are repeated or empty, points are infinite, or the frame rate is not
+        positive.
+    """
     p, n = np.asarray(points, dtype=np.float64), tuple(str(name) for name in names)
     if p.ndim != 3 or p.shape[1:] != (len(n), 3) or not p.size:
         raise InputError(
@@ -84,10 +101,14 @@ def write_trc(
     unit: str = "m",
     start_time: float = 0.0,
 ) -> None:
-    """Write points (T, M, 3), world metres, z up; NaN becomes empty cells. `unit` is that of the file: m or
-    mm.
+    """Write points as a TRC file; cells have a resolution of 0.1 micrometre.
 
-    Cells have 0.1 micrometre; the file appears whole or not at all.
+    names: M names.
+    points: (T, M, 3) world, z up, m; NaN becomes empty cells.
+    frame_rate: Hz.
+    unit: unit of length in the file, m or mm.
+    start_time: time of the first frame, s.
+    Raises: InputError as `checked_markers`.
     """
     names, p = checked_markers(names, points, frame_rate, str(path))
     scale = metres_per_unit(unit, str(path))
@@ -110,10 +131,12 @@ def write_trc(
 
 
 def read_trc(path: str | Path) -> Markers:
-    """Read a Y-up TRC file into world metres, z up. Empty cells and NaN mean: not seen.
+    """Read a TRC file with Y up.
 
-    The number of frames is that of the rows, not of the header (Pose2Sim's filtered files have one row fewer
-    than they say). An InputError names the file and line that cannot be used.
+    Returns: points in the world, z up, m; NaN for empty cells and NaN.
+    Raises: InputError where the file is not TRC or a line cannot be used; it names the line.
+    Why: the number of frames is that of the rows, because filtered files of Pose2Sim have one row fewer than their
+        header says.
     """
     lines = text_lines(path, _KIND)
     if len(lines) < 5 or not lines[0].startswith("PathFileType"):
@@ -168,7 +191,8 @@ _RENAMED = {"neck_extension": "neck_flexion"}
 
 
 def _table(path: str | Path, names: Sequence[str], values: ArrayLike, times: ArrayLike) -> tuple[Array, Array, Array]:
-    """Values (T, A) in rad and m as degrees and m, times (T,) s, and the scale of each column."""
+    """Convert values (T, A) in rad and m to degrees and m; the times (T,) s and the factor of each column are returned
+    too."""
     v, t = np.asarray(values, dtype=np.float64), np.asarray(times, dtype=np.float64)
     if v.shape != (len(t), len(names)):
         raise InputError(f"{path}: {len(names)} names and {len(t)} times need values of that shape, got {v.shape}.")
@@ -177,10 +201,13 @@ def _table(path: str | Path, names: Sequence[str], values: ArrayLike, times: Arr
 
 
 def write_mot(path: str | Path, names: Sequence[str], values: ArrayLike, times: ArrayLike) -> None:
-    """Write joint angles: names (A), values (T, A) in rad (m for *_tx, *_ty, *_tz), times (T,) s, increasing.
+    """Write joint angles as an OpenSim motion file (.mot), in degrees.
 
-    OpenSim stops at NaN in a motion, so frames with one are refused frame by frame: they are left out (their
-    times show the gap). An InputError when shapes differ or nothing is left.
+    names: A coordinate names.
+    values: (T, A) rad; m for *_tx, *_ty, *_tz.
+    times: (T,) s, increasing.
+    Raises: InputError where shapes differ, times do not increase, or no frame is finite.
+    Why: OpenSim stops at NaN, so frames with NaN are left out; the times show the gap.
     """
     v, t, _ = _table(path, names, values, times)
     if (np.diff(t) <= 0).any() or not np.isfinite(t).all():
@@ -207,8 +234,12 @@ def write_mot(path: str | Path, names: Sequence[str], values: ArrayLike, times: 
 
 
 def read_mot(path: str | Path) -> tuple[Array, tuple[str, ...], Array]:
-    """Times (T,) s, coordinate names (A) and values (T, A), rad (metres for *_tx, *_ty, *_tz), of a .mot or .sto file;
-    neck_flexion under our name for it. An InputError names the line that cannot be used."""
+    """Read the coordinates of a .mot or .sto file of OpenSim.
+
+    Returns: times (T,) s, A coordinate names (neck_flexion as neck_extension), values (T, A) in rad, or m for *_tx,
+        *_ty, *_tz.
+    Raises: InputError where the file is not an OpenSim motion or a line cannot be used; it names the line.
+    """
     lines = text_lines(path, _MOT)
     end = next((i for i, line in enumerate(lines[:500]) if line.strip().lower() == "endheader"), None)
     if end is None or end + 1 >= len(lines):
@@ -242,11 +273,15 @@ def read_mot(path: str | Path) -> tuple[Array, tuple[str, ...], Array]:
 def write_angles_csv(
     path: str | Path, names: Sequence[str], values: ArrayLike, times: ArrayLike, sd: ArrayLike | None = None
 ) -> None:
-    """Write joint angles: names (A), values (T, A) in rad (m for *_tx, *_ty, *_tz), times (T,) s, and their standard
-    deviations sd (T, A) where they are known.
+    """Write a table of joint angles in degrees as CSV.
 
-    Columns: time_s, <name>_deg, and <name>_m for positions; then, in the same order, <name>_sd_deg and <name>_sd_m.
-    Signs: body.joint_angles.
+    Columns: time_s; <name>_deg for angles and <name>_m for positions; with `sd`, in the same order, <name>_sd_deg and
+        <name>_sd_m. Signs are those of `body.joint_angles`.
+
+    names: A names.
+    values: (T, A) rad; m for *_tx, *_ty, *_tz.
+    times: (T,) s.
+    sd: (T, A) standard deviations in the units of `values`, where they are known.
     """
     table, t, scale = _table(path, names, values, times)
     units = ["m" if is_length(n) else "deg" for n in names]
@@ -258,13 +293,14 @@ def write_angles_csv(
 
 
 def write_joints_csv(path: str | Path, motion: Motion) -> None:
-    """Write joint centres (world, z up, m) with their standard deviation, and the known data of each frame.
+    """Write a table of joint centres (world, z up, m), their standard deviations and the state of each frame as CSV.
 
-    Columns: time_s, lost and extrapolated (0 or 1), n_views, doubtful (0 or 1; empty: not judged), then per joint x, y,
-    z and sd; where it is known, systematic_sd, the part of sd that more frames and more views like these would not
-    reduce; where it was judged, error_probability, the probability that the joint is wrong by more than 100 mm.
-    Standard deviations are per axis (root mean square of the three). Lost and extrapolated frames keep the predicted
-    positions."""
+    Columns of a frame: time_s, lost and extrapolated (0 or 1), n_views, low_confidence (0 or 1; empty where it was not
+        computed). Lost and extrapolated frames keep the predicted positions.
+    Columns of a joint: x_m, y_m, z_m, and sd_m per axis (root mean square of the three); systematic_sd_m, the part of
+        sd_m that more frames and similar views would not reduce, where it is known; error_probability, the probability
+        of an error above 100 mm, where it was computed.
+    """
     columns = ["x_m", "y_m", "z_m", "sd_m"]
     series: list[np.ndarray] = [motion.joints, motion.joint_sd[..., None]]
     if motion.systematic_covariance is not None:
@@ -286,7 +322,7 @@ def write_joints_csv(path: str | Path, motion: Motion) -> None:
 
 
 def _cells(values: Sequence[float]) -> list[str]:
-    """With six digits; empty where a value is not finite."""
+    """Format numbers with six digits; empty where a value is not finite."""
     return [f"{v:.6f}" if math.isfinite(v) else "" for v in values]
 
 

@@ -1,6 +1,6 @@
-"""Meshes of people: OBJ, PLY, STL and GLB; skinned GLB and SMPL-format npz with their weights and joints.
+"""Meshes of people: OBJ, PLY, STL, OFF and GLB files; skinned GLB and SMPL-format .npz with their weights and joints.
 
-Only geometry is read: no materials, no textures, no other file that the mesh names. Nothing is unpickled.
+Only geometry is read: no materials, textures or other files that the mesh refers to. Nothing is unpickled.
 """
 
 from __future__ import annotations
@@ -30,8 +30,13 @@ _KIND = "a mesh (" + ", ".join(MESH_ENDINGS) + ")"
 
 @dataclass(frozen=True)
 class Rig:
-    """Joints and weights of a skinned file: names (n), parents (n,) (-1: none), joints (n, 3) in the file's units,
-    weights (V, n)."""
+    """Joints and skinning weights of a mesh.
+
+    names: n joint names.
+    parents: (n,) index of each joint's parent; -1 for none.
+    joints: (n, 3) joint centres in the units of the file.
+    weights: (V, n).
+    """
 
     names: tuple[str, ...]
     parents: NDArray[np.int64]
@@ -41,9 +46,15 @@ class Rig:
 
 @dataclass(frozen=True)
 class PersonMesh:
-    """The surface of a person as a file holds it: vertices (V, 3) in the file's units and axes, faces (F, 3); rig: of a
-    skinned file; up: the axis that the format prescribes, '' when it prescribes none; source: what errors call it;
-    notes: what was done to it."""
+    """The surface of a person as read from a file.
+
+    vertices: (V, 3) in the units and axes of the file.
+    faces: (F, 3).
+    rig: joints and weights of a skinned file.
+    up: the up axis that the format prescribes; empty where it prescribes none.
+    source: name of the mesh in error messages.
+    notes: sentences about changes that were made to it.
+    """
 
     vertices: Array
     faces: NDArray[np.int32]
@@ -54,7 +65,10 @@ class PersonMesh:
 
 
 def read_person(path: str | Path) -> PersonMesh:
-    """Read a mesh of a person; an InputError names the file and the cause (absent, damaged, too large, no mesh)."""
+    """Read the mesh of a person from any of the supported formats.
+
+    Raises: InputError where the file does not exist, is damaged, is too large or holds no mesh.
+    """
     p = Path(path)
     ending = p.suffix.lower()
     if ending == ".pkl":
@@ -105,7 +119,7 @@ def _read_smpl(path: Path, data: bytes) -> PersonMesh:
     except InputError:
         raise
     except KeyError as error:
-        raise InputError(f"{path} is not an SMPL-format model: it needs {wanted}, and {error} lacks.") from None
+        raise InputError(f"{path} is not an SMPL-format model: it needs {wanted}, and {error} is missing.") from None
     except ValueError as error:
         raise InputError(
             f"{path}: an array holds Python objects or is damaged ({error}); save {wanted} as plain numbers "
@@ -155,9 +169,12 @@ def _checked(mesh: PersonMesh) -> PersonMesh:
 
 
 def closed_surface(mesh: PersonMesh) -> PersonMesh:
-    """The mesh as one closed manifold that looks outward: equal vertices merged, specks left out, small holes closed.
+    """Repair a mesh so that it is one closed manifold whose faces point outward.
 
-    An InputError names holes or loose parts and the next step."""
+    Equal vertices are merged, specks are removed and small holes are closed; the notes say so.
+
+    Raises: InputError for large holes, several parts or edges with more than two faces.
+    """
     v, f = mesh.vertices, mesh.faces.astype(np.int64)
     notes = list(mesh.notes)
     keep, index = _merged(v)
@@ -185,15 +202,20 @@ def closed_surface(mesh: PersonMesh) -> PersonMesh:
 
 
 def _merged(v: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The first of equal vertices, and for every vertex its place among them (formats with normals or texture split
-    vertices, STL repeats them per face)."""
+    """Merge equal vertices, which formats with normals or textures split and STL repeats per face.
+
+    Returns: index of the first of each group of equal vertices, and for each vertex the index of its group.
+    """
     grid = np.round((v - v.min(0)) / max(float(np.ptp(v, axis=0).max()), 1e-30) * 2**22).astype(np.int64)
     _, first, index = np.unique(grid, axis=0, return_index=True, return_inverse=True)
     return first, index.reshape(-1)
 
 
 def _main_part(v: Array, f: NDArray[np.int64], source: str) -> tuple[NDArray[np.int64], list[str]]:
-    """The faces of the one part that is a person; specks (below 2 % of the surface) are left out."""
+    """Keep the faces of the one part that is a person; specks below 2 % of the surface are removed.
+
+    Raises: InputError where there are several parts.
+    """
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 
@@ -217,7 +239,10 @@ def _main_part(v: Array, f: NDArray[np.int64], source: str) -> tuple[NDArray[np.
 
 
 def _same_turn(f: NDArray[np.int64], source: str) -> NDArray[np.int64]:
-    """An InputError for edges of three faces; faces that turn the other way than their neighbours are turned."""
+    """Orient all faces the same way, each as its neighbours.
+
+    Raises: InputError where edges have more than two faces or no common orientation exists.
+    """
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 
@@ -236,7 +261,7 @@ def _same_turn(f: NDArray[np.int64], source: str) -> NDArray[np.int64]:
     same = edges[one, 0] == edges[other, 0]
     if not same.any():
         return f
-    # every face stands twice, as it is and turned (+ count); what fits together hangs together
+    # every face is in the graph twice, as it is and reversed (+ count); consistent neighbours are connected
     count = len(f)
     a, b = one % count, other % count + count * same
     a, b = np.concatenate([a, a + count]), np.concatenate([b, (b + count) % (2 * count)])
@@ -250,8 +275,13 @@ def _same_turn(f: NDArray[np.int64], source: str) -> NDArray[np.int64]:
 def _holes_closed(
     v: Array, f: NDArray[np.int64], source: str
 ) -> tuple[Array, NDArray[np.int64], NDArray[np.int64], list[str]]:
-    """Closes small holes (together at most a tenth of the height across) with a fan to their middle; the fourth value
-    is the vertex each new one resembles. An InputError for larger ones."""
+    """Close small holes with a fan of triangles around their centre.
+
+    A hole is small when its rim is at most a quarter of the mesh's largest extent long.
+
+    Returns: vertices, faces, for each new vertex the index of a vertex whose weights it takes, and notes.
+    Raises: InputError for larger holes.
+    """
     n = int(f.max()) + 1
     edges = np.concatenate([f[:, [0, 1]], f[:, [1, 2]], f[:, [2, 0]]])
     open_edges = edges[~np.isin(edges @ [n, 1], edges @ [1, n])]
@@ -283,7 +313,7 @@ def _holes_closed(
 
 
 def _loops(open_edges: NDArray[np.int64]) -> list[NDArray[np.int64]] | None:
-    """The rims of the holes as rings of vertices; None where two rims touch in a vertex."""
+    """Order the edges of the holes into rings of vertices; None where two rims have a common vertex."""
     after = dict(open_edges.tolist())
     if len(after) < len(open_edges):
         return None

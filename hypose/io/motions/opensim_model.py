@@ -1,15 +1,14 @@
-"""A subject's OpenSim model (.osim), made of the tracked body: joints and lengths, masses, landmarks as markers.
+"""OpenSim model (.osim) of the tracked body: joints, lengths, masses, and landmarks as markers; files for OpenSim's IK.
 
-Nothing is scaled from a generic model. The coordinates are those of motion.mot, under the same names, about the same
-axes and from the same neutral (`hypose.body.joint_angles`), so that the motion plays on the model as it was tracked.
-Segment frames are OpenSim's: X forwards, Y up, Z right in the anatomical neutral, the origin at the joint towards the
-pelvis.
+Nothing is scaled from a generic model. The coordinates are those of motion.mot: the same names, axes and neutral pose
+(`hypose.body.joint_angles`), so the motion plays on the model as it was tracked. Segment frames are OpenSim's: X
+forwards, Y up, Z right in the anatomical neutral, with the origin at the joint towards the pelvis.
 
-The clavicles move the shoulder's centre and nothing else (coordinates in metres): in OpenSim's full-body model, as in
-our angles, the upper arm is measured against the chest. Forearm and hand have OpenSim's coordinates for pronation and
-wrist, locked at zero: they are not tracked. There are no muscles.
+The clavicles only move the shoulder's centre (coordinates in metres), because OpenSim's full-body model measures the
+upper arm relative to the chest, as hypose does. Forearm and hand have OpenSim's coordinates for pronation and wrist,
+locked at zero, because they are not tracked. There are no muscles.
 
-Source of the joints' definitions: Rajagopal et al. 2016.
+Source: Rajagopal et al. 2016 for the definitions of the joints.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ from hypose.io.motions.marker_files import write_trc
 _X, _Y, _Z = np.eye(3)
 _SIDES = (("r", "right", 1.0), ("l", "left", -1.0))
 _ORDER = 5
-"""of the polynomial of how far a shoulder moves sideways: within 0.2 mm over the clavicle's range"""
+"""Degree of the polynomial for a shoulder's sideways motion; accurate to 0.2 mm over the clavicle's range."""
 
 # name of the segment: (joint of the skeleton at its origin, joints that carry its skin)
 _TRUNK = {
@@ -58,8 +57,12 @@ _LIMBS = {
 
 
 def shoulder_places(skeleton: Skeleton, poses: Array) -> tuple[tuple[str, ...], Array]:
-    """Names (4) and values (T, 4) m of the shoulders' coordinates in poses (T, D): where the clavicle has moved the
-    shoulder's centre from its place at rest, forwards and up against the chest."""
+    """Compute the shoulder coordinates: the displacement of each shoulder's centre by the clavicle, from its place at
+    rest.
+
+    poses: (T, D).
+    Returns: 4 coordinate names; (T, 4) m, forwards and up relative to the chest, right and left.
+    """
     columns = {}
     for s, side, _ in _SIDES:
         y, z = skeleton.dofs_of(f"{side}_clavicle")
@@ -68,7 +71,7 @@ def shoulder_places(skeleton: Skeleton, poses: Array) -> tuple[tuple[str, ...], 
 
 
 def _moved(skeleton: Skeleton, side: str, about_y: Array, about_z: Array) -> Array:
-    """(N, 3) m, chest frame: how the clavicle's turns (N) rad move the shoulder's centre."""
+    """Compute how the clavicle's rotations (N,) rad move the shoulder's centre: (N, 3) m in the chest frame."""
     y, z = skeleton.dofs_of(f"{side}_clavicle")
     offset = skeleton.rest_offsets[skeleton.joint(f"{side}_shoulder")]
     turned = so3_exp(about_y[:, None] * skeleton.axes[y]) @ so3_exp(about_z[:, None] * skeleton.axes[z])
@@ -76,20 +79,25 @@ def _moved(skeleton: Skeleton, side: str, about_y: Array, about_z: Array) -> Arr
 
 
 def write_osim(path: str | Path, body: Body, mass: float | None = None) -> None:
-    """Write the model of a body (metres, kg). mass: of the whole body, where it is known; else that of its volume.
+    """Write the OpenSim model of a body (metres, kg).
 
-    An InputError when the body lacks one of the human joints.
+    mass: mass of the whole body, kg; computed from the volume where it is None.
+    Raises: InputError where the body lacks one of the human joints.
     """
     write_text(path, osim_text(body, mass, Path(path).stem))
 
 
 def osim_text(body: Body, mass: float | None = None, name: str = "subject") -> str:
-    """The document that `write_osim` writes."""
+    """Generate the text of the OpenSim model that `write_osim` writes.
+
+    mass: mass of the whole body, kg; computed from the volume where it is None.
+    name: name of the model.
+    """
     return _Writer(body, mass).document(name)
 
 
 def marker_names(body: Body) -> tuple[str, ...]:
-    """The model's markers: joint centres, then the body's landmarks."""
+    """List the markers of the model: joint centres, then the body's landmarks."""
     return (*body.skeleton.joint_names, *body.landmarks.names)
 
 
@@ -107,7 +115,7 @@ class _Writer:
         self.masses = segment_masses(body, carried, mass)
 
     def local(self, segment: str, points: Array) -> Array:
-        """Points (N, 3) of the model frame at rest, or directions with `origin` taken off, in a segment's frame."""
+        """Convert points (N, 3) of the model frame at rest to the frame of a segment."""
         joint = self.origin[segment]
         d = points - self.skeleton.rest_joints[self.skeleton.joint(joint)]
         return d @ (BODY_AXES @ self.neutral[joint]).T
@@ -155,14 +163,14 @@ class _Writer:
             _joint(joints, joint, f"/bodyset/{parent}", child, self.place(parent, child), turn)
 
     def place(self, parent: str, child: str) -> Array:
-        """(3,) m: a segment's origin in its parent's frame."""
+        """Compute the origin (3,) of a segment in its parent's frame, m."""
         return self.local(parent, self.skeleton.rest_joints[self.skeleton.joint(self.origin[child])][None])[0]
 
     def ball(self, names: Sequence[str], sign: float) -> list[tuple[str, Array]]:
         return list(zip(names, (_Z, sign * _X, sign * _Y), strict=True))
 
     def hinge(self, joint: str, above: str) -> Array:
-        """(3,) the hinge's axis in the frame of the segment above."""
+        """Compute the axis (3,) of a hinge in the frame of the segment above."""
         return BODY_AXES @ self.neutral[self.origin[above]] @ hinge_axis(self.skeleton, joint)
 
     def leg(self, joints: Xml.Element, s: str, side: str, sign: float) -> None:
@@ -172,14 +180,14 @@ class _Writer:
         knee = [(f"knee_angle_{s}", self.hinge(f"{side}_knee", femur))]
         limits = {knee[0][0]: self.limits(f"{side}_knee")}
         _joint(joints, f"knee_{s}", f"/bodyset/{femur}", tibia, self.place(femur, tibia), knee, limits=limits)
-        # the ankle's third angle is not free: what it is with the foot at rest
+        # the ankle's third angle is not free: it keeps its value at rest
         rest = BODY_AXES @ self.neutral[f"{side}_knee"] @ BODY_AXES.T
         fixed = float(continuous_euler_zxy(rest[None, None])[0, 0, 2])
         ankle = [(f"ankle_angle_{s}", _Z), (f"subtalar_angle_{s}", sign * _X), (fixed, _Y)]
         _joint(joints, f"ankle_{s}", f"/bodyset/{tibia}", calcn, self.place(tibia, calcn), ankle)
 
     def limits(self, joint: str) -> tuple[float, float]:
-        """rad: of a hinge, from the straight limb."""
+        """Compute the lower and upper limit of a hinge, rad from the straight limb."""
         d = self.skeleton.dofs_of(joint)[0]
         offset = straight_offset(self.skeleton, joint)
         return float(self.skeleton.lower[d] + offset), float(self.skeleton.upper[d] + offset)
@@ -201,8 +209,11 @@ class _Writer:
         _joint(joints, f"wrist_{s}", f"/bodyset/{ulna}", hand, where, wrist, locked=True)
 
     def sideways(self, side: str) -> tuple[Array, list[tuple[float, float]]]:
-        """Coefficients (21,) of how far (m) the shoulder's centre moves to the right when it moves forwards and up, for
-        the clavicle keeps its length, and the ranges of these two (m)."""
+        """Fit a polynomial to the shoulder's sideways motion, which follows from the clavicle's constant length.
+
+        Returns: coefficients (21,) of the motion to the right (m) as a function of the motion forwards and up (m), and
+            the ranges of these two, m.
+        """
         s = self.skeleton
         ranges = [np.linspace(s.lower[d], s.upper[d], 13) for d in s.dofs_of(f"{side}_clavicle")]
         y, z = (g.ravel() for g in np.meshgrid(*ranges))
@@ -235,7 +246,7 @@ def _joint(
     limits: dict[str, tuple[float, float]] | None = None,
     locked: bool = False,
 ) -> None:
-    """A CustomJoint: turns about axes in the parent's frame one after the other, moves along axes."""
+    """Add a CustomJoint: successive rotations about axes in the parent's frame, and translations along axes."""
     joint = put(parent, "CustomJoint", name=name)
     put(joint, "socket_parent_frame", f"{name}_parent")
     put(joint, "socket_child_frame", f"{name}_child")
@@ -266,7 +277,7 @@ def _joint(
 
 
 def _completed(axes: list[Array]) -> list[Array]:
-    """Three independent axes that begin with those given."""
+    """Complete a list of axes to three independent ones."""
     if len(axes) == 3:
         return axes
     (first,) = axes
@@ -277,8 +288,11 @@ def _completed(axes: list[Array]) -> list[Array]:
 def _axis(
     parent: Xml.Element, name: str, free: str | float | tuple[str, ...], axis: Array, law: float | Array = 0.0
 ) -> None:
-    """One axis of a transform: `free` is its coordinate, a fixed value, or two coordinates; law: the term added to
-    the one, the coefficients of a polynomial of the two."""
+    """Add one axis of a transform.
+
+    free: name of its coordinate, a fixed value, or the names of two coordinates.
+    law: offset added to one coordinate, or coefficients of the polynomial of two.
+    """
     entry = put(parent, "TransformAxis", name=name)
     coordinates = (free,) if isinstance(free, str) else free if isinstance(free, tuple) else ()
     put(entry, "coordinates", " ".join(coordinates))
@@ -295,19 +309,19 @@ def _axis(
 
 
 def put(parent: Xml.Element, tag: str, text: str = "", **attributes: str) -> Xml.Element:
-    """A new element below `parent`."""
+    """Append a new XML element to `parent`."""
     entry = Xml.SubElement(parent, tag, attributes)
     entry.text = text or None
     return entry
 
 
 def _numbers(values: Sequence[float] | Array) -> str:
-    """Numbers as OpenSim's files have them."""
+    """Format numbers as in files of OpenSim."""
     return " ".join(f"{float(v):.9g}" for v in values)
 
 
 # ---- opensim ik ----------------------------------------------------------------------------------------------------
-# What OpenSim's inverse kinematics needs next to the model: markers of the tracked body and a set-up with weights.
+# Further files for OpenSim's inverse kinematics: markers of the tracked body and a set-up with weights.
 #
 # The markers are those of the model (`opensim_model.marker_names`): joint centres and the body's landmarks, in the
 # frames of the motion. A marker's weight is the inverse of its joint's variance over the clip, and in single frames
@@ -320,18 +334,24 @@ _WEIGHTS = (0.05, 20.0)
 
 
 def write_ik_markers(path: str | Path, motion: Motion, body: Body) -> None:
-    """Write the model's markers in every frame as TRC (m). The motion needs poses (T, D)."""
+    """Write the markers of the model in every frame as a TRC file (m); the motion must have poses.
+
+    In single frames the markers of a joint that is more likely wrong than right are left out.
+    """
     assert motion.poses is not None
     points = np.concatenate([motion.joints, body.landmark_points(motion.poses)], axis=1)
     if motion.error_probability is not None:
         wrong = np.nan_to_num(motion.error_probability) > 0.5
-        wrong[motion.lost.astype(bool)] = False  # nothing is known of the frame: OpenSim goes through the prediction
+        wrong[motion.lost.astype(bool)] = False  # nothing is known of the frame: OpenSim uses the prediction
         points[wrong[:, _carriers(motion, body)]] = np.nan
     write_trc(path, marker_names(body), points, motion.frame_rate, start_time=float(motion.times[0]))
 
 
 def write_ik_setup(path: str | Path, motion: Motion, body: Body, model: str, markers: str, output: str) -> None:
-    """Write the set-up of OpenSim's Inverse Kinematics tool: file names as they stand next to it."""
+    """Write the set-up file of OpenSim's Inverse Kinematics tool.
+
+    model, markers, output: names of the model, marker and result files, relative to the set-up file.
+    """
     root = Xml.Element("OpenSimDocument", Version="40000")
     tool = put(root, "InverseKinematicsTool", name=Path(output).stem)
     put(tool, "model_file", model)
@@ -351,12 +371,12 @@ def write_ik_setup(path: str | Path, motion: Motion, body: Body, model: str, mar
 
 
 def marker_weights(motion: Motion, body: Body) -> Array:
-    """(M,) one weight per marker of the model, 1 for a standard deviation of 2 cm of its joint."""
+    """Compute the weight (M,) of each marker of the model from its joint's standard deviation; 2 cm has weight 1."""
     sd = np.where(motion.joint_sd > 0, motion.joint_sd, np.nan)
     usual = np.array([np.nanmedian(s) if np.isfinite(s).any() else _USUAL_SD for s in sd.T])
     return np.clip((_USUAL_SD / usual) ** 2, *_WEIGHTS)[_carriers(motion, body)]
 
 
 def _carriers(motion: Motion, body: Body) -> list[int]:
-    """The joint that carries each marker."""
+    """List the index of the joint that carries each marker."""
     return [*range(len(motion.skeleton.joint_names)), *body.landmarks.joint.tolist()]

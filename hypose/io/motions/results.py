@@ -1,4 +1,5 @@
-"""Results on disk: the folder of a run, motions as .npz that are equal byte for byte, checkpoints of a tracker."""
+"""Results on disk: the folder of a run, motions, bodies and modes as .npz files with reproducible bytes, checkpoints,
+provenance."""
 
 from __future__ import annotations
 
@@ -33,12 +34,13 @@ from hypose.json_text import parse_json
 _MAX_ARCHIVE_BYTES = 4 << 30
 _PIECE = 1 << 20
 _MOST_EMPTY = 1 << 20
-"""Elements that the dimensions but the empty ones of an array of no bytes may make."""
+"""Largest product of the dimensions that are not 0, of an array without elements."""
 _ZIP_END, _ZIP_64, _MAX_LIST_BYTES = 22, 20, 4 << 20
-"""Bytes of a zip archive's end, of what a large one has before it, and of the list of what it holds."""
+"""Sizes in bytes: the end record of a zip archive, the record before it in a large archive, the longest list of
+contents."""
 _FORMAT = 1
 _Layout = Mapping[str, tuple[str, str, int]]
-"""Arrays of an archive by name: kind of dtype, stored dtype ("": any of the kind) and number of dimensions."""
+"""Arrays of an archive by name: kind of dtype, stored dtype ("" for any of the kind) and number of dimensions."""
 _SKELETON: _Layout = {
     "parents": ("i", "<i8", 1),
     "rest_offsets": ("f", "<f8", 2),
@@ -70,12 +72,14 @@ _OPTIONAL: _Layout = {
     "rival_weights": ("f", "<f4", 2),
 }
 _LIMITS = ("lower", "upper")
-"""of the degrees of freedom; infinite where one is free"""
+"""Limits of the degrees of freedom, which are infinite where one is free."""
 
 
 def to_json(value: Any) -> str:
-    """Readable JSON with sorted keys; numpy numbers, arrays and paths become plain values; invalid UTF-8 in
-    names becomes JSON's escapes."""
+    """Format a value as readable JSON with sorted keys.
+
+    Numpy numbers, arrays and paths become plain values; invalid UTF-8 in names becomes JSON's escapes.
+    """
 
     def plain(v: Any) -> Any:
         if isinstance(v, np.ndarray | np.generic):
@@ -92,7 +96,7 @@ def to_json(value: Any) -> str:
 
 @dataclass(frozen=True)
 class ResultsFolder:
-    """The folder of one run, results/<recipe>/ of a recording; made on the first write."""
+    """The folder of one run, results/<recipe>/ of a recording; it is made when the first file is written."""
 
     path: Path
 
@@ -101,17 +105,17 @@ class ResultsFolder:
 
     @staticmethod
     def of(recording_folder: str | Path, recipe: str) -> ResultsFolder:
-        """results/<recipe>/ in a recording's folder."""
+        """Locate the folder results/<recipe>/ of a recording."""
         return ResultsFolder(Path(recording_folder) / "results" / recipe)
 
     @property
     def motion(self) -> Path:
-        """Where the motion lies."""
+        """Path of the motion."""
         return self.path / "motion.npz"
 
     @property
     def checkpoint(self) -> Path:
-        """Where a run that is under way keeps its state."""
+        """Path of the state of an unfinished run."""
         return self.path / "checkpoint.npz"
 
     def file(self, name: str) -> Path:
@@ -119,16 +123,16 @@ class ResultsFolder:
         return self.path / name
 
     def write_text(self, name: str, text: str) -> Path:
-        """Write a text file (UTF-8, \\n line ends) whole or not at all; returns its path."""
+        r"""Write a text file (UTF-8, line ends \n) whole or not at all, and return its path."""
         return self.write_bytes(name, text.encode("utf-8", "backslashreplace"))
 
     def write_bytes(self, name: str, data: bytes) -> Path:
-        """Write a binary file whole or not at all; returns its path."""
+        """Write a binary file whole or not at all, and return its path."""
         write_bytes(self.path / name, data)
         return self.path / name
 
     def write_json(self, name: str, value: Any) -> Path:
-        """Write a JSON file whole or not at all; returns its path."""
+        """Write a JSON file whole or not at all, and return its path."""
         return self.write_text(name, to_json(value))
 
 
@@ -136,20 +140,25 @@ class ResultsFolder:
 
 
 def write_archive(path: str | Path, arrays: Mapping[str, np.ndarray]) -> None:
-    """An .npz (np.load reads it) whose bytes depend on the arrays alone: fixed dates, stored, sorted by
-    name."""
+    """Write arrays as an .npz file whose bytes depend on the arrays alone; np.load reads it.
+
+    Dates are fixed, entries are sorted by name and not compressed.
+    """
     with atomic_path(path) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED) as archive:
         for name in sorted(arrays):
             buffer = io.BytesIO()
             np.lib.format.write_array(buffer, np.asarray(arrays[name], order="C"), (1, 0), allow_pickle=False)
             entry = zipfile.ZipInfo(f"{name}.npy", (1980, 1, 1, 0, 0, 0))
-            entry.create_system, entry.external_attr = 3, 0o644 << 16  # else Windows writes other bytes
+            entry.create_system, entry.external_attr = 3, 0o644 << 16  # otherwise the bytes differ on Windows
             archive.writestr(entry, buffer.getvalue())
 
 
 @contextlib.contextmanager
 def open_archive(stream: BinaryIO) -> Iterator[zipfile.ZipFile]:
-    """A zip archive whose list of contents is read only when it is of a size that an honest one has; BadZipFile."""
+    """Open a zip archive only when the list of its contents has a plausible size.
+
+    Raises: BadZipFile where it is too long or the file is not an archive.
+    """
     size = stream.seek(0, os.SEEK_END)
     stream.seek(max(0, size - _ZIP_END - _ZIP_64))
     end = stream.read()
@@ -162,7 +171,7 @@ def open_archive(stream: BinaryIO) -> Iterator[zipfile.ZipFile]:
 
 
 def _read_archive(path: Path, what: str, only: Container[str] | None, packed: int) -> dict[str, np.ndarray]:
-    """`load_archive`, but a ValueError with a short reason for a file that is no such archive."""
+    """Read arrays as `load_archive` does, but raise ValueError with a short reason for an unusable file."""
     out: dict[str, np.ndarray] = {}
     with open_file(path, what, _MAX_ARCHIVE_BYTES) as stream, open_archive(stream) as archive:
         entries = archive.infolist()
@@ -183,8 +192,13 @@ def _read_archive(path: Path, what: str, only: Container[str] | None, packed: in
 
 
 def parse_array(name: str, stream: IO[bytes], size: int) -> np.ndarray:
-    """The array of numpy's format that so many bytes hold; a ValueError when the header does not agree with them, asks
-    for more elements than they can have, or for Python objects. Nothing is allocated before."""
+    """Parse an array in numpy's .npy format from a stream.
+
+    name: name of the array in error messages.
+    size: number of bytes of array and header.
+    Raises: ValueError where the header disagrees with the size, is damaged, or describes Python objects. Nothing is
+        allocated before.
+    """
     if np.lib.format.read_magic(stream) != (1, 0):
         raise ValueError(f"{name} has another version of the array format")
     try:
@@ -200,7 +214,7 @@ def parse_array(name: str, stream: IO[bytes], size: int) -> np.ndarray:
     if math.prod(shape) * dtype.itemsize != rest:
         raise ValueError(f"{name} of shape {shape} does not fit its {rest} bytes")
     data = np.empty(rest, np.uint8)
-    for at in range(0, rest, _PIECE):  # whole, it would lie in memory twice
+    for at in range(0, rest, _PIECE):  # read at once, it would be in memory twice
         piece = stream.read(min(_PIECE, rest - at))
         data[at : at + len(piece)] = np.frombuffer(piece, np.uint8)
     array = data.view(dtype)
@@ -210,11 +224,15 @@ def parse_array(name: str, stream: IO[bytes], size: int) -> np.ndarray:
 def load_archive(
     path: Path, what: str, next_step: str, only: Container[str] | None = None, packed: int = 0
 ) -> dict[str, np.ndarray]:
-    """The arrays of a file that `write_archive` wrote, or only those of these names; raises InputError, which calls
-    it a `what` of hypose and ends with the next step.
+    """Read the arrays of an .npz file that `write_archive` wrote.
 
-    Nothing is unpacked or allocated before its size is known: entries must be stored (a compressed one could be a zip
-    bomb), or unpack to at most `packed` bytes together.
+    what: kind of file in error messages, such as "motion".
+    next_step: last part of the error messages.
+    only: names of the arrays to read; None for all.
+    packed: limit of the unpacked size in bytes when compressed entries are accepted; 0 accepts none, because they could
+        be a zip bomb.
+    Raises: InputError where the file does not exist, is damaged or is not such a file. Nothing is allocated before its
+        size is known.
     """
     if not path.is_file():
         raise InputError(f"The {what} {path} does not exist; {next_step}.")
@@ -228,8 +246,14 @@ def load_archive(
 
 @dataclass(frozen=True)
 class Archive:
-    """A kind of archive. what: hypose calls it; next_step: for one that cannot be used; layout: its arrays, of which
-    those in `optional` may be absent; finite: names of those that hold no NaN or infinity."""
+    """A kind of .npz file and its arrays.
+
+    what: its name in error messages.
+    next_step: last part of the error messages.
+    layout: its arrays.
+    finite: names of the arrays that must not hold NaN or infinity.
+    optional: names of the arrays that may be absent.
+    """
 
     what: str
     next_step: str
@@ -238,12 +262,16 @@ class Archive:
     optional: Container[str] = ()
 
     def bad(self, path: Path, reason: object) -> InputError:
-        """The InputError for a file that is none of these."""
+        """Make the InputError for a file that is not of this kind."""
         reason = str(reason).rstrip(".")
         return InputError(f"{path} is not a {self.what} of hypose, or is damaged: {reason}; {self.next_step}.")
 
     def load(self, path: Path, only: Container[str] | None = None) -> dict[str, np.ndarray]:
-        """The arrays, or those of these names, in their layout; an InputError as of `bad`."""
+        """Read the arrays and check them against the layout.
+
+        only: names of the arrays to read; None for all.
+        Raises: InputError where an array is missing, unknown or of another type, or is not finite.
+        """
         arrays = load_archive(path, self.what, self.next_step, only)
         for name, array in arrays.items():
             if name not in self.layout:
@@ -262,13 +290,16 @@ class Archive:
         return arrays
 
     def check_format(self, path: Path, version: object) -> None:
-        """An InputError for the format of another version."""
+        """Check the number of the format.
+
+        Raises: InputError where another version of hypose wrote it.
+        """
         if version != _FORMAT:
             raise self.bad(path, f"it has format {version}, this version of hypose reads format {_FORMAT}")
 
 
 def _stored(values: Any, layout: _Layout) -> dict[str, np.ndarray]:
-    """The attributes that a layout names, as they are stored; those that are None are left out."""
+    """Convert the attributes that a layout names to the stored types; those that are None are left out."""
     found = {name: getattr(values, name) for name in layout}
     return {name: np.asarray(v).astype(layout[name][1]) for name, v in found.items() if v is not None}
 
@@ -283,7 +314,10 @@ def _stored_skeleton(skeleton: Skeleton) -> dict[str, np.ndarray]:
 
 
 def _skeleton_of(arrays: Mapping[str, np.ndarray]) -> Skeleton:
-    """The skeleton of an archive; an InputError, without its name, when the arrays do not belong together."""
+    """Assemble the skeleton from the arrays of an archive.
+
+    Raises: InputError where the arrays disagree; it does not name the file.
+    """
     if not len(arrays["joint_names"]):
         raise InputError("it has no joints")
     _check_joints(arrays, "joint_of_dof")
@@ -309,9 +343,9 @@ _MOTION = Archive(
 
 
 def save_motion(motion: Motion, path: str | Path) -> None:
-    """Write motion.npz (np.load reads it without pickle). Equal motions give equal bytes.
+    """Write a motion as motion.npz, which np.load reads without pickle. Equal motions give equal bytes.
 
-    The provenance's "run" part (command, times, machine) is left out for that reason; it belongs in
+    The part "run" of the provenance (command, times, machine) is left out for this reason; it is written to
     provenance.json.
     """
     arrays = _stored(motion, {**_SERIES, **_OPTIONAL}) | _stored_skeleton(motion.skeleton)
@@ -321,8 +355,10 @@ def save_motion(motion: Motion, path: str | Path) -> None:
 
 
 def load_motion(path: str | Path) -> Motion:
-    """Read a motion.npz; an InputError names the file and the cause (damaged, foreign or hostile
-    archive)."""
+    """Read a motion.npz.
+
+    Raises: InputError where the file is damaged, of another kind, or malicious.
+    """
     path = Path(path)
     arrays = _MOTION.load(path)
     if (np.diff(arrays["times"]) <= 0).any():
@@ -347,10 +383,12 @@ _AFRESH = "run again without --resume to start from the first frame"
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """The state of a tracker after some frames, to go on from after a break.
+    """The state of a tracker after some frames, from which an interrupted run continues.
 
-    frame: the next frame to track. arrays: the tracker's state and what was tracked so far. meta: plain JSON
-    values. identity: what must be equal for a resumed run to give the same result (`provenance.identity`).
+    frame: next frame to track.
+    arrays: state of the tracker and the results so far.
+    meta: plain JSON values.
+    identity: inputs and settings that must be equal for a resumed run to give the same result (`provenance_identity`).
     """
 
     frame: int
@@ -359,7 +397,7 @@ class Checkpoint:
     identity: Mapping[str, Any]
 
     def save(self, path: str | Path) -> None:
-        """Write whole or not at all."""
+        """Write the checkpoint whole or not at all."""
         document = {
             "format": _FORMAT,
             "frame": self.frame,
@@ -371,8 +409,11 @@ class Checkpoint:
 
     @staticmethod
     def load(path: str | Path, identity: Mapping[str, Any]) -> Checkpoint:
-        """Read a checkpoint of the same run; an InputError says what differs (inputs, settings, seed,
-        versions)."""
+        """Read a checkpoint of the same run.
+
+        identity: of the present run.
+        Raises: InputError where an input, a setting, the seed or a version differs; it names the difference.
+        """
         found = Checkpoint.read(path)
         difference = _first_difference(found.identity, json.loads(to_json(dict(identity))))
         if difference:
@@ -399,7 +440,10 @@ class Checkpoint:
 
 
 def load_result(path: Path) -> Motion:
-    """The motion of a results folder, or of a motion.npz."""
+    """Read the motion of a results folder, or a motion.npz.
+
+    Raises: InputError where there is none; it names the results that exist.
+    """
     if not path.exists():
         raise InputError(f"{path} does not exist; give the results folder that hypose track wrote.")
     file = path / "motion.npz" if path.is_dir() else path
@@ -469,7 +513,7 @@ _BODY = Archive(
 
 
 def save_body(body: Body, path: str | Path) -> None:
-    """Write a body (metres, model frame). Equal bodies give equal bytes."""
+    """Write a body (metres, model frame) as body.npz. Equal bodies give equal bytes."""
     arrays = _stored_skeleton(body.skeleton)
     for level, mesh in zip(_LEVELS, (body.coarse, body.fine), strict=True):
         arrays |= {f"{level}_{k}": v for k, v in _stored(mesh, _MESH).items()}
@@ -479,7 +523,10 @@ def save_body(body: Body, path: str | Path) -> None:
 
 
 def load_body(path: str | Path) -> Body:
-    """Read a body.npz; an InputError names the file and the cause (absent, damaged, foreign or hostile archive)."""
+    """Read a body.npz.
+
+    Raises: InputError where the file does not exist, is damaged, of another kind, or malicious.
+    """
     path = Path(path)
     arrays = _BODY.load(path)
     try:
@@ -504,8 +551,10 @@ def _mesh(arrays: Mapping[str, np.ndarray], level: str) -> Mesh:
 
 
 def load_result_body(results: Path) -> tuple[Motion, Body]:
-    """The motion of a results folder, or of its motion.npz, and the body next to it; an InputError when there is none,
-    or they belong to different bodies."""
+    """Read the motion of a results folder, or a motion.npz, and the body.npz next to it.
+
+    Raises: InputError where one does not exist or they belong to different bodies.
+    """
     motion = load_result(results)
     folder = results if results.is_dir() else results.parent
     body = load_body(folder / "body.npz")
@@ -539,18 +588,24 @@ _MODES = Archive(
 
 
 def save_modes(modes: Modes, path: str | Path) -> None:
-    """Write whole or not at all."""
+    """Write the hypotheses of a monocular track as modes.npz, whole or not at all."""
     write_archive(path, {**modes_arrays(modes), "format": np.array(_FORMAT)})
 
 
 def load_modes(path: str | Path) -> Modes:
-    """Read a modes.npz; an InputError names the file and the cause."""
+    """Read a modes.npz, the hypotheses of a monocular track.
+
+    Raises: InputError where the file cannot be used.
+    """
     return Modes(**_MODES.load(Path(path)))
 
 
 def load_joints_of_modes(path: str | Path) -> tuple[Array, Array]:
-    """joints (T, K, J, 3) m and weights (T, K) of a modes.npz alone, which is little of what it holds; an InputError as
-    of `load_modes`."""
+    """Read only the joints and weights of a modes.npz, a small part of the file.
+
+    Returns: joints (T, K, J, 3) m, and weights (T, K).
+    Raises: InputError as `load_modes`.
+    """
     found = _MODES.load(Path(path), ("joints", "weights"))
     joints, weights = found["joints"], found["weights"]
     if joints.shape[:2] != weights.shape or joints.shape[3] != 3:
@@ -559,7 +614,7 @@ def load_joints_of_modes(path: str | Path) -> tuple[Array, Array]:
 
 
 # ---- provenance ----------------------------------------------------------------------------------------------------
-# Where a result comes from: versions, seed, settings and the hashes of its inputs.
+# The origin of a result: versions, seed, settings and the hashes of its inputs.
 
 
 _FULL_HASH_BYTES = 64 << 20
@@ -573,12 +628,13 @@ def provenance(
     inputs: Mapping[str, Path],
     run: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """Plain JSON values that tell how a result was made.
+    """Collect the provenance of a result as plain JSON values.
 
-    recipe; seed; settings (the effective ones); versions of hypose, python, numpy, scipy, numba and opencv;
-    inputs: for each its file name, size in bytes, sha256 and what the hash covers (see `file_identity`).
-    Everything that may differ between two runs of equal results (the command, the machine, and what the
-    caller gives in `run`: times, threads) is under "run", which `save_motion` leaves out.
+    settings: the effective settings.
+    inputs: path of each input file or folder.
+    run: further values that may differ between runs with equal results, such as times and threads.
+    Returns: recipe, seed, settings, versions of hypose and its packages, inputs (see `file_identity`) and run. "run"
+        holds the command, the platform and the given values; `save_motion` leaves it out.
     """
     return {
         "recipe": recipe,
@@ -595,12 +651,12 @@ def provenance(
 
 
 def provenance_identity(record: Mapping[str, Any]) -> dict[str, Any]:
-    """The part of a provenance that decides the result: all but "run"."""
-    return {k: v for k, v in record.items() if k != "run"}
+    """Extract the part of a provenance that determines the result: all except "run" and the trace of the passes."""
+    return {k: v for k, v in record.items() if k not in ("run", "trace")}
 
 
 def versions() -> dict[str, str]:
-    """Versions of hypose and of the packages that its numbers depend on."""
+    """List the versions of hypose, of Python and of the packages that affect its numbers."""
     out = {"hypose": __version__, "python": platform.python_version()}
     for package in ("numpy", "scipy", "numba", "opencv-python-headless"):
         try:
@@ -611,11 +667,14 @@ def versions() -> dict[str, str]:
 
 
 def file_identity(path: str | Path) -> dict[str, Any]:
-    """name, bytes, sha256 and `hashed` of a file or a folder of files.
+    """Compute the size and hash of a file or folder.
 
-    Files under 64 MiB are hashed whole; of larger ones the first and the last MiB and the size, which is
-    quick for hours of video and still notices a re-encoded or cut file (`hashed` = "first and last MiB"). A
-    folder's hash is that of its files' names and hashes in natural order.
+    Files below 64 MiB are hashed whole. Of larger files the first and last MiB and the size are hashed, which is fast
+    for hours of video and still detects a re-encoded or cut file. A folder's hash is that of its files' names and
+    hashes in natural order.
+
+    Returns: name, bytes, sha256, and hashed ("all" or the hashed part); files, their number, for a folder.
+    Raises: InputError where a file cannot be read.
     """
     path = Path(path)
     if path.is_dir():

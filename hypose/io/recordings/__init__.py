@@ -1,1 +1,1 @@
-"""Recordings on disk: settings, frames, projects of others."""
+"""Reading of recordings: settings, views, frames of evidence, and projects of other programs."""

@@ -1,13 +1,13 @@
-"""FrameStream: a recording as frames of evidence (silhouettes, key points), in any order, one thread per
-camera.
+"""Frames of evidence (silhouettes, key points, depth) of a recording, in any order, with one thread per camera.
 
-Per camera: decode -> shrink and undistort to working size -> mask; key points are undistorted and scaled
-alike. Every frame is a function of the recording and the options alone: not of the order in which frames
-are asked for, where a run was resumed, or the number of threads.
+Each picture of a camera is decoded, then resized and undistorted to the working size, then segmented into a mask. Key
+points are undistorted and scaled in the same way. A frame depends on the recording and the options only: not on the
+order in which frames are requested, on where a run was resumed, or on the number of threads.
 """
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor
@@ -53,16 +53,21 @@ from hypose.io.recordings.view_source import SIDECAR, Preparer, ViewSource
 from hypose.io.videos.video import evenly_spread, open_video
 
 # ---- masks in work -------------------------------------------------------------------------------------------------
-# The masks of a stream's frames: packed, in the making, and kept for a caller that asks for a frame again.
+# The masks of a stream's frames: packed, in computation, and kept for another request of the same frame.
 
 
 KEPT_BYTES = 64 << 20
-"""of masks that are kept: ten minutes of four cameras"""
+"""Memory for masks that are kept, bytes; enough for ten minutes of four cameras."""
 
 
 @dataclass(frozen=True)
 class PackedMask:
-    """A mask, or why there is none; its colours, where they are wanted and known, and their edges in its box."""
+    """The mask of one view and frame in packed form.
+
+    runs: the mask; None where there is none.
+    reason: why there is no mask.
+    colours: colour codes and colour edges of the picture in the mask's box, where they are wanted and known.
+    """
 
     runs: MaskRuns | None
     reason: str
@@ -70,26 +75,26 @@ class PackedMask:
 
     @property
     def area(self) -> int:
-        """px, 0 where there is no mask."""
+        """Area of the mask, px; 0 where there is none."""
         return 0 if self.runs is None else self.runs.area
 
     def outline(self) -> ViewOutline | None:
-        """Of the mask, for tracking, or None."""
+        """Compute the outline of the mask as tracking uses it; None where there is no mask."""
         return None if self.runs is None else outline_of_runs(self.runs, OUTLINE_POINTS, WORKING_HEIGHT)
 
 
 class _MaskCache:
-    """Masks that have been made once, by view and frame, as long as there is room; those with colours take too much."""
+    """Cache of masks by view and frame, up to a limit of memory. Masks with colours are too large and are not kept."""
 
     def __init__(self) -> None:
         self._masks, self._bytes = dict[tuple[int, int], PackedMask](), 0
 
     def get(self, view: int, index: int) -> PackedMask | None:
-        """The one that is kept."""
+        """Get the mask from the cache; None where it is not there."""
         return self._masks.get((view, index))
 
     def keep(self, view: int, index: int, mask: PackedMask) -> PackedMask:
-        """Keeps a mask, and returns it."""
+        """Add a mask to the cache where there is room, and return it."""
         size = 0 if mask.runs is None else len(mask.runs.code)
         if mask.colours is None and self._bytes + size <= KEPT_BYTES:
             self._masks[view, index] = mask
@@ -98,27 +103,35 @@ class _MaskCache:
 
 
 class PendingMasks:
-    """The masks and outlines of one frame, in the making: a task per view in that view's lane for each of the two."""
+    """Masks and outlines of one frame that worker threads compute.
+
+    lanes: executor of each view, which runs its tasks in order.
+    make: function of view and frame that makes a mask.
+    index: number of the frame.
+    """
 
     def __init__(self, lanes: Sequence[Executor], make: Callable[[int, int], PackedMask], index: int) -> None:
         self._done = [lane.submit(make, c, index) for c, lane in enumerate(lanes)]
         self._outlines: list[Future[ViewOutline | None]] = []
-        self.asked = False  # for the outlines, which a picture of the masks does without
+        self.asked = False  # whether the outlines were requested; a picture of the masks does not need them
 
     def _masks(self) -> list[PackedMask]:
         return [f.result() for f in self._done]
 
     def masks(self) -> tuple[list[MaskRuns | None], list[str]]:
-        """Of all views, and why there is none; waits for them."""
+        """Wait for the masks of all views, and return them with the reasons for absent ones."""
         done = self._masks()
         return [d.runs for d in done], [d.reason for d in done]
 
     def areas(self) -> NDArray[np.int64]:
-        """(C,) px; waits for them."""
+        """Wait for the masks, and return their areas (C,), px."""
         return np.array([d.area for d in self._masks()])
 
     def colours(self, shape: tuple[int, ...]) -> Colours | None:
-        """Of masks (C, h, w) = shape; None when no view has any."""
+        """Collect the colours within the masks; None where no view has any.
+
+        shape: (C, h, w), that of the masks.
+        """
         codes, seen = np.zeros(shape, np.uint16), np.zeros(shape[0], np.bool_)
         edges = np.zeros((shape[0], 2, *shape[1:]), np.uint8)
         for c, found in enumerate(self._masks()):
@@ -129,12 +142,12 @@ class PendingMasks:
         return Colours(codes, seen, edges) if seen.any() else None
 
     def begin_outlines(self, lanes: Sequence[Executor]) -> None:
-        """In the lane of each view, behind its mask, which is therefore done by then."""
+        """Start the computation of the outlines, each after the mask of its view."""
         if not self._outlines:
             self._outlines = [lane.submit(_outline, f) for lane, f in zip(lanes, self._done, strict=True)]
 
     def outlines(self) -> list[ViewOutline | None] | None:
-        """Those that were begun; None when they are not made, or no more."""
+        """Wait for the outlines that were started; None where they were not started or the stream was closed."""
         self.asked = True
         try:
             return [f.result() for f in self._outlines] or None
@@ -142,7 +155,7 @@ class PendingMasks:
             return None
 
     def cancel(self) -> None:
-        """No caller wants them any more."""
+        """Cancel the tasks that have not started yet."""
         for future in [*self._done, *self._outlines]:
             future.cancel()
 
@@ -152,24 +165,29 @@ def _outline(done: Future[PackedMask]) -> ViewOutline | None:
 
 
 Covers = Callable[[int, int], Mask | None]
-"""(view, video frame) -> where the person is, (h, w) at working size: the silhouette of a model tracked
-before."""
+"""Function of view and video frame that gives the silhouette (h, w) at working size of a model tracked before, or None.
+"""
 
-_CLIP = 10  # a background of fewer images is a set of photos
+_CLIP = 10  # fewer images count as photos, not as a clip
 _COVER, _BAND = 0.052, 0.03  # half thickness of the limbs drawn, and margin around them, in heights of the person
-_AHEAD = 3  # frames made before they are asked for, in a run
+_AHEAD = 3  # frames computed in advance
 _SAMPLE_STEP, _SAMPLES = 5, 11  # frames whose mask areas are the usual area
 _LONGEST_GAP = 15  # frames over which a missing key point is bridged when the skeleton is drawn
 
 
 @dataclass(frozen=True)
 class FrameSettings:
-    """longer_side: working size, px of the longer image side (images are never enlarged). factor: working
-    size as a share of the calibrated size instead. silhouettes: None for key points only (nothing is
-    decoded). band: keep masks within a thick skeleton where there are key points. background_frames:
-    frames of the recording or clip that are looked at for a background. people: several are to be seen: masks keep
-    their parts wherever they are, no area is an unusual one, and there is no band. colours: with those that the
-    pictures have within the masks."""
+    """Settings that turn pictures into frames of evidence.
+
+    longer_side: working size, px of the longer image side; images are never enlarged.
+    factor: working size as a share of the calibrated size, in place of `longer_side`.
+    silhouettes: settings of the masks; None for key points only, and then nothing is decoded.
+    band: keep masks only within a thick skeleton drawn from the key points, where there are any.
+    background_frames: number of frames from which a background model is made.
+    people: there are several people; masks then keep all their parts, no area is unusual, and there is no band.
+    colours: add the colours of the pictures within the masks.
+    Raises: InputError where a value is out of range.
+    """
 
     longer_side: int = 480
     factor: float | None = None
@@ -187,8 +205,12 @@ class FrameSettings:
 
 
 def working_rig(rig: CameraRig, options: FrameSettings | None = None, depth: Sequence[bool] = ()) -> CameraRig:
-    """The pinhole cameras of the working size. depth: which are depth cameras. These have a size of their own: made
-    smaller as large pictures next to it are, their maps would show arms that are a pixel wide."""
+    """Make the pinhole cameras of the working size from the calibrated cameras.
+
+    options: settings with the working size; the defaults where None.
+    depth: for each camera, whether it is a depth camera. Depth cameras have a working size of their own.
+    Why: scaled like the large pictures of other cameras, depth maps would show arms one pixel wide.
+    """
     o = options or FrameSettings()
     small = rig.scaled(o.factor or min(1.0, o.longer_side / float(rig.sizes.max()))).pinhole()
     if not any(depth):
@@ -198,20 +220,24 @@ def working_rig(rig: CameraRig, options: FrameSettings | None = None, depth: Seq
 
 
 def _rig_of(recording: Recording, options: FrameSettings | None = None) -> CameraRig:
-    """The working size of a recording's views."""
+    """Make the cameras of the working size for the views of a recording."""
     return working_rig(recording.rig, options, [v.depth is not None for v in recording.views])
 
 
 def load_keypoints(recording: Recording, options: FrameSettings | None = None) -> list[Keypoints] | None:
-    """Key points of the recording's person for every frame of recording.frames, None when it has none
-    (`hypose.io.recordings.recording_people`); a frame in which the person is not seen has confidence 0."""
+    """Load the key points of the recording's person in each frame, px of the working-size cameras.
+
+    options: settings with the working size; the defaults where None.
+    Returns: one per frame of recording.frames, with confidence 0 where the person is not seen; None where the recording
+        has no key points.
+    """
     found = load_person(recording, _rig_of(recording, options))
     return None if found is None else found.keypoints
 
 
 @dataclass(frozen=True)
 class _Skeletons:
-    """Thick skeletons of every frame and view from key points with short gaps bridged."""
+    """Thick skeletons of all frames and views, drawn from key points with short gaps bridged."""
 
     points: Array  # (T, C, K, 3)
     heights: Array  # (T, C) px
@@ -219,7 +245,7 @@ class _Skeletons:
     first: int
 
     def cover(self, view: int, frame: int, shape: tuple[int, int]) -> Mask | None:
-        """Where the person is, None when unknown."""
+        """Draw the region (h, w) of the person; None where it is not known."""
         t = frame - self.first
         p, height = self.points[t, view], self.heights[t, view]
         if (p[:, 2] > 0.3).sum() < 6 or height < 8:
@@ -227,7 +253,7 @@ class _Skeletons:
         return thick_skeleton(p, self.names, shape, _COVER * height)
 
     def widened(self, view: int, frame: int, band: Mask, mask: Mask) -> Mask | None:
-        """The band with the reach of limbs that the mask does not confirm, None when it confirms all."""
+        """Widen the band by the limbs that the mask does not confirm; None where it confirms all."""
         t = frame - self.first
         return with_doubted_limbs(band, mask, self.points[t, view], self.names, float(self.heights[t, view]))
 
@@ -257,12 +283,12 @@ def _grow(mask: Mask, margin: float) -> Mask:
 
 
 def _extent(mask: Mask) -> int:
-    """Longer side of the box around a mask, px."""
+    """Compute the longer side of the box around a mask, px."""
     return max(int(np.ptp(np.flatnonzero(mask.any(a)))) for a in (0, 1)) if mask.any() else 0
 
 
 def _cover(covers: Covers | None, skeletons: _Skeletons | None, view: int, frame: int, small: Camera) -> Mask | None:
-    """Where the person is, from a tracked model or the key points; None when unknown."""
+    """Draw the region of the person from a tracked model or the key points; None where it is not known."""
     shape = (small.size[1], small.size[0])
     given = None if covers is None else covers(view, frame)
     if given is not None:
@@ -276,34 +302,46 @@ def build_backgrounds(
     keypoints: Sequence[Keypoints] | None = None,
     covers: Covers | None = None,
     views: Collection[int] | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
 ) -> tuple[BackgroundModel | None, ...]:
-    """One background per view, None for views with masks of their own or without pictures, and for those that are not
-    among `views`, where these are given: all at once hold many pictures.
+    """Build the background model of each view.
 
-    A clip of the empty room is used as it is. Photos are combined with the recording itself; without
-    either the recording alone is used (hypose.evidence.background.from_recording), with the key points'
-    thick skeleton or the `covers` telling where the person is. At most options.background_frames frames
-    are held per view.
+    A clip of the empty room is used alone. Photos of it are combined with frames of the recording. Without either,
+    frames of the recording are used, and the key points or `covers` show where the person is.
+
+    keypoints: those of all frames, for the region of the person.
+    covers: region of the person from a model tracked before.
+    progress: called with ("background", done, total) for every picture that is read.
+    views: views for which a model is built; None for all. Many pictures are in memory when all are built together.
+    Returns: one model per view; None for views with masks, depth views, views without pictures, and those not in
+        `views`.
     """
     o = options or FrameSettings()
+    wanted = [
+        c
+        for c, v in enumerate(recording.views)
+        if v.masks is None and v.depth is None and v.source is not None and (views is None or c in views)
+    ]
+    total, pictures = len(wanted) * o.background_frames, itertools.count(1)
+
+    def counted(image: Image) -> Image:
+        if progress is not None:
+            progress("background", min(next(pictures), total - 1), total)
+        return image
+
     small = _rig_of(recording, o)
     skeletons = _skeletons(keypoints, recording.frames[0]) if keypoints else None
 
     def build(c: int) -> BackgroundModel | None:
         view = recording.views[c]
-        if (
-            view.masks is not None
-            or view.depth is not None
-            or view.source is None
-            or (views is not None and c not in views)
-        ):
+        if c not in wanted or view.source is None:
             return None
         prepare = Preparer(recording.rig[c], small[c], view.image_shift)
         plate = None
         if view.background is not None:
             with open_video(view.background) as reader:
                 chosen = evenly_spread(0, reader.n_frames, o.background_frames)
-                images = [prepare(reader.read(i)) for i in chosen]
+                images = [counted(prepare(reader.read(i))) for i in chosen]
                 if reader.n_frames >= _CLIP:
                     return from_frames(images)
                 plate = from_plates(images)
@@ -312,11 +350,11 @@ def build_backgrounds(
             frames, hidden = [], []
             for frame in evenly_spread(recording.frames.start, recording.frames.stop, o.background_frames):
                 try:
-                    frames.append(source.image(frame))
+                    frames.append(counted(source.image(frame)))
                 except InputError:
                     if not frames:
                         raise
-                    break  # a video that breaks off: what was read so far has to do
+                    break  # the video breaks off: use the frames that were read so far
                 hidden.append(_cover(covers, skeletons, c, frame, small[c]))
         finally:
             source.close()
@@ -326,19 +364,30 @@ def build_backgrounds(
         return from_recording([f for f, _ in known], np.stack([h for _, h in known]), plate)
 
     with ThreadPoolExecutor(len(recording.views)) as pool:
-        return tuple(pool.map(build, range(len(recording.views))))
+        made = tuple(pool.map(build, range(len(recording.views))))
+    if progress is not None and wanted:
+        progress("background", total, total)
+    return made
 
 
 class FrameStream:
-    """The frames of a recording: `len(stream)`, `stream.frame(i)`, iteration, `with` to close.
+    """The frames of a recording as evidence: `len(stream)`, `stream.frame(i)`, iteration, and `with` to close it.
 
-    frame(i) is the i-th frame of recording.frames; its index is the number of the video frame and its time
-    that number over the frame rate. A view without image, with an empty mask, or with a mask far from its
-    usual area (the median over about the last two seconds at 25 fps, at the start over the first) is not
-    usable; the reason names camera and frame. rig: pinhole cameras of the working size. notes: sentences
-    for the user about doubtful backgrounds. options: by default the usual ones, with the recording's way to
-    make masks. doubted: the key points (None without any) with those of views that do not fit, for the question whether
-    the calibration is right.
+    A view is not usable in a frame where it has no image, an empty mask, or a mask far from its usual area (the median
+    of about the last two seconds at 25 frames/s, or of the first at the start). The reason names camera and frame.
+
+    recording: the recording to read.
+    options: settings; by default the usual ones, with the recording's settings for masks.
+    backgrounds: one model per view; built where None.
+    covers: region of the person from a model tracked before.
+    progress: as of `build_backgrounds`.
+
+    Attributes:
+    rig: pinhole cameras of the working size.
+    keypoints: key points of the person per frame; None where there are none.
+    doubted: the same with the key points of views that do not fit, for diagnostics of the calibration.
+    others: number of other people that the key points show.
+    Raises: InputError where the recording has no frames.
     """
 
     def __init__(
@@ -347,6 +396,7 @@ class FrameStream:
         options: FrameSettings | None = None,
         backgrounds: Sequence[BackgroundModel | None] | None = None,
         covers: Covers | None = None,
+        progress: Callable[[str, int, int], None] | None = None,
     ) -> None:
         self.recording, self.options = recording, options or FrameSettings(silhouettes=recording.silhouettes)
         if self.options.people and self.options.silhouettes is not None:
@@ -377,12 +427,16 @@ class FrameStream:
         self._last = -1
         self._areas: dict[int, NDArray[np.int64]] = {}
         if self.options.silhouettes is not None and recording.has_pictures:
-            self._open(backgrounds)
+            self._open(backgrounds, progress)
 
-    def _open(self, backgrounds: Sequence[BackgroundModel | None] | None) -> None:
+    def _open(
+        self,
+        backgrounds: Sequence[BackgroundModel | None] | None,
+        progress: Callable[[str, int, int], None] | None,
+    ) -> None:
         r = self.recording
         self.backgrounds = (
-            build_backgrounds(r, self.options, self.keypoints, self._covers)
+            build_backgrounds(r, self.options, self.keypoints, self._covers, progress=progress)
             if backgrounds is None
             else tuple(backgrounds)
         )
@@ -397,20 +451,22 @@ class FrameStream:
             if chosen is not None:
                 source.choose(chosen)
         self.people_notes = (*self.people_notes, *notes)
-        # each camera has its lane, so that its frames are read in the order asked for; cameras share one where there
-        # are fewer cores, for more threads than cores mostly wait for each other
+        # each camera has its own thread, so that its frames are read in order; with fewer cores, cameras share threads,
+        # because more threads than cores mostly wait for each other
         pools = [ThreadPoolExecutor(1, thread_name_prefix=v.name) for v in r.views[: default_threads()]]
         self._lanes = [pools[c % len(pools)] for c in range(len(r.views))]
 
     @property
     def tells_apart(self) -> bool:
-        """Do the masks of a view tell several objects apart?"""
+        """Whether the masks of at least one view separate several objects."""
         return any(s.objects is not None and len(s.objects.objects) > 1 for s in self._sources)
 
     @property
     def guessed_rooms(self) -> str:
-        """A sentence on views whose background is that of the recording itself, where nothing says where the person is;
-        empty when there are none."""
+        """Warning about views whose background comes from the recording itself although the person's region is unknown.
+
+        It is empty where there are none.
+        """
         views = zip(self.recording.views, self.backgrounds, strict=False)
         guessed = [v.name for v, b in views if b is not None and v.background is None]
         guessed = guessed if self.keypoints is None and self._covers is None else []
@@ -418,18 +474,18 @@ class FrameStream:
             return ""
         which = "No view" if len(guessed) == len(self.recording.views) else f"{', '.join(guessed)}: no view of these"
         return (
-            f"{which} has a picture of the empty room: it is taken from the recording itself, in which whoever hardly "
-            "leaves their place vanishes. Give a photo or clip of the empty room (background), masks, or key points."
+            f"{which} has a picture of the empty room: it is taken from the recording itself, in which a person who "
+            "hardly moves vanishes. Give a photo or clip of the empty room (background), masks, or key points."
         )
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Sentences with the view's name about doubtful backgrounds, and frames that could not be read so far."""
+        """Sentences for the user about doubtful backgrounds, excluded people and unreadable frames so far."""
         named = zip(self.recording.views, self.backgrounds, strict=False)
         low_confidence = [f"View {v.name}: {b.note}" for v, b in named if b is not None and b.note]
         unread = (f"View {s.view.name} {s.note}" for s in self._sources if s.note)
         things = (
-            f"View {s.view.name}: {area:.2f} m^2 of things that the empty room had not are left out"
+            f"View {s.view.name}: {area:.2f} m^2 of things that the empty room did not have are left out"
             for s in self._sources
             if s.depth is not None and (area := s.depth.furnished[1]) > 0
         )
@@ -448,7 +504,7 @@ class FrameStream:
         self.close()
 
     def close(self) -> None:
-        """Stop the threads and release the files."""
+        """Stop the threads and close the files."""
         for lane in self._lanes:
             lane.shutdown(wait=True, cancel_futures=True)
         for source in self._sources:
@@ -456,8 +512,12 @@ class FrameStream:
         self._lanes, self._ahead = [], {}
 
     def frame(self, index: int, /) -> Frame:
-        """Frame number `index`, 0 <= index < len(stream); going forward is fast, other orders give the
-        same frames. A mask is made once, as long as there is room to keep it."""
+        """Compute the evidence of one frame; access in increasing order is the fastest.
+
+        index: 0 <= index < len(stream), from the start of recording.frames.
+        Returns: the frame; its index is the number of the video frame, its time that number divided by the frame rate.
+        Raises: InputError where the index is out of range.
+        """
         if not 0 <= index < len(self.frames):
             raise InputError(f"The recording has the frames 0 to {len(self.frames) - 1}; {index} was asked for.")
         number = self.frames[index]
@@ -466,7 +526,7 @@ class FrameStream:
             history, pending = self._look(index)
             masks, reasons = pending.masks()
             areas = pending.areas()
-            if self.options.people:  # who comes or goes changes the area, and nothing has collapsed
+            if self.options.people:  # people who come or go change the area, which is no fault
                 history = history[:, :0]
             collapsed = flag_collapsed(areas, history, self.rig.names, number)
             why = [given or found for given, found in zip(reasons, collapsed, strict=True)]
@@ -481,7 +541,8 @@ class FrameStream:
         return Frame(number / self.recording.frame_rate, number, silhouettes, keypoints, colours=colours, depth=depth)
 
     def _depth(self, number: int, silhouettes: Silhouettes) -> Depth | None:
-        """What the depth cameras measured; None when there are none. silhouettes: of the same frame."""
+        """Collect the depth maps of a frame; None where there are no depth cameras. silhouettes: those of the same
+        frame."""
         sources = [s.depth for s in self._sources]
         if all(s is None for s in sources):
             return None
@@ -493,7 +554,7 @@ class FrameStream:
                 continue
             try:
                 found = self._lanes[c].submit(source.map, number).result()
-            except InputError:  # its mask could not be made either, and says so
+            except InputError:  # its mask could not be made either, with a reason
                 if usable[c]:
                     raise
                 continue
@@ -504,7 +565,11 @@ class FrameStream:
         return Depth(maps, person, silhouettes.rig, usable, blank=blank)
 
     def image(self, view: int, index: int) -> Image:
-        """The undistorted working-size picture (h, w, 3) BGR of a view, for overlays."""
+        """Read the undistorted picture (h, w, 3) BGR of a view at working size, for overlays.
+
+        index: 0 <= index < len(stream), from the start of recording.frames.
+        Raises: InputError where the stream was opened without silhouettes.
+        """
         if not self._lanes:
             raise InputError("This stream was opened without silhouettes and decodes no images.")
         return self._lanes[view].submit(self._sources[view].image, self.frames[index]).result()
@@ -521,11 +586,11 @@ class FrameStream:
         return self._sources[view].mask(frame, band, widened)
 
     def _look(self, index: int) -> tuple[NDArray[np.int64], PendingMasks]:
-        """The areas (C, H) that give the usual values at this frame, and the frame's masks; and what comes next is
-        begun.
+        """Get the masks of a frame and the mask areas (C, H) that define the usual area, and start on the next frames.
 
-        The frames of the areas are a fixed choice, so that it does not matter where a run was resumed. At the start
-        they lie ahead; the masks up to there are kept, packed, so that no video is read twice."""
+        Why: the frames of these areas are a fixed choice, so a resumed run gives the same result. At the start they lie
+            ahead; the masks up to there are kept, so that no video is read twice.
+        """
         latest = max(_SAMPLES, -(-index // _SAMPLE_STEP))  # samples before this frame, at the start the first ones
         samples = [s * _SAMPLE_STEP for s in range(latest - _SAMPLES, latest) if s * _SAMPLE_STEP < len(self.frames)]
         missing = [s for s in samples if s not in self._areas]
@@ -538,7 +603,7 @@ class FrameStream:
         for i in wanted:
             if i not in self._ahead:
                 self._ahead[i] = PendingMasks(self._lanes, self._packed, i)
-            if outlined and index <= i <= ahead:  # of what lies behind the areas alone are wanted
+            if outlined and index <= i <= ahead:  # later frames are needed for their areas only
                 self._ahead[i].begin_outlines(self._lanes)
         for i in missing:
             self._areas[i] = self._ahead[i].areas()
@@ -570,11 +635,14 @@ class FrameStream:
 
 
 def write_masks(stream: FrameStream, folder: str | Path, progress: Callable[[int, int], None] | None = None) -> int:
-    """Write the stream's masks as PNG (0/255), undistorted, at working size: folder/VIEW/FRAME.png;
-    returns how many of them show something.
+    """Write the masks of a stream as PNG files (0 or 255), undistorted and at working size: folder/VIEW/FRAME.png.
 
-    A note next to them says that they are undistorted, so that a recording whose view names such a folder
-    as `masks` reads them back exactly. progress(done, total) is called after every frame.
+    A note next to them says that they are undistorted, so a recording that names such a folder as `masks` reads them
+    back exactly.
+
+    progress: called with the number of frames done and the total after each frame.
+    Returns: number of masks that are not empty.
+    Raises: InputError where the stream has no silhouettes.
     """
     views = [mask_folder(folder, v.name, c) for v, c in zip(stream.recording.views, stream.rig, strict=True)]
     shown = 0
@@ -594,14 +662,18 @@ def write_masks(stream: FrameStream, folder: str | Path, progress: Callable[[int
 
 
 def mask_folder(folder: str | Path, view: str, camera: Camera) -> Path:
-    """Make the folder of a view's masks, with the note that they are undistorted and of the working size."""
+    """Make the folder for the masks of a view, with a note that they are undistorted and of the camera's size."""
     path = folder_for(Path(folder), view)
     write_text(path / SIDECAR, json.dumps({"undistorted": True, "size": list(camera.size)}) + "\n")
     return path
 
 
 def write_frame_masks(silhouettes: Silhouettes, folders: Sequence[Path | None], number: int) -> None:
-    """Write the masks of a frame as PNG into the folders of its views (None: not those of that view)."""
+    """Write the masks of a frame as PNG files.
+
+    folders: folder of each view; None for a view whose masks are not written.
+    number: number of the frame, which names the files.
+    """
     for path, camera, mask in zip(folders, silhouettes.rig, silhouettes.masks, strict=True):
         if path is not None:
             ok, data = cv2.imencode(".png", mask[: camera.size[1], : camera.size[0]] * np.uint8(255))

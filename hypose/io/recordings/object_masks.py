@@ -1,4 +1,4 @@
-"""Masks that tell objects apart: palette images, label images, one folder per object, COCO annotations.
+"""Masks of several objects: palette images, label images, one folder per object, COCO annotations.
 
 | given as `masks` of a view | an object is |
 | --- | --- |
@@ -7,7 +7,7 @@
 | a folder that holds folders of masks | a folder, by its name |
 | a COCO or YouTube-VIS .json with run lengths or polygons | track_id, object_id or instance_id, else id |
 
-Which object is which person across views is found by `hypose.evidence.association`.
+`hypose.evidence.association` finds the objects of different views that are the same person.
 """
 
 from __future__ import annotations
@@ -37,16 +37,24 @@ from hypose.io.videos.video import (
     read_image_file,
 )
 
-_LOOKED_AT = 9  # images of a folder that tell what it holds
+_LOOKED_AT = 9  # number of images that identify the kind of masks
 _MOST_OBJECTS = 32  # objects
 Objects = Mapping[str, Mask]
-"""Object -> where it is, (h, w) of 0 and 1; only those that are there."""
+"""Mask (h, w) of 0 and 1 of each object that is present, by the object's name."""
 
 
 class ObjectMasks:
-    """Masks of several objects of one view, frame by frame. Of the stored size (width, height); objects: their names;
-    first: the number of the first frame's files, None where order alone counts. It can be read as pictures like a
-    `VideoReader`: all objects white."""
+    """Masks of several objects in one view, frame by frame.
+
+    They can also be read as pictures, as from a `VideoReader`, with all objects in white.
+
+    path: where the masks come from, for error messages.
+    size: stored width and height, px.
+    frames: number of frames.
+    objects: names of all objects.
+    load: function of the frame that gives the masks of its objects.
+    first: number of the first frame's files; None where only the order of files counts.
+    """
 
     def __init__(
         self,
@@ -63,13 +71,16 @@ class ObjectMasks:
         self.is_sequence = True
 
     def at(self, frame: int) -> Objects:
-        """The objects of a frame; an InputError when there is no such frame."""
+        """Get the masks of the objects in a frame.
+
+        Raises: InputError where the frame does not exist.
+        """
         if not 0 <= frame < self.n_frames:
             raise InputError(f"{self.path} ends with frame {self.n_frames - 1}, frame {frame} was asked for.")
         return self._load(frame)
 
     def union(self, frame: int, objects: frozenset[str] | None = None) -> Mask:
-        """Where the given objects (all by default) are, (h, w) of 0 and 1."""
+        """Combine the masks of the given objects (None: all) to one mask (h, w) of 0 and 1."""
         out = np.zeros(self.size[::-1], dtype=np.uint8)
         for name, mask in self.at(frame).items():
             if objects is None or name in objects:
@@ -77,11 +88,11 @@ class ObjectMasks:
         return out
 
     def read(self, index: int) -> NDArray[np.uint8]:
-        """A picture (h, w, 3) of all objects, white on black."""
+        """Draw all objects of a frame as a picture (h, w, 3), white on black."""
         return np.repeat((self.union(index) * np.uint8(255))[..., None], 3, 2)
 
     def close(self) -> None:
-        """There is nothing to close."""
+        """Do nothing; present because a `VideoReader` has it."""
 
     def __enter__(self) -> ObjectMasks:
         return self
@@ -91,8 +102,11 @@ class ObjectMasks:
 
 
 def open_masks(path: Path, first: int | None = None) -> ObjectMasks | VideoReader:
-    """Masks of objects, or a video or images of one kind of mask; an InputError names the cause. first: the number
-    of the first frame, of files of one folder per object; None: the least there is."""
+    """Open masks of several objects, or a video or images with one mask per frame.
+
+    first: number of the first frame's files, for one folder per object; None for the lowest number.
+    Raises: InputError where the path does not hold masks.
+    """
     if path.is_file() and path.suffix.lower() == ".json":
         return _of_coco(path)
     if path.is_dir():
@@ -107,7 +121,7 @@ def open_masks(path: Path, first: int | None = None) -> ObjectMasks | VideoReade
 
 
 def _of_folders(path: Path, folders: list[Path], first: int | None) -> ObjectMasks:
-    """One folder per object. Files of the same number are of the same frame; without numbers their order counts."""
+    """Open masks of one folder per object; files of the same number are of the same frame, else their order counts."""
     listed = {p.name: list_images(p) for p in folders}
     numbers = {name: [last_number(f.stem) for f in files] for name, files in listed.items()}
     known = [n for found in numbers.values() for n in found]
@@ -138,7 +152,7 @@ def _of_folders(path: Path, folders: list[Path], first: int | None) -> ObjectMas
 
 
 def _of_labels(path: Path, images: list[Path]) -> ObjectMasks | None:
-    """Images whose values are labels; None when they are masks of one kind."""
+    """Open images whose values are labels; None where they are ordinary masks."""
     if not images:
         return None
     areas: dict[int, int] = {}
@@ -157,7 +171,7 @@ def _of_labels(path: Path, images: list[Path]) -> ObjectMasks | None:
     levels = sorted(areas)
     if not 2 <= len(levels) <= _MOST_OBJECTS:
         return None
-    if not any(indexed):  # a white mask may have soft edges, or grey where it is not sure
+    if not any(indexed):  # a white mask may have soft edges, or grey for uncertain pixels
         full = 65535 if levels[-1] > 255 else 255
         white = areas[levels[-1]] if levels[-1] > 0.9 * full else 0
         if set(levels) <= {127, 128, full} or sum(areas.values()) < 1.5 * white:
@@ -176,7 +190,7 @@ def _of_labels(path: Path, images: list[Path]) -> ObjectMasks | None:
 
 
 def _labels(path: Path) -> tuple[NDArray[Any] | None, bool]:
-    """The values (h, w) of a grey image, or the indices of one with a palette (True); None for colours."""
+    """Read the values (h, w) of a grey image or the indices of a palette image (True); None for a colour image."""
     image, indexed = _decoded(path)
     if image is None:
         return None, False
@@ -189,7 +203,7 @@ def _labels(path: Path) -> tuple[NDArray[Any] | None, bool]:
 
 
 def _stored(path: Path) -> NDArray[Any]:
-    """An image as it is stored: indices of a palette, 16 bit."""
+    """Read an image without conversion: the indices of a palette, 16 bits."""
     image, _ = _decoded(path)
     return read_image(path) if image is None else image
 
@@ -211,14 +225,14 @@ def _decoded(path: Path) -> tuple[NDArray[Any] | None, bool]:
 
 
 def _palette_bits(data: bytes) -> int:
-    """Bits per pixel of a PNG with a palette, 0 for anything else."""
+    """Read the bits per pixel of a PNG with a palette; 0 for any other data."""
     if data[:8] != PNG_SIGNATURE or len(data) < 26 or data[12:16] != b"IHDR" or data[25] != 3:
         return 0
     return data[24]
 
 
 def _without_palette(data: bytes) -> bytes:
-    """The same PNG as a grey one, so that a decoder gives the indices: OpenCV gives only their colours."""
+    """Rewrite a palette PNG as a grey PNG, so that OpenCV gives the indices and not their colours."""
     out, at = [data[:8]], 8
     while at + 12 <= len(data):
         length, kind = struct.unpack_from(">I4s", data, at)
@@ -232,7 +246,7 @@ def _without_palette(data: bytes) -> bytes:
 
 
 def _of_coco(path: Path) -> ObjectMasks:
-    """COCO annotations by image, or YouTube-VIS's by object."""
+    """Open COCO annotations, which are per image, or those of YouTube-VIS, which are per object."""
     document = read_json(path, "COCO annotations", MAX_TEXT_BYTES)
     marks = document.get("annotations") if isinstance(document, Mapping) else document
     if not isinstance(marks, list) or not all(isinstance(m, Mapping) for m in marks):
@@ -271,7 +285,7 @@ def _of_coco(path: Path) -> ObjectMasks:
     count = max(len(order), 1 + max(frames))
     if len(names) > 4 * _MOST_OBJECTS:
         raise InputError(
-            f"{path} gives every mask another id, so that nobody can be followed; export track_id with the masks."
+            f"{path} gives every mask its own id, so that no person can be followed; export track_id with the masks."
         )
     return ObjectMasks(path, size, count, tuple(names), load)
 
@@ -306,8 +320,8 @@ def _coco_mask(path: Path, piece: Any, size: tuple[int, int]) -> Mask:
 
 
 def _run_lengths(text: str) -> list[int]:
-    """COCO's run lengths written as text: groups of five bits, every number from the third on less the one before
-    last."""
+    """Decode COCO's run lengths from text: groups of five bits; from the fourth number on, each is a difference from
+    the number two before it."""
     out: list[int] = []
     at = 0
     while at < len(text):

@@ -1,10 +1,10 @@
-"""A Pose2Sim project or trial folder, taken as it is: translated into what recording.toml would say.
+"""Reading of a Pose2Sim project or trial folder as if it had a recording.toml. Nothing is written.
 
-Read: Config.toml of the trial and of up to two levels above it (a key of the trial wins), `calibration/`
-there or above (a folder with calib in its name; the .toml that Pose2Sim wrote, else Qualisys .qca.txt), `videos/`
-(files or folders of images, in natural order; may be absent where there are key points), `pose/<camera>_json/`
-(OpenPose JSON), and the photos in `calibration/extrinsics/`, which show the room with the cameras of the recording and
-so serve as background plates. Nothing is written.
+Read are: Config.toml of the trial and of up to two levels above it (a key of the trial wins); `calibration/` there or
+    above (a folder with calib in its name; the .toml of Pose2Sim, else Qualisys .qca.txt); `videos/` (files or folders
+    of images, in natural order; not needed where there are key points); `pose/<camera>_json/` (OpenPose JSON); and the
+    photos in `calibration/extrinsics/`. These photos show the room with the recording's cameras, so they are used as
+    background plates.
 """
 
 from __future__ import annotations
@@ -37,14 +37,20 @@ _COUNT_OF_SET = {**{name: len(order) for name, order in KEYPOINT_SETS.items()}, 
 
 
 def is_project(folder: Path) -> bool:
-    """Whether a folder looks like a Pose2Sim project or trial: Config.toml, or a calibration folder and videos or key
-    points."""
+    """Test whether a folder is a Pose2Sim project or trial.
+
+    It has a Config.toml, or a calibration folder and videos or key points.
+    """
     has_config = _file(folder, "config.toml") is not None
     return has_config or (_is_trial(folder) and _calibration_folder(folder) is not None)
 
 
 def read_project(folder: Path) -> tuple[dict[str, Any], list[str]]:
-    """(settings, notes): the settings of recording.toml with absolute paths; an InputError names the missing input."""
+    """Translate a Pose2Sim project into the settings of recording.toml.
+
+    Returns: settings with absolute paths, and notes for the user.
+    Raises: InputError where videos and key points, or the calibration, are missing.
+    """
     folder = folder.absolute()
     config = _merged_config(folder)
     videos = _subfolder(folder, "videos")
@@ -112,8 +118,13 @@ def _is_number(value: Any) -> TypeGuard[float]:
 
 
 def with_overrides(project: Mapping[str, Any], given: Mapping[str, Any], source: Path) -> dict[str, Any]:
-    """The settings of a project with what a recording.toml next to it says otherwise; its views are those of the
-    project, by name. An InputError names a view that the project does not have."""
+    """Merge a recording.toml that lies in a Pose2Sim project into the project's settings.
+
+    project: settings of the project; its views stay.
+    given: settings of recording.toml, which win; views are matched by name.
+    source: path of recording.toml, for the error message.
+    Raises: InputError where a view does not exist in the project.
+    """
     views = {v["name"]: dict(v) for v in project["view"]}
     for view in given.get("view", []):
         name = view.get("name") if isinstance(view, Mapping) else None
@@ -144,7 +155,7 @@ def _calibration_folder(folder: Path) -> Path | None:
 
 
 def _levels(folder: Path) -> list[Path]:
-    """The folder and those above it that belong to the same session, which is to say have a Config.toml."""
+    """List the folder and the folders above it that have a Config.toml, so belong to the same session."""
     out = [folder]
     for parent in list(folder.parents)[:_LEVELS_ABOVE]:
         try:
@@ -194,14 +205,14 @@ def _clips(videos: Path) -> list[Path]:
 
 
 def _pose_folders(folder: Path, name: str = "pose") -> list[Path]:
-    """The folders of pose, or pose-sync, that hold key points, in natural order."""
+    """List the folders of pose, or pose-sync, that hold key points, in natural order."""
     pose = _subfolder(folder, name)
     inside = [] if pose is None else [p for p in pose.iterdir() if p.is_dir() and next(p.glob("*.json"), None)]
     return sorted(inside, key=lambda p: natural_key(p.name))
 
 
 def _rate_of_results(folder: Path, settings: dict[str, Any], notes: list[str]) -> None:
-    """The frame rate of what Pose2Sim has triangulated already, where nothing else says it."""
+    """Take the frame rate from the triangulated points of Pose2Sim, where nothing else gives it."""
     results = _subfolder(folder, "pose-3d")
     for path in sorted(results.glob("*.trc")) if results is not None else ():
         with contextlib.suppress(InputError):
@@ -211,7 +222,7 @@ def _rate_of_results(folder: Path, settings: dict[str, Any], notes: list[str]) -
 
 
 def _camera_of(folder: Path) -> str:
-    """cam01_json -> cam01."""
+    """Derive the camera's name from the folder's (cam01_json -> cam01)."""
     return text_of(folder.name.removesuffix("_json")) or text_of(folder.name)
 
 
@@ -242,8 +253,10 @@ def _keypoint_folders(folder: Path, names: Sequence[str], notes: list[str]) -> l
 
 
 def _keypoint_set(model: Any, folders: Sequence[Path], notes: list[str]) -> str | None:
-    """The set that Config.toml states, unless the files have another number of points; None when it is for the files
-    to tell."""
+    """Choose the key-point set: that of Config.toml, unless the files have another number of points.
+
+    Returns: None where the files decide.
+    """
     stated = None
     if isinstance(model, str) and model.strip():
         stated = _MODELS.get(model.strip().lower(), model.strip().upper())

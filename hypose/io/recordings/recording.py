@@ -1,8 +1,8 @@
-"""Recordings: what was filmed, by which calibrated cameras; recording.toml and its checks.
+"""Recordings: the views of calibrated cameras with their files, read from recording.toml and checked.
 
-A recording folder holds recording.toml, calibration.toml and the videos (or images, or masks). A Pose2Sim
-project or trial folder is taken as it is (`hypose.io.recordings.pose2sim`). The keys of recording.toml, with the
-defaults; paths are relative to it:
+A recording folder holds recording.toml, calibration.toml and the videos (or images, or masks). A Pose2Sim project or
+trial folder can be used without recording.toml (`hypose.io.recordings.pose2sim`). The keys of recording.toml with
+their defaults; paths are relative to its folder:
 
     name = "walk"                     # default: the folder's name
     calibration = "calibration.toml"  # of any program that hypose.io.calibrations reads
@@ -10,7 +10,7 @@ defaults; paths are relative to it:
     world_up = "z"                    # axis of the calibration's world that points up: x y z -x -y -z
     frame_rate = 60.0                 # frames/s; default: what the videos, or the files of key points, say
     frame_range = [0, 100]            # first frame and the one after the last, from 0; default: all
-    keypoint_set = "BODY_25"          # order of the 2D key points; default: found out
+    keypoint_set = "BODY_25"          # order of the 2D key points; default: detected
     keypoint_lag = 0                  # key points of frame t belong to video frame t + keypoint_lag
     keypoint_pixels = "calibration"   # key points are pixels of the calibrated size, or of the stored "image"
     subject_height = 1.75             # m; default: estimated
@@ -21,15 +21,15 @@ defaults; paths are relative to it:
     camera = "cam_01"                 # its name in the calibration; default: by name, else by order
     video = "videos/cam01.mp4"        # a video file, or
     images = "images/cam01"           # a folder of images in natural order
-    masks = "masks/cam01"             # silhouettes made elsewhere: folder of images or video; needs no video.
+    masks = "masks/cam01"             # silhouettes of another program: folder of images or video; needs no video.
                                       # Of several objects: see hypose.io.recordings.object_masks
     depth = "depth/cam01"             # of a depth camera, in place of pictures: a folder of 16-bit PNG in millimetres,
-                                      # 0 = hole; background is such a folder of the empty room then, and without
-                                      # it the person is who stands on the floor (z = 0)
+                                      # 0 = hole. The background is then such a folder of the empty room; without
+                                      # it, the person must stand on the floor (z = 0)
     background = "background/cam01"   # an image, a folder of images or a video of the empty scene
     keypoints = "pose/cam01_json"     # file or folder of hypose.io.keypoints.read_keypoints; needs no video
-    board = "board/cam01.mp4"         # a video or folder of photos of a calibration board, which the studio's Calibrate
-                                      # makes the calibration of; tracking does without
+    board = "board/cam01.mp4"         # a video or folder of photos of a calibration board, from which the studio's
+                                      # Calibrate makes the calibration; tracking does not need it
     image_shift = [0.0, 0.0]          # px to add to this view's image coordinates (after scaling to the
                                       # calibrated size) so that they agree with calibration and key points
     accept_scaled = false             # images of another shape (width : height) than calibrated were
@@ -45,8 +45,8 @@ defaults; paths are relative to it:
     [silhouettes]                     # how masks are made (hypose.evidence.silhouettes.SilhouetteSettings)
     threshold = 4.0                   # and the other options; default: the usual ones
 
-Images of another size but of the calibrated shape (to 1 %) are taken as scaled; a note says so. Videos are
-taken as synchronous: frame t of one belongs to frame t of the others.
+Images of another size but of the calibrated shape (within 1 %) are assumed to be scaled; a note says so. Videos are
+assumed to be synchronous: frame t of one belongs to frame t of the others.
 """
 
 from __future__ import annotations
@@ -138,7 +138,12 @@ _TYPE_NAMES = {
 
 
 def check_keys(where: str, table: Mapping[str, Any], known: Mapping[str, type | tuple[type, ...]]) -> None:
-    """InputError when a key of the table is unknown (the nearest known one is named) or of another type."""
+    """Check the keys of a table and the types of their values.
+
+    where: file and table, for the error message.
+    known: the allowed keys and their types.
+    Raises: InputError where a key is unknown (the most similar known key is named) or has the wrong type.
+    """
     for key, value in table.items():
         if key not in known:
             near = difflib.get_close_matches(key, known, 1, 0.5)
@@ -154,7 +159,7 @@ def check_keys(where: str, table: Mapping[str, Any], known: Mapping[str, type | 
 
 
 def _numbers(where: str, key: str, value: Any, count: int, whole: bool) -> list[Any]:
-    """value, when it is a list of `count` finite (whole) numbers; else an InputError."""
+    """Check that a value is a list of `count` finite (whole) numbers, and return it; InputError otherwise."""
     types = int if whole else (int, float)
     fine = len(value) == count and all(isinstance(v, types) and not isinstance(v, bool) for v in value)
     if not fine or not np.isfinite(np.array(value, dtype=np.float64)).all():
@@ -164,14 +169,17 @@ def _numbers(where: str, key: str, value: Any, count: int, whole: bool) -> list[
 
 
 def _choice(where: str, key: str, value: str, allowed: Sequence[str]) -> str:
-    """value, when it is one of the allowed words; else an InputError."""
+    """Check that a value is one of the allowed words, and return it; InputError otherwise."""
     if value not in allowed:
         raise InputError(f"{where}: {key} must be {', '.join(allowed)}, got {value!r}; correct it.")
     return value
 
 
 def silhouette_options(where: str, table: Mapping[str, Any]) -> SilhouetteSettings:
-    """The options of a [silhouettes] table; what it does not name is as usual."""
+    """Convert a [silhouettes] table to settings; absent keys keep their defaults.
+
+    Raises: InputError where a key is unknown or a value is out of range.
+    """
     check_keys(f"{where}, silhouettes", table, SILHOUETTE_KEYS)
     values = dict(table)
     if "shadow_range" in values:
@@ -183,18 +191,24 @@ def silhouette_options(where: str, table: Mapping[str, Any]) -> SilhouetteSettin
 
 
 # ---- person tables -------------------------------------------------------------------------------------------------
-# The [[person]] tables of recording.toml: the data known beforehand of the people in a recording.
+# The [[person]] tables of recording.toml: known data of the people in a recording.
 
 
 _NAME = re.compile(r"[\w][\w .-]{0,59}")
 _FILE = re.compile(r".*\.[a-z0-9]{2,5}")
-"""what names a file, as those of all people's results in neighbouring folders"""
+"""Pattern of names that look like a file's, such as those of the results of all people in neighbouring folders."""
 
 
 @dataclass(frozen=True)
 class PersonSettings:
-    """name: of the folder of their results; height m; body: of their own, a path as `hypose subject` writes it; place
-    (2,) m: where they stand at `time`, s from the first frame."""
+    """Known data of one person of a recording, from a [[person]] table.
+
+    name: name of the person and of the folder of their results.
+    height: m.
+    body: path of the person's own body, as `hypose subject` writes it.
+    place: (x, y) on the floor, m, at `time`.
+    time: s from the first frame.
+    """
 
     name: str
     height: float | None = None
@@ -204,7 +218,12 @@ class PersonSettings:
 
 
 def people_of_tables(folder: Path, where: str, tables: Any) -> tuple[PersonSettings, ...]:
-    """The people that the tables tell of; an InputError names the cause."""
+    """Convert the [[person]] tables to settings.
+
+    folder: folder of the recording, for relative paths.
+    where: file, for the error messages.
+    Raises: InputError where a table is not valid or names are too similar.
+    """
     found = [_person(folder, where, table, k) for k, table in enumerate(tables)]
     names = [p.name for p in found]
     if len({_distinguished(n) for n in names}) < len(names):
@@ -216,7 +235,7 @@ def people_of_tables(folder: Path, where: str, tables: Any) -> tuple[PersonSetti
 
 
 def _distinguished(name: str) -> str:
-    """The part of a name that every file system and every C3D file keeps."""
+    """Reduce a name to the part that every file system and every C3D file keeps."""
     return re.sub(r"[ .-]+", "-", unicodedata.normalize("NFKC", name).casefold())
 
 
@@ -252,11 +271,25 @@ _UP = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1), "-x": (-1, 0, 0), "-y": (
 
 @dataclass(frozen=True)
 class Recording:
-    """A checked recording. rig: the cameras in the order of `views`, world in metres, z up. frame_rate:
-    frames/s. frame_range: (first, stop) as given, None = all. n_frames: frames that every view has.
-    keypoint_set None: there are no key points. subject_height m, subject_mass kg. people: the known data of several
-    people. silhouettes: how masks are
-    made. notes: sentences about accepted oddities, for the user."""
+    """A checked recording: cameras, views and settings.
+
+    folder: folder of the recording, where relative paths start.
+    rig: cameras in the order of `views`; world in metres, z up.
+    views: settings of each camera's view.
+    frame_rate: frames/s.
+    frame_range: first frame, and the one after the last; None for all.
+    keypoint_set: name of the key-point set; None where there are no key points.
+    keypoint_lag: key points of frame t belong to video frame t + keypoint_lag.
+    subject_height: m.
+    subject_mass: kg.
+    keypoint_pixels: "calibration" or "image": the size of picture whose pixels the key points use.
+    n_frames: number of frames that every view has.
+    calibration: path of the calibration file.
+    silhouettes: settings of the masks.
+    people: known data of several people.
+    notes: sentences for the user about accepted irregularities.
+    Raises: InputError where the numbers of cameras and views differ.
+    """
 
     folder: Path
     name: str
@@ -283,12 +316,12 @@ class Recording:
 
     @property
     def frames(self) -> range:
-        """The frames to work on: frame_range, or all that every view has."""
+        """The frames to process: frame_range, or all that every view has."""
         return range(*(self.frame_range or (0, self.n_frames)))
 
     @property
     def has_pictures(self) -> bool:
-        """Whether any view has a video, images or masks; else there are key points alone."""
+        """Whether any view has a video, images, depth maps or masks, not only key points."""
         return any(v.has_pictures for v in self.views)
 
     @property
@@ -303,7 +336,7 @@ class Recording:
 
     @property
     def inputs(self) -> dict[str, Path]:
-        """All input files and folders by a telling name, for the provenance."""
+        """All input files and folders by a descriptive name, for the provenance."""
         out = {"calibration": self.calibration} if self.calibration else {}
         for view in self.views:
             out |= {f"{view.name}.{k}": p for k in PATH_KEYS if (p := getattr(view, k)) is not None}
@@ -313,9 +346,11 @@ class Recording:
 def load_recording(path: str | Path, calibration: str | Path | None = None, *, uncalibrated: bool = False) -> Recording:
     """Load and check a recording folder, a recording.toml, or a Pose2Sim project or trial folder.
 
-    calibration: a calibration file to use instead of the recording's own; uncalibrated: use none, the cameras are those
-    of `cameras_of_pictures`. An InputError (CalibrationError for the cameras) names the file or camera, the allowed
-    values and the next step."""
+    calibration: a calibration file to use in place of the recording's own.
+    uncalibrated: use no calibration; the cameras are those of `cameras_of_pictures`.
+    Raises: InputError (CalibrationError for cameras) that names the file or camera, the allowed values and the next
+        step.
+    """
     path = Path(path)
     if not path.exists():
         raise InputError(f"{path} does not exist; give a recording folder, its recording.toml, or a Pose2Sim project.")
@@ -353,10 +388,11 @@ def _with_calibration(settings: Mapping[str, Any], path: str | Path | None) -> M
 
 
 def write_recording(recording: Recording, folder: str | Path) -> Path:
-    """Write recording.toml and calibration.toml (metres, z up) to a folder; returns the path of
-    recording.toml.
+    """Write recording.toml and calibration.toml (metres, z up) to a folder.
 
     Paths inside the folder are written relative to it, others absolute. Videos are not copied.
+
+    Returns: path of recording.toml.
     """
     folder = Path(folder)
     write_calibration(recording.rig, folder / "calibration.toml")
@@ -400,7 +436,7 @@ def write_recording(recording: Recording, folder: str | Path) -> Path:
 
 
 def silhouette_lines(options: SilhouetteSettings) -> list[str]:
-    """The [silhouettes] table of a recording.toml; nothing when all is as usual."""
+    """Format the [silhouettes] table of a recording.toml; no lines where all settings are the defaults."""
     usual = asdict(SilhouetteSettings())
     changed = {k: v for k, v in asdict(options).items() if v != usual[k]}
     return ["", "[silhouettes]", *toml_lines(changed)] if changed else []
@@ -417,7 +453,7 @@ def _relative(path: Path | None, folder: Path) -> str | None:
 
 
 def _build(folder: Path, origin: Path, settings: Mapping[str, Any], notes: list[str], uncalibrated: bool) -> Recording:
-    """The recording of a (translated) recording.toml; origin: the file or folder that errors name."""
+    """Build the recording from the settings of recording.toml; origin: the file or folder that errors name."""
     where = str(origin)
     check_keys(where, settings, RECORDING_KEYS)
     settings = with_detected(folder, settings, notes)
@@ -466,7 +502,7 @@ def _build(folder: Path, origin: Path, settings: Mapping[str, Any], notes: list[
     else:
         n_frames = max((k.last + 1 + lag for k in keypoints if k is not None), default=0)
     if n_frames < 1:
-        raise InputError(f"{where}: there are no pictures, and the key points show nobody; detect them again.")
+        raise InputError(f"{where}: there are no pictures, and the key points show no person; detect them again.")
     check_keypoints(keypoints, names, rig, range(-lag, n_frames - lag), stored)
     frame_range = None
     if "frame_range" in settings:
@@ -507,7 +543,11 @@ def _build(folder: Path, origin: Path, settings: Mapping[str, Any], notes: list[
 
 
 def keypoints_of_recording(recording: Recording) -> tuple[list[ViewKeypoints | None], list[str]]:
-    """The key points of a recording's views, and sentences about them; an InputError names what cannot be used."""
+    """Load the key points of a recording's views.
+
+    Returns: key points of each view (None where it has none), and notes for the user.
+    Raises: InputError where a file cannot be used.
+    """
     views = recording.views
     found, said = keypoints_of_views(
         [v.keypoints for v in views], [v.name for v in views], recording.rig.names, recording.keypoint_set
@@ -518,7 +558,7 @@ def keypoints_of_recording(recording: Recording) -> tuple[list[ViewKeypoints | N
 def _by_stored_frames(
     keypoints: Sequence[ViewKeypoints | None], views: Sequence[ViewSettings]
 ) -> list[ViewKeypoints | None]:
-    """Key points of other programs are numbered by the stored frames of a video."""
+    """Number key points of other programs by the stored frames of the video."""
     return [
         k if k is None or k.table.timed else replace(k, frames=stored_numbers(v))
         for k, v in zip(keypoints, views, strict=True)
@@ -526,7 +566,8 @@ def _by_stored_frames(
 
 
 def stored_sizes(recording: Recording) -> list[tuple[int, int] | None]:
-    """The size of each view's stored pictures where its key points are in their pixels."""
+    """List the size (width, height) of each view's stored pictures, where key points are in their pixels; None
+    otherwise."""
     if recording.keypoint_pixels != "image":
         return [None] * len(recording.views)
     return [None if v.source is None else frame_size(v.source) for v in recording.views]
@@ -535,7 +576,7 @@ def stored_sizes(recording: Recording) -> list[tuple[int, int] | None]:
 def _named_keypoints(
     where: str, settings: Mapping[str, Any], views: Sequence[ViewSettings], rig: CameraRig, notes: list[str]
 ) -> tuple[str | None, list[ViewKeypoints | None]]:
-    """The set of the key points, None without any, and those of every view."""
+    """Determine the key-point set (None without key points) and the key points of every view."""
     stated = settings.get("keypoint_set")
     if all(v.keypoints is None for v in views):
         return None, [None] * len(views)
@@ -552,7 +593,7 @@ def _optional(value: float | None) -> float | None:
 
 
 def _named(folder: Path, where: str, key: str, name: str) -> Path:
-    """The path that a setting names; an InputError where no file system can have it."""
+    """Resolve the path that a setting gives; InputError where no file system can have it."""
     try:
         path = folder / Path(name).expanduser()
         path.exists()
@@ -625,7 +666,12 @@ def _calibration(folder: Path, where: str, settings: Mapping[str, Any], notes: l
 
 
 def cameras_of_pictures(where: str, views: Sequence[ViewSettings]) -> CameraRig:
-    """Cameras of which the size of the pictures alone is known: a focal length of the longer side, all in one place."""
+    """Make placeholder cameras from the size of each view's pictures, for a recording without calibration.
+
+    The focal length is the longer image side, and all cameras are at the same place.
+
+    Raises: InputError where a view has no pictures.
+    """
     cameras = []
     for view in views:
         path = view.source or view.masks
@@ -643,10 +689,10 @@ def cameras_of_pictures(where: str, views: Sequence[ViewSettings]) -> CameraRig:
 def _match_cameras(
     rig: CameraRig, path: Path, views: Sequence[ViewSettings], wanted: Sequence[str | None], notes: list[str]
 ) -> CameraRig:
-    """The rig in the order of the views."""
+    """Put the cameras of a rig into the order of the views."""
     names = [w or v.name for w, v in zip(wanted, views, strict=True)]
     if all(wanted) or (len(rig) > len(views) and all(name in rig.names for name in names)):
-        chosen = rig.select(names)  # its error lists the cameras there are
+        chosen = rig.select(names)  # its error lists the existing cameras
         left = [n for n in rig.names if n not in chosen.names]
         if left:
             notes.append(f"The cameras {', '.join(left)} of {path.name} have no view and are left out.")

@@ -1,5 +1,4 @@
-"""Whom the key points and masks of a recording's files show: all detections of its frames, and the person it is
-about."""
+"""The people that key points and masks of a recording show: all detections, and those of the recording's person."""
 
 from __future__ import annotations
 
@@ -23,8 +22,12 @@ _SAMPLES = 24  # frames in which objects are compared
 
 @dataclass(frozen=True)
 class RecordedPerson:
-    """The person of a recording in its T frames. keypoints: T, in undistorted px of the working-size cameras; raw
-    (C, T, K, 3): px of the calibrated, distorted pictures; one: who else is there, and what there is to say."""
+    """Key points of the recording's person in its T frames.
+
+    keypoints: T frames, undistorted px of the working-size cameras.
+    raw: (C, T, K, 3) u, v and confidence, px of the calibrated, distorted pictures.
+    one: the choice of the person, other people, and notes.
+    """
 
     keypoints: list[Keypoints]
     raw: Array
@@ -32,13 +35,15 @@ class RecordedPerson:
 
 
 def candidates_of(recording: Recording, small: CameraRig) -> list[list[Array | None]] | None:
-    """Per frame of recording.frames and view all detections (P, K, 5): undistorted px (u, v) of the working-size
-    pinhole cameras `small`, confidence 0..1, and (u, v) px of the calibrated, distorted picture. None without key
-    points.
+    """Collect all detections of people in every frame and view.
 
-    The format, and which frame of the file is the video's first, follows from
-    `hypose.io.keypoints.read_keypoints`; recording.keypoint_lag is added. An InputError names the file that cannot be
-    read."""
+    recording.keypoint_lag is added to the frame numbers of the files.
+
+    small: pinhole cameras of the working size.
+    Returns: per frame and view (P, K, 5): undistorted px u, v of `small`, confidence 0 to 1, px u, v of the calibrated,
+        distorted picture; None for a view without detections; None in place of the whole list without key points.
+    Raises: InputError where a file cannot be read.
+    """
     if recording.keypoint_set is None or not any(v.keypoints for v in recording.views):
         return None
     found, _ = keypoints_of_recording(recording)
@@ -63,8 +68,12 @@ def candidates_of(recording: Recording, small: CameraRig) -> list[list[Array | N
 
 
 def load_person(recording: Recording, small: CameraRig, *, keep_misfits: bool = False) -> RecordedPerson | None:
-    """The person of a recording, None when it has no key points. small, keep_misfits: as in `candidates_of` and
-    `hypose.evidence.one_person.one_person`. A frame in which the person is not seen has confidence 0."""
+    """Load the key points of the recording's person.
+
+    small: pinhole cameras of the working size.
+    keep_misfits: keep the key points of views that do not fit the others.
+    Returns: key points, with confidence 0 where the person is not seen; None where the recording has no key points.
+    """
     candidates = candidates_of(recording, small)
     if candidates is None or recording.keypoint_set is None:
         return None
@@ -75,7 +84,7 @@ def load_person(recording: Recording, small: CameraRig, *, keep_misfits: bool = 
     held = {name: count for name, (_, count) in zip(small.names, views, strict=True) if count}
     if held:
         said = (
-            f"{sum(held.values())} key points ({', '.join(held)}) stay where they are to the last digit while the "
+            f"{sum(held.values())} key points ({', '.join(held)}) do not move by a single digit while the "
             "others move: they were held over gaps, and are left out"
         )
         one = replace(one, notes=(*one.notes, said), of_all=(*one.of_all, said))
@@ -88,8 +97,12 @@ def load_person(recording: Recording, small: CameraRig, *, keep_misfits: bool = 
 def objects_of_people(
     recording: Recording, small: CameraRig, masks: Sequence[ObjectMasks | None]
 ) -> list[dict[int, str]]:
-    """Which objects of the views' masks are one person: {view: object} per person, those seen most first
-    (`hypose.evidence.association`); views without objects (None) are left out."""
+    """Find the objects in the masks of different views that are the same person.
+
+    small: pinhole cameras of the working size.
+    masks: masks of each view; None for a view without objects.
+    Returns: one dictionary {view: object} per person, those seen most often first.
+    """
     frames = _sampled(recording)
     points: list[dict[str, Array]] = [{} for _ in masks]
     for c, (view, camera, into) in enumerate(zip(masks, recording.rig, small, strict=True)):
@@ -112,9 +125,17 @@ def persons_objects(
     keypoints: Sequence[Keypoints] | None,
     all_people: bool = False,
 ) -> tuple[list[frozenset[str] | None], tuple[str, ...]]:
-    """Per view the objects that are the recording's person (None: the view's masks know no objects), and a sentence
-    when there are others: those in which the key points lie; without key points those that belong together across most
-    views and frames. all people: all objects that another view shows as well."""
+    """Choose, in each view, the objects of the masks that are the recording's person.
+
+    With key points these are the objects around them. Without, they are the objects that belong together in most views
+    and frames.
+
+    small: pinhole cameras of the working size.
+    masks: masks of each view; None for a view without objects.
+    keypoints: those of all frames; None without key points.
+    all_people: choose all objects that another view shows as well.
+    Returns: names of the objects per view (None: the view's masks have no objects), and notes about the choice.
+    """
     if not any(m is not None and len(m.objects) > 1 for m in masks):
         return [None if m is None else frozenset(m.objects) for m in masks], ()
     people = objects_of_people(recording, small, masks)
@@ -143,7 +164,7 @@ def persons_objects(
 def _everybodys(
     recording: Recording, masks: Sequence[ObjectMasks | None], people: Sequence[Mapping[int, str]]
 ) -> tuple[list[frozenset[str] | None], tuple[str, ...]]:
-    """Per view the objects of people whom another view shows as well, and a sentence when others are left out."""
+    """Choose, in each view, the objects of people that another view shows as well, with a note about the rest."""
     seen = [p for p in people if len(p) > 1]
     chosen = [None if m is None else frozenset(p[c] for p in seen if c in p) for c, m in enumerate(masks)]
     rest = [
@@ -163,7 +184,7 @@ def _sampled(recording: Recording) -> list[int]:
 def _points_inside(
     recording: Recording, small: CameraRig, c: int, view: ObjectMasks, keypoints: Sequence[Keypoints]
 ) -> dict[str, int]:
-    """How many key points lie in each object of a view."""
+    """Count the key points inside each object of a view."""
     out: dict[str, int] = {}
     camera, into = recording.rig[c], small[c]
     for f in _sampled(recording):

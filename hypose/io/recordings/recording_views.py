@@ -1,4 +1,4 @@
-"""The views of a recording: what each camera delivered, a look into its files, and whether they belong together."""
+"""Views of a recording: the files of each camera, their size, length and frame rate, and whether the views agree."""
 
 from __future__ import annotations
 
@@ -17,16 +17,22 @@ from hypose.io.recordings.object_masks import ObjectMasks, open_masks
 from hypose.io.videos.video import VideoReader, check_numbers, frame_size, frame_times, open_video, stored_frames
 
 _ALIKE = 1.005
-"""29.97 against 30 frames/s is a rounding of the container."""
+"""Ratio of frame rates below which they count as equal: 29.97 and 30 frames/s differ by rounding in the container."""
 SIDECAR = "hypose-masks.json"
-"""lies next to masks that are undistorted already, which are found by their frames' numbers"""
+"""Name of the note in a folder of masks that are already undistorted; their files are found by frame number."""
 
 
 @dataclass(frozen=True)
 class ViewSettings:
-    """What one camera delivered. Paths exist; None = not given. See the module for the meaning of each. first_mask: the
-    number of the first frame, of masks in one folder per object, None: the view's own least. rate: frames/s at which
-    its video is read by its time stamps, None: frame by frame."""
+    """The files and settings of one camera's view. Paths exist; None where not given.
+
+    video, images, masks, background, keypoints, depth: see the keys in `hypose.io.recordings.recording`.
+    image_shift: px to add to image coordinates of the calibrated size.
+    accept_scaled: images of another shape were stretched, not cut.
+    first_mask: number of the first frame's files, for masks of one folder per object; None for the view's lowest
+        number.
+    rate: frames/s at which the video is read by its time stamps; None to read it frame by frame.
+    """
 
     name: str
     video: Path | None = None
@@ -42,7 +48,7 @@ class ViewSettings:
 
     @property
     def source(self) -> Path | None:
-        """The video file or image folder, or the folder of depth maps; None when only masks are given."""
+        """The video, image folder or folder of depth maps; None where there are only masks or key points."""
         return self.video or self.images or self.depth
 
     @property
@@ -53,7 +59,7 @@ class ViewSettings:
 
 @dataclass(frozen=True)
 class _ClipInfo:
-    """What a look into one video, image folder or mask source gave; first: as ObjectMasks have it."""
+    """Properties of one video, image folder or mask source; `first` as in `ObjectMasks`."""
 
     path: Path
     size: tuple[int, int]
@@ -64,14 +70,14 @@ class _ClipInfo:
 
 
 def look(view: ViewSettings) -> list[_ClipInfo]:
-    """Open what the view's frames come from (video or images, then masks)."""
+    """Open the files of a view (video or images, then masks) and read their size, length and frame rate."""
     out = []
     for path in (view.source, view.masks):
         if path is None:
             continue
         made_here = (path / SIDECAR).is_file()
         if made_here and view.source is not None:
-            continue  # found by their frames' numbers, perhaps of some frames only
+            continue  # found by frame number; there may be masks of some frames only
         if path.is_dir() and not made_here:
             check_numbers(path)
         of_masks = path == view.masks and not made_here
@@ -82,14 +88,19 @@ def look(view: ViewSettings) -> list[_ClipInfo]:
 
 
 def look_together(views: Sequence[ViewSettings], notes: list[str]) -> tuple[list[ViewSettings], list[list[_ClipInfo]]]:
-    """The views, and what a look into each gave. Where files of one folder per object begin with different numbers,
-    these are the frames' of all views: a person who is not seen at first has no masks then."""
-    with ThreadPoolExecutor(len(views)) as pool:  # finding out how many frames can be decoded takes its time
+    """Read the properties of all views' files, and number masks of one folder per object alike in all views.
+
+    Where such files begin with different numbers, the lowest is the first frame of all views.
+
+    Returns: the views, with `first_mask` set where needed, and the properties of their files.
+    Why: a person who is not seen at the start has no masks there.
+    """
+    with ThreadPoolExecutor(len(views)) as pool:  # counting the frames that can be decoded takes time
         clips = list(pool.map(look, views))
     numbered = {k: c for k, found in enumerate(clips) for c in found if c.first is not None}
     begin = [c.first for c in numbered.values() if c.first is not None]
     spans = [c.n_frames for c in numbered.values()]
-    if not begin or not 0 < max(begin) - min(begin) < min(spans):  # cameras that count on their own are further apart
+    if not begin or not 0 < max(begin) - min(begin) < min(spans):  # independent counters of cameras differ by more
         return list(views), clips
     same = [replace(v, first_mask=min(begin)) if k in numbered else v for k, v in enumerate(views)]
     late = ", ".join(f"{views[k].name} {c.first}" for k, c in numbered.items() if c.first != min(begin))
@@ -101,8 +112,11 @@ def look_together(views: Sequence[ViewSettings], notes: list[str]) -> tuple[list
 
 
 def open_pictures(view: ViewSettings, threads: int | None = None) -> VideoReader | ObjectMasks:
-    """What shows a view: its video or images, else its masks; an InputError when it has neither. threads: that may
-    decode a video (None: all)."""
+    """Open the video, images or masks of a view, whichever it has first.
+
+    threads: number of threads that decode a video; None for all.
+    Raises: InputError where the view has none of them.
+    """
     if view.source is not None:
         return open_video(view.source, threads, rate=view.rate)
     if view.masks is None:
@@ -114,7 +128,10 @@ def open_pictures(view: ViewSettings, threads: int | None = None) -> VideoReader
 def check_picture_size(
     view: ViewSettings, camera: Camera, path: Path, size: tuple[int, int], notes: list[str] | None
 ) -> None:
-    """An InputError when pictures of a size (width, height) cannot be the camera's; a note when they are scaled."""
+    """Check that pictures of a given size (width, height) can be those of a camera; note where they are scaled.
+
+    Raises: CalibrationError where the shapes differ by more than 1 %.
+    """
     if size == camera.size:
         return
     (w, h), (cw, ch) = size, camera.size
@@ -130,7 +147,7 @@ def check_picture_size(
             f"View {view.name}: {path} is {w} x {h} px, camera {camera.name} is calibrated for {cw} x {ch} "
             f"px; {advice}."
         )
-    if notes is not None and not (path / SIDECAR).is_file():  # masks made here are smaller as a rule
+    if notes is not None and not (path / SIDECAR).is_file():  # hypose's own masks are usually smaller
         notes.append(
             f"View {view.name}: {path.name} is {w} x {h} px, the calibration {cw} x {ch} px; the images are "
             "taken as scaled."
@@ -138,7 +155,11 @@ def check_picture_size(
 
 
 def check_background(view: ViewSettings, camera: Camera, size: tuple[int, int] | None) -> None:
-    """An InputError when the background cannot be that of a view, whose pictures have this size."""
+    """Check that the background of a view fits its pictures.
+
+    size: (width, height) of the view's pictures.
+    Raises: InputError where it does not fit.
+    """
     assert view.background is not None
     if view.depth is None:
         check_picture_size(view, camera, view.background, frame_size(view.background), None)
@@ -157,7 +178,8 @@ def check_background(view: ViewSettings, camera: Camera, size: tuple[int, int] |
 
 
 def stored_numbers(view: ViewSettings) -> NDArray[np.int64] | None:
-    """The stored frame of each frame of a view whose video is read by its time stamps; None: the same."""
+    """Compute the stored frame for each frame of a video that is read by its time stamps; None where the numbers are
+    equal."""
     return None if view.video is None or view.rate is None else stored_frames(view.video, view.rate)
 
 
@@ -169,8 +191,16 @@ def on_one_clock(
     reported: float | None,
     notes: list[str],
 ) -> tuple[list[ViewSettings], list[list[_ClipInfo]], float]:
-    """Choose the recording's frames per second: as given, else as the videos say (the lowest), else as given by the key
-    points' file; and have videos that lost frames, or have another or a varying rate, read by their time stamps."""
+    """Determine the frame rate of a recording, and read irregular videos by their time stamps.
+
+    The frame rate is the given one, else that of the videos (the lowest), else that of the key points' file. Videos
+    with lost frames, or with another or a varying frame rate, are read by their time stamps.
+
+    given: frame rate of recording.toml, frames/s.
+    reported: frame rate of the key points' file, frames/s.
+    Returns: the views with `rate` set where needed, their files' properties, the frame rate.
+    Raises: InputError where no frame rate is known or it is implausible.
+    """
     if given is not None and not 0.1 <= given <= 10_000:
         raise InputError(f"{where}: frame_rate = {given:g} is implausible; give frames per second (0.1 to 10000).")
     times = [None if v.video is None else frame_times(v.video) for v in views]
@@ -203,13 +233,13 @@ def on_one_clock(
 
 
 def _step(times: Array) -> float:
-    """The mean time between two frames of which none is missing between, s."""
+    """Compute the mean time between two frames, without the steps over lost frames, s."""
     steps = np.diff(times)
     return float(steps[steps < 1.5 * np.median(steps)].mean())
 
 
 def _of_times(times: Array) -> str:
-    """Describe the unsteadiness in the time stamps of a video."""
+    """Describe the irregularity in the time stamps of a video."""
     steps, step = np.diff(times), _step(times)
     lost = np.round(steps / step) - 1
     if lost.any():
@@ -221,7 +251,10 @@ def _of_times(times: Array) -> str:
 
 
 def common_frames(views: Sequence[ViewSettings], clips: Sequence[list[_ClipInfo]], notes: list[str]) -> int:
-    """The number of frames that every view has; a note when they differ."""
+    """Count the frames that every view has, and note where the views differ.
+
+    Raises: InputError where a view has no frames.
+    """
     counts = {}
     for view, found in zip(views, clips, strict=True):
         for clip in found:
@@ -244,7 +277,7 @@ def common_frames(views: Sequence[ViewSettings], clips: Sequence[list[_ClipInfo]
             "are used. Check that all cameras start at the same instant."
         )
         next_low = sorted(counts.values())[1]
-        if len(views) > 2 and next_low > 1.05 * low:  # one camera went out before the others
+        if len(views) > 2 and next_low > 1.05 * low:  # one camera stopped before the others
             first = min(counts, key=lambda n: counts[n])
             notes[-1] += f" Without {first}, the others' {next_low} frames could be tracked."
     return low

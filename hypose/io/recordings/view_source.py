@@ -1,4 +1,4 @@
-"""The pictures and masks of one view of a recording, by frame number, undistorted and at working size."""
+"""Pictures, masks and depth maps of one view by frame number, undistorted and at working size."""
 
 from __future__ import annotations
 
@@ -42,17 +42,21 @@ from hypose.io.sensors.depth import read_depth_png
 from hypose.io.videos.video import VideoReader, evenly_spread, frame_size, list_images, open_video, read_image
 
 # ---- depth views ---------------------------------------------------------------------------------------------------
-# The depth maps of one view of a recording, by frame number, undistorted and at working size, and who is in them.
+# The depth maps of one view of a recording, by frame number, undistorted and at working size, and the people in them.
 
 
 _KEPT = 8
 _ROOM_FRAMES = 30
-"""maps of the empty room that are looked at, at most"""
+"""Largest number of depth maps that describe the empty room."""
 
 
 class DepthPreparer:
-    """Stored depth maps of a camera as those of the pinhole `small`; shift: px of the calibrated size added to image
-    positions."""
+    """Conversion of stored depth maps to the maps of a pinhole camera at working size.
+
+    camera: the calibrated camera.
+    small: the pinhole camera of the working size.
+    shift: px of the calibrated size, added to image positions.
+    """
 
     def __init__(self, camera: Camera, small: Camera, shift: tuple[float, float]) -> None:
         self._small = small
@@ -63,11 +67,11 @@ class DepthPreparer:
         self._shift = shift[0] * scale[0], shift[1] * scale[1]
 
     def __call__(self, depth: DepthMap) -> DepthMap:
-        """(h, w) m of the working size."""
+        """Convert a depth map to the working size (h, w), m, with the nearest stored pixel."""
         stored = depth.shape[1], depth.shape[0]
         if self._plain and stored == self._small.size:
             return depth
-        # the nearest pixel: between two values lies nothing that was measured
+        # the nearest pixel, because no depth was measured between two pixels
         x, y = (m - np.float32(s) for m, s in zip(self._maps, self._shift, strict=True))
         sx, sy = stored[0] / self._small.size[0], stored[1] / self._small.size[1]
         x, y = (
@@ -78,9 +82,13 @@ class DepthPreparer:
 
 
 class DepthSource:
-    """Depth maps of a view whose `depth` is a folder of 16-bit PNG in millimetres; `background`: one of the empty room.
-    people: several are to be seen. Used by one thread at a time, but for maps that
-    are kept."""
+    """Depth maps of a view, stored as a folder of 16-bit PNG in millimetres, and the people in them.
+
+    Only one thread may use it at a time, except for maps that are in memory.
+
+    small: pinhole camera of the working size.
+    people: find all people, not one.
+    """
 
     def __init__(self, view: ViewSettings, camera: Camera, small: Camera, people: bool = False) -> None:
         if view.depth is None:
@@ -92,7 +100,10 @@ class DepthSource:
         self._kept: OrderedDict[int, DepthMap] = OrderedDict()
 
     def map(self, frame: int) -> DepthMap:
-        """(h, w) float32 m of a frame, 0 = hole; an InputError names what cannot be read."""
+        """Read the depth map (h, w) of a frame, float32 m, 0 for a hole.
+
+        Raises: InputError where the frame does not exist or cannot be read.
+        """
         found = self._kept.get(frame)
         if found is None:
             if not 0 <= frame < len(self._files):
@@ -103,8 +114,11 @@ class DepthSource:
         return found
 
     def person(self, frame: int) -> NDArray[np.uint8]:
-        """(h, w) 0/1: who stands before the empty room, or on the floor where that is not known; all people, if several
-        are to be seen."""
+        """Segment the person in a frame as a mask (h, w) of 0 and 1.
+
+        The person is in front of the empty room or, where that is not known, stands on the floor. With `people` the
+        mask shows all people.
+        """
         room, camera = self.furnished[0], self._small
         depth = self.map(frame)
         if room is None:
@@ -113,7 +127,7 @@ class DepthSource:
 
     @cached_property
     def room(self) -> DepthBackground | None:
-        """The empty room, None when there is no recording of it."""
+        """Background model of the empty room; None where it was not recorded."""
         if self.view.background is None:
             return None
         files = list_images(self.view.background)
@@ -122,8 +136,12 @@ class DepthSource:
 
     @cached_property
     def furnished(self) -> tuple[DepthBackground | None, float]:
-        """The room with things that stand still in the recording and were not there when it was empty, and how much of
-        them is seen, m^2; as it was where several people are to be seen, who may stand still."""
+        """The empty room with the things that stand still in the recording and were added later.
+
+        With several people nothing is added, because they may stand still.
+
+        Returns: the background model, and the visible area of the added things, m^2.
+        """
         room = self.room
         if room is None or self._people:
             return room, 0.0
@@ -132,20 +150,20 @@ class DepthSource:
 
     @cached_property
     def _unlike_people(self) -> DepthMap | None:
-        """(h, w) m: what of the recording stands still and is not like a person; None when no map can be read."""
+        """Depth map (h, w), m, of still things that are not like a person; None where no map can be read."""
         maps = self._spread()
         return unlike_people(maps, self._small) if maps else None
 
     def _spread(self) -> list[DepthMap]:
-        """Some maps, evenly over the recording."""
+        """Read some maps, evenly spread over the recording."""
         maps = list[DepthMap]()
         for k in evenly_spread(0, len(self._files), STILL_FRAMES):
-            with contextlib.suppress(InputError):  # a damaged map is named where its frame is asked for
+            with contextlib.suppress(InputError):  # a damaged map is reported when its frame is read
                 maps.append(self._prepared(self._read(self._files[k])))
         return maps
 
     def _read(self, file: Path) -> DepthMap:
-        """A map as it is stored; an InputError when it has not the size of the view's first."""
+        """Read a stored map; InputError where its size differs from the view's first map."""
         if self._stored is None:
             self._stored = frame_size(self._files[0])
         depth = read_depth_png(file)
@@ -161,15 +179,24 @@ class DepthSource:
 def places_in_stored(
     camera: Camera, size: tuple[int, int], shift: tuple[float, float], stored: tuple[int, int]
 ) -> NDArray[np.float32]:
-    """(h, w, 2) px: where the pixels of the undistorted picture of a size (width, height) lie in a stored one of
-    another size. shift: px of the calibrated size added to image positions."""
+    """Compute where the pixels of the undistorted picture lie in a stored picture.
+
+    size: (width, height) of the undistorted picture.
+    shift: px of the calibrated size, added to image positions.
+    stored: (width, height) of the stored picture.
+    Returns: (h, w, 2) px.
+    """
     moved = np.array(shift) * stored / np.array(camera.size)
     return np.asarray(np.stack(camera.undistort_maps(size, stored), -1) - moved, dtype=np.float32)
 
 
 class Preparer:
-    """Stored images (any size) of a camera -> undistorted images of the working-size camera `small`. shift: px of the
-    calibrated size added to image positions."""
+    """Conversion of stored pictures of any size to undistorted pictures of the working size.
+
+    camera: the calibrated camera.
+    small: the pinhole camera of the working size.
+    shift: px of the calibrated size, added to image positions.
+    """
 
     def __init__(self, camera: Camera, small: Camera, shift: tuple[float, float]) -> None:
         self.size = small.size
@@ -181,12 +208,16 @@ class Preparer:
         self._pixels: dict[tuple[int, int], NDArray[np.int32]] = {}
 
     def __call__(self, image: Image) -> Image:
-        """The undistorted image."""
+        """Undistort a stored picture."""
         image = self._enlarged(image)
         return shrink_undistort(image, self._lens(image))
 
     def within(self, image: Image, box: Box | None) -> Image:
-        """The same until the next call, which uses its memory; undefined outside the box (y0, y1, x0, x1), if any."""
+        """Undistort a stored picture within a box, into memory that the next call overwrites.
+
+        box: y0, y1, x0, x1 in the undistorted picture, outside which the values are undefined; None for the whole
+            picture.
+        """
         image = self._enlarged(image)
         return shrink_undistort(image, self._lens(image), box, self._memory)
 
@@ -197,7 +228,10 @@ class Preparer:
         return self._lenses[stored]
 
     def differing_box(self, image: Image, glance: Glance) -> Box | None:
-        """Return the box of the working size that holds the foreground, None when it is empty."""
+        """Find the box (working size) around all foreground in a stored picture; None where there is none.
+
+        glance: coarse test of pixels against the background.
+        """
         image = self._enlarged(image)
         stored = (image.shape[1], image.shape[0])
         if stored not in self._pixels:
@@ -211,10 +245,16 @@ class Preparer:
 
 
 def mask_in(image: Image, prepare: Preparer, segment: Segmenter, band: Mask | None = None) -> tuple[MaskRuns, Image]:
-    """The mask of a stored image, and the undistorted image, known within it, until the next call with this Preparer;
-    band: where the person can be."""
+    """Segment the person in a stored picture.
+
+    prepare: conversion to the working size.
+    segment: segmentation against the background.
+    band: region where the person can be; None for the whole picture.
+    Returns: the mask, and the undistorted picture, which is valid within the mask until the next call with this
+        Preparer.
+    """
     box: Box | None = None
-    if segment.glance is not None:  # then nothing outside the person's box is looked at
+    if segment.glance is not None:  # then only the person's box is processed
         found = prepare.differing_box(image, segment.glance) if band is None else bounding_box(band)
         box = found or (0, 0, 0, 0)
     prepared = prepare.within(image, box)
@@ -229,8 +269,11 @@ def _holds(box: Box, other: Box) -> bool:
 
 
 class _MaskSource:
-    """Masks made elsewhere: a video, a folder of images in order, masks of several objects, or a folder written by
-    write_masks. chosen: the objects that are the person, None: all."""
+    """Given masks of a view: a video, a folder of images, masks of several objects, or a folder written by
+    `write_masks`.
+
+    chosen: names of the objects that are the person; None for all.
+    """
 
     def __init__(self, view: ViewSettings, path: Path, prepare: Preparer, size: tuple[int, int]) -> None:
         self.path, self._prepare, self._size = path, prepare, size
@@ -271,8 +314,12 @@ class _MaskSource:
 
 
 class ViewSource:
-    """Masks of one view by frame number; used by one thread at a time. people: of all in a depth camera's maps;
-    parallel: number of videos decoded at once, which share the cores: more threads cost more in all."""
+    """Pictures and masks of one view by frame number. Only one thread may use it at a time.
+
+    small: pinhole camera of the working size.
+    people: find all people in depth maps.
+    parallel: number of videos that are decoded at the same time and share the cores.
+    """
 
     def __init__(
         self, view: ViewSettings, camera: Camera, small: Camera, people: bool = False, parallel: int = 1
@@ -291,25 +338,26 @@ class ViewSource:
 
     @property
     def objects(self) -> ObjectMasks | None:
-        """The view's masks where they tell objects apart."""
+        """Masks of several objects of this view; None where its masks do not separate objects."""
         return None if self._masks is None else self._masks.objects
 
     def choose(self, objects: frozenset[str]) -> None:
-        """Take these objects of the masks for the person."""
+        """Set the objects of the masks that are the person."""
         if self._masks is not None:
             self._masks.chosen = objects
 
     def image(self, frame: int) -> Image:
-        """The undistorted working-size image."""
+        """Read the undistorted picture of a frame at working size."""
         return self._prepare(self._stored(frame))
 
     def image_of_mask(self, frame: int) -> Image | None:
-        """The same, known within the mask that was made last, which is of this frame; None where there is none."""
+        """Get the undistorted picture of a frame, valid at least within the mask just made for it; None without a
+        picture."""
         if self._shown is not None and self._shown[0] == frame:
             return self._shown[1]
         try:
             return None if self.view.source is None else self.image(frame)
-        except InputError:  # the mask is from elsewhere, and does for the rest
+        except InputError:  # the mask does not need the picture
             return None
 
     def _stored(self, frame: int) -> Image:
@@ -322,8 +370,12 @@ class ViewSource:
     def mask(
         self, frame: int, band: Mask | None, widened: Callable[[Mask], Mask | None] | None = None
     ) -> tuple[MaskRuns | None, str]:
-        """The mask, packed, or None and why there is none. widened: a wider band for a mask, with which it is made
-        again, or None when it may stay."""
+        """Segment the person in a frame.
+
+        band: region where the person can be; None for the whole picture.
+        widened: function that gives a wider band for a mask that is too narrow, or None; the mask is then made again.
+        Returns: the packed mask and "", or None and the reason.
+        """
         if self._broken is not None and frame >= self._broken[0]:
             return None, f"{self.view.name}, frame {frame}: {self._broken[1]}"
         try:
@@ -344,7 +396,7 @@ class ViewSource:
             return runs, ""
         except InputError as problem:
             self._problems[frame] = str(problem)
-            # a damaged video stays damaged: do not decode it from its start again and again
+            # a damaged video stays damaged: do not decode it from its start for every frame
             files = self.depth is not None or (self._reader is not None and self._reader.is_sequence)
             if self._masks is None and not files:
                 self._broken = (frame, str(problem))
@@ -352,7 +404,7 @@ class ViewSource:
 
     @property
     def note(self) -> str:
-        """What could not be read so far, "" when nothing."""
+        """Sentence about the frames that could not be read so far; empty where there are none."""
         problems = dict(self._problems)  # another thread may be reading
         if not problems:
             return ""
@@ -363,7 +415,7 @@ class ViewSource:
         return f"has no mask in {which} {first}: {problems[first]}"
 
     def close(self) -> None:
-        """Release the files."""
+        """Close the files."""
         for source in (self._reader, self._masks):
             if source is not None:
                 source.close()

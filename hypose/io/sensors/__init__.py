@@ -1,1 +1,1 @@
-"""Files of depth sensors: skeletons and depth."""
+"""Reading of depth sensors' files: skeletons and depth maps."""

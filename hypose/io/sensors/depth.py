@@ -1,6 +1,6 @@
-"""Depth maps: 16-bit PNG in millimetres, and the first readers of sensors' own recordings.
+"""Depth maps: 16-bit PNG in millimetres, recordings of depth cameras, and connected depth cameras.
 
-A depth map is (h, w) float32 in metres, 0 = hole, pixel centres at whole numbers.
+A depth map is (h, w) float32 in metres, 0 for a hole, with pixel centres at integer coordinates.
 """
 
 from __future__ import annotations
@@ -34,20 +34,20 @@ from hypose.io.videos.video import PNG_SIGNATURE, is_cut_png, list_images
 from hypose.json_text import parse_json
 
 MAX_SIDE = 4096
-# Steps of a noisy depth picture are no better predicted from the pixel next to: without a filter files are a third
+# PNG filters do not predict noisy depth better: without a filter, files are a third
 # smaller, and no slower to write.
 DEPTH_PNG = (cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_NONE, cv2.IMWRITE_PNG_COMPRESSION, 1)
 _MAX_BYTES = 64 * 2**20
 
 
 def write_depth_png(path: str | Path, depth: ArrayLike) -> None:
-    """Write a depth map (h, w) m as 16-bit PNG in whole millimetres; holes and depths beyond 65 m become 0."""
+    """Write a depth map (h, w), m, as a 16-bit PNG in whole millimetres; holes and depths beyond 65 m become 0."""
     mm = np.asarray(depth, dtype=np.float64) * 1000
     write_millimetres_png(path, np.where(np.isfinite(mm) & (mm > 0) & (mm < 65535.5), np.rint(mm), 0).astype(np.uint16))
 
 
 def write_millimetres_png(path: str | Path, depth: NDArray[np.uint16]) -> None:
-    """Write a depth map (h, w) that is in whole millimetres already, 0 = hole, as 16-bit PNG."""
+    """Write a depth map (h, w) in whole millimetres, 0 for a hole, as a 16-bit PNG."""
     ok, data = cv2.imencode(".png", depth, DEPTH_PNG)
     if not ok:
         raise InputError(f"{path}: a depth map of shape {depth.shape} cannot be written; it must be (height, width).")
@@ -55,12 +55,17 @@ def write_millimetres_png(path: str | Path, depth: NDArray[np.uint16]) -> None:
 
 
 _NOT_MEASURED = 65535
-"""What some recorders write in place of 0 (mm)."""
+"""Value of a hole, mm, that some recorders write in place of 0."""
 
 
 def read_depth_png(path: str | Path) -> DepthMap:
-    """Read a 16-bit PNG in millimetres as m, 0 where nothing was measured; the size in its header is checked before
-    anything is unpacked."""
+    """Read a 16-bit PNG in millimetres as a depth map.
+
+    The size in its header is checked before anything is unpacked.
+
+    Returns: (h, w) m; 0 for a hole.
+    Raises: InputError where the file is not such a PNG, too large or damaged.
+    """
     data = read_bytes(path, "a 16-bit depth PNG", _MAX_BYTES)
     if not data.startswith(PNG_SIGNATURE) or data[12:16] != b"IHDR" or len(data) < 33:
         raise InputError(f"{path} is not a PNG; depth maps are 16-bit PNG in millimetres.")
@@ -80,9 +85,12 @@ def read_depth_png(path: str | Path) -> DepthMap:
 def sample_depth(
     depth: DepthMap, positions: ArrayLike, intrinsics: tuple[float, float, float, float], y_up: bool = False
 ) -> Array:
-    """Depth map's value (J,) m at the pixels of joints (J, 3) m in the sensor's frame; 0 where there is none.
+    """Look up the depth map at the pixels of joints.
 
-    intrinsics (fx, fy, cx, cy) px; y_up: the joints' y axis points up, the image's down.
+    positions: (J, 3) joints in the sensor's frame, m.
+    intrinsics: fx, fy, cx, cy, px.
+    y_up: the joints' y axis points up; that of the image always points down.
+    Returns: (J,) depths, m; 0 for holes and for joints outside the image.
     """
     p = np.asarray(positions, dtype=np.float64)
     fx, fy, cx, cy = intrinsics
@@ -99,16 +107,23 @@ def sample_depth(
 
 @dataclass(frozen=True)
 class DepthFrame:
-    """time: s from the recording's start; depth (h, w) float32 m."""
+    """A depth map and its time.
+
+    time: s from the start of the recording.
+    depth: (h, w) float32 m.
+    """
 
     time: float
     depth: DepthMap
 
 
 def read_azure_mkv(path: str | Path) -> tuple[dict[str, Any], Iterator[DepthFrame]]:
-    """Calibration (the recording's calibration.json) and depth frames of an Azure Kinect recording (.mkv).
+    """Read the calibration and the depth maps of an Azure Kinect recording (.mkv).
 
-    Needs PyAV (extra azure). The depth track is 16-bit big-endian grey in millimetres, named DEPTH.
+    The depth track is 16-bit big-endian grey in millimetres, named DEPTH.
+
+    Returns: content of the recording's calibration.json, and an iterator over the depth maps.
+    Raises: InputError where PyAV (extra azure) is not installed or the file has no depth track.
     """
     library = extra("av", "An Azure Kinect recording", "azure", "PyAV")
     readable_size(path, "an Azure Kinect recording (.mkv)", 64 * 2**30)
@@ -161,14 +176,18 @@ def _azure_frames(container: Any, track: Any, path: str, library: Any) -> Iterat
 
 _MAX_RECORDING_BYTES = 256 * 2**30
 _PATIENCE_MS = 2000
-"""Without a frame for so long, a recording is at its end and a camera is gone."""
+"""Time without a frame, ms, after which a recording is at its end and a camera is disconnected."""
 
 
 @dataclass(frozen=True)
 class RealSenseDepth:
-    """intrinsics (fx, fy, cx, cy) px of the depth maps, which is what `depth.depth_at_joints` takes; size (width,
-    height) px; distorted: the camera reports lens distortion, which the intrinsics do not hold; frames: each read once,
-    time in s from the first."""
+    """Depth maps of a RealSense camera or recording.
+
+    intrinsics: fx, fy, cx, cy of the depth maps, px, as `sample_depth` takes them.
+    size: width and height, px.
+    distorted: the camera reports lens distortion, which the intrinsics do not include.
+    frames: depth maps, each read once; times in s from the first.
+    """
 
     intrinsics: tuple[float, float, float, float]
     size: tuple[int, int]
@@ -177,8 +196,10 @@ class RealSenseDepth:
 
 
 def read_realsense(path: str | Path) -> RealSenseDepth:
-    """The depth of a recording that RealSense's own tools wrote (.bag, in newer versions .db3), as fast as it can be
-    read. An InputError for anything else, and when pyrealsense2 is missing."""
+    """Read the depth of a RealSense recording (.bag, in newer versions .db3), as fast as possible.
+
+    Raises: InputError where the file is not such a recording or pyrealsense2 is not installed.
+    """
     library = _library()
     path = Path(path)
     readable_size(path, "a RealSense recording (.bag or .db3)", _MAX_RECORDING_BYTES)
@@ -195,8 +216,13 @@ def read_realsense(path: str | Path) -> RealSenseDepth:
 
 
 def open_realsense(serial: str | None = None) -> RealSenseDepth:
-    """The depth of a connected camera, by its serial number if there are several. The frames end when the camera is
-    unplugged; closing the iterator stops the camera."""
+    """Start a connected RealSense camera and read its depth.
+
+    The frames end when the camera is disconnected; closing the iterator stops the camera.
+
+    serial: serial number, needed where there are several cameras.
+    Raises: InputError where there is no such camera or it does not start.
+    """
     library = _library()
     config = library.config()
     config.enable_stream(library.stream.depth)
@@ -218,14 +244,14 @@ def open_realsense(serial: str | None = None) -> RealSenseDepth:
 
 
 def _library() -> Any:
-    os.environ["RS2_RUM_CLOUD_ENABLED"] = "0"  # since 2.59 it counts uses; nothing is sent
+    os.environ["RS2_RUM_CLOUD_ENABLED"] = "0"  # since 2.59 it counts uses; this prevents sending
     libusb = "install the system's libusb (Debian: apt install libusb-1.0-0)"
     return extra("pyrealsense2", "Depth of RealSense cameras and their recordings", "realsense", or_else=libusb)
 
 
 def _opened(library: Any, config: Any, what: str, recorded: bool) -> RealSenseDepth:
     pipeline = library.pipeline()
-    if recorded:  # said before it starts, else frames are dropped when reading is slower than recording was
+    if recorded:  # set before the start, otherwise frames are dropped when reading is slower than recording
         playback = config.resolve(library.pipeline_wrapper(pipeline)).get_device().as_playback()
         playback.set_real_time(False)
     profile = pipeline.start(config)
@@ -268,7 +294,10 @@ def _frames(pipeline: Any, scale: float, what: str) -> Iterator[DepthFrame]:
 
 @contextlib.contextmanager
 def _no_report_at_home() -> Iterator[None]:
-    """Where the last of the library's objects are let go: since 2.59 it writes its counts to ~/.rum then."""
+    """Redirect the home folder while the last objects of the library are deleted.
+
+    Why: since version 2.59, pyrealsense2 then writes usage counts to ~/.rum.
+    """
     home = os.environ.get("HOME")
     with tempfile.TemporaryDirectory(prefix="hypose-") as folder:
         os.environ["HOME"] = folder
@@ -283,7 +312,7 @@ def _short(error: Exception) -> str:
 
 
 # ---- depth files ---------------------------------------------------------------------------------------------------
-# Recordings of depth cameras, of whatever make: their lens and their maps, one after the other.
+# Recordings of depth cameras of all known makes: their lens and their maps, one after the other.
 #
 # Azure Kinect (.mkv), RealSense (.bag, .db3), Record3D (.r3d), and a folder of 16-bit PNG in millimetres with a
 # calibration.toml next to them (Orbbec and others export such frames).
@@ -291,28 +320,34 @@ def _short(error: Exception) -> str:
 
 ENDINGS = (".mkv", ".bag", ".db3", ".r3d")
 _MODES = {(640, 576): (1024, 192, 180), (320, 288): (512, 96, 90), (512, 512): (512, 0, 0), (1024, 1024): (1024, 0, 0)}
-"""Of the Azure Kinect: the size of the sensor's picture in pixels, and where the mode's picture begins in it."""
+"""Depth modes of the Azure Kinect by size: side of the sensor's picture, px, and origin of the mode's picture in it."""
 FOLDER_RATE = 30.0
-"""Frames per second of a folder of maps of which no one knows it."""
+"""Frames per second of a folder of depth maps, where none is given."""
 _DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, NotImplementedError)
-"""What a zip raises that is none, is cut off, or is locked by a password."""
+"""Exceptions of a zip that is not a zip, cut off, or locked by a password."""
 _PACKED_BYTES = 64 * 2**20
-"""of one entry of a capture"""
+"""Largest unpacked size of one entry of a capture."""
 
 
 @dataclass(frozen=True)
 class DepthFile:
-    """camera: the lens, at the origin; frames: each read once, time in s from the first; where frames were lost the
-    times leave a gap."""
+    """A recording of one depth camera.
+
+    camera: the lens; its pose is the identity.
+    frames: depth maps, each read once; times in s from the first, with gaps where frames were lost.
+    """
 
     camera: Camera
     frames: Iterator[DepthFrame]
 
 
 def open_depth(path: str | Path, frame_rate: float = FOLDER_RATE, millimetres: float = 1.0) -> DepthFile:
-    """A recording of one depth camera; an InputError names what cannot be used and what can.
+    """Open a recording of one depth camera: .mkv, .bag, .db3, .r3d, or a folder of 16-bit PNG.
 
-    frame_rate (per s), millimetres that one step of a value stands for: of a folder of maps, which tells neither."""
+    frame_rate: frames/s of a folder of maps.
+    millimetres: size of one step of the values in a folder of maps, mm.
+    Raises: InputError where the recording cannot be used.
+    """
     path = Path(path)
     ending = path.suffix.lower()
     if path.is_dir():
@@ -350,7 +385,7 @@ def _folder(path: Path, frame_rate: float, millimetres: float) -> DepthFile:
     places = (f / "calibration.toml" for f in (path, path.parent, path.parent.parent))
     calibration = next((c for c in places if c.is_file()), None)
     if calibration is None:
-        raise InputError(f"{path} has no calibration.toml with the camera's lens; put one beside the maps.")
+        raise InputError(f"{path} has no calibration.toml with the camera's lens; put one next to the maps.")
     rig, _ = read_any(calibration, "auto")
     names = [c.name for c in rig]
     if len(rig) > 1 and path.name not in names:
@@ -371,8 +406,11 @@ def _folder(path: Path, frame_rate: float, millimetres: float) -> DepthFile:
 
 
 def _numbers(files: Sequence[Path]) -> NDArray[np.int64]:
-    """(T,) which frame each file of a folder is: by its number where the files are numbered in steps of one size, so
-    that lost ones leave a gap; else one after the other (names of other kinds, times)."""
+    """Number the frames of a folder (T,).
+
+    The numbers in the files' names are used where they count in equal steps, so that lost files leave a gap; otherwise
+    the files are counted.
+    """
     plain = np.arange(len(files))
     parts = [re.split(r"(\d+)(?=\D*$)", f.name) for f in files]
     if any(len(p) != 3 or len(p[1]) > 15 for p in parts) or len({(p[0], p[2]) for p in parts}) > 1:
@@ -393,15 +431,21 @@ def _azure(path: Path) -> DepthFile:
 
     def all_frames() -> Iterator[DepthFrame]:
         yield DepthFrame(0.0, first.depth)
-        for frame in frames:  # the container counts from when its first track began
+        for frame in frames:  # the container's time starts with its first track
             yield DepthFrame(frame.time - first.time, frame.depth)
 
     return DepthFile(camera, all_frames())
 
 
 def azure_camera(name: str, calibration: Mapping[str, Any], size: tuple[int, int], where: str) -> Camera:
-    """The depth camera of an Azure Kinect's calibration.json for maps of this size (a mode of the sensor). Source: how
-    the Azure Kinect Sensor SDK crops and scales the sensor's picture for its depth modes."""
+    """Compute the depth camera of an Azure Kinect from its calibration.json.
+
+    calibration: content of calibration.json.
+    size: width and height of the depth maps, px, which identify the mode of the sensor.
+    where: the recording, for the error messages.
+    Raises: InputError where the size or the calibration is unknown.
+    Source: cropping and scaling of depth modes in the Azure Kinect Sensor SDK.
+    """
     cameras = calibration.get("CalibrationInformation", {}).get("Cameras", [])
     own = [c for c in cameras if str(c.get("Location", "")).endswith("D0")]
     if not own or size not in _MODES:
@@ -420,7 +464,8 @@ def azure_camera(name: str, calibration: Mapping[str, Any], size: tuple[int, int
 
 
 def _record3d(path: Path) -> DepthFile:
-    """A capture of the Record3D app: a zip with `metadata` (JSON) and rgbd/N.depth, float32 metres packed by LZFSE."""
+    """Open a capture of the Record3D app: a zip with `metadata` (JSON) and rgbd/N.depth, float32 metres packed with
+    LZFSE."""
     try:
         archive = zipfile.ZipFile(open_file(path, "a Record3D capture (.r3d)", 64 * 2**30))
         about = parse_json(_unpacked(archive, "metadata"))
@@ -442,7 +487,7 @@ def _record3d(path: Path) -> DepthFile:
             f"{path}: depth maps of {width} x {height} px, a lens of {lens[0]:g} px, {rate:g} Hz: unusable."
         )
     try:
-        library: Any = importlib.import_module("liblzfse")  # an extra: not there for everyone, type checkers included
+        library: Any = importlib.import_module("liblzfse")  # optional, so type checkers may not find it
     except ImportError:
         raise InputError(
             "Record3D captures need pyliblzfse, which is not installed; run: pip install pyliblzfse."
@@ -472,29 +517,34 @@ def _number(name: str) -> int:
 
 
 def _unpacked(archive: zipfile.ZipFile, name: str) -> bytes:
-    """An entry, which says itself how large it will be."""
+    """Read an entry of a zip after checking its stated size."""
     if archive.getinfo(name).file_size > _PACKED_BYTES:
         raise zipfile.BadZipFile(name)
     return archive.read(name)
 
 
 # ---- depth sources -------------------------------------------------------------------------------------------------
-# Depth cameras as they deliver: a RealSense, and folders of depth maps played at their own pace.
+# Depth cameras as image sources: a RealSense, and folders of depth maps played at their own speed.
 
 
 DEPTH_PREFIX, REALSENSE = "depth:", "realsense"
-"""How the address of a depth camera begins: a folder of maps, and a camera, whose serial number may follow"""
+"""Start of a depth camera's address: a folder of maps, and a camera, whose serial number may follow."""
 
 
 def is_depth(address: str) -> bool:
-    """Whether an address is that of a depth camera."""
+    """Test whether an address is that of a depth camera."""
     return address.startswith(DEPTH_PREFIX) or address == REALSENSE or address.startswith(f"{REALSENSE}:")
 
 
 def open_depth_camera(address: str, rate: float, begin: float | None = None) -> CameraSource:
-    """A depth camera by its address: `realsense`, `realsense:SERIAL`, or `depth:FOLDER` with 16-bit PNG in millimetres,
-    which are played at `rate` Hz, the first at `begin` (s, monotonic). Its shots hold maps (h, w) float32 m. An
-    InputError says what cannot be opened."""
+    """Open a depth camera by its address.
+
+    address: `realsense`, `realsense:SERIAL`, or `depth:FOLDER` with 16-bit PNG in millimetres.
+    rate: Hz at which a folder is played.
+    begin: time of a folder's first map, s of the monotonic clock; now by default.
+    Returns: a source whose images are depth maps (h, w), float32 m.
+    Raises: InputError where it cannot be opened.
+    """
     if not address.startswith(DEPTH_PREFIX):
         serial = address.partition(":")[2]
         return _RealSense(open_realsense(serial or None), address)
@@ -505,7 +555,7 @@ def open_depth_camera(address: str, rate: float, begin: float | None = None) -> 
 
 
 class _RealSense:
-    """A connected camera."""
+    """A connected RealSense camera as a `CameraSource`."""
 
     live = True
 
@@ -513,7 +563,7 @@ class _RealSense:
         self._what, self._frames = what, found.frames
 
     def read(self) -> CameraImage:
-        """See `CameraSource`."""
+        """Wait for the next depth map; StreamEnded where the camera is disconnected."""
         try:
             frame = next(self._frames, None)
         except InputError as error:  # it may be plugged in again
@@ -523,14 +573,14 @@ class _RealSense:
         return CameraImage(time.monotonic(), frame.time, frame.depth)
 
     def close(self) -> None:
-        """See `CameraSource`."""
+        """Stop the camera."""
         close = getattr(self._frames, "close", None)
         if close is not None:
             close()
 
 
 class _Maps:
-    """Play a folder of depth maps."""
+    """A folder of depth maps as a `Film` that can be played."""
 
     frame_rate: float | None = None
 
@@ -539,7 +589,7 @@ class _Maps:
         self.n_frames = len(self._files)
 
     def read(self, number: int) -> DepthMap:
-        """Map `number`; one that is damaged shows nothing."""
+        """Read a map by its number; a damaged one becomes a map without depth."""
         self.position = number + 1
         try:
             return read_depth_png(self._files[number])
@@ -547,4 +597,4 @@ class _Maps:
             return np.zeros((1, 1), np.float32)
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Do nothing, because no file stays open."""

@@ -1,13 +1,14 @@
-"""A recording folder of skeletons: session.json, frames.csv, skeleton.csv, and depth maps if wanted.
+"""Files of recorded skeletons: hypose's own folder (session.json, frames.csv, skeleton.csv, depth maps) and other
+formats.
 
 session.json: {"format": "hypose-skeletons", "version": 1, "name": ..., "reference": SENSOR, "clock": "common" or
   "own", "sensors": [{"name": ..., "joints": [names], "unit": "m" or "mm" (default m), "depth": {"intrinsics":
-  [fx, fy, cx, cy], "y_up": false}}]}. depth is there when the sensor has depth maps; y_up: the skeleton's y axis
-  points up (Kinect v2) instead of down (Azure, OpenCV).
-frames.csv: sensor,frame,time[,depth], one row per sensor frame: frame is a whole number of the sensor's own, time in
-  seconds, depth the path of a 16-bit PNG in millimetres (0 = hole), relative to the folder.
-skeleton.csv: sensor,frame,person,joint,x,y,z,state, one row per joint; rows or coordinates that are absent are missing
-  joints. A frame without rows is one in which the sensor saw no person.
+  [fx, fy, cx, cy], "y_up": false}}]}. depth is given when the sensor has depth maps; y_up: the skeleton's y axis
+  points up (Kinect v2) and not down (Azure, OpenCV).
+frames.csv: sensor,frame,time[,depth], one row per sensor frame: frame is the sensor's own whole number, time is in
+  seconds, depth is the path of a 16-bit PNG in millimetres (0 = hole), relative to the folder.
+skeleton.csv: sensor,frame,person,joint,x,y,z,state, one row per joint; absent rows or coordinates are missing joints.
+  In a frame without rows the sensor saw no person.
 """
 
 from __future__ import annotations
@@ -65,7 +66,10 @@ class _Sensor:
 
 
 def read_folder(folder: str | Path) -> SkeletonRecording:
-    """Read a recording folder; an InputError names the file and line that cannot be used."""
+    """Read a recording folder of skeletons.
+
+    Raises: InputError where a file or line cannot be used; it names both.
+    """
     folder = Path(folder)
     session, frames, skeleton = (folder / name for name in ("session.json", "frames.csv", "skeleton.csv"))
     value = _session(session)
@@ -126,7 +130,7 @@ def _sensor(path: Path, value: Any) -> _Sensor:
 
 
 def _rows_of(path: Path, header: Sequence[str], kind: str) -> Iterator[tuple[str, list[str]]]:
-    """Where each row stands, and its cells."""
+    """Read the rows of a CSV file after checking its header: file and line as text, and the cells."""
     names, rows = csv_rows(path, kind)
     if names[: len(header)] != list(header):
         raise InputError(f"{path}: the first line must be {','.join(header)}.")
@@ -179,7 +183,7 @@ def _read_bodies(path: Path, sensors: Mapping[str, _Sensor]) -> dict[str, _Bodie
 
 
 def _fill(sensor: _Sensor, bodies: _Bodies, folder: Path) -> None:
-    """The sensor's rows in the order of its frames' numbers, which is that of arrival."""
+    """Add the bodies to the sensor's rows in the order of frame numbers, which is the order of arrival."""
     by_frame: dict[int, list[tuple[int, Array, NDArray[np.uint8]]]] = {}
     for (frame, person), (positions, state) in bodies.items():
         scaled = np.where(positions > -9000, positions * sensor.scale, positions)
@@ -200,7 +204,7 @@ def _fill(sensor: _Sensor, bodies: _Bodies, folder: Path) -> None:
 
 
 def _inside(folder: Path, name: str) -> Path:
-    """A path in the folder; an InputError for one that leads out of it."""
+    """Resolve a path in the folder; InputError where it leads out of the folder."""
     path = folder / name
     if not path.resolve().is_relative_to(folder.resolve()):
         raise InputError(f"{folder / 'frames.csv'} names the depth map {name!r}, which lies outside the folder.")
@@ -211,7 +215,12 @@ def _inside(folder: Path, name: str) -> Path:
 
 
 class FolderWriter:
-    """Writes a recording folder while it is being recorded; what was written so far can be read at any time."""
+    """Writer of a recording folder during the recording. The part that is already written can be read at any time.
+
+    folder: a new or empty folder.
+    name: name of the recording; the folder's by default.
+    clock: "own" where each sensor has its own clock, "common" where all have the same.
+    """
 
     def __init__(self, folder: str | Path, name: str = "", clock: str = "own") -> None:
         self._folder = RecordingFolder(folder)
@@ -231,8 +240,14 @@ class FolderWriter:
         positions: Array,
         state: NDArray[np.uint8],
     ) -> None:
-        """One body (person None: the sensor saw no person). Bodies of one sensor frame come together, with equal
-        times."""
+        """Write one body. Bodies of the same sensor frame come one after another with equal times.
+
+        time: s.
+        person: the sensor's number of the person; None where the sensor saw no person.
+        positions: (J, 3) m.
+        state: (J,) 0 not tracked, 1 inferred, 2 tracked.
+        Raises: InputError where the folder cannot be written.
+        """
         with self._folder.writing():
             if sensor not in self._joints and person is not None:
                 self._joints[sensor] = tuple(joint_names)
@@ -257,15 +272,20 @@ class FolderWriter:
         write_text(self.folder / "session.json", to_json(value))
 
     def flush(self) -> None:
-        """Hand everything to the system; an InputError when it cannot be written or the recording was removed."""
+        """Flush the files to the system.
+
+        Raises: InputError where they cannot be written or were removed.
+        """
         with self._folder.writing():
             self._frames.flush()
             self._skeleton.flush()
         self._folder.check()
 
     def close(self) -> None:
-        """Close the files; sensors that saw no person are not in session.json, so their frames are taken out. An
-        InputError when not all could be written, or the recording was removed meanwhile."""
+        """Close the files, and remove the frames of sensors that saw no person, which session.json does not list.
+
+        Raises: InputError where they could not be written or were removed.
+        """
         with self._folder.writing():
             for stream in (self._frames, self._skeleton):
                 stream.close()
@@ -278,7 +298,7 @@ class FolderWriter:
 
 
 # ---- skeleton tables -----------------------------------------------------------------------------------------------
-# Skeleton tables of others: CSV of several Kinects (KinectMultiTrack), and NTU RGB+D .skeleton files.
+# Skeleton tables of other programs: CSV of several Kinects (KinectMultiTrack), and NTU RGB+D .skeleton files.
 #
 # Sources: the logger of KinectMultiTrack (C.-J. Wu, 2015): one row per skeleton, columns named <Joint>_X, _Y, _Z in
 # metres, -9999 = missing. NTU RGB+D (Shahroudy et al. 2016): plain numbers, per frame a number of bodies, per body a
@@ -290,19 +310,22 @@ KINECT_V2 = tuple(
     "HandRight HipLeft KneeLeft AnkleLeft FootLeft HipRight KneeRight AnkleRight FootRight SpineShoulder HandTipLeft "
     "ThumbLeft HandTipRight ThumbRight".split()
 )
-"""The 25 joints in the order of the SDK and of NTU files."""
+"""The 25 joints of Kinect v2 in the order of its SDK and of NTU files."""
 NTU_RATE = 30.0
 _MAX_FRAMES = 1_000_000
 _KIND = "a CSV of skeletons with one row per skeleton and columns <Joint>_X, <Joint>_Y, <Joint>_Z"
 
 
 def read_kinect_csv(path: str | Path) -> SkeletonRecording:
-    """Read a KinectMultiTrack CSV (.csv or .csv.gz): one stream per Kinect_Id, persons by Person_Id.
+    """Read a CSV of KinectMultiTrack (.csv or .csv.gz): one stream per Kinect_Id, people by Person_Id.
 
-    Times are Tracker_Time's (one clock, ms), and start at 0. No tracking state is logged: a joint that is there counts
-    as tracked. The logger turns every skeleton by how the person stood before its sensor at first
-    (Skeleton_Init_Angle, Skeleton_Init_Dist), and puts it where the first row's sensor saw it; here each sensor's are
-    put back before it, all by what its first row says.
+    Times are those of Tracker_Time (one clock, ms), shifted to start at 0. No tracking state is logged, so a joint that
+    is present counts as tracked.
+    The logger moves every skeleton into the frame of the first row's sensor, by the angle and distance at which the
+    person first stood in front of each sensor (Skeleton_Init_Angle, Skeleton_Init_Dist). This is undone, so the
+    positions are in each sensor's own frame, m.
+
+    Raises: InputError where columns are missing or a line cannot be used.
     """
     path = Path(path)
     header, lines = csv_rows(path, _KIND)
@@ -333,7 +356,7 @@ def read_kinect_csv(path: str | Path) -> SkeletonRecording:
             own, known = turns.setdefault(name, turn), (values > MISSING_MARK).all(1)
             values[known] = _before_own_sensor(values[known], next(iter(turns.values())), own)
         sensors.setdefault(name, StreamRows(name, joints)).add(time, person, values, np.full(len(joints), 2))
-    # numbers of seconds since the year 1 lose microseconds in later arithmetic
+    # seconds since the year 1 would lose microseconds in later arithmetic
     zero = min((t for rows in sensors.values() for t in rows.times), default=0.0)
     for rows in sensors.values():
         rows.times = [t - zero for t in rows.times]
@@ -342,8 +365,10 @@ def read_kinect_csv(path: str | Path) -> SkeletonRecording:
 
 
 def _before_own_sensor(points: Array, first: Array, own: Array) -> Array:
-    """Points (N, 3) m that a sensor's skeleton has where the first sensor saw it, as its own sensor saw them; first,
-    own: angle rad about the vertical and distance m of the person at first."""
+    """Move points (N, 3), m, from the first sensor's frame back to their own sensor's frame.
+
+    first, own: initial angle about the vertical, rad, and distance, m, of the person, for the first and the own sensor.
+    """
     moved = (points - [0.0, 0.0, first[1]]) @ so3_exp(np.array([0.0, own[0] - first[0], 0.0]))
     return np.asarray(moved + [0.0, 0.0, own[1]])
 
@@ -352,7 +377,10 @@ _NTU_NAME = re.compile(r"(S\d{3})C(\d{3})(P\d{3}R\d{3}A\d{3})", re.IGNORECASE)
 
 
 def read_ntu(files: Sequence[str | Path]) -> SkeletonRecording:
-    """Read NTU RGB+D .skeleton files of one action, one file per camera. All-zero joints count as missing."""
+    """Read NTU RGB+D .skeleton files of one action, one file per camera. Joints at zero count as missing.
+
+    Raises: InputError where the files are of several actions or one is damaged.
+    """
     paths = [Path(f) for f in files]
     named = [_NTU_NAME.search(p.name) for p in paths]
     actions = {(m[1] + m[3]).upper() if m else p.stem for p, m in zip(paths, named, strict=True)}
@@ -414,10 +442,12 @@ _AZURE = "an offline_processor's .json of Azure Kinect"
 
 
 def read_azure(files: Sequence[str | Path]) -> SkeletonRecording:
-    """Read what Azure Kinect's offline_processor writes, one .json per sensor, each with its own clock.
+    """Read the .json files of Azure Kinect's offline_processor, one per sensor, each with its own clock.
 
-    Positions are millimetres; confidence_level (0 none, 1 low, 2 medium, 3 high) is the joint's state. Without it every
-    joint counts as tracked.
+    Positions are in millimetres. confidence_level (0 none, 1 low, 2 medium, 3 high) becomes the joint's state; without
+    it every joint counts as tracked.
+
+    Raises: InputError where a file is not of this format.
     """
     paths = [Path(f) for f in files]
     sensors = [_azure_rows(p) for p in paths]
@@ -449,14 +479,16 @@ def _azure_rows(path: Path) -> StreamRows:
 
 
 # ---- skeleton formats ----------------------------------------------------------------------------------------------
-# Recorded skeletons of any known program: which reader takes a file or folder.
+# Recorded skeletons of any known program: choice of the reader for a file or folder.
 
 
 def read_skeletons(path: str | Path) -> SkeletonRecording:
-    """Read recorded skeletons in any known form; an InputError says in one sentence what cannot be used.
+    """Read recorded skeletons in any known format.
 
-    A folder with session.json; a folder of NTU .skeleton files or Azure Kinect's .json, one per camera; .csv or .csv.gz
-    of several Kinects; .skeleton; .json; .jsonl or .jsonl.gz.
+    The formats are: a folder with session.json; a folder of NTU .skeleton files or Azure Kinect .json files, one per
+        camera; .csv or .csv.gz of several Kinects; .skeleton; .json; .jsonl or .jsonl.gz.
+
+    Raises: InputError where the path has no known format or cannot be used.
     """
     p = Path(path)
     name = p.name.lower().removesuffix(".gz")
@@ -472,7 +504,7 @@ def read_skeletons(path: str | Path) -> SkeletonRecording:
     what = "does not exist" if not p.exists() else "holds no skeletons" if p.is_dir() else "has no known form"
     raise InputError(
         f"{p} {what}; give a folder with session.json or .skeleton files, or a .csv, .skeleton, .json or .jsonl file "
-        "(.gz is fine; of an archive the folder that is unpacked)."
+        "(.gz is allowed; other archives must be unpacked first)."
     )
 
 
@@ -484,4 +516,4 @@ _READERS: Mapping[str, Callable[[Path], SkeletonRecording]] = {
     ".jsonl": read_lines,
     ".ndjson": read_lines,
 }
-"""By the end of the file's name, without .gz."""
+"""Readers by the end of the file's name, without .gz."""

@@ -1,9 +1,7 @@
-"""Skeletons of depth sensors: one stream per sensor, and all of them at the same instants.
+"""Skeletons of depth sensors: one stream per sensor, and all streams at the same instants; the line protocol (.jsonl).
 
-`skeleton_formats.read_skeletons` takes any of the recorded forms: a recording folder (session.json, frames.csv,
-skeleton.csv; `skeleton_folder`), Kinect CSV and NTU RGB+D (`skeleton_tables`), JSON lines (`skeleton_lines`). What
-sensors get wrong is put right here and said in a note: rows out of order, clocks that jump back, persons who get a new
-number.
+`skeleton_files.read_skeletons` reads all recorded formats. Common faults of sensors are corrected here, with a note:
+rows out of order, clocks that jump back, people whose number changes.
 """
 
 from __future__ import annotations
@@ -29,21 +27,24 @@ from hypose.json_text import parse_json
 
 MAX_SENSORS = 16
 MAX_PEOPLE = 16
-"""Most persons that one sensor may report at a time."""
+"""Largest number of people that one sensor may report at a time."""
 MAX_JOINTS = 64
 REORDER_S = 0.2
-_SLOWEST_S = 5.0  # between the frames of a sensor: milliseconds taken for seconds lie further apart
-"""A time that lies further back than this is a clock that was set back, less is a row that came late."""
+"""A time that is further back than this, s, means that the clock was set back; otherwise the row came late."""
+_SLOWEST_S = 5.0  # largest usual step of a sensor, s: a larger one means that milliseconds were given as seconds
 
 
 @dataclass(frozen=True)
 class SensorStream:
-    """What one sensor saw, or would have seen at given instants. T instants, P persons at most at a time, J joints.
+    """Skeletons of one sensor at T instants, with at most P people at a time and J joints.
 
-    times (T,) s, increasing; positions (T, P, J, 3) m in the sensor's frame, NaN where missing; state (T, P, J) uint8
-    0 not tracked, 1 inferred, 2 tracked; person_ids (T, P) the sensor's number of the person, -1 for no person (a
-    person keeps the column as long as it is seen); joint_names (J,); joint_depth (T, P, J) m, the depth map at the
-    joint's pixel, 0 = hole, or None."""
+    times: (T,) s, increasing.
+    positions: (T, P, J, 3) in the sensor's frame, m; NaN where missing.
+    state: (T, P, J) 0 not tracked, 1 inferred, 2 tracked.
+    person_ids: (T, P) the sensor's number of the person; -1 for none. A person keeps the column while it is seen.
+    joint_names: J names.
+    joint_depth: (T, P, J) depth map at the joint's pixel, m, 0 for a hole; None without depth maps.
+    """
 
     name: str
     times: Array
@@ -55,19 +56,24 @@ class SensorStream:
 
     @property
     def rate(self) -> float:
-        """Instants per second, from the median step (30 for a single instant)."""
+        """Instants per second, from the median step; 30 for a single instant."""
         return float(1 / np.median(np.diff(self.times))) if len(self.times) > 1 else 30.0
 
     @property
     def people(self) -> int:
-        """Most persons at a time."""
+        """Largest number of people at a time."""
         return self.positions.shape[1]
 
 
 @dataclass(frozen=True)
 class SkeletonRecording:
-    """All sensors of one recording. reference: the sensor in whose frame the result is wanted; inputs: the files by a
-    short name, for the provenance; notes: what was put right; common_clock: the sensors' times are of one clock."""
+    """The streams of all sensors of one recording.
+
+    reference: name of the sensor whose frame the result uses.
+    inputs: path of each file by a short name, for the provenance.
+    notes: sentences about corrected faults.
+    common_clock: all sensors' times are from one clock.
+    """
 
     name: str
     streams: tuple[SensorStream, ...]
@@ -77,7 +83,10 @@ class SkeletonRecording:
     common_clock: bool = True
 
     def stream(self, name: str) -> SensorStream:
-        """A sensor's stream by name; an InputError lists the names."""
+        """Get the stream of a sensor by name.
+
+        Raises: InputError where there is no such sensor; it lists the names.
+        """
         for s in self.streams:
             if s.name == name:
                 return s
@@ -85,7 +94,7 @@ class SkeletonRecording:
         raise InputError(f"The recording {self.name} has no sensor {name!r}; its sensors are {names}.")
 
     def reports(self) -> Iterator[SensorReport]:
-        """All reports one by one, in the order of the sensors' times: the recording as it would arrive live."""
+        """Yield all reports one by one in order of time, as they would arrive live."""
         for time, k, n in sorted((float(t), k, n) for k, s in enumerate(self.streams) for n, t in enumerate(s.times)):
             s = self.streams[k]
             seen = np.flatnonzero(s.person_ids[n] >= 0)
@@ -102,7 +111,13 @@ class SkeletonRecording:
 
 @dataclass
 class StreamRows:
-    """Bodies of one sensor in the order of arrival, to be made into a stream."""
+    """Bodies that one sensor reported, in the order of arrival, from which a stream is built.
+
+    name: name of the sensor.
+    joint_names: J names.
+    times, ids: time (s) and number of the person of each body.
+    positions, state, joint_depth: (J, 3) m, (J,) and (J,) m of each body, as in `SensorStream`.
+    """
 
     name: str
     joint_names: tuple[str, ...]
@@ -115,7 +130,13 @@ class StreamRows:
     """Times at which the sensor saw no person."""
 
     def add(self, time: float, person: int, positions: ArrayLike, state: ArrayLike) -> None:
-        """One body: positions (J, 3) m, state (J,)."""
+        """Append one body.
+
+        time: s.
+        person: the sensor's number of the person.
+        positions: (J, 3) m.
+        state: (J,) 0 not tracked, 1 inferred, 2 tracked.
+        """
         self.times.append(time)
         self.ids.append(person)
         self.positions.append(np.asarray(positions, dtype=np.float64))
@@ -123,10 +144,14 @@ class StreamRows:
 
 
 def build_stream(rows: StreamRows, where: str) -> tuple[SensorStream, tuple[str, ...]]:
-    """A stream of increasing times from bodies in order of arrival, and notes on what was put right.
+    """Build a stream with increasing times from the bodies of a sensor.
 
-    A body whose time lies less than 0.2 s back is sorted in; a single time far ahead is left out; after a clock that
-    was set back, time goes on with the sensor's usual step.
+    A body that is less than 0.2 s late is sorted in. A single time far ahead of its neighbours is removed. After a
+    clock was set back, time continues with the sensor's usual step.
+
+    where: the recording, for the error messages.
+    Returns: the stream, and notes about corrected faults.
+    Raises: InputError where there are no bodies, too many people, or times or positions that cannot be correct.
     """
     notes: list[str] = []
     if not rows.times:
@@ -175,7 +200,7 @@ def build_stream(rows: StreamRows, where: str) -> tuple[SensorStream, tuple[str,
 
 
 def _columns(present: Sequence[Sequence[int]]) -> list[dict[int, int]]:
-    """For every instant person -> column: kept while seen, else the lowest free one."""
+    """Assign people to columns at every instant: the same column while a person is seen, else the lowest free one."""
     out: list[dict[int, int]] = []
     last: dict[int, int] = {}
     for people in present:
@@ -193,8 +218,12 @@ def _columns(present: Sequence[Sequence[int]]) -> list[dict[int, int]]:
 def clean_joints(
     positions: Array, state: NDArray[np.uint8], where: str, joint_names: Sequence[str]
 ) -> tuple[Array, NDArray[np.uint8]]:
-    """Positions (..., J, 3) with NaN and state 0 for everything that means "missing"; an InputError for coordinates
-    that cannot be metres."""
+    """Mark missing joints alike: NaN positions and state 0.
+
+    positions: (..., J, 3) m.
+    where: the sensor, for the error message.
+    Raises: InputError where coordinates are too large to be metres.
+    """
     positions, state = positions.copy(), state.copy()
     positions[(positions <= MISSING_MARK).any(-1)] = np.nan
     missing = ~np.isfinite(positions).all(-1) | (state == 0)
@@ -210,7 +239,11 @@ def clean_joints(
 
 
 def repair_clock(times: ArrayLike) -> tuple[Array, NDArray[np.bool_], tuple[str, ...]]:
-    """Times (T,) in order of arrival -> (times on one clock (T,), which rows to keep (T,), notes)."""
+    """Correct faults in the times of a sensor.
+
+    times: (T,) s, in the order of arrival.
+    Returns: times (T,) on one clock, which rows to keep (T,), and notes.
+    """
     t = np.array(times, dtype=np.float64)
     keep = np.ones(len(t), dtype=bool)
     notes: list[str] = []
@@ -218,7 +251,7 @@ def repair_clock(times: ArrayLike) -> tuple[Array, NDArray[np.bool_], tuple[str,
         return t, keep, ()
     forward = np.diff(t)
     usual = float(np.median(forward[forward > 0])) if (forward > 0).any() else 1 / 30
-    # one stamp far ahead of its neighbours, which go on regularly: a wrong stamp, not a clock
+    # one time stamp far ahead of regular neighbours is a wrong stamp, not a changed clock
     ahead = np.zeros(len(t), dtype=bool)
     ahead[1:-1] = (t[1:-1] > t[2:] + REORDER_S) & (t[2:] >= t[:-2]) & (t[2:] - t[:-2] < 10 * usual + REORDER_S)
     keep &= ~ahead
@@ -247,8 +280,12 @@ def repair_clock(times: ArrayLike) -> tuple[Array, NDArray[np.bool_], tuple[str,
 
 
 def common_times(streams: Sequence[SensorStream], rate: float | None = None) -> Array:
-    """(N,) s: evenly spaced instants from the first sensor's start to the last one's end. rate: Hz; default the first
-    stream's, rounded to a whole number when it is near one."""
+    """Compute evenly spaced instants from the first sensor's start to the last sensor's end.
+
+    rate: Hz; by default that of the first stream, rounded to a whole number when it is within 5 %.
+    Returns: (N,) s.
+    Raises: InputError where there are no sensors, the rate is out of range, or the span is too long.
+    """
     if not streams:
         raise InputError("There is no sensor to synchronise; give a recording with at least one.")
     if rate is None:
@@ -267,11 +304,14 @@ def common_times(streams: Sequence[SensorStream], rate: float | None = None) -> 
 
 
 def resample(stream: SensorStream, times: ArrayLike, max_gap: float | None = None) -> SensorStream:
-    """A stream at other instants (N,), linear between the two samples around each.
+    """Interpolate a stream linearly at other instants.
 
-    Nothing is filled in over a gap longer than `max_gap` (s; default three steps of the stream), or where the two
-    samples are of different persons; a joint that only one of them has is taken over for half a step. The state is
-    the lower of the two.
+    Nothing is interpolated over a gap longer than `max_gap` or between samples of different people. A joint that only
+    one of the two samples has is kept for half a step. The state is the lower of the two.
+
+    times: (N,) s.
+    max_gap: s; 3.2 steps of the stream by default.
+    Returns: stream with N instants.
     """
     at = np.asarray(times, dtype=np.float64)
     step = 1 / stream.rate
@@ -301,7 +341,7 @@ def resample(stream: SensorStream, times: ArrayLike, max_gap: float | None = Non
     ids = np.where(same | use_a, stream.person_ids[i], np.where(use_b, stream.person_ids[k], -1))
     depth = None
     if stream.joint_depth is not None:
-        # depth maps are not interpolated: an edge between two depths would make a surface that is not there
+        # depth maps are not interpolated: at an edge, that would create a surface that does not exist
         nearest = np.where(w < 0.5, i, k)
         depth = np.where(np.isfinite(positions).all(-1), stream.joint_depth[nearest], 0.0)
     missing = ~np.isfinite(positions).all(-1)
@@ -312,7 +352,13 @@ def resample(stream: SensorStream, times: ArrayLike, max_gap: float | None = Non
 def join_observations(
     synced: Sequence[SensorStream], times: ArrayLike, columns: Sequence[NDArray[np.int64]]
 ) -> list[SensorJoints]:
-    """SensorJoints at every instant from a column per sensor and instant (-1: not seen)."""
+    """Combine one person's skeletons of all sensors at every instant.
+
+    synced: streams at the same instants.
+    times: (N,) s.
+    columns: per sensor (N,) column of the person; -1 where not seen.
+    Returns: N observations of all sensors.
+    """
     at = np.asarray(times, dtype=np.float64)
     rows = np.arange(len(at))
     positions, state, seen, depth = [], [], [], []
@@ -334,7 +380,7 @@ def join_observations(
 
 
 def shifted(stream: SensorStream, seconds: float) -> SensorStream:
-    """The stream with its clock put forward."""
+    """Shift the times of a stream forward by some seconds."""
     return replace(stream, times=stream.times + seconds)
 
 
@@ -347,12 +393,20 @@ def checked_recording(
     reference: str | None = None,
     common_clock: bool = True,
 ) -> SkeletonRecording:
-    """A recording from the rows of its sensors, without those that saw no person."""
+    """Build a recording from the bodies of its sensors; sensors that saw no person are left out, with a note.
+
+    rows: bodies of each sensor.
+    where: the recording, for the error messages.
+    inputs: path of each file by a short name.
+    reference: sensor whose frame the result uses; the first by default.
+    common_clock: all sensors' times are from one clock.
+    Raises: InputError where there is no skeleton, there are too many sensors, or the reference has no skeleton.
+    """
     if len(rows) > MAX_SENSORS:
         raise InputError(f"{where} has {len(rows)} sensors, at most {MAX_SENSORS} are fused; split the recording.")
-    streams, found = [], [f"{r.name}: nobody was seen, the sensor is left out" for r in rows if not r.times]
+    streams, found = [], [f"{r.name}: no person was seen, the sensor is left out" for r in rows if not r.times]
     if len(found) == len(rows):
-        raise InputError(f"{where} holds no skeleton; give a recording in which somebody was seen.")
+        raise InputError(f"{where} holds no skeleton; give a recording in which a person was seen.")
     for r in (r for r in rows if r.times):
         stream, more = build_stream(r, where)
         streams.append(stream)
@@ -380,7 +434,7 @@ def checked_recording(
 
 
 MAX_SKELETON_LINE = 16384
-"""Bytes of one line; 32 joints with all digits take 3 KiB."""
+"""Largest size of one line, bytes; 32 joints with all digits take 3 KiB."""
 _KNOWN = frozenset({"sensor", "time", "person", "joints", "unit", "token", "received", "v"})
 _SENSOR = re.compile(r"[A-Za-z0-9_.-]{1,32}")
 _JOINT = re.compile(r"[A-Za-z0-9_ .-]{1,48}")
@@ -389,8 +443,12 @@ _NUMBERS = frozenset({float, int})
 
 
 def parse_line(data: bytes | str) -> tuple[SensorReport, str]:
-    """One line of the protocol, and the token in it (""); an InputError names the cause. Time and memory are
-    bounded by the line's 16 KiB."""
+    """Parse one line of the skeleton protocol.
+
+    Returns: the report, and the token in the line, "" without one.
+    Raises: InputError where the line is not valid.
+    Why: the limit of 16 KiB per line bounds time and memory.
+    """
     if len(data) > MAX_SKELETON_LINE:
         raise InputError(
             f"the line has {len(data)} bytes, at most {MAX_SKELETON_LINE} are read; send one body per line"
@@ -420,7 +478,7 @@ def parse_line(data: bytes | str) -> tuple[SensorReport, str]:
         empty = np.zeros((0, 3))
         return SensorReport(sensor, time, None, (), empty, np.zeros(0, dtype=np.uint8), received), token
     if not isinstance(joints, dict) or not 1 <= len(joints) <= MAX_JOINTS:
-        _bad(f"joints must be an object with 1 to {MAX_JOINTS} joints, or null when nobody is seen")
+        _bad(f"joints must be an object with 1 to {MAX_JOINTS} joints, or null when no person is seen")
     names, scale = tuple(joints), _SCALE[unit]
     _check_names(names)
     table = _whole(joints, scale)
@@ -435,15 +493,19 @@ def parse_line(data: bytes | str) -> tuple[SensorReport, str]:
 
 @lru_cache(maxsize=64)
 def _check_names(names: tuple[str, ...]) -> None:
-    """A sensor sends the same names in every line."""
+    """Check the names of joints; cached, because a sensor sends the same names in every line."""
     for name in names:
         if not _JOINT.fullmatch(name):
             _bad("a joint's name must be 1 to 48 letters, digits, blanks, _ . -")
 
 
 def _whole(joints: dict[str, Any], scale: float) -> tuple[Array, NDArray[np.uint8]] | None:
-    """The usual line at once: every joint tracked or inferred, four plain numbers each. None: anything else, which is
-    looked at cell by cell. It takes a third of the time, and live a line of 15 joints is parsed 540 times a second."""
+    """Convert the usual line at once: every joint tracked or inferred, with four plain numbers; None for any other
+    line.
+
+    Why: it takes a third of the time of cell-by-cell parsing, and live a line of 15 joints is parsed 540 times a
+        second.
+    """
     cells = list(joints.values())
     if not all(type(c) is list and len(c) == 4 for c in cells):
         return None
@@ -490,7 +552,11 @@ def _bad(reason: str) -> NoReturn:
 
 
 def format_line(line: SensorReport, token: str = "", digits: int = 5) -> str:
-    """The protocol's line without its line end (positions to 0.01 mm by default)."""
+    """Format a report as a line of the skeleton protocol, without its line end.
+
+    token: secret of the live server, "" for none.
+    digits: number of decimals of positions (m); 5 by default.
+    """
     value: dict[str, Any] = {"sensor": line.sensor, "time": round(line.time, 6)}
     if token:
         value["token"] = token
@@ -508,10 +574,12 @@ def format_line(line: SensorReport, token: str = "", digits: int = 5) -> str:
 
 
 def read_lines(path: str | Path) -> SkeletonRecording:
-    """Read a file of such lines (.jsonl or .jsonl.gz), in the order in which they arrived.
+    """Read a file of protocol lines (.jsonl or .jsonl.gz), in the order of arrival.
 
-    Lines carry their sensor's own time, of any origin: sensors that by it were never on together have clocks of their
-    own (`common_clock` False).
+    Each line has its sensor's own time. Where the time ranges of sensors do not overlap, their clocks are separate
+    (`common_clock` False).
+
+    Raises: InputError where a line is not valid.
     """
     p = Path(path)
     sensors: dict[str, StreamRows] = {}

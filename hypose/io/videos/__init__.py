@@ -1,1 +1,1 @@
-"""Pictures and sound of videos and folders."""
+"""Reading and writing of videos, folders of pictures and sound; access to cameras."""

@@ -1,7 +1,8 @@
-"""Cameras as they deliver: devices, streams from the network, and files played at their own pace.
+"""Live cameras: devices of this computer, network streams, and files that are played at their own speed.
 
-A source gives shots one after the other, each with when it was taken; `picture` decodes only requested images, at
-a half, quarter or eighth of its size where that is enough: most of the work of a large picture is its decoding."""
+A source gives images one after another, each with its time. `CameraImage.picture` decodes an image only when it is
+needed, at a half, quarter or eighth of its size where that is enough, because decoding is most of the work.
+"""
 
 from __future__ import annotations
 
@@ -26,20 +27,23 @@ from hypose.errors import HyposeError, InputError
 from hypose.io.videos.video import open_video, quiet
 
 LARGEST_PART = 32 << 20
-"""Bytes of one picture of a stream; anything larger is no camera."""
+"""Largest size of one picture of a stream, bytes."""
 _LONGEST_LINE = 4096
 _REDUCED = ((8, cv2.IMREAD_REDUCED_COLOR_8), (4, cv2.IMREAD_REDUCED_COLOR_4), (2, cv2.IMREAD_REDUCED_COLOR_2))
 
 
 class StreamEnded(HyposeError):
-    """A source has nothing more to give: a file is over, or a camera has gone, which may come back."""
+    """The end of a source: a file is over, or a camera was disconnected and may come back."""
 
 
 @dataclass(frozen=True)
 class CameraImage:
-    """What a camera showed at one instant. arrival: s of this computer's monotonic clock at which it was here; stamp: s
-    of the camera's own clock, None where it tells none; data: the picture, the bytes of a JPEG, or a depth map (h, w)
-    float32 m."""
+    """An image of a camera at one instant.
+
+    arrival: time of arrival, s of this computer's monotonic clock.
+    stamp: time of the camera's own clock, s; None where it sends none.
+    data: the picture (h, w, 3), the bytes of a JPEG, or a depth map (h, w) float32 m.
+    """
 
     arrival: float
     stamp: float | None
@@ -47,14 +51,17 @@ class CameraImage:
 
     @property
     def size(self) -> tuple[int, int] | None:
-        """(width, height) px as the camera sent it; None where a picture's head does not tell."""
+        """Width and height of the image as sent, px; None where the JPEG's header does not give them."""
         if isinstance(self.data, np.ndarray):
             return self.data.shape[1], self.data.shape[0]
         return _jpeg_size(self.data)
 
     def picture(self, least: tuple[int, int] | None = None) -> NDArray[Any] | None:
-        """(h, w, 3) uint8 BGR, None when it is damaged; least (width, height): decoded smaller where that is still as
-        large."""
+        """Decode the picture.
+
+        least: width and height that the result must have at least; larger pictures are decoded at a reduced size.
+        Returns: (h, w, 3) uint8 BGR, or the depth map; None where the image is damaged.
+        """
         if isinstance(self.data, np.ndarray):
             return self.data
         raw = np.frombuffer(self.data, np.uint8)
@@ -70,25 +77,36 @@ class CameraImage:
 
 
 class CameraSource(Protocol):
-    """live: the camera does not wait; images not read are lost."""
+    """Interface of everything that delivers images.
+
+    live: the camera does not wait, and images that are not read are lost.
+    """
 
     live: bool
 
     def read(self) -> CameraImage:
-        """The next shot; waits for it, a few seconds at most. StreamEnded when there is none."""
+        """Wait for the next image, a few seconds at most, and return it.
+
+        Raises: StreamEnded where there is none.
+        """
         ...
 
     def close(self) -> None:
-        """Let go of the camera."""
+        """Release the camera."""
         ...
 
 
 def open_camera(address: str, rate: float, size: tuple[int, int], begin: float | None = None) -> CameraSource:
-    """A camera by its address: the number of a device (0), the address of a stream (http://, https://, rtsp://), a
-    video file or a folder of pictures.
+    """Open a camera by its address.
 
-    rate Hz and size (width, height) px are asked of a device; files are played at `rate`, the first picture at `begin`
-    (s, monotonic), the same for all that belong together. An InputError says what cannot be opened."""
+    address: number of a device (0), address of a stream (http://, https://, rtsp://), a video file or a folder of
+        pictures.
+    rate: frame rate requested from a device, or of a file that has none, Hz.
+    size: width and height requested from a device, px.
+    begin: time of a file's first picture, s of the monotonic clock, so that several files can start together; now by
+        default.
+    Raises: InputError where it cannot be opened.
+    """
     if is_device(address):
         return _device(int(address), rate, size)
     if address.lower().startswith(("http://", "https://")):
@@ -104,15 +122,15 @@ def open_camera(address: str, rate: float, size: tuple[int, int], begin: float |
 
 
 def is_device(address: str) -> bool:
-    """Whether an address is the number of a camera of this computer."""
-    return address.isascii() and address.isdigit() and len(address) < 3  # to OpenCV hundreds are back ends
+    """Test whether an address is the number of a camera of this computer."""
+    return address.isascii() and address.isdigit() and len(address) < 3  # OpenCV takes hundreds for back ends
 
 
 # ---- devices and streams that OpenCV reads ---------------------------------------------------------------------
 
 
 class _Captured:
-    """A camera that OpenCV reads: a device of this computer, or a stream of the network."""
+    """A camera that OpenCV reads: a device of this computer or a network stream."""
 
     live = True
 
@@ -124,10 +142,10 @@ class _Captured:
             raise InputError(f"{what} cannot be opened; {advice}")
 
     def read(self) -> CameraImage:
-        """See `CameraSource`."""
+        """Wait for the next image; StreamEnded where there is none."""
         image: NDArray[np.uint8] | None = None
         arrival = 0.0
-        with quiet(), contextlib.suppress(cv2.error):  # what a damaged picture of a device ends in
+        with quiet(), contextlib.suppress(cv2.error):  # raised for a damaged picture of a device
             ok = self.capture.grab()
             arrival = time.monotonic()
             if ok:
@@ -138,12 +156,12 @@ class _Captured:
         return CameraImage(arrival, None, image)
 
     def close(self) -> None:
-        """See `CameraSource`."""
+        """Release the camera."""
         self.capture.release()
 
 
 def _device(number: int, rate: float, size: tuple[int, int]) -> _Captured:
-    """A camera of this computer, by OpenCV's own back end for it (V4L2, DirectShow, AVFoundation)."""
+    """Open a camera of this computer with OpenCV's own back end (V4L2, DirectShow, AVFoundation)."""
     advice = "is it plugged in, and does no other program use it? Devices are numbered from 0."
     camera = _Captured(f"Camera {number} of this computer", advice, number)
     # raw pictures of two cameras are more than one USB bus carries
@@ -159,14 +177,14 @@ def _device(number: int, rate: float, size: tuple[int, int]) -> _Captured:
 
 
 def _stream(address: str) -> _Captured:
-    """A stream of the network that FFmpeg reads."""
+    """Open a network stream that FFmpeg reads."""
     waits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, 5000, cv2.CAP_PROP_READ_TIMEOUT_MSEC, 5000]
     advice = "check the address, and that the camera is on."
     return _Captured(f"The stream {without_password(address)}", advice, address, cv2.CAP_FFMPEG, waits)
 
 
 def without_password(address: str) -> str:
-    """The address as it may be shown: also a password with characters that an address may not have is left out."""
+    """Replace the password in an address by dots, so that the address can be shown."""
     return re.sub(r"(://[^/:@]*):.*@", r"\1:...@", address)
 
 
@@ -174,8 +192,10 @@ def without_password(address: str) -> str:
 
 
 class _MotionJpeg:
-    """multipart/x-mixed-replace as IP cameras and phones send it. The part's X-Timestamp (s), where there is one, is
-    the camera's own time."""
+    """A motion JPEG stream (multipart/x-mixed-replace) of an IP camera or phone.
+
+    The header X-Timestamp (s) of a part, where there is one, is the camera's own time.
+    """
 
     live = True
 
@@ -190,12 +210,12 @@ class _MotionJpeg:
                 ) from None
             reason = getattr(error, "reason", None) or error
             raise InputError(f"{self._what} cannot be opened ({reason}); check the address.") from None
-        except (http.client.HTTPException, ValueError):  # which quote the address, password and all
+        except (http.client.HTTPException, ValueError):  # their texts would show the address with the password
             raise InputError(
-                f"{self._what} cannot be opened (that is no address, or no camera answers there); check the address. "
+                f"{self._what} cannot be opened (the address is not valid, or no camera answers); check the address. "
                 "In names and passwords / is written %2F, @ %40, # %23."
             ) from None
-        self._answer, self._line = answer, b""  # a line that was read and belongs to the next head
+        self._answer, self._line = answer, b""  # a line that was read ahead and belongs to the next header
         kind = str(answer.headers.get("Content-Type", ""))
         if not kind.lower().startswith("multipart/"):
             self.close()
@@ -206,7 +226,7 @@ class _MotionJpeg:
         self._boundary = (answer.headers.get_boundary("") or "").lstrip("-").encode()
 
     def read(self) -> CameraImage:
-        """See `CameraSource`."""
+        """Wait for the next image; StreamEnded where the connection breaks."""
         try:
             length, stamp = self._head()
             data = self._body(length)
@@ -215,7 +235,7 @@ class _MotionJpeg:
         return CameraImage(time.monotonic(), stamp, data)
 
     def _head(self) -> tuple[int | None, float | None]:
-        """Length and time that the head of the next part tells."""
+        """Read the header of the next part: its length and its time, None where not given."""
         length: int | None = None
         stamp: float | None = None
         begun = False
@@ -249,7 +269,7 @@ class _MotionJpeg:
             return data
         lines: list[bytes] = []
         total = 0
-        while True:  # up to the next boundary, which stays for the next head
+        while True:  # up to the next boundary, which belongs to the next header
             line = self._answer.readline(1 << 16)
             if not line or total > LARGEST_PART:
                 raise ValueError("the connection was closed" if not line else "a picture without an end")
@@ -260,14 +280,16 @@ class _MotionJpeg:
             total += len(line)
 
     def close(self) -> None:
-        """See `CameraSource`."""
+        """Close the connection."""
         with contextlib.suppress(OSError):
             self._answer.close()
 
 
 def _asked(address: str, seconds: float) -> http.client.HTTPResponse:
-    """What an address answers, to the name and password in it as cameras ask for them: Basic, which many do not even
-    ask for, or Digest."""
+    """Open an address with the name and password in it, by Basic or Digest authentication.
+
+    Why: Basic is sent at once, because many cameras do not request it.
+    """
     parts, known = urllib.parse.urlsplit(address), urllib.request.HTTPPasswordMgrWithDefaultRealm()
     where = urllib.parse.urlunsplit(parts._replace(netloc=parts.netloc.rpartition("@")[2]))
     request = urllib.request.Request(where)
@@ -284,7 +306,11 @@ def _asked(address: str, seconds: float) -> http.client.HTTPResponse:
 
 
 class Film(Protocol):
-    """What can be played: numbered pictures, of which `position` comes next; frame_rate Hz, None: not known."""
+    """Interface of everything that can be played: numbered pictures.
+
+    frame_rate: Hz; None where not known.
+    n_frames: number of pictures.
+    """
 
     path: Path
     frame_rate: float | None
@@ -292,22 +318,27 @@ class Film(Protocol):
 
     @property
     def position(self) -> int:
-        """The number of the next."""
+        """Number of the picture that comes next."""
         ...
 
     def read(self, number: int, /) -> NDArray[Any]:
-        """Picture `number`."""
+        """Read a picture by its number."""
         ...
 
     def close(self) -> None:
-        """Let go of it."""
+        """Release the files."""
         ...
 
 
 class Played:
-    """A video or a folder of pictures at its own pace: a picture whose time has passed is left out, as a camera would
-    have it. The pictures carry the times at which they were due. rate Hz: where the film's own is not known; begin: s,
-    monotonic, of the first picture."""
+    """A video or folder of pictures that is played at its own speed as a `CameraSource`.
+
+    As with a camera, pictures whose time has passed are skipped. Each picture has the time at which it was due.
+
+    reader: the video or folder.
+    rate: Hz, where the film's own rate is not known.
+    begin: time of the first picture, s of the monotonic clock.
+    """
 
     live = False
 
@@ -315,7 +346,7 @@ class Played:
         self._reader, self._rate, self._begin = reader, reader.frame_rate or rate, begin
 
     def read(self) -> CameraImage:
-        """See `CameraSource`."""
+        """Wait until the next picture is due, and return it; StreamEnded after the last."""
         due = int((time.monotonic() - self._begin) * self._rate)
         number = max(self._reader.position, min(due, self._reader.n_frames - 1))
         if self._reader.position >= self._reader.n_frames:
@@ -328,12 +359,12 @@ class Played:
         return CameraImage(time.monotonic(), at, image)
 
     def close(self) -> None:
-        """See `CameraSource`."""
+        """Release the files."""
         self._reader.close()
 
 
 def _jpeg_size(data: bytes) -> tuple[int, int] | None:
-    """(width, height) that a JPEG's head tells; None where it tells none."""
+    """Read width and height from the header of a JPEG; None where it does not give them."""
     at = 2
     while data[:2] == b"\xff\xd8" and at + 9 < len(data) and data[at] == 0xFF:
         marker = data[at + 1]

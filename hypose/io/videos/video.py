@@ -1,9 +1,8 @@
-"""Videos and image folders: read frame by frame, exactly; count frames truthfully; write.
+"""Videos and image folders: reading by exact frame number, counting of frames, writing; the sound of a video.
 
-What a container says about its number of frames is often wrong (capture software that adds two, files cut off
-while being copied), so the number is checked by decoding the stated last frame, and counted when that fails.
-Seeking by cv2.CAP_PROP_POS_FRAMES is not exact for all codecs and frame rates, so going back means opening
-the file again and decoding forward: slower, never off by one.
+The number of frames in a container is often wrong (capture software that adds two, files cut off during copying). So it
+is checked by decoding the last frame, and counted when that fails. Seeking with cv2.CAP_PROP_POS_FRAMES is not exact
+for all codecs and frame rates, so going back opens the file again and decodes forward: slower, but always exact.
 """
 
 from __future__ import annotations
@@ -31,17 +30,16 @@ from hypose.geometry import Array, Image
 from hypose.io.file_names import natural_key, utf8_path
 from hypose.io.files import atomic_path, open_file, read_bytes
 
-# FFmpeg's own complaints would appear between our sentences; read by OpenCV when it first opens a video.
+# Suppresses FFmpeg's own messages between those of hypose; OpenCV reads this when it first opens a video.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 
 
 VIDEO_ENDINGS = (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".webm", ".mpg", ".mpeg", ".wmv", ".mts")
 IMAGE_ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
-# Encoders by ending, the first that opens is used. Tried with opencv-python-headless 5.0.0.93: the wheel
-# cannot encode H.264 (avc1), the one that both players and browsers show; in .mp4 it writes mp4v, MJPG, VP9
-# and FFV1.
 _MAX_IMAGE_BYTES = 512 << 20
+# Encoders by ending; the first that opens is used. Tested with opencv-python-headless 5.0.0.93: the wheel cannot encode
+# H.264 (avc1), which both players and browsers show; in .mp4 it writes mp4v, MJPG, VP9 and FFV1.
 _CODECS = {
     ".mp4": ("mp4v", "avc1"),
     ".m4v": ("mp4v", "avc1"),
@@ -50,14 +48,14 @@ _CODECS = {
     ".mkv": ("FFV1", "mp4v"),
 }
 _MOST_REPEATS = 4
-"""A video whose time stamps need more frames than so many times its own is read frame by frame."""
+"""A video is read frame by frame when its time stamps would need more than this many times its number of frames."""
 _PICTURE_PER_PACKET = {cv2.VideoWriter.fourcc(*name) for name in ("avc1", "h264", "hevc", "hvc1")}
-"""Codecs whose stored packets are one frame each, so that counting packets counts frames"""
+"""Codecs whose stored packets are one frame each, so that counting packets counts frames."""
 
 
 @contextlib.contextmanager
 def quiet() -> Iterator[None]:
-    """OpenCV prints to the terminal what we say better."""
+    """Suppress OpenCV's messages in the terminal within a with block; hypose gives its own."""
     level = cv2.utils.logging.getLogLevel()
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
@@ -67,13 +65,18 @@ def quiet() -> Iterator[None]:
 
 
 def read_image_file(path: Path) -> bytes:
-    """The bytes of an image file; InputError for a missing, empty or too large file."""
+    """Read the bytes of an image file.
+
+    Raises: InputError where the file does not exist, is empty or too large.
+    """
     return read_bytes(path, "an image", _MAX_IMAGE_BYTES)  # cv2.imread fails on some names under Windows
 
 
 def is_cut_png(data: bytes) -> bool:
-    """True for a PNG whose pieces are longer than the data. OpenCV (4.11 on) makes room for whatever length a piece
-    claims: half a gigabyte for a damaged file of a kilobyte."""
+    """Test whether data are a PNG that is cut off, with chunks longer than the data.
+
+    Why: OpenCV (from 4.11) allocates the size that a chunk states, half a gigabyte for a damaged file of a kilobyte.
+    """
     if not data.startswith(PNG_SIGNATURE):
         return False
     at, kind = len(PNG_SIGNATURE), b""
@@ -86,7 +89,10 @@ def is_cut_png(data: bytes) -> bool:
 
 
 def read_image(path: str | Path) -> Image:
-    """(h, w, 3) uint8 BGR of an image file; an InputError names a missing or damaged one."""
+    """Read an image file as (h, w, 3) uint8 BGR.
+
+    Raises: InputError where the file does not exist or is damaged.
+    """
     path = Path(path)
     data = read_image_file(path)
     with quiet():
@@ -100,7 +106,7 @@ def read_image(path: str | Path) -> Image:
 
 
 def _in_colours(data: NDArray[np.uint8]) -> NDArray[Any] | None:
-    """A file's picture in colours. A grey one of 16 bits is a depth map: near is bright, holes are black."""
+    """Decode an image in colours. A grey one of 16 bits counts as a depth map: near is bright, holes are black."""
     # the header of a 16-bit PNG says so; everything else is decoded as it is
     if len(data) < 33 or data[12:16].tobytes() != b"IHDR" or data[24] != 16 or data[25] != 0:
         return cv2.imdecode(data, cv2.IMREAD_COLOR)
@@ -112,15 +118,18 @@ def _in_colours(data: NDArray[np.uint8]) -> NDArray[Any] | None:
 
 
 def list_images(folder: Path) -> list[Path]:
-    """The image files of a folder in natural order."""
+    """List the image files of a folder in natural order."""
     found = [p for p in folder.iterdir() if p.suffix.lower() in IMAGE_ENDINGS and not p.name.startswith(".")]
     return sorted((p for p in found if p.is_file()), key=lambda p: natural_key(p.name))
 
 
 def check_numbers(folder: Path) -> None:
-    """An InputError when pictures are missing in a numbered sequence: all later ones would be shifted in time.
+    """Check that no picture is missing in a numbered sequence.
 
-    Names that differ in more than one number are no sequence, and a sequence may count in steps."""
+    Names that differ in more than one number are not a sequence, and a sequence may count in steps.
+
+    Raises: InputError where one is missing, because all later pictures would be shifted in time.
+    """
     images = list_images(folder)
     parts = [re.split(r"(\d+)(?=\D*$)", p.name) for p in images]
     if len(images) < 3 or any(len(q) != 3 for q in parts) or len({(q[0], q[2]) for q in parts}) > 1:
@@ -141,19 +150,22 @@ def check_numbers(folder: Path) -> None:
 
 
 class VideoReader:
-    """Frames of a video file, of a folder of images, or of one image: BGR uint8 (h, w, 3).
+    """Reader of the frames of a video file, a folder of images, or one image: BGR uint8 (h, w, 3).
 
-    Iterating gives the frames from the present position (0 after opening) to the end. Opened by `open_video`; usable
-    as a context manager.
-    path
-    size (width, height) px
-    frame_rate frames/s, None for images
-    n_frames that can be decoded
-    stated_frames what the container says
-    threads that may decode a video (None: all)
-    in_place: frames of a video are good until the next one is read, which takes their memory
-    rate: frames/s at which a video is read by its time stamps (None: frame by frame); the frame before stands for one
-        that is missing
+    Open it with `open_video`. Iteration gives the frames from the present position (0 after opening) to the end. It is
+    a context manager.
+
+    path: the file or folder.
+    threads: number of threads that decode a video; None for all.
+    in_place: a frame of a video is valid only until the next one is read, which uses the same memory.
+    rate: frames/s at which a video is read by its time stamps; the frame before replaces a missing one. None: frame by
+        frame.
+
+    Attributes:
+    size: width and height, px.
+    frame_rate: frames/s; None for images.
+    n_frames: number of frames that can be decoded.
+    stated_frames: number of frames that the container states.
     """
 
     def __init__(
@@ -176,7 +188,7 @@ class VideoReader:
 
     @property
     def is_sequence(self) -> bool:
-        """Images, each in a file of its own."""
+        """Whether the frames are image files."""
         return self._images is not None
 
     @property
@@ -189,8 +201,10 @@ class VideoReader:
             yield self._advance()
 
     def seek(self, index: int) -> None:
-        """Let the next frame be `index` (0-based), exactly. Going back in a video decodes it from its
-        start."""
+        """Go to a frame (from 0) exactly. Going back in a video decodes it again from its start.
+
+        Raises: InputError where there is no such frame.
+        """
         if not 0 <= index <= self.n_frames:
             raise InputError(
                 f"{self.path} has no frame {index}; its frames are 0 to {self.n_frames - 1}: choose a frame "
@@ -204,7 +218,8 @@ class VideoReader:
         return self._next if self._stored is None else int(self._stored[self._next])
 
     def _go_to(self, number: int) -> None:
-        """Let a stored frame be the next that is decoded, or the last that was, where it is still in memory."""
+        """Decode up to a stored frame, so that it is the next, or stay where it is the last decoded one and still in
+        memory."""
         if number == self._decoded - 1 and self._stored is not None and self._memory is not None:
             return
         if number < self._decoded:
@@ -216,7 +231,11 @@ class VideoReader:
             self._decoded, self._memory = self._decoded + 1, None
 
     def read(self, index: int | None = None, out: Image | None = None) -> Image:
-        """Frame `index`, or the next one. out (h, w, 3): where a frame of a video may be put."""
+        """Read frame `index`, or the next one.
+
+        out: (h, w, 3) memory that may be used for a frame of a video.
+        Raises: InputError where there is no such frame or it is damaged.
+        """
         if index is not None:
             self.seek(index)
         if self._next >= self.n_frames:
@@ -227,7 +246,7 @@ class VideoReader:
         return self._advance(out)
 
     def close(self) -> None:
-        """Release the file."""
+        """Close the file."""
         if self._capture is not None:
             self._capture.release()
 
@@ -277,8 +296,11 @@ class VideoReader:
 def open_video(
     path: str | Path, threads: int | None = None, in_place: bool = False, rate: float | None = None
 ) -> VideoReader:
-    """Open a video file, a folder of images (natural order) or one image, as a `VideoReader`; an InputError names the
-    fault."""
+    """Open a video file, a folder of images (natural order) or one image.
+
+    threads, in_place, rate: as for `VideoReader`.
+    Raises: InputError where it does not exist or cannot be read.
+    """
     path = Path(path)
     if not path.exists():
         raise InputError(f"{path} does not exist; check the file name in recording.toml.")
@@ -286,7 +308,7 @@ def open_video(
 
 
 def _images_of(path: Path) -> list[Path] | None:
-    """The images of a folder, or the one that a path names; None of a video."""
+    """List the images of a folder, or the one image of a path; None for a video."""
     if not path.is_dir():
         return [path] if path.suffix.lower() in IMAGE_ENDINGS else None
     if images := list_images(path):
@@ -297,12 +319,12 @@ def _images_of(path: Path) -> list[Path] | None:
 
 
 def frame_size(path: str | Path) -> tuple[int, int]:
-    """(width, height) px of the first frame of a video, image folder or image."""
+    """Read the width and height of the first frame of a video, image folder or image, px."""
     images = _images_of(Path(path))
     if images is None:
         return _about(Path(path)).size
     data = read_image_file(images[0])
-    if data[12:16] == b"IHDR" and b"eXIf" not in data and not is_cut_png(data):  # what says so need not be decoded
+    if data[12:16] == b"IHDR" and b"eXIf" not in data and not is_cut_png(data):  # the header gives the size
         width, height = struct.unpack_from(">II", data, 16)
         return width, height
     image = read_image(images[0])
@@ -310,15 +332,16 @@ def frame_size(path: str | Path) -> tuple[int, int]:
 
 
 def count_frames(path: str | Path) -> int:
-    """Number of frames that can be decoded: the stated one if the last frame decodes, else counted one by
-    one."""
+    """Count the frames that can be decoded: the stated number if the last frame decodes, else one by one."""
     images = _images_of(Path(path))
     return _about(Path(path)).n_frames if images is None else len(images)
 
 
 def frame_times(path: Path) -> Array | None:
-    """Read when each frame of a video is shown, s from the first; None where its time stamps are not one per frame and
-    increasing."""
+    """Read the time of each frame of a video from its time stamps.
+
+    Returns: (T,) s from the first frame; None where there is not one increasing time stamp per frame.
+    """
     about = path.stat()
     return _stamps(path.absolute(), about.st_size, about.st_mtime_ns)
 
@@ -338,8 +361,11 @@ def _stamps(path: Path, size: int, changed: int) -> Array | None:
 
 
 def stored_frames(path: Path, rate: float) -> NDArray[np.int64] | None:
-    """Choose for each moment of a steady rate (frames/s) the stored frame that is shown then; None where frames cannot
-    be placed by time, or are steady at that rate."""
+    """Choose the stored frame that is shown at each instant of a constant frame rate.
+
+    rate: frames/s.
+    Returns: indices of stored frames; None where frames have no usable times, or have this constant rate already.
+    """
     times = frame_times(path)
     if times is None or (np.abs(times * rate - np.arange(len(times))) < 0.5).all():
         return None
@@ -354,12 +380,12 @@ def stored_frames(path: Path, rate: float) -> NDArray[np.int64] | None:
 
 
 def evenly_spread(first: int, stop: int, count: int) -> list[int]:
-    """At most `count` of the frames first to stop - 1, evenly spread."""
+    """Choose at most `count` frames from first to stop - 1, evenly spread."""
     return np.unique(np.linspace(first, stop - 1, min(count, stop - first)).round().astype(int)).tolist()
 
 
 class _About(NamedTuple):
-    """What a video file is, as `VideoReader` has it."""
+    """Properties of a video file; fields as in `VideoReader`."""
 
     size: tuple[int, int]
     frame_rate: float | None
@@ -368,7 +394,7 @@ class _About(NamedTuple):
 
 
 def _about(path: Path) -> _About:
-    """Look into a video; known files again only when their size or time has changed."""
+    """Read the properties of a video file, cached until its size or time changes."""
     try:
         about = path.stat()
     except OSError:
@@ -398,8 +424,10 @@ def _looked_into(path: Path, size: int, changed: int, number: int) -> _About:
 
 
 def _holds_packets(path: Path, stated: int) -> bool:
-    """Whether a video has the stated number of packets, which nothing has to decode: the number of the last key frame
-    and the packets from it to the end."""
+    """Test whether a video has the stated number of packets, without decoding.
+
+    It reads the position of the last key frame and counts the packets from there to the end.
+    """
     capture = open_capture(path, raw=True)
     try:
         capture.set(cv2.CAP_PROP_POS_FRAMES, stated - 1)
@@ -412,7 +440,7 @@ def _holds_packets(path: Path, stated: int) -> bool:
 
 
 def _ends_with(path: Path, stated: int) -> bool:
-    """Whether the stated last frame of a video can be decoded, and no other after it."""
+    """Test whether the stated last frame of a video can be decoded and is the last."""
     capture = open_capture(path)
     try:
         # position: some files jump elsewhere without complaint; one frame more: the container may say too little
@@ -435,10 +463,12 @@ def _count(path: Path) -> int:
 
 
 def open_capture(path: Path, threads: int | None = None, raw: bool = False) -> cv2.VideoCapture:
-    """OpenCV's own reader of a video, which decodes with so many threads (None: one per core), or gives the packets as
-    they are stored (raw); an InputError when it cannot be opened.
+    """Open a video with OpenCV's reader.
 
-    FFmpeg only: OpenCV's other back ends take numbers in file names for image sequences.
+    threads: number of threads that decode; None for one per core.
+    raw: give the stored packets, not decoded frames.
+    Raises: InputError where it cannot be opened.
+    Why: only FFmpeg is used, because OpenCV's other back ends take numbers in file names for image sequences.
     """
     if not path.is_file():
         raise InputError(f"The video {path} does not exist; check the file name in recording.toml.")
@@ -460,12 +490,16 @@ def open_capture(path: Path, threads: int | None = None, raw: bool = False) -> c
 
 
 class VideoWriter:
-    """Write frames (h, w, 3) uint8 BGR to a video, as a context manager.
+    """Writer of frames (h, w, 3), uint8 BGR, to a video; a context manager.
 
-    The codec follows from the ending: .mp4 MPEG-4 (players show it, browsers do not; codec="vp09" gives VP9,
-    which browsers show, at a fifth of the speed), .avi motion JPEG, .mkv FFV1 (lossless). The file has
-    another name until it is complete, and is checked then; after an exception in the block nothing is left.
-    Width and height are rounded down to even numbers (codecs need that).
+    The ending determines the codec: .mp4 MPEG-4 (players show it, browsers do not), .avi motion JPEG, .mkv FFV1
+        (lossless). The file has another name until it is complete, and is then checked; after an exception in the block
+        nothing remains.
+
+    frame_rate: frames/s.
+    size: width and height, px; rounded down to even numbers, as codecs need them.
+    codec: another codec; "vp09" in .mp4 is VP9, which browsers show, at a fifth of the speed.
+    Raises: InputError where the file cannot be written.
     """
 
     def __init__(self, path: str | Path, frame_rate: float, size: tuple[int, int], codec: str | None = None) -> None:
@@ -510,7 +544,10 @@ class VideoWriter:
         )
 
     def write(self, image: Image) -> None:
-        """Append one frame of the writer's size."""
+        """Append one frame (h, w, 3) uint8 BGR of the writer's size.
+
+        Raises: InputError where the frame has another size or type.
+        """
         if self._writer is None:
             raise InputError(f"{self.path} is not open; use VideoWriter in a with block.")
         h, w = image.shape[:2]
@@ -523,7 +560,7 @@ class VideoWriter:
         self.n_frames += 1
 
     def _finish(self, kind: type[BaseException] | None, *_: object) -> None:
-        """OpenCV reports no write error, so what lies on the disk is opened and its end decoded."""
+        """Close the file and count its frames, because OpenCV reports no write errors."""
         if self._writer is not None:
             self._writer.release()
             self._writer = None
@@ -543,7 +580,7 @@ class VideoWriter:
 
 
 # ---- sound ---------------------------------------------------------------------------------------------------------
-# The sound of a video: a WAV file next to it, or what ffmpeg decodes from it.
+# The sound of a video: a WAV file next to it, or decoded by ffmpeg.
 
 
 _RATE = 16000
@@ -552,14 +589,23 @@ _MAX_BYTES = 4 << 30
 
 @dataclass(frozen=True)
 class Sound:
-    """samples (N,) in -1..1 at rate Hz; the first belongs to the start of frame 0."""
+    """The sound of a video.
+
+    rate: Hz.
+    samples: (N,) from -1 to 1; the first is at the start of frame 0.
+    """
 
     rate: int
     samples: Array
 
 
 def read_sound(video: Path) -> Sound:
-    """The sound that was recorded with a video, all channels as one. An InputError names the missing input."""
+    """Read the sound of a video, all channels mixed to one.
+
+    It comes from a WAV file of the same name next to the video, or is decoded with ffmpeg.
+
+    Raises: InputError where there is no sound or ffmpeg is not installed.
+    """
     wav = video.with_suffix(".wav")
     if wav.is_file():
         return _read_wav(wav)
@@ -583,10 +629,10 @@ def read_sound(video: Path) -> Sound:
         done = subprocess.run(command, capture_output=True, check=False, cwd=Path(__file__).parent)
         if done.returncode == 0 and len(done.stdout) > 2:
             return Sound(_RATE, np.frombuffer(done.stdout, np.int16).astype(np.float64) / 32768)
-        raise InputError(f"{video} has no sound that ffmpeg can read; use --by motion, or put {wav.name} beside it.")
+        raise InputError(f"{video} has no sound that ffmpeg can read; use --by motion, or put {wav.name} next to it.")
     raise InputError(
         f"The sound of {video} cannot be read, since ffmpeg is not installed; install it, or write the sound to "
-        f"{wav.name} beside the video (mono or stereo WAV)."
+        f"{wav.name} next to the video (mono or stereo WAV)."
     )
 
 

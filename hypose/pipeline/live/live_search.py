@@ -22,9 +22,10 @@ from hypose.evidence.shared_masks import Other
 from hypose.geometry import Array
 from hypose.inference.hypotheses import BEFORE
 from hypose.pipeline.first_frame import TrackedSubject
-from hypose.pipeline.run import TrackOptions, tracker_of
+from hypose.pipeline.passes import tracker_of
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.track_management import birth_candidates, candidate_evidence
+from hypose.pipeline.track_options import TrackOptions
 from hypose.tracking.costs import mean_overlap
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.several import Member, step_together

@@ -12,7 +12,8 @@ from hypose.inference.hypotheses import BEFORE
 from hypose.pipeline.first_frame import TrackedSubject
 from hypose.pipeline.live.live_people import STATE_LOST, STATE_TRACKING
 from hypose.pipeline.live.live_search import STATE_EMPTY, STATE_SEARCHING, paced
-from hypose.pipeline.run import TrackOptions, tracker_of
+from hypose.pipeline.passes import tracker_of
+from hypose.pipeline.track_options import TrackOptions
 from hypose.tracking.left_right import turned_around
 from hypose.tracking.subject import scaled_to_height
 from tests.conftest import HANG_S

@@ -1,0 +1,137 @@
+"""Options, each declared once: a field of a dataclass or a parameter of a command, annotated with an `Option`.
+
+Command line, tables of recordings and the studio's forms are made of these declarations.
+
+    @dataclass(frozen=True)
+    class Options:
+        height: Annotated[float | None, Option("The person's height in metres.", 0.4, 2.8, unit="metres")] = None
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import inspect
+import typing
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+from hypose.errors import InputError
+
+HEIGHT = (0.4, 2.8)
+"""m: of a person whom the trackers know."""
+MOST_FRAMES = 10**9
+LARGEST_SEED = 2**63 - 1
+RUN, RESEARCH = "Run", "Research"
+"""Headings of how it is run, and of what only those need who compare methods."""
+THREAD_VARIABLES = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+"""What limits the threads of numba and of the libraries behind numpy."""
+_TRUTH = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
+
+
+@dataclass(frozen=True)
+class Option:
+    """What a value is for and what it may be.
+
+    help: one sentence. least, most: range of a number, both included (above: least itself is not). unit: for the
+    sentence that refuses others. choices: the texts that are possible. group: heading in the help. flag: name on the
+    command line, where it is not the field's. value: what stands for the value in the help. argument: on the command
+    line by its place, not by its name.
+    """
+
+    help: str
+    least: float | None = None
+    most: float = float("inf")
+    above: bool = False
+    unit: str = ""
+    choices: tuple[str, ...] = ()
+    group: str = ""
+    flag: str = ""
+    value: str = ""
+    argument: bool = False
+
+    @property
+    def allowed(self) -> str:
+        """What can be given, in words."""
+        if self.choices:
+            return f"choose {', '.join(self.choices[:-1])} or {self.choices[-1]}"
+        if self.most in (MOST_FRAMES, LARGEST_SEED):  # which only keep numbers from overflowing later
+            return f"give {self.least} or more"
+        numbers = f"more than {self.least} and at most {self.most}" if self.above else f"{self.least} to {self.most}"
+        return f"give {numbers}{self.unit and ' ' + self.unit}"
+
+    def allows(self, value: Any) -> bool:  # noqa: ANN401 (of whatever kind the option is)
+        """Whether a value other than None lies in the range, in which NaN never lies, or is one of the choices."""
+        if self.least is None:
+            return not self.choices or value in self.choices
+        return self.least <= value <= self.most and not (self.above and value == self.least)
+
+
+@dataclass(frozen=True)
+class Declared:
+    """A declared option. kind: bool, int, float, str or Path; many: a tuple of them; default: `dataclasses.MISSING`
+    where one has to be given."""
+
+    name: str
+    kind: type
+    many: bool
+    default: Any
+    option: Option
+
+    @property
+    def flag(self) -> str:
+        """As it is written on the command line."""
+        return self.option.flag or f"--{'no-' * (self.default is True)}{self.name.replace('_', '-')}"
+
+    def of(self, options: object) -> Any:  # noqa: ANN401
+        """Its value among the options of a dataclass."""
+        return getattr(options, self.name)
+
+    def check(self, value: Any, name: str | None = None) -> Any:  # noqa: ANN401
+        """The value; an InputError when it is not possible. name: as the user wrote it, the flag by default."""
+        if value is None or self.many or self.option.allows(value):
+            return value
+        shown = f"{value:g}" if isinstance(value, float) else str(value)
+        raise InputError(f"{name or self.flag} {shown} is not possible; {self.option.allowed}.")
+
+    def parse(self, text: str) -> Any:  # noqa: ANN401
+        """The value that a text stands for; a ValueError when it is of another kind, an InputError as `check`."""
+        if self.kind is bool:
+            if text.lower() not in _TRUTH:
+                raise ValueError(text)
+            return _TRUTH[text.lower()]
+        return self.check(self.kind(text), self.name)
+
+
+@functools.cache
+def declared(of: Callable[..., Any]) -> tuple[Declared, ...]:
+    """The options of a dataclass or a function."""
+    parameters, out = inspect.signature(of).parameters, []
+    for name, hint in typing.get_type_hints(of, include_extras=True).items():
+        if typing.get_origin(hint) is Annotated and isinstance(hint.__metadata__[0], Option):
+            plain, default = hint.__origin__, parameters[name].default
+            kind = (typing.get_args(plain) or (plain,))[0]
+            default = dataclasses.MISSING if default is inspect.Parameter.empty else default
+            out.append(Declared(name, kind, typing.get_origin(plain) is tuple, default, hint.__metadata__[0]))
+    return tuple(out)
+
+
+RecordingPath = Annotated[
+    Path, Option("Folder with recording.toml, that file, or a Pose2Sim project.", argument=True, value="RECORDING")
+]
+CalibrationFile = Annotated[Path | None, Option("Use this calibration file instead of the recording's.")]
+FrameSpan = Annotated[
+    str | None,
+    Option("first:stop, counted from 0. [default: recording.toml's, else all]", value="A:B"),
+]
+Threads = Annotated[
+    int | None, Option("Processor threads; the result does not depend on it. [default: all]", 1, 256, group=RUN)
+]
+Seed = Annotated[
+    int, Option("Of every random draw; the same seed gives the same result.", 0, LARGEST_SEED, group=RESEARCH)
+]
+Seconds = Annotated[float, Option("Length of the recording.", 0, 3600, above=True, unit="seconds")]
+Resume = Annotated[bool, Option("Go on where an interrupted run stopped.", group=RUN)]
+Yes = Annotated[bool, Option("Fetch the detector's models, once, without asking.", group=RUN)]

@@ -1,0 +1,112 @@
+"""The trace names the pass that moved a joint, for a fault planted in each of them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hypose.app.jobs.explain import explain_joint
+from hypose.io.motions.results import ResultsFolder, load_motion, save_body
+from hypose.pipeline import passes
+from hypose.pipeline.first_frame import SubjectOptions, find_subject
+from hypose.pipeline.run import track_source
+from hypose.pipeline.trace import Change, later, list_changes, trace_of, with_trace
+from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.track_options import TrackOptions
+from hypose.synthetic.scenes import camera_rig, make_scene
+
+FRAMES = range(5, 8)
+JOINT = "left_wrist"
+
+
+@pytest.fixture(scope="module")
+def frames():
+    scene = make_scene("walk", "broad", camera_rig("ring-4").scaled(0.4), seconds=0.48, seed=3)
+    return list(scene.mask_frames(1.0, keypoints=True))
+
+
+@pytest.fixture(scope="module")
+def subject(frames):
+    return find_subject(lambda i: frames[i], len(frames), SubjectOptions("keypoints", girths=False))
+
+
+def with_arm_bent(clip):
+    """The clip with the left elbow bent by a radian in FRAMES."""
+    s = clip.who.body.skeleton
+    elbow = np.array([n.startswith("left_elbow") for n in s.dof_names])
+    if clip.motion is not None:
+        poses = clip.motion.poses.copy()
+        poses[FRAMES.start : FRAMES.stop, elbow] += 1.0
+        return replace(clip, motion=replace(clip.motion, poses=poses, joints=clip.who.body.joints(poses)))
+    estimates = list(clip.tracked.estimates)
+    for t in FRAMES:
+        estimates[t] = replace(estimates[t], pose=estimates[t].pose + elbow)
+    return replace(clip, tracked=replace(clip.tracked, estimates=estimates))
+
+
+def explained(frames, subject, tmp_path, evidence="silhouettes"):
+    source, results = FrameList(frames), ResultsFolder(tmp_path)
+    options = TrackOptions(evidence=evidence, start="keypoints")
+    found = track_source(source, 25.0, options, subject=subject, results=results)
+    save_body(found.body, results.file("body.npz"))
+    return explain_joint(tmp_path, JOINT, FRAMES[1])
+
+
+@pytest.mark.parametrize("stage", passes.REASONS)
+def test_a_fault_planted_in_a_pass_is_named(stage, frames, subject, tmp_path, monkeypatch):
+    own = getattr(passes, stage)
+
+    def spoilt(clip):
+        return with_arm_bent(own(clip))
+
+    spoilt.__name__ = stage
+    planned = tuple(spoilt if step is own else step for step in passes.PASSES)
+    monkeypatch.setattr("hypose.pipeline.run.PASSES", planned)
+    lines = explained(frames, subject, tmp_path)
+    named = [line.split(":")[0].strip() for line in lines if " mm in frames " in line]
+    assert stage in named
+    assert any(passes.REASONS[stage] in line for line in lines)
+
+
+def test_a_fault_planted_in_the_search_of_a_frame_is_named(frames, subject, tmp_path, monkeypatch):
+    own = passes.track_frames
+
+    def spoilt(*arguments, **more):
+        done, j = own(*arguments, **more), subject.body.skeleton.joint_names.index(JOINT)
+        for t in FRAMES:
+            moved = done.estimates[t].moved.copy()
+            moved[j] = 0.4
+            done.estimates[t] = replace(done.estimates[t], moved=moved, origin="by limb search")
+        return done
+
+    monkeypatch.setattr(passes, "track_frames", spoilt)
+    lines = explained(frames, subject, tmp_path)
+    assert any(line.startswith("  track_clip: up to 400 mm in frames 5 to 7: the limb search") for line in lines)
+
+
+def test_what_no_pass_moved_is_said_to_be_so(frames, subject, tmp_path):
+    lines = explained(frames, subject, tmp_path)
+    text = "\n".join(lines)
+    assert lines[0].startswith(f"{JOINT} in frame 6 (0.24 s): at (")
+    assert "Evidence: unknown, 4 views; the body overlaps the masks by 0." in text
+    kept = [c for c in trace_of(load_motion(tmp_path / "motion.npz")) if c.joint == JOINT and 6 in c.frames]
+    assert ("No pass moved it" in text) == (not kept)
+
+
+def test_changes_are_stretches_of_frames_with_the_largest_displacement():
+    moved = np.zeros((10, 2))
+    moved[[3, 5], 0], moved[8, 1] = (0.1, 0.3), 0.05
+    found = list_changes("smooth", ("hip", "knee"), moved, "why")
+    assert found == (
+        Change("smooth", "hip", range(3, 6), 0.3, "why"),
+        Change("smooth", "knee", range(8, 9), 0.05, "why"),
+    )
+    assert later(found, 4)[0].frames == range(7, 10)
+    only = list_changes("smooth", ("hip", "knee"), moved, "why", np.arange(10) > 4)
+    assert [c.frames for c in only] == [range(5, 6), range(8, 9)]
+
+
+def test_a_trace_is_kept_with_its_motion(frames, subject, tmp_path):
+    motion = track_source(FrameList(frames), 25.0, TrackOptions(start="keypoints"), subject=subject).motion
+    trace = list_changes("smooth", ("hip",), np.full((3, 1), 0.1), "why")
+    assert trace_of(with_trace(motion, trace)) == trace
