@@ -186,10 +186,15 @@ class LearnColours:
 
     def __call__(self, memory: Memory, pose: Array, h: Hypotheses, frame: PreparedFrame, /) -> Memory:
         """The memory after a frame; see `Recipe.learn`."""
-        colours, o = frame.frame.colours, self.settings
-        if colours is None or not frame.silhouettes.seen or h.weights.max() < o.surely:
+        if not frame.silhouettes.seen or h.weights.max() < self.settings.surely:
             return memory
-        body, (faces, part, arm) = frame.body, part_layout(frame.body)
+        for colours in frame.frame.of(Colours):
+            memory = self._learn(memory, colours, pose, h, frame)
+        return memory
+
+    def _learn(self, memory: Memory, colours: Colours, pose: Array, h: Hypotheses, frame: PreparedFrame) -> Memory:
+        """Count the colours of one frame."""
+        o, body, (faces, part, arm) = self.settings, frame.body, part_layout(frame.body)
         vertices = body.skin(pose)
         doubted = self._doubted(pose, h, body)
         for side in np.flatnonzero(doubted):
