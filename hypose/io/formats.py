@@ -99,7 +99,7 @@ class FormatTable:
         """
         path = Path(path)
         if not path.exists():
-            raise InputError(f"{path} does not exist; give {self.kind}: {self.listing()}.")
+            raise InputError(f"{path} does not exist; check the path, or {self.advice}.")
         source = Source(path, self.kind, self.parse)
         fitting = [f for f in self.formats if f.read is not None and f.fits(path)]
         with numbers_of(str(path)):
@@ -111,5 +111,5 @@ class FormatTable:
 
     def listing(self) -> str:
         """List the endings of readable files."""
-        endings = dict.fromkeys(s for f in self.formats if f.read is not None for s in f.suffixes)
+        endings = dict.fromkeys(s for f in self.formats if f.read is not None for s in f.suffixes if s[:1] in "./")
         return ", ".join({"/": "a folder", "": "no ending"}.get(s, s) for s in endings)

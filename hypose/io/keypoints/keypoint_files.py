@@ -363,7 +363,7 @@ def _clock(path: Path) -> tuple[list[int], float | None]:
 
 def read_document(path: Path) -> Any:
     """Read the value of a JSON file of limited size; InputError where it cannot be read."""
-    return read_json(path, "a file of key points", MAX_BYTES)
+    return read_json(path, "a file or folder of key points", MAX_BYTES)
 
 
 def _lists(source: Source, key: str) -> bool:
@@ -696,8 +696,8 @@ def _deeplabcut_group(group: Any, where: str) -> KeypointTable:
 
 
 KEYPOINTS = FormatTable(
-    "a file of key points",
-    "export the key points again, or as OpenPose files",
+    "a file or folder of key points",
+    "detect them, or export them again",
     (
         Format(
             "OpenPose, Pose2Sim, RTMLib, AlphaPose", ("/",), _openpose, lambda source: _first_holds(source, "people")
