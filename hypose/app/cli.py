@@ -51,6 +51,7 @@ CLI_COMMANDS: CommandTable = {
         "export": ("commands_results:export", "Write TRC, C3D, BVH, GLB, CSV, MOT of a tracked motion."),
     },
     "Recordings": {
+        "init": ("commands_data:init", "Write the recording.toml of a folder with videos."),
         "demo": ("commands_track:demo", "Make a synthetic recording, track it, compare with the truth."),
         "synth": ("commands_data:synth", "Make a synthetic recording with known truth."),
         "depth-import": ("commands_data:depth_import", "A recording from what depth cameras recorded."),
