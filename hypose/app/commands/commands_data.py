@@ -9,8 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
-from hypose.app.commands.commands_track import stopping
-from hypose.app.commands.console import Stages, print_note, print_notes, say
+from hypose.app.commands.console import Stages, print_note, print_notes, say, stopping
 from hypose.app.options import SynthCommand
 from hypose.errors import EvidenceError, InputError
 from hypose.options import FrameSpan, Option, RecordingPath, Resume, Seed, Threads, Yes
@@ -171,7 +170,7 @@ def depth_import(
         tuple[Path, ...],
         Option("One per camera: Azure Kinect .mkv, RealSense .bag, Record3D .r3d, or a folder of maps.", argument=True),
     ],
-    out: Annotated[Path, Option("Folder to write the recording to.")],
+    out: Annotated[Path, Option("New folder for the recording.")],
     empty: Annotated[
         tuple[Path, ...], Option("The empty room, one per camera in the same order (may be repeated).")
     ] = (),

@@ -13,8 +13,10 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
-from types import TracebackType
+from types import FrameType, TracebackType
 from typing import TYPE_CHECKING, TextIO
+
+from click.exceptions import Exit
 
 from hypose.errors import visible
 
@@ -233,3 +235,23 @@ def ended_by_signals(ended: threading.Event) -> Iterator[None]:
     finally:
         for n, handler in before.items():
             signal.signal(n, handler)
+
+
+@contextlib.contextmanager
+def stopping(text: str | Callable[[], str] = "") -> Iterator[None]:
+    """Within the block Ctrl-C, and SIGTERM likewise, end the command in order, with exit code 130.
+
+    text: the sentence printed then."""
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    previous = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    except KeyboardInterrupt:
+        if text:
+            say(text if isinstance(text, str) else text())
+        raise Exit(130) from None
+    finally:
+        signal.signal(signal.SIGTERM, previous)

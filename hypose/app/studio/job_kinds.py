@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -77,6 +77,16 @@ def form_of(kind: str) -> tuple[Declared, ...]:
     _, declares, names = _KINDS[kind]
     known = {option.name: option for option in declared(declares)}
     return tuple(known[name] for name in names.split())
+
+
+def forms() -> dict[str, list[dict[str, Any]]]:
+    """The options of every job that a page may set, as JSON."""
+    return {
+        kind: [
+            {"name": o.name, "kind": o.kind.__name__, "default": o.default, **asdict(o.option)} for o in form_of(kind)
+        ]
+        for kind in JOB_KINDS
+    }
 
 
 def _arguments(kind: str, given: Mapping[str, Any]) -> list[str]:
