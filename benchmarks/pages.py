@@ -20,7 +20,10 @@ TEMPLATE = ROOT / "benchmarks" / "accuracy.md"
 Document = Mapping[str, Any]
 _MOST_ROWS = 4  # of a benchmark, missed targets not counted
 
-_HEAD = """# Benchmarks
+_HEAD = """---
+hide: [navigation, toc]
+---
+# Benchmarks
 
 Written by `make docs` from `benchmarks/results`. `./run bench NAME --keep` measures again and keeps. The table shows
 every missed target and up to four other figures of each benchmark; the linked file has all figures, the commit, the
@@ -108,7 +111,8 @@ def accuracy_page(kept: Mapping[str, Document]) -> str:
         row = rows_of(kept[name]).get((metric, case)) if name in kept else None
         if row is None:
             raise InputError(f"{TEMPLATE.name} names {match[1]!r}, which is not kept; measure it or take it out.")
-        return number(row["value"] * float(factor[0].removeprefix("*")) if factor else row["value"])
+        value = row["value"] * float(factor[0].removeprefix("*")) if factor else row["value"]
+        return number(round(value, 2))
 
     return re.sub(r"\{([^{}|]+\|[^{}]+)\}", figure, TEMPLATE.read_text(encoding="utf-8"))
 

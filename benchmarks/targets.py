@@ -239,9 +239,9 @@ TARGETS = (
         "front-back",
         "frames in which the body is turned around, 6 s clips",
         (
-            Figure("turned", "own start, mended", at_most=0),
-            Figure("error_mm", "own start, mended", at_most=1, of="own start, as tracked"),
-            Figure("turned", "turned start, mended", at_most=0),
+            Figure("turned", "own start, corrected", at_most=0),
+            Figure("error_mm", "own start, corrected", at_most=1, of="own start, as tracked"),
+            Figure("turned", "turned start, corrected", at_most=0),
         ),
     ),
     Benchmark(

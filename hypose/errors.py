@@ -7,7 +7,7 @@ import importlib
 import re
 from typing import Any
 
-# C0 and C1 but tab and newline, line and paragraph separators, marks that turn the direction, halves of pairs
+# C0 and C1 except tab and newline, line and paragraph separators, marks of direction, single surrogates
 _UNSEEN = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
 
 
@@ -72,7 +72,7 @@ def extra(module: str, needed_by: str, name: str, package: str = "", or_else: st
             what, cure = "is not installed", f'run: pip install "hypose[{name}]"'
         else:
             reason = f"{type(error).__name__}: {error}".partition("\n")[0].rstrip(".: ")
-            what, cure = f"cannot be loaded ({reason})", f"install what that names, or {package} again"
+            what, cure = f"cannot be loaded ({reason})", f"install what the reason names, or {package} again"
         raise InputError(
             f"{needed_by} needs {package}, which {what}; {cure}{or_else and f', or {or_else}'}."
         ) from error

@@ -142,7 +142,7 @@ def nearest_branch(rotation_vector: ArrayLike, reference: ArrayLike) -> Array:
     """
     r = np.asarray(rotation_vector, dtype=np.float64)
     ref = np.asarray(reference, dtype=np.float64)
-    if r.ndim == ref.ndim == 1:  # the same, many times sooner
+    if r.ndim == ref.ndim == 1:  # the same, many times faster
         angle = _other_branch(r.tolist(), ref.tolist())
         return r - 2 * np.pi * r / angle if angle else r.copy()
     if r.ndim == 2 and len(r) <= _FEW_VECTORS and ref.shape in (r.shape, r.shape[1:]):

@@ -1,7 +1,4 @@
-"""Make docs/api.md, the reference of the public interface, from the docstrings; `scripts.docs` writes it.
-
-The page is not kept, so that it cannot go stale.
-"""
+"""Make the site's reference of the public interface from docstrings; nothing of it is kept in docs/."""
 
 from __future__ import annotations
 

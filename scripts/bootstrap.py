@@ -399,7 +399,7 @@ def commands_of(name: str, arguments: List[str], folder: str, python: str) -> Li
     if name == "bench":
         return [[python, "-m", "benchmarks"] + arguments]
     if name == "docs":
-        return [[python, "-m", "scripts.docs"] + arguments, [program(folder, "mkdocs"), "build", "--quiet", "--strict"]]
+        return [[python, "-m", "scripts.docs"] + arguments, [python, "-m", "mkdocs", "build", "--quiet", "--strict"]]
     return [[program(folder, "hypose"), name] + arguments]
 
 
@@ -461,6 +461,8 @@ def main(arguments: List[str]) -> int:
             if name == "lint":
                 print("$ " + " ".join([os.path.basename(command[0])] + command[1:]), flush=True)
             environment = contained(dict(os.environ))
+            if name == "docs":
+                environment.setdefault("NO_MKDOCS_2_WARNING", "1")
             if name == "test":  # where several processes share the processors, threads of BLAS wait for each other
                 environment.setdefault("OPENBLAS_NUM_THREADS", "1")
             status = run(command, place, environment)

@@ -1,8 +1,8 @@
 """Write the generated pages of docs/:  python -m scripts.docs [--check]
 
-api.md from docstrings (not kept), benchmarks.md and accuracy.md from kept figures, licences.md from installed packages,
-and images/architecture.svg from imports. --check writes api.md alone; exit code 1 when a number of a kept page of
-figures differs from what would be written, whatever its words.
+benchmarks.md and accuracy.md from kept figures, licences.md from installed packages, and images/architecture.svg from
+imports. --check writes nothing; exit code 1 when a number of a page of figures differs, whatever its words. The pages
+api.md and commands.md are made by the site's build (scripts/site_files.py).
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from benchmarks import pages
-from scripts.api_page import api_page
 from scripts.architecture_picture import picture
 from scripts.licences import licences_page
 
@@ -36,7 +35,6 @@ def main(arguments: Iterable[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description="Generated pages of docs/.")
     parser.add_argument("--check", action="store_true", help="compare numbers of kept pages, write nothing")
     check = parser.parse_args(None if arguments is None else list(arguments)).check
-    (DOCS / "api.md").write_text(api_page(), encoding="utf-8")
     status = 0
     for name, text in pages.written().items():
         if not check:

@@ -22,8 +22,8 @@ _HEAD = """# Licences
 
 hypose is under the BSD 3-clause licence. Its data come from MakeHuman and are in the public domain (CC0; see
 `hypose/assets/LICENSE-assets.md`). The detector's models, fetched on request, are MediaPipe's (Apache 2.0).
-`make docs` writes this page from what is installed. Nothing here is copied into hypose except the JavaScript libraries
-of the page, which are built into it."""
+`make docs` writes this page from the installed packages. Nothing here is copied into hypose except the JavaScript
+libraries of the page, which are built into it."""
 
 
 def licences_page() -> str:

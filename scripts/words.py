@@ -1,7 +1,7 @@
-"""Find words that hypose/ does not use:  python -m scripts.words [FOLDER ...]
+"""Find words that hypose/ and the pages do not use:  python -m scripts.words [FOLDER ...]
 
-Docstrings, comments and names are read; messages to users are not. docs/glossary.md has the words to use instead. Exit
-code 1 when a word is found.
+Docstrings, comments and names of the package are read, messages to users are not; of pages all but code.
+docs/glossary.md has the words to use instead. Exit code 1 when a word is found.
 """
 
 from __future__ import annotations
@@ -35,6 +35,13 @@ def found(source: str) -> Iterator[tuple[int, str]]:
             yield from ((token.start[0], f"{m[1]} (in {token.string})") for m in _NAME.finditer(snake))
 
 
+def found_in_page(text: str) -> Iterator[tuple[int, str]]:
+    """Yield the line and the word of each forbidden word in a page, outside of code."""
+    for code in (r"```.*?```", r"`[^`\n]*`"):
+        text = re.sub(code, lambda m: re.sub(r"[^\n]", " ", m[0]), text, flags=re.DOTALL)
+    yield from _in_text(text, 1)
+
+
 def _in_text(text: str, first: int) -> Iterator[tuple[int, str]]:
     for m in _TEXT.finditer(re.sub(r"\s", " ", text)):
         yield first + text.count("\n", 0, m.start()), m[0]
@@ -50,6 +57,9 @@ def main(arguments: Iterable[str] | None = None) -> int:
         for path in sorted(place.rglob("*.py")) if place.is_dir() else [place]:
             words = sorted(found(path.read_text(encoding="utf-8")))
             lines += [f"{path.relative_to(ROOT)}:{line}: {word}" for line, word in words]
+    for path in sorted([*ROOT.glob("docs/**/*.md"), *ROOT.glob("*.md")]):
+        words = found_in_page(path.read_text(encoding="utf-8"))
+        lines += [f"{path.relative_to(ROOT)}:{line}: {word}" for line, word in words]
     for line in lines:
         print(line)
     return int(bool(lines))

@@ -1,5 +1,7 @@
 """Examples run, commands in the documentation exist with their options, and the generated reference is up to date."""
 
+import ast
+import importlib.util
 import re
 import shlex
 import subprocess
@@ -11,16 +13,23 @@ import click
 import pytest
 
 import hypose
+from benchmarks.bench_list import benchmarks
 from benchmarks.robustness.small_recordings import small_scene, write_masks
 from hypose.app.batch import read_table
 from hypose.app.cli import app
 from hypose.io.calibrations.calibration_text import write_calibration
 from hypose.io.sensors.skeleton_streams import format_line
+from hypose.pipeline.passes import PASSES, REASONS
+from scripts import docs
 from scripts.api_page import api_page
+from scripts.architecture_picture import picture
+from scripts.commands_page import commands_page
+from scripts.words import found_in_page
 from tests.conftest import HANG_S, ROOT
 from tests.depth_sensors import reports
 
-PAGES = sorted([*ROOT.glob("docs/*.md"), ROOT / "README.md"])
+PAGES = sorted([*ROOT.glob("docs/**/*.md"), *ROOT.glob("*.md")])
+MADE = {"api.md", "commands.md"}  # by the site's build
 
 
 def run(path, *arguments):
@@ -109,39 +118,99 @@ def test_every_page_is_in_the_site():
     # the file is YAML of the simplest kind
     text = (ROOT / "mkdocs.yml").read_text()
     named = set(re.findall(r"[\w-]+\.md", text[text.index("nav:") :]))
-    assert named == {p.name for p in ROOT.glob("docs/**/*.md")} | {"api.md"}  # generated
+    assert named == {p.name for p in ROOT.glob("docs/**/*.md")} | MADE
 
 
 def test_links_between_pages_lead_somewhere():
     for page in PAGES:
         for target in re.findall(r"\]\(([^)#:]+)(?:#[\w-]+)?\)", page.read_text()):
-            assert (page.parent / target).exists(), f"{page.name}: {target}"
+            assert target in MADE or (page.parent / target).exists(), f"{page.name}: {target}"
 
 
-def commands():
-    """(page, words) of every `hypose ...` line in a shell block of the documentation."""
+def commands(program):
+    """(page, words) of every line of shell code, and of every piece of code in a text, that calls a program."""
     for page in PAGES:
-        for block in re.findall(r"```(?:sh|bash|)\n(.*?)```", page.read_text(), re.DOTALL):
-            for line in block.replace("\\\n", " ").splitlines():
-                found = re.match(r"\s*(?:\S*/)?hypose\s+(.*)", line.split("  #")[0].split(" && ")[-1])
-                if found and "COMMAND" not in line:
+        text = page.read_text()
+        blocks = re.findall(r"```(?:sh|bash|)\n(.*?)```", text, re.DOTALL)
+        said = re.findall(r"`([^`\n]+)`", re.sub(r"```.*?```", "", text, flags=re.DOTALL))
+        lines = "\n".join(blocks).replace("\\\n", " ").splitlines() + [
+            s for s in said if "COMMAND" not in s and "..." not in s
+        ]
+        for line in lines:
+            for part in line.split("  #")[0].split(" && "):
+                if found := re.match(rf"\s*(?:\S*/)?{program} +(.*)", part):
                     yield page.name, shlex.split(found[1], comments=True)
 
 
-@pytest.mark.parametrize(("page", "words"), list(commands()), ids=lambda x: x if isinstance(x, str) else " ".join(x))
+@pytest.mark.parametrize(
+    ("page", "words"), list(commands("hypose")), ids=lambda x: x if isinstance(x, str) else " ".join(x)
+)
 def test_commands_in_the_documentation_exist(page, words):
     command = app
-    while isinstance(command, click.Group):
-        assert words and words[0] in command.list_commands(None), words
+    while isinstance(command, click.Group) and words:
+        assert words[0] in command.list_commands(None), words
         command, words = command.get_command(None, words[0]), words[1:]
-    known = {o for p in command.params for o in (*p.opts, *p.secondary_opts)}
+    known = {o for p in command.params for o in (*p.opts, *p.secondary_opts, "--help")}
     given = {w.partition("=")[0] for w in words if re.match(r"--[a-z]", w)}
     assert given <= known, f"{page}: {given - known}"
 
 
-def test_every_command_is_in_the_table_of_the_documentation():
-    table = re.findall(r"^\| `hypose ([a-z-]+)", (ROOT / "docs" / "index.md").read_text("utf-8"), re.MULTILINE)
-    assert sorted(table) == sorted(app.list_commands(None))
+def test_commands_for_developers_exist():
+    known = set(benchmarks()) | {"NAME"}
+    assert {words[1] for _, words in commands("./run") if words[0] == "bench"} <= known
+    targets = re.findall(r"^\t|^\.PHONY: (.*)", (ROOT / "Makefile").read_text(), re.MULTILINE)[0].split()
+    assert {words[0] for _, words in commands("make")} <= {*targets}
+    for page, words in commands("python"):
+        if words[0] == "-m" and words[1] != "venv":
+            assert importlib.util.find_spec(words[1]), f"{page}: {words}"
+
+
+def test_files_that_the_architecture_names_exist():
+    text = (ROOT / "docs/developers.md").read_text()
+    named = re.findall(r"`((?:hypose|tests|web|benchmarks)/[\w/.]+)`", text)
+    assert len(named) > 30 and [n for n in named if "NAME" not in n and not (ROOT / n).exists()] == []
+    where = {file: (ROOT / file).read_text() for file in named if (ROOT / file).is_file()}
+    for name, file in re.findall(r"`([A-Za-z_]+)`, `([\w/]+\.\w+)`", text):
+        assert re.search(rf"\b{name}\b", where[file]), f"{name} is not in {file}"
+
+
+def test_the_page_of_commands_has_every_command_and_option():
+    text = commands_page()
+    for name in app.list_commands(None):
+        assert f"### hypose {name}\n" in text and f"(#hypose-{name})" in text
+    assert "`--evidence {silhouettes," in text and "#### hypose gesture train" in text
+
+
+def test_the_picture_of_the_architecture_shows_every_pass():
+    text = picture()
+    assert all(f">{one.__name__}: " in text for one in PASSES)
+    assert text.count('<rect class="moves"') == 2 + len(REASONS)  # its legend, and tracking
+
+
+def test_pages_of_figures_have_the_kept_numbers():
+    assert docs.main(["--check"]) == 0
+
+
+def test_pages_use_plain_words():
+    assert [f"{p.name}:{n}: {w}" for p in PAGES for n, w in found_in_page(p.read_text())] == []
+
+
+def test_python_in_the_documentation_imports_names_that_exist():
+    for page in PAGES:
+        for block in re.findall(r"```python\n(.*?)```", page.read_text(), re.DOTALL):
+            for node in ast.walk(ast.parse(block)):
+                if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("hypose"):
+                    module = importlib.import_module(node.module)
+                    assert [a.name for a in node.names if not hasattr(module, a.name)] == [], page.name
+
+
+def test_modules_and_names_in_the_documentation_exist():
+    for page in PAGES:
+        for module, name in re.findall(r"`(hypose(?:\.[a-z]\w*)+)(?:[:.](\w+))?(?:\([^`]*\))?`", page.read_text()):
+            path = ROOT / module.replace(".", "/")
+            if not name and not path.is_dir() and not path.with_suffix(".py").is_file():  # a function
+                module, _, name = module.rpartition(".")
+            assert not name or hasattr(importlib.import_module(module), name), f"{page.name}: {module}:{name}"
 
 
 def test_toml_in_the_documentation_is_toml():

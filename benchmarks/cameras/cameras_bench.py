@@ -99,7 +99,7 @@ def _rows(found: dict[str, list[_Measured]]) -> Iterator[Row]:
         yield Row("median_mm", case, float(np.median(np.concatenate([m.left.ravel() for m in found[case]]))), "mm")
         yield Row("raw_mm", case, float(np.mean([m.raw.mean() for m in found[case]])), "mm", n=len(means))
         yield Row("triangulation_mm", case, plain, "mm", n=len(means))
-        yield Row("triangulation_mm", f"{case}, sides mended", mended, "mm", n=len(means))
+        yield Row("triangulation_mm", f"{case}, sides corrected", mended, "mm", n=len(means))
         yield Row("pose2sim_mm", case, filtered, "mm", n=len(means))
         inside = np.concatenate([m.inside for m in found[case]])
         if len(inside):

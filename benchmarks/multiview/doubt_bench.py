@@ -156,7 +156,7 @@ def _words(judges: Sequence[Tracked]) -> list[Row]:
             low_confidence_joints=joints,
             low_confidence=needs_review(p, joints, c.evidence),
         )
-        word = assess(motion, *against_the_clip(c.audit, motion.n_views, c.evidence)).word
+        word = assess(motion, against_the_clip(c.audit, motion.n_views, c.evidence)).word
         families.setdefault(name, []).append(word != GOOD)
     return [Row("not_good", name, float(np.mean(some)), "1", n=len(some)) for name, some in families.items()]
 

@@ -27,7 +27,7 @@ _MOTIONS = ("walk", "jog", "combo")
 
 def front_back(options: BenchOptions) -> BenchReport:
     """turned: share of the frames in which the hips lie the other way round than the person's; error_mm: mean over
-    joints and frames; each `as tracked`, frame after frame, and `mended`. Cases: the start that the product finds by
+    joints and frames; each `as tracked`, frame after frame, and `corrected`. Cases: the start that the product finds by
     itself; a start that is turned around on purpose. seconds_per_frame: of tracking from the own start, against the
     same without looking for exchanged sides, in the same run.
 
@@ -56,20 +56,20 @@ def front_back(options: BenchOptions) -> BenchReport:
             done = _tracked(source, tracker, start, subject)
             mended, again = correct_left_right(tracker, done, _reader(source))
             touched += bool(again) and case == "own start"
-            for how, estimates in (("as tracked", done), ("mended", mended)):
+            for how, estimates in (("as tracked", done), ("corrected", mended)):
                 found.setdefault((case, how), []).append(_measured(scene, subject.body, estimates))
     options.progress("front and back", len(seeds) * len(motions), len(seeds) * len(motions))
     rows: list[Row] = []
     for case in ("own start", "turned start"):
-        before, after = np.array(found[case, "as tracked"]), np.array(found[case, "mended"])
+        before, after = np.array(found[case, "as tracked"]), np.array(found[case, "corrected"])
         for k, (metric, unit) in enumerate((("turned", "1"), ("error_mm", "mm"))):
             tracked = row(metric, f"{case}, as tracked", before[:, k], unit)
             rows.append(tracked)
             base = {"baseline": "as tracked", "baseline_value": tracked.value}
-            rows.append(row(metric, f"{case}, mended", after[:, k], unit, **base))
+            rows.append(row(metric, f"{case}, corrected", after[:, k], unit, **base))
             worse = float((after[:, k] > before[:, k] + (0.02 if k == 0 else 2.0)).sum())
             rows.append(Row(f"{metric}_worse", case, worse, "clips", n=len(after)))
-    rows.append(Row("tracked_again", "own start", float(touched), "clips", n=len(found["own start", "mended"])))
+    rows.append(Row("tracked_again", "own start", float(touched), "clips", n=len(found["own start", "corrected"])))
     base = {"baseline": "no looks", "baseline_value": float(np.mean(seconds_without))}
     rows.append(row("seconds_per_frame", "own start", seconds_with, "s", **base))
     settings = {"seeds": len(seeds), "first_seed": seeds.start, "motions": motions, "seconds": seconds}

@@ -79,7 +79,7 @@ def run(seed: int, seconds: float) -> dict[str, Any]:
 
 
 def _word(result: TrackResult) -> str:
-    return assess(result.motion, result.faults, result.looks).word
+    return assess(result.motion, result.findings).word
 
 
 def _in_step(frames: Sequence[Frame], late: Array) -> FrameList:

@@ -117,7 +117,7 @@ def _shape_of(log_factors: ArrayLike) -> Shape:
         # along the arm and across it alike: a hand, a foot keep their proportions
         length[f"{side}_wrist"] = girth[f"{side}_wrist"] = f["hands"]  # type: ignore[assignment]
         length[f"{side}_ankle"] = girth[f"{side}_ankle"] = f["feet"]  # type: ignore[assignment]
-        # hips hang on the pelvis and clavicles on the chest: undo the trunk's stretch across the body
+        # hips are children of the pelvis, clavicles of the chest: undo the trunk's stretch across the body
         offset[f"{side}_hip"] = (f["hip width"] / torso, 1 / torso, 1.0)
         offset[f"{side}_clavicle"] = (shoulders / torso, 1 / torso, 1.0)
         offset[f"{side}_shoulder"] = (shoulders, 1.0, 1.0)
@@ -305,7 +305,12 @@ def girth_at(vertices: Array, faces: NDArray[np.integer], point: Array, normal: 
 
 
 def cross_section(vertices: Array, faces: NDArray[np.integer], point: Array, normal: Array) -> list[Array]:
-    """Cut a closed mesh by a plane; return the closed loops, each (n, 3)."""
+    """Cut a closed mesh by a plane.
+
+    vertices, faces: (V, 3) m and (F, 3).
+    point, normal: (3,) m in the plane, and (3,) normal of the plane.
+    Returns: the closed loops, each (n, 3) m.
+    """
     height = (np.asarray(vertices, dtype=np.float64) - point) @ normal
     height = np.where(height == 0, 1e-12, height)  # no vertex lies in the plane: every cut face has two cut edges
     above = height > 0

@@ -114,9 +114,10 @@ class ScanFit:
 
 
 def surface_samples(vertices: ArrayLike, faces: ArrayLike, count: int, rng: np.random.Generator) -> _ScanSamples:
-    """Draw `count` points spread evenly over the surface of a mesh (V, 3), (F, 3).
+    """Draw `count` points spread evenly over the surface of a mesh.
 
-    Returns: points with outward normals.
+    vertices, faces: (V, 3) m and (F, 3).
+    Returns: points (N, 3) m with outward unit normals (N, 3).
     Raises: InputError where the mesh has no area.
     """
     v, f = np.asarray(vertices, dtype=np.float64), np.asarray(faces)

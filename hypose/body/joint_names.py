@@ -135,7 +135,9 @@ def match_rig(
         out[:, owner[k]] += dense[:, k]
     total = out.sum(1, keepdims=True)
     if not (total > 1e-6).all():
-        raise InputError(f"{where}: {int((total <= 1e-6).sum())} vertices have no skinning weight; weight them first.")
+        raise InputError(
+            f"{where}: {int((total <= 1e-6).sum())} vertices have no skinning weight; give them weights first."
+        )
     absent = tuple(n for n in JOINT_NAMES if n not in found)
     return MatchedRig(_placed(found, at), out / total, absent)
 

@@ -32,7 +32,7 @@ def region_reach(level: ArrayLike, dimensions: int = 3) -> Array:
     """
     from scipy.special import betaincinv, gammaincinv  # takes long to import
 
-    def squared(at: ArrayLike) -> Array:  # quantile of the F distribution, but for a factor
+    def squared(at: ArrayLike) -> Array:  # quantile of the F distribution, up to a factor
         x = betaincinv(dimensions / 2, TAILS / 2, at)
         return np.asarray(x / (1 - x))
 

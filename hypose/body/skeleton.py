@@ -112,7 +112,7 @@ class Skeleton:
         kind, start, count = (np.zeros(j, dtype=np.int64) for _ in range(3))
         for n in range(j):
             dofs = np.flatnonzero(self.joint_of_dof == n)
-            dofs = dofs[dofs >= 3]  # the root's translations are handled apart
+            dofs = dofs[dofs >= 3]  # the root's translations are handled separately
             if len(dofs):
                 start[n], count[n] = dofs[0], len(dofs)
                 kind[n] = BALL if self.ball[n] else HINGES

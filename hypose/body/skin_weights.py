@@ -228,7 +228,7 @@ def _closest_points(v: Array, bones: Bones) -> tuple[Array, Array]:
 
 
 def _warm_every_part(near: NDArray[np.bool_], distance: Array, faces: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Make the nearest bone a source for connected parts in which no vertex sees a bone."""
+    """Make the nearest bone a source of heat for connected parts of the mesh in which no vertex sees a bone."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 

@@ -1,1 +1,2 @@
-"""Camera calibration: from boards and measured points, its examination, and its refinement from the moving person."""
+"""Camera calibration: from boards, measured points or a person; diagnostics of a calibration; refinement with the
+person."""

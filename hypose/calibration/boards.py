@@ -1,10 +1,10 @@
 """Calibration boards: their patterns, and detection of their corners in pictures.
 
-Chessboards and ChArUco boards are found by OpenCV. Two things are added for chessboards: a picture without a board is
-searched again in rectified views of its bright sheets, since OpenCV's detectors miss boards that lie on the floor far
-away (all of four real cameras at 4 m, 20 x 10 px per square); and corners are numbered the same way whatever the
-detector began with, as far as the pattern allows. `Board.turns` says how far: a chessboard looks the same when turned
-by 180 degrees if both of its corner counts are even or both odd.
+OpenCV finds chessboards and ChArUco boards. Two steps are added for chessboards. A picture without a detection is
+searched again in rectified views of its bright sheets, because OpenCV's detectors miss boards that lie far away on the
+floor (all of four real cameras at 4 m, 20 x 10 px per square). And corners are numbered in a fixed order, as far as the
+pattern allows: a chessboard looks the same when rotated by 180 degrees if both of its corner counts are even or both
+odd (`Board.turns`).
 """
 
 from __future__ import annotations
@@ -26,20 +26,22 @@ IntArray = NDArray[np.int64]
 
 _SEARCH_SIZE = 1400  # px: larger pictures are searched in a smaller copy first; corners are refined in the original
 _FLAGS = cv2.CALIB_CB_NORMALIZE_IMAGE
-_MIN_CORNERS = 6  # of a ChArUco board; fewer leave the pose of a plane loose
-_SHEETS = 4  # bright quadrilaterals that are looked at closer
+_MIN_CORNERS = 6  # of a ChArUco board; fewer do not determine the pose of a plane well
+_SHEETS = 4  # bright quadrilaterals that are searched
 
 
 @dataclass(frozen=True)
 class Board:
     """A flat calibration board.
 
+    kind: "chessboard" or "charuco".
     columns, rows: inner corners of a chessboard, squares of a ChArUco board (as OpenCV counts each).
     square: side of a square, m.
     marker: side of a ChArUco board's markers, m.
     dictionary: OpenCV's name of its markers.
     legacy: ChArUco boards of OpenCV before 4.6 with an even number of rows.
     inverted: printed white on black.
+    Raises: InputError where a value is out of range.
     """
 
     kind: Literal["chessboard", "charuco"]
@@ -74,13 +76,15 @@ class Board:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Corners along x and along y."""
+        """Number of corners along x and along y."""
         return (self.columns, self.rows) if self.kind == "chessboard" else (self.columns - 1, self.rows - 1)
 
     @cached_property
     def points(self) -> Array:
-        """(N, 3) m: the corners in the board's frame, row by row, z = 0. Seen from the front x points right, y down
-        and z into the board."""
+        """Corners (N, 3) in the board's frame, row by row, m.
+
+        z is 0. Seen from the front, x points right, y down and z into the board.
+        """
         nx, ny = self.size
         xy = np.stack(np.meshgrid(np.arange(nx), np.arange(ny)), -1).reshape(-1, 2)
         first = 0 if self.kind == "chessboard" else 1
@@ -88,8 +92,10 @@ class Board:
 
     @cached_property
     def turns(self) -> tuple[IntArray, ...]:
-        """Renumberings (N,) of the corners under which the picture stays the same, the identity first: corner i gets
-        the number turn[i]. One for ChArUco boards, whose markers have numbers."""
+        """Renumberings (N,) of the corners under which the picture stays the same, the identity first.
+
+        Corner i gets the number turn[i]. ChArUco boards have only the identity, because their markers have numbers.
+        """
         nx, ny = self.size
         grid = np.arange(nx * ny, dtype=np.int64).reshape(ny, nx)
         turns = [grid.ravel()]
@@ -106,11 +112,11 @@ class Board:
 
 @dataclass(frozen=True)
 class BoardDetection:
-    """A board in a picture.
+    """A board detected in a picture.
 
-    ids (n,): numbers of the corners, rows of Board.points.
-    pixels (n, 2).
-    edge_px: width of the edges between black and white, which is about 2 px in a sharp picture and grows with blur.
+    ids: (n,) numbers of the corners, rows of Board.points.
+    pixels: (n, 2) px.
+    edge_px: width of the edges between black and white, px; about 2 in a sharp picture, more with blur.
     """
 
     ids: IntArray
@@ -118,7 +124,7 @@ class BoardDetection:
     edge_px: float
 
     def turned(self, turn: IntArray) -> BoardDetection:
-        """Return the same sighting with other numbers."""
+        """Copy the detection with its corners renumbered by one of `Board.turns`."""
         return BoardDetection(turn[self.ids], self.pixels, self.edge_px)
 
 
@@ -126,12 +132,13 @@ Detector = Callable[[Gray], BoardDetection | None]
 
 
 def dictionaries() -> tuple[str, ...]:
-    """Return names of OpenCV's marker dictionaries."""
+    """List the names of OpenCV's marker dictionaries."""
     return tuple(sorted(n for n in dir(cv2.aruco) if n.startswith("DICT_") and n == n.upper()))
 
 
 def make_detector(board: Board) -> Detector:
-    """Gray picture (h, w) -> BoardDetection, or None without a board."""
+    """Make the detector of a board: a function from a grey picture (h, w) to a BoardDetection, or None without a
+    board."""
     if board.kind == "charuco":
         return _charuco_detector(board)
 
@@ -169,7 +176,10 @@ def _charuco_detector(board: Board) -> Detector:
 
 
 def opencv_charuco(board: Board) -> cv2.aruco.CharucoBoard:
-    """OpenCV's object of a ChArUco board."""
+    """Make OpenCV's object of a ChArUco board.
+
+    Raises: InputError where the dictionary has too few markers.
+    """
     markers = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
     if board.columns * board.rows // 2 > len(markers.bytesList):
         raise InputError(
@@ -185,7 +195,7 @@ def opencv_charuco(board: Board) -> cv2.aruco.CharucoBoard:
 
 
 def _find_chessboard(gray: Gray, size: tuple[int, int]) -> Array | None:
-    """Corners (N, 2) px of a chessboard in any of its numberings, roughly."""
+    """Find the corners (N, 2) of a chessboard roughly, px, in any of its numberings; None without a board."""
     scale = min(1.0, _SEARCH_SIZE / max(gray.shape))
     small = gray if scale == 1 else _gray(cv2.resize(gray, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA))
     found, corners = cv2.findChessboardCornersSB(small, size, flags=_FLAGS)
@@ -202,8 +212,11 @@ def _find_chessboard(gray: Gray, size: tuple[int, int]) -> Array | None:
 
 
 def sheet_views(gray: Gray, size: tuple[int, int]) -> Iterator[tuple[Gray, Array]]:
-    """Return the bright sheets of a picture as seen from the front, for a board of about `size` corners: pictures and
-    sheet_from_image (3, 3)."""
+    """Rectify the bright sheets of a picture to front views.
+
+    size: corners of the expected board along x and y, for the shape of the views.
+    Returns: an iterator over grey pictures and their sheet_from_image (3, 3).
+    """
     for quad in _sheets(gray):
         width, height = 32 * (size[0] + 3), 32 * (size[1] + 3)
         margin = 48
@@ -217,7 +230,7 @@ def sheet_views(gray: Gray, size: tuple[int, int]) -> Iterator[tuple[Gray, Array
 
 
 def _sheets(gray: Gray) -> list[Array]:
-    """Return the largest different bright quadrilaterals (4, 2) px, as a board on a white sheet is seen from aside."""
+    """Find the largest different bright quadrilaterals (4, 2), px, such as a board on white paper seen obliquely."""
     kept: list[tuple[float, Array]] = []
     for level in np.unique(np.percentile(gray, [50, 60, 70, 80, 86, 91, 95, 98]).astype(int)):
         contours, _ = cv2.findContours((gray > level).astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_SIMPLE)
@@ -235,7 +248,7 @@ def _sheets(gray: Gray) -> list[Array]:
             near = 0.1 * np.sqrt(area)
             if all(np.linalg.norm(centre - q.mean(0)) > near or abs(a / area - 1) > 0.2 for a, q in kept):
                 kept.append((area, quad.astype(np.float64)))
-    # those full of edges first: boards are, walls and lamps are not
+    # those with most edges first: boards have many, walls and lamps few
     busy = cv2.convertScaleAbs(cv2.Laplacian(gray, cv2.CV_16S))
 
     def edges(quad: Array) -> float:
@@ -247,8 +260,11 @@ def _sheets(gray: Gray) -> list[Array]:
 
 
 def _numbered(gray: Gray, corners: Array, size: tuple[int, int]) -> Array:
-    """Return the corners in the one order (or, see Board.turns, one of the orders) that the pattern tells: right-handed
-    as seen from the front, and with a dark first inner square where the opposite one is light."""
+    """Put the corners into the order that the pattern defines, or into one of the equivalent orders of Board.turns.
+
+    The order is right-handed as seen from the front, and the first inner square is dark where the opposite one is
+    light.
+    """
     nx, ny = size
     grid = corners.reshape(ny, nx, 2)
     right, down = grid[:, -1].mean(0) - grid[:, 0].mean(0), grid[-1].mean(0) - grid[0].mean(0)
@@ -264,7 +280,7 @@ def _numbered(gray: Gray, corners: Array, size: tuple[int, int]) -> Array:
 
 
 def _square_level(gray: Gray, corners: Array) -> float:
-    """Return mean brightness of the middle of a square (2, 2, 2) px."""
+    """Compute the mean brightness in the middle of a square with corners (2, 2, 2), px."""
     middle = corners.reshape(4, 2).mean(0)
     ring = middle + 0.5 * (corners.reshape(4, 2) - middle)
     h, w = gray.shape
@@ -273,12 +289,14 @@ def _square_level(gray: Gray, corners: Array) -> float:
 
 
 def _refined(gray: Gray, corners: Array, size: tuple[int, int]) -> Array:
-    """Corners to a fraction of a pixel: the points about which the picture is symmetric, seen from the front.
+    """Refine corners to a fraction of a pixel, as the points of symmetry of the picture seen from the front.
 
-    A corner of a chessboard is a centre of point symmetry, and stays one when overexposure makes the white squares
-    grow. cv2.cornerSubPix looks for edges through the corner; where white has grown the corners lie in gaps without
-    edges, along which it slides (2 px on real boards of 20 x 10 px per square, where this is off by 0.3 px).
-    Gauss-Newton on I(c + u) - I(c - u) over a window, in the rectified picture.
+    The method is Gauss-Newton on I(c + u) - I(c - u) over a window of the rectified picture.
+
+    Why: a corner of a chessboard is a centre of point symmetry, and remains one when overexposure enlarges the white
+        squares. cv2.cornerSubPix searches for edges through the corner. In an overexposed picture the corners lie in
+        gaps without edges, where it drifts (2 px on real boards of 20 x 10 px per square; this method is off by 0.3
+        px).
     """
     nx, ny = size
     largest = float(_spacing(corners, size).max())
@@ -294,7 +312,7 @@ def _refined(gray: Gray, corners: Array, size: tuple[int, int]) -> Array:
         picture, sheet_from_image, shape, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
     ).astype(np.float32)
     start = cv2.perspectiveTransform(corners.reshape(-1, 1, 2), sheet_from_image).reshape(-1, 2)
-    # neighbours know where a corner that slid away belongs: the lens bends the grid smoothly
+    # a smooth fit of all corners corrects those that drifted: the lens bends the grid smoothly
     x, y = ((flat - flat.mean(0)) / np.abs(flat - flat.mean(0)).max()).T
     smooth = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], 1)
     start = flat + smooth @ np.linalg.lstsq(smooth, start - flat, rcond=None)[0]
@@ -329,7 +347,7 @@ def _refined(gray: Gray, corners: Array, size: tuple[int, int]) -> Array:
 
 
 def _spacing(corners: Array, size: tuple[int, int]) -> Array:
-    """Return (N,) px: distance of each corner from its nearest neighbour in the grid."""
+    """Compute the distance (N,) of each corner from its nearest neighbour in the grid, px."""
     grid = corners.reshape(size[1], size[0], 2)
     out = np.full(grid.shape[:2], np.inf)
     for axis in (0, 1):
@@ -343,14 +361,14 @@ def _spacing(corners: Array, size: tuple[int, int]) -> Array:
 
 
 def _nearest(corners: Array) -> Array:
-    """Return (N,) px: distance of each corner from the nearest other one."""
+    """Compute the distance (N,) of each corner from the nearest other corner, px."""
     distance = np.linalg.norm(corners[:, None] - corners[None], axis=-1)
     np.fill_diagonal(distance, np.inf)
     return distance.min(1)
 
 
 def _regular(corners: Array, size: tuple[int, int]) -> bool:
-    """Return whether the corners form a grid: neighbouring steps hardly change, which perspective and lens keep."""
+    """Test whether corners form a grid: the steps between neighbours change little, as perspective and lens allow."""
     grid = corners.reshape(size[1], size[0], 2)
     for axis in (0, 1):
         step = np.diff(grid, axis=axis)
@@ -361,7 +379,13 @@ def _regular(corners: Array, size: tuple[int, int]) -> bool:
 
 
 def edge_width(gray: Gray, corners: Array, spacing: Array) -> float:
-    """Return median width in px of the edges at the corners: contrast over the steepest gradient in a window."""
+    """Compute the median width of the edges at corners: contrast divided by the steepest gradient in a window.
+
+    gray: (h, w) picture.
+    corners: (N, 2) px.
+    spacing: (N,) distance of each corner from its neighbour, px.
+    Returns: px; NaN where no edge can be measured.
+    """
     h, w = gray.shape
     widths = []
     for (x, y), gap in zip(corners[:: max(1, len(corners) // 24)], spacing[:: max(1, len(corners) // 24)], strict=True):

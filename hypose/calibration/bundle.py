@@ -1,10 +1,10 @@
-"""Joint refinement of cameras and board poses: the sum of robust reprojection errors of all corners in all pictures.
+"""Bundle adjustment of cameras and board poses: minimises robust reprojection errors of all corners in all pictures.
 
-Levenberg-Marquardt with analytic derivatives on the normal equations; the boards' poses, which meet only cameras, are
-eliminated (Schur complement; Triggs et al. 2000, "Bundle adjustment - a modern synthesis", section 6.1). The equations
-are accumulated per camera and board, so that a step costs milliseconds where a general sparse solver iterates.
-Weak prior knowledge about lenses (principal point near the middle, square pixels, small coefficients) enters as
-measurements: it decides where the boards say nothing, and is drowned where they do.
+The method is Levenberg-Marquardt with analytic derivatives on the normal equations. The boards' poses are eliminated
+with the Schur complement (Triggs et al. 2000, "Bundle adjustment - a modern synthesis", section 6.1). The equations are
+accumulated per camera and board, so a step takes milliseconds where a general sparse solver iterates. Weak prior
+knowledge about lenses (principal point near the middle, square pixels, small coefficients) enters as measurements: it
+decides where the boards give no information and has hardly any effect where they do.
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ from hypose.fitting.problem import Rule, SharedProblem
 from hypose.geometry import Array, se3, skew, so3_exp
 
 _State = tuple[list[Camera], Array]
-"""cameras, world_from_board (F, 4, 4)"""
+"""Cameras, and world_from_board (F, 4, 4)."""
 
 NOISE_PX = 0.3
-"""Standard deviation of a corner's coordinate that is assumed."""
+"""Assumed standard deviation of a corner's coordinate, px."""
 
 
 @dataclass(frozen=True)
 class Observations:
-    """M corners seen.
+    """M corners observed in pictures.
 
-    camera, frame, corner (M,): indices of the camera, of the board's pose and of the board's corner.
-    pixels (M, 2).
+    camera, frame, corner: (M,) indices of the camera, of the board's pose and of the board's corner.
+    pixels: (M, 2) px.
     """
 
     camera: IntArray
@@ -50,7 +50,7 @@ class Observations:
         return len(self.camera)
 
     def keep(self, mask: NDArray[np.bool_]) -> Observations:
-        """Those of a mask (M,)."""
+        """Select the corners for which a mask (M,) is True."""
         return Observations(self.camera[mask], self.frame[mask], self.corner[mask], self.pixels[mask])
 
 
@@ -61,7 +61,7 @@ class LensPrior:
     centre: of the principal point from the picture's middle, as a share of its width.
     aspect: of fx / fy from 1.
     radial, tangential: of the coefficients k1 k2 (and the fisheye's four) and p1 p2 from 0.
-    k3: of the third radial coefficient.
+    k3: of the third radial coefficient from 0.
     """
 
     centre: float = 0.05
@@ -73,15 +73,15 @@ class LensPrior:
 
 @dataclass(frozen=True)
 class Refined:
-    """Refined.
+    """The result of `bundle_adjust`.
 
-    cameras.
-    frames (F, 4, 4) world_from_board.
-    residuals (M, 2) px, measured minus projected.
-    rms_px per coordinate.
-    focal_sd (C,) px and position_sd (C,) m: standard deviations, of the positions relative to the first camera, NaN
-        where they were not free.
-    iterations.
+    cameras: refined cameras.
+    frames: (F, 4, 4) refined world_from_board.
+    residuals: (M, 2) measured minus projected, px.
+    rms_px: root mean square per coordinate, px.
+    focal_sd: (C,) standard deviation of the focal length, px; NaN where it was fixed.
+    position_sd: (C,) standard deviation of the position relative to the first camera, m; NaN where it was fixed.
+    iterations: number of iterations.
     """
 
     cameras: tuple[Camera, ...]
@@ -94,8 +94,12 @@ class Refined:
 
 
 def project_with_derivatives(camera: Camera, points_camera: Array) -> tuple[Array, Array, Array]:
-    """Pixels (M, 2) of points (M, 3) in the camera's frame, with their derivatives by the point (M, 2, 3) and by the
-    intrinsics (M, 2, 4 + k): fx, fy, cx, cy, distortion."""
+    """Project points with lens distortion, and compute the derivatives.
+
+    points_camera: (M, 3) in the camera's frame, m.
+    Returns: (M, 2) px; derivative with respect to the point (M, 2, 3), and to the intrinsics (M, 2, 4 + k) in the order
+        fx, fy, cx, cy, distortion.
+    """
     zero = np.zeros(3)
     points = np.ascontiguousarray(points_camera, dtype=np.float64)[:, None]
     if camera.fisheye:
@@ -121,14 +125,19 @@ def bundle_adjust(
     robust_px: float = 1.0,
     iterations: int = 50,
 ) -> Refined:
-    """Cameras and boards that explain the corners best. The first camera stays where it is, unless boards are fixed.
+    """Refine cameras and board poses so that they fit the observed corners best.
 
-    frames (F, 4, 4) world_from_board at the start.
-    board_points (N, 3) m.
+    The first camera stays where it is, unless boards are fixed.
+
+    frames: (F, 4, 4) world_from_board at the start.
+    board_points: (N, 3) m.
     free_intrinsics: whether to change K and distortion, per camera (C,) or for all.
-    fixed_frames (F,): boards whose poses are known (measured points).
-    noise_px: standard deviation of a corner's coordinate, for all or each (M,).
-    robust_px: errors beyond are weighed down (Huber), more where the noise is more.
+    fixed_frames: (F,) boards whose poses are known (measured points).
+    prior: standard deviations of the lens parameters.
+    noise_px: standard deviation of a corner's coordinate, for all or each (M,), px.
+    robust_px: errors above this get less weight (Huber), px; the threshold grows with `noise_px`.
+    iterations: largest number of iterations.
+    Raises: SolverError where a corner lies behind its camera at the start.
     """
     problem = _Problem(cameras, board_points, observations, prior, noise_px, robust_px, free_intrinsics, fixed_frames)
     rule = Rule(1e-3, least=1e-9, most=1e9, tries=8, gain=1e-9)
@@ -149,8 +158,11 @@ def bundle_adjust(
 
 
 class _Problem(SharedProblem[list[Camera]]):
-    """Cost and normal equations. A camera's unknowns: rotation (3, on the left), translation (3), intrinsics; a
-    board's: rotation (3, on the left of its own rotation), translation (3)."""
+    """Cost and normal equations of `bundle_adjust`.
+
+    Unknowns of a camera: rotation (3, multiplied from the left), translation (3), intrinsics. Unknowns of a board:
+        rotation (3, multiplied from the left), translation (3).
+    """
 
     def __init__(
         self,
@@ -186,7 +198,7 @@ class _Problem(SharedProblem[list[Camera]]):
         self.free = free_of.ravel()
 
     def _at(self, camera: Camera, frames: Array, s: slice) -> tuple[Array, Array]:
-        """Corners turned and moved: (in the board turned only (M, 3), in the camera's frame (M, 3))."""
+        """Transform corners: rotated by the board's pose only (M, 3), and in the camera's frame (M, 3)."""
         pose = frames[self.o.frame[s]]
         turned = np.einsum("mij,mj->mi", pose[:, :3, :3], self.points[self.o.corner[s]])
         world = turned + pose[:, :3, 3]
@@ -201,7 +213,7 @@ class _Problem(SharedProblem[list[Camera]]):
         return self.o.pixels[s] - project_with_derivatives(camera, x)[0]
 
     def residuals(self, cameras: Sequence[Camera], frames: Array) -> Array:
-        """Return (M, 2) px in the order of the observations given."""
+        """Compute the residuals (M, 2), px, in the order of the given observations."""
         out = np.empty((len(self.o), 2))
         for camera, s in zip(cameras, self.slices, strict=True):
             out[self.order[s]] = self._errors(camera, frames, s)
@@ -219,7 +231,8 @@ class _Problem(SharedProblem[list[Camera]]):
         return total if np.isfinite(total) else float("inf")
 
     def _prior(self, camera: Camera) -> tuple[Array, Array]:
-        """Residuals (n,) and their derivatives (n, 4 + k) by the intrinsics."""
+        """Compute the residuals (n,) of the lens prior and their derivatives (n, 4 + k) with respect to the
+        intrinsics."""
         k, p = camera.K, self.prior
         w, h = camera.size
         n = _lens_size(camera)
@@ -238,7 +251,7 @@ class _Problem(SharedProblem[list[Camera]]):
         return r, j
 
     def equations(self, cameras: Sequence[Camera], frames: Array) -> SharedEquations:
-        """Of the cameras' unknowns (C p,), shared by the boards' (F, 6)."""
+        """Assemble the normal equations: shared unknowns (C p,) of the cameras, own unknowns (F, 6) of the boards."""
         c, f, p = len(cameras), len(frames), self.p
         a, ga = np.zeros((c, p, c, p)), np.zeros((c, p))
         b, gb = np.zeros((f, 6, 6)), np.zeros((f, 6))
@@ -259,7 +272,8 @@ class _Problem(SharedProblem[list[Camera]]):
         return SharedEquations(a.reshape(c * p, c * p), ga.ravel(), b, gb, w.reshape(f, 6, c * p))
 
     def _derivatives(self, camera: Camera, frames: Array, s: slice) -> tuple[Array, Array, Array]:
-        """Weighted: by the camera's unknowns (M, 2, p), by the board's (M, 2, 6), and the errors (M, 2)."""
+        """Compute weighted derivatives with respect to the camera (M, 2, p) and the board (M, 2, 6), and weighted
+        errors (M, 2)."""
         turned, x = self._at(camera, frames, s)
         uv, by_point, by_lens = project_with_derivatives(camera, x)
         noise = self.noise[s][:, None]
@@ -289,7 +303,7 @@ class _Problem(SharedProblem[list[Camera]]):
             pose = se3(so3_exp(d[:3]) @ pose[:3, :3], pose[:3, 3] + d[3:6])
             k, distortion = camera.K, camera.distortion
             if free:
-                # a wild step must not make a camera that cannot exist
+                # limit large steps, so that the camera stays possible
                 f = np.exp(np.clip(d[6:8] / np.diag(k)[:2], -0.5, 0.5)) * np.diag(k)[:2]
                 k = np.array([[f[0], 0, k[0, 2] + d[8]], [0, f[1], k[1, 2] + d[9]], [0, 0, 1.0]])
                 n = _lens_size(camera)
@@ -299,19 +313,21 @@ class _Problem(SharedProblem[list[Camera]]):
         return (out, poses), np.inf
 
     def noise_factor(self, residuals: Array) -> float:
-        """By how much the corners scatter more or less than assumed, where there are enough to tell; not below a
-        third, because errors that all corners share do not show."""
+        """Estimate the ratio of the observed noise of corners to the assumed noise; 1 where there are too few corners.
+
+        Why: it is at least 1/3, because errors that all corners have in common do not show in the residuals.
+        """
         fixed = 0 if self.fixed_frames is None else int(self.fixed_frames.sum())
         freedom = 2 * len(self.o) - int(self.free.sum()) - 6 * (len(np.unique(self.o.frame)) - fixed)
         if freedom < 60:
             return 1.0
         noise = np.empty(len(self.o))
         noise[self.order] = self.noise
-        share = np.minimum(np.linalg.norm(residuals, axis=1) / noise, self.robust)  # outliers are no noise
+        share = np.minimum(np.linalg.norm(residuals, axis=1) / noise, self.robust)  # outliers do not count as noise
         return max(float(np.sqrt((share**2).sum() / freedom)), 1 / 3)
 
     def deviations(self, cameras: Sequence[Camera], equations: SharedEquations) -> tuple[Array, Array]:
-        """Standard deviations of focal lengths (C,) px and of camera positions (C,) m."""
+        """Compute the standard deviations of focal lengths (C,), px, and of camera positions (C,), m."""
         c, p, free = len(cameras), self.p, self.free
         focal, position = np.full(c, np.nan), np.full(c, np.nan)
         if not free.any():
@@ -334,7 +350,7 @@ class _Problem(SharedProblem[list[Camera]]):
 
 
 def _lens_size(camera: Camera) -> int:
-    """Return number of distortion coefficients that are refined: those of the lens itself, not of a tilted sensor."""
+    """Count the distortion coefficients that are refined: those of the lens, not of a tilted sensor."""
     return min(len(camera.distortion), 4 if camera.fisheye else 5)
 
 
@@ -345,20 +361,20 @@ def _lens_size(camera: Camera) -> int:
 
 MAX_VIEWS = 40
 _MIN_VIEWS = 4
-_DISTINCT = 0.03  # of the picture's width: boards nearer to each other than this say the same
+_DISTINCT = 0.03  # of the picture's width: boards nearer to each other than this give the same information
 FOCAL_SD = 0.03
-"""A focal length known worse than this share of it is not known."""
+"""Relative standard deviation above which a focal length counts as undetermined."""
 
 
 @dataclass(frozen=True)
 class CalibratedLens:
-    """Calibrated lens.
+    """The lens of one camera.
 
-    camera: the lens with pose = identity.
-    frames: the board pictures that were used.
-    rms_px per coordinate.
-    focal_sd px.
-    given: taken from a file, not calibrated.
+    camera: the lens; its pose is the identity.
+    frames: numbers of the board pictures that were used.
+    rms_px: root mean square error per coordinate, px.
+    focal_sd: standard deviation of the focal length, px.
+    given: it was read from a file, not calibrated.
     """
 
     camera: Camera
@@ -377,10 +393,14 @@ def calibrate_lens(
     fisheye: bool = False,
     strict: bool = True,
 ) -> CalibratedLens:
-    """K and distortion (k1 k2 p1 p2 k3, or four fisheye coefficients) from boards seen by frame number.
+    """Calibrate K and distortion (k1 k2 p1 p2 k3, or four fisheye coefficients) of one camera from its board pictures.
 
-    A CalibrationError names the missing pictures when they do not determine the focal length; with strict = False an
-    uncertain one is returned, since boards that other cameras saw as well may settle it.
+    name: name of the camera.
+    sightings: detected boards by frame number.
+    size: width and height of the pictures, px.
+    strict: raise an error where the focal length stays uncertain. Without it the lens is returned, because boards that
+        other cameras saw as well may determine it.
+    Raises: CalibrationError where pictures are missing or contradict each other.
     """
     chosen = spread_out(sightings, size, MAX_VIEWS)
     different = len(spread_out(sightings, size, MAX_VIEWS, _DISTINCT))
@@ -431,8 +451,14 @@ def calibrate_lens(
 def spread_out(
     sightings: Mapping[int, BoardDetection], size: tuple[int, int], count: int, apart: float = 0.0
 ) -> list[int]:
-    """Return at most `count` frames whose boards lie as differently as possible (farthest-point sampling), no two
-    nearer than `apart` (share of the picture's width); in order of time."""
+    """Choose frames whose boards lie as differently as possible (farthest-point sampling).
+
+    sightings: detected boards by frame number.
+    size: width and height of the pictures, px.
+    count: largest number of frames.
+    apart: smallest difference between two boards, as a share of the picture's width.
+    Returns: frame numbers in increasing order.
+    """
     frames = list(sightings)
     if not frames:
         return []
@@ -449,8 +475,11 @@ def spread_out(
 
 
 def collect_observations(sightings: Mapping[int, Mapping[int, BoardDetection]], frames: Sequence[int]) -> Observations:
-    """Return the corners of cameras (by index) in the given frames, as arrays; the frame's index is its place in
-    `frames`."""
+    """Collect the corners of some frames of all cameras as arrays.
+
+    sightings: detected boards by camera index and frame number.
+    frames: frame numbers; their positions in this list are the frame indices in the result.
+    """
     place = {f: k for k, f in enumerate(frames)}
     parts = [
         (np.full(len(s.ids), c), np.full(len(s.ids), place[f]), s.ids, s.pixels)
@@ -466,8 +495,13 @@ def collect_observations(sightings: Mapping[int, Mapping[int, BoardDetection]], 
 
 
 def board_poses(camera: Camera, sighting: BoardDetection, points: Array) -> list[tuple[Array, float]]:
-    """camera_from_board (4, 4) and rms error (px) of the two poses under which a plane looks nearly the same, the
-    better first (Collins & Bartoli 2014, "Infinitesimal plane-based pose estimation")."""
+    """Compute the two poses of a board that explain its picture (Collins and Bartoli 2014, infinitesimal plane-based
+    pose).
+
+    sighting: the detected board.
+    points: (N, 3) corners of the board, m.
+    Returns: camera_from_board (4, 4) and rms error, px, of each pose, the better one first.
+    """
     flat = np.linalg.inv(camera.K)
     u = camera.undistort_points(sighting.pixels)
     normal = np.concatenate([u, np.ones((len(u), 1))], 1) @ flat.T
@@ -512,8 +546,11 @@ def _first(
 def _first_fisheye(
     name: str, frames: Sequence[int], sightings: Mapping[int, BoardDetection], board: Board, size: tuple[int, int]
 ) -> Camera:
-    """Of focal lengths between those of 60 and 220 degrees of view the one whose poses fit best (the equidistant model
-    r = f angle is near enough to start from; OpenCV's own start fails on boards near the edge)."""
+    """Choose the start focal length of a fisheye lens, from those of 60 to 220 degrees of view, by the fit of board
+    poses.
+
+    Why: the equidistant model r = f angle is near enough for a start; OpenCV's own start fails on boards near the edge.
+    """
     best = (float("inf"), 0.0)
     for view in np.deg2rad(np.geomspace(60, 220, 12)):
         f = max(size) / view

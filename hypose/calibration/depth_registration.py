@@ -1,10 +1,10 @@
-"""Where depth cameras stand to each other, from the person who moves before them: no board, no common sight.
+"""Registration of depth cameras from a person who moves in front of them, without a board or a common field of view.
 
-Each sensor tracks the person alone; the two motions tell the clocks and, rigidly brought together, the rough place.
-Then the poses of the common body and the places of the sensors are solved for together, with the measured points of all
-sensors as rows: what one sensor sees of the front and another one of the back meets in the body.
-Source: rough places as for skeletons (Asteriadis et al. 2013, section 2.1, over a clip); the joint solve is bundle
-adjustment (Triggs et al. 2000) with an articulated body in place of points.
+Each sensor tracks the person alone. The two motions give the offset of the clocks and a rough rigid registration. Then
+the poses of the common body and the registration of the sensors are solved together, with the measured points of all
+sensors as rows, so that front and back of the person, seen by different sensors, are joined by the body model.
+Source: rough registration as for skeletons (Asteriadis et al. 2013, section 2.1, over a clip); the joint solve is
+    bundle adjustment (Triggs et al. 2000) with an articulated body in place of points.
 """
 
 from __future__ import annotations
@@ -25,17 +25,22 @@ from hypose.geometry import Array, procrustes, se3, se3_inverse, so3_exp, transf
 from hypose.tracking.refinement import anatomical_prior
 
 SURE, AGREE_M = 0.5, 0.25
-"""Correlation of the two movements, and how far apart (m) the two motions may lie, for a registration to be believed"""
+"""Least correlation of the two movements, and largest distance (m) of the two motions, for a registration to be
+accepted."""
 _ON_FLOOR = [2, 3, 4]
-"""of turns and steps along x, y and z: about the vertical, and along the floor"""
+"""Free components of a twist (rotations and translations along x, y, z): about the vertical, and along the floor."""
 _POSE_SD = 0.5
-"""rad: how far a pose may turn from where it was tracked"""
+"""Standard deviation of the change of a pose from the tracked pose, rad."""
 
 
 @dataclass(frozen=True)
 class CoarseAlignment:
-    """a_from_b (4, 4); seconds to add to b's times; apart m: median distance of the
-    joints then."""
+    """A rough registration of two sensors, a and b.
+
+    a_from_b: (4, 4) rigid motion, m.
+    seconds: to add to the times of b.
+    apart: median distance of the joints after the alignment, m.
+    """
 
     a_from_b: Array
     seconds: float
@@ -43,16 +48,21 @@ class CoarseAlignment:
 
 
 def rough_registration(times_a: Array, joints_a: Array, times_b: Array, joints_b: Array) -> CoarseAlignment:
-    """From the same person's joints as two sensors alone see them: times (T,) s of each sensor's own clock, joints
-    (T, J, 3) m in each sensor's own world, in which the floor is z = 0: the motion searched turns about the vertical
-    and moves along the floor. A CalibrationError when the movements do not belong together."""
+    """Estimate clock offset and rigid motion between two sensors from the joints of the same person.
+
+    The motion rotates about the vertical and moves along the floor.
+
+    times_a, times_b: (T,) s of each sensor's own clock.
+    joints_a, joints_b: (T, J, 3) in each sensor's own world with the floor at z = 0, m.
+    Raises: CalibrationError where the movements do not agree.
+    """
     seconds, correlation = offset_by_movement(times_a, joints_a, times_b, joints_b)
     tb = np.asarray(times_b) + seconds
     inside = np.flatnonzero((times_a >= tb[0]) & (times_a <= tb[-1]))
     if correlation < SURE or len(inside) < 10:
         raise CalibrationError(
             f"The movements that two depth cameras saw do not belong together (correlation {correlation:.2f}); record "
-            "somebody who walks about and turns before all of them, for at least ten seconds."
+            "a person who walks about and turns in front of all of them, for at least ten seconds."
         )
     flat = joints_b.reshape(len(tb), -1)
     at = np.stack([np.interp(times_a[inside], tb, column) for column in flat.T], 1).reshape(len(inside), -1, 3)
@@ -60,7 +70,7 @@ def rough_registration(times_a: Array, joints_a: Array, times_b: Array, joints_b
     weight = np.ones(len(a))
     motion = np.eye(4)
     away = weight
-    for _ in range(8):  # lost limbs count less
+    for _ in range(8):  # wrong limbs get less weight
         motion = _level(b, a, weight)
         away = np.linalg.norm(transform(motion, b) - a, axis=1)
         weight = 1 / (1 + (away / 0.05) ** 2)
@@ -68,20 +78,25 @@ def rough_registration(times_a: Array, joints_a: Array, times_b: Array, joints_b
     if apart > AGREE_M:
         raise CalibrationError(
             f"What two depth cameras saw does not fit together ({1000 * apart:.0f} mm apart); one of them took the "
-            "front for the back: record somebody who walks about and turns before all of them."
+            "front for the back: record a person who walks about and turns in front of all of them."
         )
     return CoarseAlignment(motion, seconds, apart)
 
 
 def _level(source: Array, target: Array, weight: Array) -> Array:
-    """(4, 4): the turn about the vertical and the step along the floor that take points (N, 3) to others best."""
+    """Fit the rotation about the vertical and translation along the floor that map source to target points (N, 3): (4,
+    4)."""
     flat = [np.concatenate([p[:, :2], np.zeros((len(p), 1))], 1) for p in (source, target)]
     return procrustes(flat[0], flat[1], weight)[0]
 
 
 @dataclass(frozen=True)
 class DepthRegistration:
-    """camera_from_world (C, 4, 4); poses (F, D) of the body."""
+    """The result of `refine_registration`.
+
+    camera_from_world: (C, 4, 4).
+    poses: (F, D) poses of the body.
+    """
 
     camera_from_world: Array
     poses: Array
@@ -94,12 +109,18 @@ def refine_registration(
     camera_from_world: Array,
     iterations: int = 12,
 ) -> DepthRegistration:
-    """Places of sensors and poses (F, D) together. seen: per sensor, per frame, what it measured, in the CAMERA's own
-    frame; camera_from_world (C, 4, 4): where to begin; the first is held, the others turn about the vertical and move
-    along the floor, for each knows the floor better than a body can tell. Poses are eliminated frame by frame."""
+    """Refine the poses of depth sensors and the poses of the body together. The first sensor is fixed.
+
+    poses: (F, D) start poses of the body.
+    seen: per sensor and frame, the measured points in the CAMERA's frame.
+    camera_from_world: (C, 4, 4) at the start.
+    iterations: largest number of iterations.
+    Why: sensors only rotate about the vertical and move along the floor, because each measures the floor better than a
+        body can. Poses are eliminated frame by frame.
+    """
     weight = np.full(body.skeleton.dof, _POSE_SD**-2)
     weight[:6] = 0
-    # rows of a frame err together: as in the pose solver the anatomy counts with that weight
+    # the errors of a frame's rows are correlated, so the anatomical prior has the same weight as in the pose solver
     usual = Quadratic(np.zeros(body.skeleton.dof), anatomical_prior(body.skeleton).weight)
     anchor = Quadratic(np.array(poses, dtype=np.float64), weight)
     frames = [[_cue(sensor[f], s) for s, sensor in enumerate(seen)] for f in range(len(poses))]
@@ -109,7 +130,7 @@ def refine_registration(
 
 
 def _cue(seen: SurfacePoints, sensor: int) -> Cue[Array]:
-    """What one sensor measured in one frame, wherever the sensor stands."""
+    """Make the function that gives the rows of one sensor's points in one frame, for any pose of the sensor."""
 
     def rows(at: Posed, cameras: Array, factor: float) -> Iterable[Rows]:
         parts = rows_of_depth(at, _term(seen, cameras[sensor]), factor) if len(seen.points) else ()
@@ -119,8 +140,10 @@ def _cue(seen: SurfacePoints, sensor: int) -> Cue[Array]:
 
 
 class _SensorProblem(PoseProblem[Array]):
-    """The sensors' places, camera_from_world (C, 4, 4), are what the frames share: of each a turn about the vertical
-    and a step along the floor."""
+    """Least-squares problem of `refine_registration`; shared by all frames is camera_from_world (C, 4, 4).
+
+    Each sensor has three unknowns: rotation about the vertical, and translation along the floor.
+    """
 
     largest = 0.1
 
@@ -143,7 +166,7 @@ class _SensorProblem(PoseProblem[Array]):
     ) -> tuple[Array, Array, Sequence[Array]]:
         by_frame = []
         for r in rows:
-            # a sensor that turns and moves in the world moves its points: the residual sees it the other way
+            # a moving sensor moves its points in the world, so the derivative has the opposite sign
             by_all = np.zeros((len(r.view), len(shared), len(_ON_FLOOR)))
             wrench = np.concatenate([np.cross(r.point, r.slope), r.slope], 1)
             by_all[np.arange(len(r.view)), r.view] = -wrench[:, _ON_FLOOR]
@@ -153,7 +176,7 @@ class _SensorProblem(PoseProblem[Array]):
 
 
 def _term(seen: SurfacePoints, camera_from_world: Array) -> DepthTerm:
-    """Its points in the world, seen by a sensor that stands there."""
+    """Transform the points of a sensor with the given pose to the world, as a depth term."""
     world_from_camera = se3_inverse(camera_from_world)
     weight = BODY_SD**2 / (BODY_SD**2 + seen.sd**2)
     return DepthTerm(
@@ -170,14 +193,19 @@ def _term(seen: SurfacePoints, camera_from_world: Array) -> DepthTerm:
 
 
 def in_camera(surface: SurfacePoints, camera_from_world: Array) -> SurfacePoints:
-    """The points of a surface of the world in a camera's frame."""
+    """Transform the points of a surface from the world to a camera's frame."""
     points = transform(camera_from_world, surface.points)
     return replace(surface, points=points, normals=surface.normals @ camera_from_world[:3, :3].T)
 
 
 def place_error(found: Array, true: Array, at: Array) -> tuple[float, float]:
-    """(degrees, m): how far a sensor found at camera_from_world (4, 4) in the first one's world turns and stands off
-    its true place; m: of a point (3,) where the person is, which is what matters for bringing measurements together."""
+    """Compute the error of a sensor's registration against the truth.
+
+    found, true: (4, 4) camera_from_world in the first sensor's world.
+    at: (3,) a point at the person, m.
+    Returns: rotation error in degrees, and displacement of the point in m, which is what matters when measurements are
+        combined.
+    """
     difference = found @ se3_inverse(true)
     angle = np.degrees(np.arccos(np.clip((np.trace(difference[:3, :3]) - 1) / 2, -1, 1)))
     moved = transform(se3_inverse(found), transform(true, at[None])) - at

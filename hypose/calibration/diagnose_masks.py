@@ -1,10 +1,10 @@
-"""What silhouettes say about key points, and about each other.
+"""Diagnostics with silhouettes: compared with key points, and with the silhouettes of other views.
 
-Key points against masks: across a limb the mask is as wide on one side of the bone as on the other, so the middle of
-the mask across the bone tells where the bone should lie; the offsets of many limbs in many directions give the image
-shift of a view and, as a function of the time lag, whether key points and video are in step.
-Silhouettes against each other: the planes through two camera centres that touch the person must be the same in both
-views (frontier points, Sinha & Pollefeys 2010).
+Key points against masks: the mask extends equally to both sides of a limb's bone, so the middle of the mask across the
+    bone shows where the bone should be. The offsets of many limbs in many directions give the image shift of a view
+    and, as a function of the time lag, the delay between key points and video.
+Silhouettes against each other: the planes through two camera centres that are tangent to the person must be the same in
+    both views (frontier points, Sinha and Pollefeys 2010).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.calibration.diagnose_points import sizes, undistorted
-from hypose.calibration.findings import Finding
+from hypose.calibration.findings import INVALID, REVIEW, Finding
 from hypose.calibration.refine_points import apply_parameters
 from hypose.calibration.sync_motion import MaskTrack, tangent_planes
 from hypose.cameras.camera import CameraRig, triangulate
@@ -44,9 +44,15 @@ _CLEAR = 0.085  # of the person's size: limbs nearer to another part of the body
 
 @dataclass(frozen=True)
 class LimbOffsets:
-    """Where the mask's middle across a limb was found: normal (N, 2) of the bone, offset (N,) px of the middle from the
-    bone along the normal, velocity (N, 2) of the bone's point, px per frame, and its
-    position (N, 2), limb (N,) and frame (N,). Working size."""
+    """N offsets between bones and the middles of the mask across them, in px of the working size.
+
+    normal: (N, 2) normal of the bone.
+    offset: (N,) offset of the middle from the bone along the normal, px.
+    velocity: (N, 2) velocity of the point on the bone, px per frame.
+    position: (N, 2) point on the bone, px.
+    limb: (N,) index of the limb.
+    frame: (N,) index of the frame.
+    """
 
     normal: Array
     offset: Array
@@ -58,12 +64,14 @@ class LimbOffsets:
 
 @dataclass(frozen=True)
 class Alignment:
-    """Key points of one view against its masks.
+    """The alignment of one view's key points with its masks.
 
-    lag: key points t belong to video frame t + lag, and its sd.
-    shift (2,) px to add to the images so that they agree, and its sd (2,).
-    left: median distance of bone and middle of the limb after both, px of the working size.
-    samples: how many limbs were compared.
+    lag: key points t belong to video frame t + lag, frames.
+    lag_sd: standard deviation of the lag, frames.
+    shift: (2,) to add to the images so that they agree, px of the masks.
+    shift_sd: (2,) standard deviation of the shift, px of the masks.
+    left: median distance of bone and middle of the limb after both corrections, px of the working size.
+    samples: number of limbs that were compared.
     """
 
     lag: float
@@ -77,10 +85,12 @@ class Alignment:
 def limb_offsets(
     points: Array, velocities: Array, names: Sequence[str], masks: Sequence[NDArray[np.uint8] | None], lag: int
 ) -> LimbOffsets:
-    """Offsets of one view.
+    """Measure the offsets between limbs and masks in one view.
 
-    points (T, K, 3) px of the masks, velocities (T, K, 2) px per frame.
-    masks (T) of (h, w) or None; mask t + lag is compared.
+    points: (T, K, 3) px of the masks, and confidence.
+    velocities: (T, K, 2) px per frame.
+    names: K names of the key points.
+    masks: T masks (h, w) or None; mask t + lag is compared with points t.
     """
     column = {n: k for k, n in enumerate(names)}
     limbs = np.array([(column[a], column[b]) for a, b in _LIMBS if a in column and b in column]).reshape(-1, 2)
@@ -134,8 +144,10 @@ def limb_offsets(
 def _clearance(
     start: Array, limb: NDArray[np.int64], p: Array, limbs: NDArray[np.int64], bones: NDArray[np.int64]
 ) -> Array:
-    """Return (N,) px from points (N, 2) on limbs (N,) to the nearest other bone that does not share a joint with the
-    limb; a limb before another part of the body has no outline of its own."""
+    """Compute the distance (N,), px, from points on limbs (N, 2) to the nearest other bone without a common joint.
+
+    Why: a limb in front of another part of the body has no outline of its own.
+    """
     a, b = p[bones[:, 0], :2], p[bones[:, 1], :2]
     along = b - a
     t = ((start[:, None] - a) * along).sum(-1) / np.maximum((along**2).sum(-1), 1e-9)
@@ -146,8 +158,7 @@ def _clearance(
 
 
 def _alone(limb: NDArray[np.int64], across: Array, n_limbs: int) -> NDArray[np.bool_]:
-    """Return (N,) True where the mask is about as wide as the limb: wider where it lies before another part of the
-    body."""
+    """Test (N,) whether the mask is about as wide as the limb; it is wider in front of another part of the body."""
     out = np.zeros(len(limb), dtype=bool)
     half = max(n_limbs // 2, 1)  # _LIMBS lists the left side first, then the right in the same order
     for k in range(half):
@@ -163,7 +174,8 @@ def _size(points: Array) -> float:
 
 
 def _reach(mask: NDArray[np.uint8], start: Array, direction: Array, steps: Array) -> Array:
-    """Return (N,) px that the mask goes on from each start (N, 2) in its direction; 0 when the start lies outside."""
+    """Compute how far (N,), px, the mask extends from each start (N, 2) in its direction; 0 where the start is
+    outside."""
     at = np.rint(start[:, None] + direction[:, None] * steps[None, :, None]).astype(int)
     h, w = mask.shape
     inside = (at >= 0).all(-1) & (at[..., 0] < w) & (at[..., 1] < h)
@@ -176,11 +188,19 @@ def _reach(mask: NDArray[np.uint8], start: Array, direction: Array, steps: Array
 def align_to_masks(
     points: Array, names: Sequence[str], masks: Sequence[NDArray[np.uint8] | None], largest: int = 6
 ) -> Alignment | None:
-    """Lag and shift of one view's key points (T, K, 3), px of the masks; None when too few limbs are seen.
+    """Estimate the lag and shift between the key points and the masks of one view.
 
-    The middle of a limb in the mask lies at bone + shift + (time that is missing) x velocity: three unknowns, found by
-    robust regression; the lag is rounded and applied to whole frames until less than half a frame is left. Limbs err
-    alike all the time (clothes, where a detector puts a joint), so the shift's sd counts limbs, not frames."""
+    The middle of a limb in the mask is at bone + shift + delay x velocity; the three unknowns are found by robust
+    regression. The lag is rounded and applied to whole frames until less than half a frame remains.
+
+    points: (T, K, 3) px of the masks, and confidence.
+    names: K names of the key points.
+    masks: T masks (h, w) or None.
+    largest: largest lag, frames.
+    Returns: None where too few limbs are seen.
+    Why: the shift's standard deviation counts limbs, not frames, because the error of a limb is the same all the time
+        (clothes, where a detector places a joint).
+    """
     sizes = [s for s in (_size(p) for p in points) if s > 0]
     if not sizes:
         return None
@@ -202,7 +222,7 @@ def align_to_masks(
 
 
 def _views_of_limbs(found: LimbOffsets, size: float) -> float:
-    """As how many different limbs the samples count: a limb that hardly moves shows the same bias in every frame."""
+    """Compute the effective number of limbs: one that hardly moves has the same bias in every frame."""
     total = 0.0
     for limb in np.unique(found.limb):
         mine = found.position[found.limb == limb]
@@ -212,7 +232,8 @@ def _views_of_limbs(found: LimbOffsets, size: float) -> float:
 
 
 def _velocities(points: Array) -> Array:
-    """Return (T, K, 2) px per frame by central differences over four frames; NaN where a neighbour is missing."""
+    """Compute velocities (T, K, 2), px per frame, by central differences over four frames; NaN where a neighbour is
+    missing."""
     n = len(points)
     xy = np.where(points[..., 2:] > 0.4, points[..., :2], np.nan)
     a, b = np.clip(np.arange(n) - 2, 0, n - 1), np.clip(np.arange(n) + 2, 0, n - 1)
@@ -220,7 +241,8 @@ def _velocities(points: Array) -> Array:
 
 
 def _regressed(found: LimbOffsets, scale_px: float) -> tuple[Array, Array, float]:
-    """Return (shift x, shift y, time) with their sd (3,), and the median distance left, px."""
+    """Estimate (shift x, shift y, time) by robust regression, with standard deviations (3,) and the median residual,
+    px."""
     rows = np.concatenate([found.normal, (found.normal * found.velocity).sum(1)[:, None]], 1)
     y, x, h = found.offset, np.zeros(3), np.eye(3)
     # a calf bulges backwards in every frame: limbs that are often seen may not outvote the others
@@ -241,7 +263,7 @@ def _regressed(found: LimbOffsets, scale_px: float) -> tuple[Array, Array, float
         s = np.einsum("ri,r,r->i", rows[mine], weight[mine], r[mine])
         spread += np.outer(s, s)
     by_limb = np.diag(inverse @ spread @ inverse) * len(limbs) / max(len(limbs) - 2, 1)
-    # and as if every second frame gave one independent limb
+    # lower bound: as if every second frame gave one independent limb
     frames = max(len(np.unique(found.frame)) / 2, 1.0)
     noise = float((weight * r**2).sum() / max(weight.sum(), 1e-9))
     by_frame = np.diag(inverse) * noise * len(y) / frames
@@ -249,7 +271,7 @@ def _regressed(found: LimbOffsets, scale_px: float) -> tuple[Array, Array, float
 
 
 def view_masks(silhouettes: Sequence[Silhouettes | None], view: int) -> list[NDArray[np.uint8] | None]:
-    """Return the usable masks of one view, without padding."""
+    """List the usable masks (h, w) of one view in each frame, without padding; None where there is none."""
     out: list[NDArray[np.uint8] | None] = []
     for s in silhouettes:
         if s is None or not s.usable[view]:
@@ -261,8 +283,12 @@ def view_masks(silhouettes: Sequence[Silhouettes | None], view: int) -> list[NDA
 
 
 def tangency(rig: CameraRig, tracks: Sequence[MaskTrack]) -> dict[tuple[int, int], Array]:
-    """Per pair of views (T, 2) px (of the working size) by which the planes that touch the person differ; NaN where a
-    view has no whole mask. Positive: view b's plane lies further along the pencil."""
+    """Measure, for each pair of views, the disagreement of the planes that are tangent to the person.
+
+    tracks: mask track of each view.
+    Returns: by pair of view indices (T, 2) px of the working size, for the two tangent planes; NaN where a view has no
+        whole mask. Positive: the plane of the second view is further along the pencil of planes.
+    """
     out = {}
     for a, b in itertools.combinations(range(len(tracks)), 2):
         planes, px = tangent_planes(rig, tracks, a, b)
@@ -272,8 +298,12 @@ def tangency(rig: CameraRig, tracks: Sequence[MaskTrack]) -> dict[tuple[int, int
 
 
 def tangency_by_view(pairs: dict[tuple[int, int], Array], n_views: int) -> Array:
-    """Return (C,) px: median over frames and tangents of a view's disagreement with its best partners (median of
-    pairs)."""
+    """Summarise the disagreement of tangent planes per view.
+
+    pairs: result of `tangency`.
+    n_views: number of views.
+    Returns: (C,) median over a view's pairs of the median over frames and tangents, px; NaN without data.
+    """
     out = np.full(n_views, np.nan)
     for c in range(n_views):
         mine = [np.nanmedian(np.abs(v)) for k, v in pairs.items() if c in k and np.isfinite(v).any()]
@@ -283,7 +313,7 @@ def tangency_by_view(pairs: dict[tuple[int, int], Array], n_views: int) -> Array
 
 
 # ---- common focal --------------------------------------------------------------------------------------------------
-# By which factor all focal lengths together are wrong, as far as a moving person tells.
+# The common factor by which all focal lengths are wrong, estimated from a moving person.
 #
 # Cameras whose focal lengths are all too long by the same factor show a smaller world: a person who stays where all
 # of them look only becomes shorter, and no view contradicts another. Off that middle the rays miss each other, along
@@ -293,33 +323,40 @@ def tangency_by_view(pairs: dict[tuple[int, int], Array], n_views: int) -> Array
 
 
 _LARGEST = 0.35
-"""of a factor's logarithm: what lies beyond is another minimum, or another fault"""
+"""Largest logarithm of a factor; a larger one belongs to another minimum, or to another fault."""
 _STEP = 1e-3
 _ROUNDS = 8
 _TUKEY = 4.7
 _LEAST_ROWS = 40
 FactorRows = Callable[[CameraRig, list[int]], Array]
-"""Residuals (R, G) of some views through a rig, NaN where there is none: G kinds whose errors last over the R moments,
-in shares of the person's size."""
+"""Function of a rig and view indices that gives residuals (R, G) in shares of the person's size, NaN where there is
+none.
+
+G kinds of residuals have errors that last over the R instants.
+"""
 
 
 @dataclass(frozen=True)
 class CommonFocal:
-    """factor by which all focal lengths would have to be multiplied, and the sd of its logarithm; inf where nothing is
-    known."""
+    """A common error of all focal lengths.
+
+    factor: by which all focal lengths must be multiplied.
+    sd: standard deviation of its logarithm; infinite where nothing is known.
+    """
 
     factor: float
     sd: float
 
 
 _FAULT_LOG_FACTOR, CERTAIN, LIKELY, KNOWN = 0.06, 3.5, 2.7, 0.08
-"""A factor is a fault when its logarithm is beyond _FAULT_LOG_FACTOR and beyond CERTAIN of its sd, which is KNOWN at
-most, and worth a look beyond LIKELY of it. Of 33 scenes with spoilt key points, things in the masks or late cameras
-(seeds 600 to 602) none had more than 3.4 sd."""
+"""Limits for a common focal factor. It is a fault when its logarithm exceeds both _FAULT_LOG_FACTOR and CERTAIN
+standard deviations, with a standard deviation of at most KNOWN; it is worth a check beyond LIKELY standard deviations.
+Of 33 scenes with corrupted key points, objects in the masks or late cameras (seeds 600 to 602) none exceeded 3.4
+standard deviations."""
 
 
 def focal_findings(found: CommonFocal) -> Iterator[Finding]:
-    """Describe a factor."""
+    """Yield the finding of a common focal factor, where it is significant."""
     off = abs(float(np.log(found.factor)))
     if off > _FAULT_LOG_FACTOR and off > LIKELY * found.sd and found.sd < KNOWN:
         text = (
@@ -327,11 +364,14 @@ def focal_findings(found: CommonFocal) -> Iterator[Finding]:
             f"{found.factor * found.sd:.2f}); as they are, the person comes out {found.factor:.2f} times as large"
         )
         cure = "calibrate the lenses again as the videos were filmed (zoom, picture size), or correct all focal lengths"
-        yield Finding("focal", (), text, cure, off, fault=off > CERTAIN * found.sd)
+        yield Finding("focal", (), text, cure, off, severity=INVALID if off > CERTAIN * found.sd else REVIEW)
 
 
 def focal_by_points(rig: CameraRig, pixels: Array) -> CommonFocal:
-    """From key points (C, T, K, 3) in px of the calibrated, distorted pictures."""
+    """Estimate the common focal factor from key points.
+
+    pixels: (C, T, K, 3) px of the calibrated, distorted pictures, and confidence.
+    """
     size = np.maximum(sizes(pixels), 1.0)
 
     def rows(moved: CameraRig, views: list[int]) -> Array:
@@ -350,7 +390,11 @@ def focal_by_points(rig: CameraRig, pixels: Array) -> CommonFocal:
 
 
 def focal_by_masks(rig: CameraRig, tracks: Sequence[MaskTrack]) -> CommonFocal:
-    """From the planes that touch a person's outlines in pairs of views; rig: that of the masks."""
+    """Estimate the common focal factor from tangent planes of pairs of views.
+
+    rig: the cameras of the masks.
+    tracks: mask track of each view.
+    """
     size = np.maximum([t.size for t in tracks], 1.0)
 
     def rows(moved: CameraRig, views: list[int]) -> Array:
@@ -363,11 +407,11 @@ def focal_by_masks(rig: CameraRig, tracks: Sequence[MaskTrack]) -> CommonFocal:
 
 def _factor(rig: CameraRig, rows: FactorRows) -> CommonFocal:
     views = list(range(len(rig)))
-    found = _solve(rig, rows, views, 0.0) if len(views) > 2 else None  # of two views, a wrong pose looks the same
+    found = _solve(rig, rows, views, 0.0) if len(views) > 2 else None  # with two views, a wrong pose looks the same
     if found is None or abs(found[0]) >= _LARGEST:
         return CommonFocal(1.0, float("inf"))
     x, slope, residual, weight = found
-    # kinds of rows err by themselves, and so do views
+    # errors of kinds of rows are independent, and so are those of views
     own = np.nansum(weight * slope * residual, 0) / max(float(np.nansum(weight * slope**2)), 1e-12)
     left = [_solve(rig, rows, [v for v in views if v != c], x, once=True) for c in views]
     moves = np.array([f[0] - x for f in left if f is not None])
@@ -380,7 +424,8 @@ def _factor(rig: CameraRig, rows: FactorRows) -> CommonFocal:
 def _solve(
     rig: CameraRig, rows: FactorRows, views: list[int], begin: float, *, once: bool = False
 ) -> tuple[float, Array, Array, Array] | None:
-    """Return the factor's logarithm, and the rows' slopes by it, residuals and weights; None where nothing is known."""
+    """Estimate the logarithm of the factor, with the slopes, residuals and weights of the rows; None without enough
+    rows."""
     x = begin
     slope = residual = weight = np.zeros((0, 1))
     for _ in range(2 if once else _ROUNDS):

@@ -1,9 +1,8 @@
-"""What the person says about a recording's key points and world: whose slots they are, which way is up, which side is
-left.
+"""Diagnostics with the proportions of the person: wrong key-point set, vertical direction, left and right, units.
 
-Bones have nearly the same proportions in all people, left and right are alike, and no bone changes its length. Points
-that are read in the order of another detector break all three at once, in every view alike, so that no comparison of
-the views finds it.
+Bones have nearly the same proportions in all people, left and right are equal, and no bone changes its length. Points
+that are read in the order of another detector violate all three in every view, so a comparison of the views cannot find
+it.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ import numpy as np
 from hypose.body.default_body import human
 from hypose.calibration.diagnose_masks import Alignment
 from hypose.calibration.diagnose_points import undistorted
-from hypose.calibration.findings import Finding, Limits, ViewFile
+from hypose.calibration.findings import REVIEW, Finding, Limits, ViewFile
 from hypose.calibration.refine_points import CameraChange
 from hypose.cameras.camera import CameraRig, triangulate
 from hypose.errors import EvidenceError
@@ -26,11 +25,11 @@ from hypose.geometry import Array
 from hypose.tracking.subject import shape_from_keypoints
 
 WRONG_SET, RIGHT_SET, TELLS = 0.2, 0.15, 0.4
-"""A set is taken for another one when its bones are off by more than WRONG_SET (in the logarithm of their length), the
-other's by less than RIGHT_SET, and by less than TELLS times as much. BODY_25 read as BODY_25B is off by 0.6 to 0.9, a
-detector's points in their own order by 0.03 to 0.1."""
+"""Limits for a wrong key-point set. The errors of bones are logarithms of their lengths. The given set is wrong when
+its bones are off by more than WRONG_SET, and another set's by less than RIGHT_SET and by less than TELLS times as much.
+BODY_25 read as BODY_25B is off by 0.6 to 0.9; a detector's points in their own order by 0.03 to 0.1."""
 _WRONG_WAY_SHARE = 0.8
-"""Share of the frames in which the person must stand, or be made, the wrong way round."""
+"""Least share of the frames in which the person stands the wrong way round."""
 _PAIRS = tuple(
     (f"{side}_{a}", f"{side}_{b}")
     for side in ("left", "right")
@@ -48,11 +47,11 @@ _LEAST_BONES = 6
 _NOISE_M = 0.06
 _UPRIGHT = 0.5  # cosine
 EXCHANGED = 7.0
-"""log likelihood ratio, 1000 to 1, from which left and right are called exchanged"""
+"""Log likelihood ratio (1000 to 1) from which left and right count as exchanged."""
 _DEFINED = 0.05
-"""share of a leg within which detectors differ on where a joint is, in every view and frame alike: a knee bent by 11
-degrees"""
-_MOST_OF_ONE = 3.0  # what one point can say in one frame: it may be wrong in ways that noise is not
+"""Share of a leg within which detectors differ on the position of a joint, in every view and frame alike; it
+corresponds to a knee bent by 11 degrees."""
+_MOST_OF_ONE = 3.0  # largest contribution of one point in one frame, because it may be wrong by more than noise
 _SIDED = (
     *(f"{s}_{n}" for s in ("left", "right") for n in ("shoulder", "hip", "knee", "ankle", "heel", "big_toe", "ear")),
     "nose",
@@ -60,7 +59,12 @@ _SIDED = (
 
 
 def wrong_set(points_world: Array, names: Sequence[str]) -> Finding | None:
-    """Return the finding that key points (T, K, 3) m, NaN where missing, are another set's than `names` (K,) says."""
+    """Test whether key points belong to another set than the given one.
+
+    points_world: (T, K, 3) m; NaN where missing.
+    names: K names of the given set.
+    Returns: the finding; None where the set fits.
+    """
     own = _disorder(points_world, names)
     if not own > WRONG_SET:
         return None
@@ -88,12 +92,13 @@ def wrong_set(points_world: Array, names: Sequence[str]) -> Finding | None:
 
 
 def _disorder(points_world: Array, names: Sequence[str]) -> float:
-    """Return how far bones are from a person's, beyond what noise makes of them: mean over bones of the distance of
-    their length from the template's (as a logarithm, less what all share), plus that of left from right, plus how each
-    changes. NaN with too few bones.
+    """Compute how far bone lengths deviate from those of a person, beyond the effect of noise.
 
-    Noise of the points makes bones longer and short ones change most: it is taken off as far as it is the same for all
-    bones, and no more than a detector has (_NOISE_M).
+    It is the mean over bones of three deviations, as logarithms: from the template's length (without a common factor),
+    of left from right, and over time. NaN with too few bones.
+
+    Why: noise makes bones longer, and short ones vary most. The part that is the same for all bones is subtracted, up
+        to the noise of a detector (_NOISE_M).
     """
     template = _template(tuple(names))
     column = {n: k for k, n in enumerate(names)}
@@ -124,7 +129,7 @@ def _disorder(points_world: Array, names: Sequence[str]) -> float:
 
 @cache
 def _template(names: tuple[str, ...]) -> dict[tuple[str, str], float]:
-    """Return lengths (m) of the template's bones between key points of these names."""
+    """Compute the length of the template's bone between each pair of key points that has one, m."""
     body = human()
     joint, offset, known = landmark_of(names, body)
     at = body.skeleton.rest_joints[joint] + offset
@@ -135,10 +140,12 @@ def _template(names: tuple[str, ...]) -> dict[tuple[str, str], float]:
 
 
 def wrong_way_up(points_world: Array, names: Sequence[str], pixels: Array, rig: CameraRig) -> Iterator[Finding]:
-    """Findings about up and left.
+    """Test whether the world's up axis, the images' up direction and left and right are correct.
 
-    points_world (T, K, 3) m, NaN where missing.
-    pixels (C, T, K, 3) of the rig.
+    points_world: (T, K, 3) m; NaN where missing.
+    names: K names of the key points.
+    pixels: (C, T, K, 3) px of the rig, and confidence.
+    Returns: an iterator over findings.
     """
     top, feet = _middle(points_world, names, "shoulder"), _middle(points_world, names, "ankle")
     along = _unit(top - feet)
@@ -167,10 +174,10 @@ def wrong_way_up(points_world: Array, names: Sequence[str], pixels: Array, rig: 
             cure = f"set world_up in recording.toml so that what is now {sign}{axis} points up"
             yield Finding("up", (), text, cure, 1.0)
     elif (np.abs(up) < _UPRIGHT).mean() > _WRONG_WAY_SHARE and not in_images > _UPRIGHT:
-        # cameras that hang on their side show neither
+        # cameras mounted on their side show neither
         text = "All cameras: the person lies in the calibration's world from beginning to end"
         cure = "if they stand, set world_up in recording.toml to the axis along which they do"
-        yield Finding("lying", (), text, cure, 1.0, fault=False)
+        yield Finding("lying", (), text, cure, 1.0, severity=REVIEW)
     sides = _sides(points_world, names, pixels, rig)
     against = -sides[sides < 0].sum()
     if not turned and against > EXCHANGED and against > _WRONG_WAY_SHARE * np.abs(sides).sum():
@@ -183,7 +190,8 @@ def wrong_way_up(points_world: Array, names: Sequence[str], pixels: Array, rig: 
 
 
 def up_by_cameras(rig: CameraRig) -> Iterator[Finding]:
-    """Return the finding that the cameras agree on which way is up, and that it is not the world's z."""
+    """Test whether the upward directions of the cameras' images agree on an axis of the world other than z, and yield
+    the finding."""
     mean = cameras_up(rig)
     agreed = float(np.linalg.norm(mean))
     if agreed > 0.75 and mean[2] / agreed < 0.3:
@@ -195,12 +203,12 @@ def up_by_cameras(rig: CameraRig) -> Iterator[Finding]:
 
 
 def cameras_up(rig: CameraRig) -> Array:
-    """Return (3,) mean of the directions in the world in which the cameras' images have their top."""
+    """Compute the mean upward direction (3,) of the cameras' images in the world."""
     return np.mean([-c.camera_from_world[1, :3] for c in rig], axis=0)
 
 
 def _upright_in_images(pixels: Array, names: Sequence[str]) -> float:
-    """Return mean over views and frames of +1 (shoulders above ankles), -1 (below); NaN where never seen."""
+    """Compute the mean over views and frames of +1 (shoulders above ankles) and -1 (below); NaN without data."""
     column = {n: k for k, n in enumerate(names)}
     signs = []
     for side in ("left", "right"):
@@ -213,8 +221,10 @@ def _upright_in_images(pixels: Array, names: Sequence[str]) -> float:
 
 
 def _sides(points_world: Array, names: Sequence[str], pixels: Array, rig: CameraRig) -> Array:
-    """Return (T, 5) log likelihood ratios that left and right are as named (negative: exchanged), by how far the knees,
-    feet and nose point ahead; 0 where that is unknown or within the noise."""
+    """Compute log likelihood ratios (T, 5) that left and right are named correctly; negative: exchanged.
+
+    The evidence is how far knees, feet and nose point forwards; 0 where it is unknown or within the noise.
+    """
     column = {n: k for k, n in enumerate(names) if n in _SIDED and np.isfinite(points_world[:, k]).any()}
     known, own = [n in column for n in _SIDED], [column[n] for n in _SIDED if n in column]
     shape = (len(points_world), len(_SIDED), 3)
@@ -234,9 +244,13 @@ def _sides(points_world: Array, names: Sequence[str], pixels: Array, rig: Camera
 
 
 def _ahead(points: Array) -> Array:
-    """Return (T, 5) shares of a leg by which two knees, two feet and the nose of points (T, 15, 3), as _SIDED names
-    them, point ahead: along left times up of the same part of the body, so that the posture of the others does not
-    matter."""
+    """Compute how far two knees, two feet and the nose point forwards, in shares of a leg's length.
+
+    Forwards is left times up of the same part of the body, so that the posture of other parts has no effect.
+
+    points: (T, 15, 3) in the order of _SIDED.
+    Returns: (T, 5).
+    """
     by = dict(zip(_SIDED, np.moveaxis(points, 1, 0), strict=True))
     hips, shoulders = (by[f"left_{n}"] - by[f"right_{n}"] for n in ("hip", "shoulder"))
     legs = [[by[f"{side}_{n}"] for n in ("hip", "knee", "ankle", "heel", "big_toe")] for side in ("left", "right")]
@@ -249,8 +263,10 @@ def _ahead(points: Array) -> Array:
 
 
 def _noise(points_world: Array, pixels: Array, rig: CameraRig) -> tuple[Array, Array]:
-    """Roots (T, K, 3, 3) m of the covariance of triangulated points, from how far the rays miss them, and (K,) how much
-    that correlates from frame to frame."""
+    """Estimate the noise of triangulated points from the distances of their rays.
+
+    Returns: (T, K, 3, 3) roots of the covariance, m; (K,) correlation from frame to frame.
+    """
     uv, confidence = undistorted(rig, pixels)
     seen = (confidence > 0.3) & np.isfinite(points_world).all(-1)
     rays = points_world - rig.positions[:, None, None]
@@ -272,7 +288,7 @@ def _noise(points_world: Array, pixels: Array, rig: CameraRig) -> tuple[Array, A
 
 
 def _middle(points_world: Array, names: Sequence[str], part: str) -> Array:
-    """Return (T, 3) between left and right."""
+    """Compute the middle (T, 3) between the left and right key point of a part."""
     column = {n: k for k, n in enumerate(names)}
     pair = [points_world[:, column[n]] for side in ("left", "right") if (n := f"{side}_{part}") in column]
     return np.mean(pair, axis=0) if len(pair) == 2 else np.full((len(points_world), 3), np.nan)
@@ -285,7 +301,7 @@ def _unit(vectors: Array) -> Array:
 
 
 # ---- doctor report -------------------------------------------------------------------------------------------------
-# What the doctor says: findings with their evidence and next step, and the checks that need no geometry.
+# The report of the diagnostics: findings with their evidence and next step, and the checks that need no geometry.
 
 
 UNIT_ERRORS = (
@@ -299,13 +315,13 @@ UNIT_ERRORS = (
 
 @dataclass(frozen=True)
 class ViewReport:
-    """One camera.
+    """Report on one camera; px of the calibrated size, NaN where unknown.
 
     residual_px: median distance of its key points from the triangulation of all views.
-    left_out_px: from that of the others.
+    left_out_px: median distance of its key points from the triangulation of the other views.
     tangency_px: median disagreement of its silhouette's tangent planes with the other views.
-    change: how far a refinement moves it.
-    alignment of key points and masks. px of the calibrated size, NaN where unknown.
+    change: how far a refinement moves the camera.
+    alignment: alignment of its key points with its masks.
     """
 
     name: str
@@ -318,10 +334,10 @@ class ViewReport:
 
 @dataclass(frozen=True)
 class PersonReport:
-    """Person report.
+    """Report of the diagnostics.
 
-    findings, worst kind first as they were found.
-    views in the rig's order.
+    findings: in the order of the checks.
+    views: report on each camera, in the rig's order.
     """
 
     findings: tuple[Finding, ...]
@@ -329,15 +345,15 @@ class PersonReport:
 
     @property
     def healthy(self) -> bool:
-        """Nothing is wrong."""
+        """Whether there is no fault."""
         return not any(f.fault for f in self.findings)
 
     def of(self, view: str) -> tuple[Finding, ...]:
-        """Return the findings about one camera, or about all."""
+        """List the findings about one camera, and those about all cameras."""
         return tuple(f for f in self.findings if view in f.views or not f.views)
 
     def assessment(self, view: str) -> str:
-        """Return one line about one camera."""
+        """Format the findings about one camera as one line."""
         found = self.of(view)
         if not found:
             return f"{view}: no fault found"
@@ -345,7 +361,12 @@ class PersonReport:
 
 
 def clip_findings(rig: CameraRig, clips: Sequence[ViewFile], frame_rate: float) -> Iterator[Finding]:
-    """Sizes, frame rates and numbers of frames of the files."""
+    """Check the sizes, frame rates and numbers of frames of the views' files.
+
+    clips: file of each view; none for no check.
+    frame_rate: frames/s, where no file states it.
+    Returns: an iterator over findings.
+    """
     if not clips:
         return
     for camera, clip in zip(rig, clips, strict=True):
@@ -358,11 +379,11 @@ def clip_findings(rig: CameraRig, clips: Sequence[ViewFile], frame_rate: float) 
             yield Finding("size", (camera.name,), text + " (turned by 90 degrees)", "turn the video back", 1.0)
         elif clip.accepted:
             words = f": stretched by {fx:.4f} x {fy:.4f}, as accepted"
-            yield Finding("size", (camera.name,), text + words, "nothing", abs(fx / fy - 1), fault=False)
+            yield Finding("size", (camera.name,), text + words, "nothing", abs(fx / fy - 1), severity=REVIEW)
         elif abs(fx / fy - 1) < 0.002:
             cure = 'nothing if the video was only scaled; key points detected in it need keypoint_pixels = "image"'
             yield Finding(
-                "size", (camera.name,), text + f": scaled to {100 * fx:.0f} %", cure, abs(fx - 1), fault=False
+                "size", (camera.name,), text + f": scaled to {100 * fx:.0f} %", cure, abs(fx - 1), severity=REVIEW
             )
         else:
             cure = (
@@ -390,7 +411,14 @@ def clip_findings(rig: CameraRig, clips: Sequence[ViewFile], frame_rate: float) 
 def person_findings(
     rig: CameraRig, pixels: Array, names: Sequence[str], height: float | None, o: Limits
 ) -> Iterator[Finding]:
-    """Return the size of the person: units of the calibration, and its scale where the height is known."""
+    """Check the person: key-point set, up, left and right, and size, which shows wrong units and a wrong scale.
+
+    pixels: (C, T, K, 3) distorted px, and confidence.
+    names: K names of the key points.
+    height: known height, m.
+    o: limits.
+    Returns: an iterator over findings.
+    """
     if len(rig) < 2:
         return
     uv, confidence = undistorted(rig, pixels)
@@ -414,7 +442,13 @@ def person_findings(
 
 
 def height_findings(found: float, height: float | None, o: Limits) -> Iterator[Finding]:
-    """What a measured height of `found` metres says about the calibration's unit and scale."""
+    """Check the unit and scale of the calibration with the person's height.
+
+    found: measured height, m.
+    height: known height, m.
+    o: limits.
+    Returns: an iterator over findings.
+    """
     if not o.heights[0] <= found <= o.heights[1]:
         best = "the scale of the calibration is wrong"
         for factor, words in UNIT_ERRORS:
@@ -434,10 +468,10 @@ def height_findings(found: float, height: float | None, o: Limits) -> Iterator[F
             "share of their distances"
         )
         cure = "check the board's square size and the focal lengths"
-        yield Finding("unit", (), text, cure, abs(found / height - 1), fault=False)
+        yield Finding("unit", (), text, cure, abs(found / height - 1), severity=REVIEW)
     elif height is None and not o.usual_heights[0] <= found <= o.usual_heights[1]:
         text = (
             f"All cameras: the person comes out {found:.2f} m tall, as the calibration's unit and focal lengths have it"
         )
         cure = "give the person's height if it is right (--height), else check the board's square size"
-        yield Finding("unit", (), text, cure, abs(float(np.log(found / 1.7))), fault=False)
+        yield Finding("unit", (), text, cure, abs(float(np.log(found / 1.7))), severity=REVIEW)

@@ -1,7 +1,8 @@
-"""Gross faults by trial: each suspected fault is undone, and the fault is believed when the views then agree.
+"""Diagnostics with key points: gross faults, timing, and camera poses.
 
-The measure is how far key points lie from the triangulation of all views (or, for silhouettes, how far the planes that
-touch the person differ between two views), in shares of the person's size, so that it holds for any image size.
+Gross faults are found by trial: each suspected fault is undone, and it is confirmed when the views agree afterwards.
+    The measure is the distance of key points from the triangulation of all views (or, for silhouettes, the disagreement
+    of tangent planes between two views), in shares of the person's size, so that it is valid for any image size.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.calibration.findings import Finding, Limits, SeenT, Trial
+from hypose.calibration.findings import INVALID, REVIEW, Finding, Limits, SeenT, Trial
 from hypose.calibration.refine_points import (
     CameraChange,
     PointAdjustment,
@@ -44,17 +45,17 @@ _TURNS = (
     ("turned", "upside down", (-1.0, -1.0), "turn the video back (ffmpeg -i IN -vf hflip,vflip OUT)"),
     ("mirrored", "flipped top to bottom", (1.0, -1.0), "flip the video back (ffmpeg -i IN -vf vflip OUT)"),
 )
-"""kind, words, factor of x and y about the middle of the picture, cure"""
+"""Kind, words, factors of x and y about the middle of the picture, cure."""
 
 
 def geometric_trials(
     rig: CameraRig, seen: SeenT, turned: Callable[[int, Array], SeenT], ordered: Callable[[NDArray[np.int64]], SeenT]
 ) -> Iterator[Trial[SeenT]]:
-    """Images of one camera that are mirrored or turned, views of two cameras that are exchanged, poses that are
-    inverted.
+    """Yield trials for mirrored or rotated images of one camera, exchanged views of two cameras, and inverted poses.
 
-    turned: key points when a view's positions are multiplied by factors (2,) about the picture's middle.
-    ordered: when the views come in another order.
+    seen: what the views see.
+    turned: function of view and factors (2,) that multiplies the view's positions about the picture's middle.
+    ordered: function that puts the views into another order.
     """
     for c, camera in enumerate(rig):
         for kind, words, factor, cure in _TURNS:
@@ -72,8 +73,12 @@ def geometric_trials(
 
 
 def gross_finding(rig: CameraRig, trial: Trial[Any], before: float, after: float, who: str = "views") -> Finding:
-    """Return the finding that a suspected fault is there: `who` agree when it is undone, to shares of the person's
-    size."""
+    """Make the finding of a confirmed fault.
+
+    trial: the suspected fault.
+    before, after: disagreement with and without the fault, in shares of the person's size.
+    who: what agrees without the fault, for the sentence.
+    """
     names = tuple(rig.names[k] for k in trial.views)
     text = (
         f"{' and '.join(names) if 0 < len(names) < len(rig) else 'All cameras'}: {trial.words}; with that undone the "
@@ -83,7 +88,11 @@ def gross_finding(rig: CameraRig, trial: Trial[Any], before: float, after: float
 
 
 def mirrored_names(names: Sequence[str]) -> list[int]:
-    """Column of the same key point on the other side of the body."""
+    """Find for each key point the index of the same point on the other side of the body, by its name (left_...,
+    right_...).
+
+    Returns: K indices; a point without another side keeps its own.
+    """
     other = {"left": "right", "right": "left"}
     out = []
     for k, n in enumerate(names):
@@ -94,11 +103,14 @@ def mirrored_names(names: Sequence[str]) -> list[int]:
 
 
 def disagreement(rig: CameraRig, pixels: Array, views: Sequence[int] = ()) -> float:
-    """Return mean over `views` (default all) of the median distance of their key points (C, T, K, 3; distorted px) from
-    the triangulation, in shares of the person's size, at most 10.
+    """Compute the disagreement of key points with their triangulation, in shares of the person's size, at most 10.
 
-    Triangulated from the other views when two are left, so that a bad view does not spoil the points it is judged by;
-    else from all. Points behind a camera count as far away.
+    It is the mean over `views` of the median distance in px. Points behind a camera count as far away.
+
+    pixels: (C, T, K, 3) distorted px, and confidence.
+    views: views that are judged; all by default.
+    Why: points are triangulated from the other views when these are at least two, so that a bad view does not affect
+        the points by which it is judged; else from all.
     """
     c = len(rig)
     judged = list(views) or list(range(c))
@@ -122,7 +134,11 @@ def disagreement(rig: CameraRig, pixels: Array, views: Sequence[int] = ()) -> fl
 
 
 def undistorted(rig: CameraRig, pixels: Array) -> tuple[Array, Array]:
-    """Key points (C, T, K, 3) as undistorted px (C, T, K, 2) and confidence (C, T, K), 0 where that is impossible."""
+    """Remove the lens distortion from key points.
+
+    pixels: (C, T, K, 3) distorted px, and confidence.
+    Returns: (C, T, K, 2) px, and confidence (C, T, K), 0 where the point cannot be undistorted.
+    """
     uv = np.stack([c.undistort_points(p[..., :2]) for c, p in zip(rig, pixels, strict=True)])
     far = 20 * rig.sizes.max()
     fine = np.isfinite(uv).all(-1) & (np.abs(np.nan_to_num(uv)) < far).all(-1)
@@ -130,7 +146,11 @@ def undistorted(rig: CameraRig, pixels: Array) -> tuple[Array, Array]:
 
 
 def sizes(pixels: Array) -> Array:
-    """Return (C,) median over the frames of the person's longer side in px; 0 where no person is seen."""
+    """Compute the person's size in each view: the median over frames of the longer side.
+
+    pixels: (C, T, K, 3) px, and confidence.
+    Returns: (C,) px; 0 where no person is seen.
+    """
     out = np.zeros(len(pixels))
     for c, view in enumerate(pixels):
         found = [np.ptp(p[p[:, 2] > 0.3, :2], axis=0).max() for p in view if (p[:, 2] > 0.3).sum() > 5]
@@ -141,8 +161,12 @@ def sizes(pixels: Array) -> Array:
 def trials(
     rig: CameraRig, pixels: Array, names: Sequence[str], stored: Sequence[tuple[int, int] | None]
 ) -> Iterator[Trial[Array]]:
-    """Return all suspected faults of a rig and key points (C, T, K, 3), undone one at a time. stored: size of each
-    view's stored images, None when unknown."""
+    """Yield all suspected faults of a rig and its key points, each one undone.
+
+    pixels: (C, T, K, 3) distorted px, and confidence.
+    names: K names of the key points.
+    stored: width and height of each view's stored images, px; None where unknown.
+    """
     twin = mirrored_names(names)
 
     def turned(c: int, factor: Array) -> Array:
@@ -156,7 +180,7 @@ def trials(
         words = "the videos belong to other cameras: their order is shifted by one"
         cure = 'give each view its camera = "..." in recording.toml'
         yield Trial("swapped", every, words, cure, rig, pixels[np.roll(np.arange(len(rig)), shift)])
-    # a mirrored picture shows the other side; an axis counted the other way has its names right
+    # a mirrored picture exchanges left and right; a reversed axis alone does not
     for kind, words, factor, other, cure in (
         (
             "mirrored",
@@ -191,7 +215,8 @@ def trials(
 
 
 def _turned(pixels: Array, rig: CameraRig, c: int, factor: Array, twin: list[int] | None) -> Array:
-    """Key points with those of view c multiplied about the picture's middle, and read as those of the other side."""
+    """Multiply the key points of view c about the picture's middle, and exchange left and right where `twin` is
+    given."""
     middle = (np.array(rig[c].size) - 1) / 2
     out = _placed(pixels, c, middle + factor * (pixels[c, ..., :2] - middle))
     if twin is not None:
@@ -200,14 +225,14 @@ def _turned(pixels: Array, rig: CameraRig, c: int, factor: Array, twin: list[int
 
 
 def _placed(pixels: Array, c: int, xy: Array) -> Array:
-    """Key points with those of view c that are there at other positions (T, K, 2)."""
+    """Replace the positions (T, K, 2) of the detected key points of view c."""
     out = pixels.copy()
     out[c, ..., :2] = np.where(pixels[c, ..., 2:] > 0, xy, 0.0)
     return out
 
 
 def _sizes(rig: CameraRig, pixels: Array, c: int, stored: tuple[int, int] | None) -> Iterator[Trial[Array]]:
-    """Key points of images of another size than calibrated: scaled, or cut out of them."""
+    """Yield trials for key points of images of another size than calibrated: scaled or cropped."""
     camera = rig[c]
     w, h = camera.size
     xy = pixels[c, ..., :2]
@@ -243,8 +268,16 @@ def _sizes(rig: CameraRig, pixels: Array, c: int, stored: tuple[int, int] | None
 def best_trial(
     rig: CameraRig, pixels: Array, names: Sequence[str], stored: Sequence[tuple[int, int] | None], every: int = 4
 ) -> tuple[Trial[Array] | None, float, float]:
-    """Return the trial after which the views concerned agree best, and their disagreement before and after it (shares
-    of the person's size), judged on every n-th frame. Trials that leave all views together worse are not believed."""
+    """Find the trial after which the affected views agree best.
+
+    Trials that make the agreement of all views together worse are rejected.
+
+    pixels: (C, T, K, 3) distorted px, and confidence.
+    names: K names of the key points.
+    stored: as in `trials`.
+    every: only every n-th frame is used.
+    Returns: the trial (None without one), and the disagreement before and after it, in shares of the person's size.
+    """
     few = pixels[:, ::every]
     all_before = disagreement(rig, few)
     before: dict[tuple[int, ...], float] = {}
@@ -253,7 +286,7 @@ def best_trial(
         if trial.views not in before:
             before[trial.views] = disagreement(rig, few, trial.views)
         scored.append((disagreement(trial.rig, trial.seen, trial.views), before[trial.views], k))
-    # the camera that is worst off is looked at first: its fault disturbs the others
+    # the camera with the largest disagreement is tested first, because its fault affects the others
     worst = max((b for _, b, _ in scored), default=0.0)
     order = sorted(scored, key=lambda x: x[0] / max(x[1], 1e-6))
     for after, was, k in order[:6]:
@@ -266,23 +299,23 @@ def best_trial(
 
 
 # ---- doctor timing -------------------------------------------------------------------------------------------------
-# Which views are not in step with the others, by their key points.
+# Views that are not synchronous with the others, found by their key points.
 
 
 _LEAST_FRAMES = 24
 _PART = 0.62
-"""share of a clip that tells by itself what the whole does: of a half too little is left once it is moved by a lag"""
+"""Share of a clip that is used to confirm the result of the whole; half of it would leave too few frames after a shift
+by a lag."""
 
 
 def late_views(rig: CameraRig, pixels: Array, o: Limits) -> tuple[Array, Array]:
     """Estimate the delay of each view against the others; with two views, against the first one.
 
-    pixels (C, T, K, 3): key points of consecutive frames: x, y in distorted px, and confidence.
+    pixels: (C, T, K, 3) key points of consecutive frames: distorted px, and confidence.
     o: limits of the test.
-    Return two arrays:
-    late (C,): delay, frames, positive = late; 0 where it is not certain.
-    sd (C,): standard deviation of the delay, frames; infinite where the true delay may be larger than the range
-        searched; 0 for all views where no delay was estimated.
+    Returns: late (C,) delay, frames, positive where the view is late, 0 where it is not certain; sd (C,) standard
+        deviation, frames, infinite where the true delay may exceed the searched range, 0 for all views where no delay
+        was estimated.
     """
     n, frames = pixels.shape[:2]
     late, sd = np.zeros(n), np.zeros(n)
@@ -311,9 +344,12 @@ def late_views(rig: CameraRig, pixels: Array, o: Limits) -> tuple[Array, Array]:
 def _contradicted(
     rig: CameraRig, uv: Array, confidence: Array, scatter: float, found: Array, o: Limits
 ) -> NDArray[np.bool_]:
-    """Return (C,) views that the earlier or the later part of the clip, where it tells, puts elsewhere than the whole,
-    found (C,) frames late. Who stands and waves moves few points, whose errors last and look like motion that comes
-    late; they are others in another part."""
+    """Test (C,) whether the first or the last part of a clip contradicts the delay found (C,), frames, in the whole
+    clip.
+
+    Why: in a person who stands and waves few points move, and their lasting errors look like delayed motion. They
+        differ between parts of a clip.
+    """
     out, long = np.zeros(len(rig), np.bool_), round(_PART * uv.shape[1])
     if long < _LEAST_FRAMES:
         return out
@@ -330,12 +366,16 @@ def _contradicted(
 
 
 def _by_first_of_two(frames: Array) -> Array:
-    """Return (C,) frames by which views are late; of two views, against the first one."""
+    """Convert delays (C,) in frames: of two views, make them relative to the first one."""
     return frames - (frames[0] if len(frames) == 2 else 0.0)
 
 
 def timing_findings(rig: CameraRig, late: Array, sd: Array, fault: bool = True) -> Iterator[Finding]:
-    """Of each view that `late_views` found out of step."""
+    """Yield a finding for each view that is late or early.
+
+    late, sd: (C,) results of `late_views`, frames.
+    fault: whether the findings are faults.
+    """
     for name, x, s in zip(rig.names, late, sd, strict=True):
         if x != 0:
             way, cure = "late" if x > 0 else "early", "run hypose sync, and track what it writes"
@@ -345,31 +385,33 @@ def timing_findings(rig: CameraRig, late: Array, sd: Array, fault: bool = True) 
                     f"{name}: {abs(x):.1f} frames {way} against the other views, or more: the clip is too short to tell"
                 )
                 cure = "run hypose sync on more frames, with a larger --largest"
-            yield Finding("late", (name,), text, cure, abs(x), fault)
+            yield Finding("late", (name,), text, cure, abs(x), INVALID if fault else REVIEW)
 
 
 # ---- doctor extrinsics ---------------------------------------------------------------------------------------------
-# Are the cameras where the calibration says? Refined quickly on some frames' key points, judged on others.
+# Check of the camera poses: a fast refinement on the key points of some frames, judged on others.
 
 
 AGREE = 0.02
-"""Share of the person's size to which the views of one person agree through the right cameras (`disagreement`)"""
+"""Largest disagreement, as a share of the person's size, of views of one person with correct cameras
+(`disagreement`)."""
 FAR_DEG, FAR_M = 10.0, 0.5
-"""a refinement that moves a camera farther comes more often from key points of something else than from a calibration
-so wrong"""
+"""Movement of a camera by a refinement, degrees and m, above which wrong key points are more likely than a wrong
+calibration."""
 _MOST_FRAMES = 30
 _COMMON = 60  # points that two views have to see together to judge each other
 
 
 @dataclass(frozen=True)
 class Extrinsics:
-    """Extrinsics.
+    """Result of the check of the camera poses.
 
-    findings.
-    changes per camera.
-    before_px, after_px: median residual on frames not used.
-    radial (C,) terms that the lenses ask for and their sd.
-    lens_cured: the rig given, refined: the rig that fits (in the old gauge).
+    findings: faults.
+    changes: change of each camera by the refinement.
+    before_px, after_px: median residual before and after the refinement, on frames that it did not use, px.
+    radial, radial_sd: (C,) missing radial term of each lens, and its standard deviation.
+    lens_cured: the given rig.
+    refined: the rig that fits, in the gauge of the given one.
     """
 
     findings: tuple[Finding, ...]
@@ -383,7 +425,12 @@ class Extrinsics:
 
 
 def judge_extrinsics(rig: CameraRig, pixels: Array, o: Limits) -> Extrinsics | None:
-    """pixels (C, T, K, 3), distorted px, in step. None when too few points are seen by two views."""
+    """Check the camera poses by a refinement on some frames and its effect on others.
+
+    pixels: (C, T, K, 3) synchronous distorted px, and confidence.
+    o: limits.
+    Returns: None where two views see too few common points.
+    """
     c, frames = pixels.shape[:2]
     uv, confidence = undistorted(rig, pixels)
     ideal = rig.pinhole()
@@ -419,7 +466,7 @@ def judge_extrinsics(rig: CameraRig, pixels: Array, o: Limits) -> Extrinsics | N
         against = _witnesses(confidence)
         unsure = []
         for k, m in enumerate(moved):
-            if own[k] > max(o.moved, 0.2 * np.nanmax(own)):  # a little of it always goes to the others
+            if own[k] > max(o.moved, 0.2 * np.nanmax(own)):  # a part of the movement always goes to the other cameras
                 if against[k] < 2:
                     unsure.append(k)
                     continue
@@ -436,7 +483,8 @@ def judge_extrinsics(rig: CameraRig, pixels: Array, o: Limits) -> Extrinsics | N
 
 
 def _no_one_person(rig: CameraRig, pixels: Array, before: float, after: float) -> Finding:
-    """What disagrees however all cameras are moved: of one view, where the others agree without it."""
+    """Make the finding that the views disagree wherever the cameras are moved; it names a view without which the others
+    agree."""
     views = range(len(rig)) if len(rig) > 3 else ()
     rest = [np.delete(np.arange(len(rig)), c) for c in views]
     without = [disagreement(CameraRig(tuple(rig[int(k)] for k in r)), pixels[r]) for r in rest]
@@ -446,20 +494,20 @@ def _no_one_person(rig: CameraRig, pixels: Array, before: float, after: float) -
     )
     c = int(np.argmin(without)) if without else -1
     if c < 0 or not without[c] < AGREE or sum(w < max(AGREE, 2 * without[c]) for w in without) > 1:
-        cure = "look whether video and key points of every view are of this recording and show the same person"
+        cure = "check whether video and key points of every view are of this recording and show the same person"
         return Finding("scatter", (), f"All cameras: {said}", cure, before)
     text = (
         f"{rig.names[c]}: {said}; without this view the others agree to {100 * without[c]:.1f} % of the person's size"
     )
     cure = (
-        "look whether its video and key points are of this recording, of the same person, and not mirrored or turned; "
-        "else calibrate this camera anew, or leave the view out"
+        "check whether its video and key points are of this recording, of the same person, and not mirrored or turned; "
+        "else calibrate this camera again, or leave the view out"
     )
     return Finding("scatter", (rig.names[c],), text, cure, before)
 
 
 def _witnesses(confidence: Array) -> NDArray[np.int64]:
-    """Return (C,) by how many other views each view's points (C, T, K) can be judged."""
+    """Count for each view (C,) the other views with enough common points to judge it."""
     seen = (confidence > 0.3).reshape(len(confidence), -1)
     common = (seen[:, None] & seen[None]).sum(-1)
     np.fill_diagonal(common, 0)
@@ -469,19 +517,19 @@ def _witnesses(confidence: Array) -> NDArray[np.int64]:
 def _undecided(
     rig: CameraRig, views: list[int], confidence: Array, before: float, after: float, image_px: float
 ) -> Finding:
-    """Find pairs of cameras that disagree with each other alone: which one is off stays unknown."""
+    """Make the finding that pairs of cameras disagree, where it is unknown which camera is wrong."""
     seen = (confidence > 0.3).reshape(len(confidence), -1)
     partners = {j for k in views for j in range(len(rig)) if (seen[k] & seen[j]).sum() >= _COMMON}
     names = tuple(rig.names[k] for k in sorted({*views, *partners}))
     text = (
-        f"{' and '.join(names)}: they do not agree, and which of them is off cannot be told by two alone; the key "
+        f"{' and '.join(names)}: they do not agree, and two views alone cannot show which of them is wrong; the key "
         f"points miss each other by {before:.1f} px, after a refinement by {after:.1f} px (frames not used)"
     )
     return Finding("extrinsics", names, text, "film with a third camera, or run hypose check --refine", image_px)
 
 
 def _with_lenses(rig: CameraRig, like: CameraRig) -> CameraRig:
-    """Return the rig's poses and focal lengths with the lens distortion of another."""
+    """Combine the poses and focal lengths of a rig with the lens distortion of another."""
     return CameraRig(
         tuple(replace(a, distortion=b.distortion, fisheye=b.fisheye) for a, b in zip(rig, like, strict=True))
     )
@@ -502,8 +550,12 @@ def _lenses(
     person: float,
     o: Limits,
 ) -> list[Finding]:
-    """Cameras whose images bend straight lines otherwise than their coefficients say: faults when frames that were not
-    used fit better with terms of their own, else a note, for many points make a term certain that changes nothing."""
+    """Find cameras whose lens distortion differs from their coefficients.
+
+    It is a fault where frames that were not used fit better with a radial term per camera, else a note.
+
+    Why: with many points a term can be significant without any effect.
+    """
     c, filmed = len(rig), uv[:, rest].reshape(len(rig), -1, 2)
     seen = confidence[:, rest].reshape(c, -1)
     without, freed = _residual(plain.rig, filmed, seen), _bent_residual(lens, filmed, seen)
@@ -528,12 +580,15 @@ def _lenses(
         f"{', '.join(off)}: other lens coefficients would fit as well, but the views would hardly agree better "
         f"({freed:.1f} instead of {without:.1f} px)"
     )
-    return [Finding("distortion", tuple(off), text, "nothing, if the lenses were calibrated", largest, fault=False)]
+    return [Finding("distortion", tuple(off), text, "nothing, if the lenses were calibrated", largest, severity=REVIEW)]
 
 
 def _bent_residual(lens: PointAdjustment, pixels: Array, confidence: Array) -> float:
-    """px between points (C, N, 2) as they were filmed and where the cameras with their radial terms see them: pixels
-    made straight first would be another size, and no measure next to those as they are."""
+    """Compute the median distance, px, between detections (C, N, 2) and projections with the estimated radial terms.
+
+    Why: the terms are applied to the projections, because pixels without distortion would have another scale and could
+        not be compared.
+    """
     straight = np.stack([_bent_back(k, pixels[n], lens.radial[n]) for n, k in enumerate(lens.rig)])
     points, _ = triangulate(lens.rig, straight, np.where(confidence > 0.3, confidence, 0.0))
     r = np.stack([bent(k, k.project_pinhole(points), lens.radial[n]) for n, k in enumerate(lens.rig)]) - pixels
@@ -541,7 +596,7 @@ def _bent_residual(lens: PointAdjustment, pixels: Array, confidence: Array) -> f
 
 
 def _bent_back(camera: Camera, pixels: Array, radial: float) -> Array:
-    """Pixels as the camera would give them without the radial term."""
+    """Remove the radial term from pixels."""
     centre, focal = camera.K[:2, 2], camera.K[0, 0]
     x = (pixels - centre) / focal
     y = x.copy()

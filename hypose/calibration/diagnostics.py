@@ -1,9 +1,9 @@
-"""Diagnostics of a calibration: does it fit this recording, and if not, which camera has which fault?
+"""Diagnostics of a calibration: whether it fits a recording, and which camera has which fault.
 
-Each fault is looked for by undoing it: if the views agree much better afterwards, it is there. Gross faults come
-first (mirrored or turned images, exchanged cameras, another image size, lens coefficients of another convention), then
-a constant shift of the key points and timing, then the cameras' poses, because each hides the next. The measures are
-shares of the person's size in the image, so that limits hold for any resolution.
+Each fault is tested by undoing it: if the views agree much better afterwards, it is present. Gross faults are tested
+first (mirrored or rotated images, exchanged cameras, another image size, lens coefficients of another convention), then
+a constant shift of the key points, then timing, then the camera poses, because each hides the next. The measures are
+shares of the person's size in the image, so that limits are valid for any resolution.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from hypose.calibration.diagnose_points import (
     timing_findings,
     undistorted,
 )
-from hypose.calibration.findings import Finding, Limits, Trial, ViewFile, depth_findings
+from hypose.calibration.findings import REVIEW, Finding, Limits, Trial, ViewFile, depth_findings
 from hypose.calibration.refine_points import apply_parameters, changes, left_out_residual, point_residual
 from hypose.calibration.sync_motion import MaskTrack, farther, mask_tracks, silhouette_curves, solve_widely
 from hypose.calibration.synchronisation import points_at
@@ -51,14 +51,15 @@ from hypose.evidence.hull import visual_hull
 from hypose.geometry import Array
 
 # ---- doctor silhouettes --------------------------------------------------------------------------------------------
-# The doctor's checks on silhouettes alone: tangent planes of pairs of views in place of key points.
+# Checks with silhouettes alone: tangent planes of pairs of views in place of key points.
 #
-# They know less than key points: two planes per pair and frame. Mirrored, turned and exchanged views, timing, wrong
-# poses and units can be found; lens coefficients cannot.
+# They give less information than key points: two planes per pair and frame. Mirrored, turned and exchanged views,
+# timing, wrong poses and units can be found; lens coefficients cannot.
 
 
 _SCATTER = 0.08
-"""Share of the person's size by which tangent planes may disagree: tables and treadmills cut masks, too."""
+"""Share of the person's size by which tangent planes may disagree; it allows for tables and treadmills that hide part
+of the person."""
 _JUDGED = 40  # frames on which poses are judged
 _LOOK_AT_MASKS = (
     "look at the masks in check.png; if they outline the same person in every view, run hypose check --refine, else "
@@ -69,7 +70,14 @@ _LOOK_AT_MASKS = (
 def examine_silhouettes(
     rig: CameraRig, silhouettes: Sequence[Silhouettes | None], o: Limits
 ) -> tuple[list[Finding], tuple[ViewReport, ...], Array]:
-    """Findings, one report per view, and (C,) frames by which each view is late. rig: as calibrated."""
+    """Diagnose a calibration with silhouettes alone.
+
+    rig: the calibrated cameras.
+    silhouettes: of consecutive frames.
+    o: limits.
+    Returns: findings, a report per view, and (C,) delay of each view, frames.
+    Raises: EvidenceError where no frame has silhouettes.
+    """
     small = next((s.rig for s in silhouettes if s is not None), None)
     n = len(rig)
     if small is None:
@@ -86,12 +94,12 @@ def examine_silhouettes(
     timed = list(findings)
     late = _timing(rig, small, tracks, size, timed, o)
     in_step = [_delayed(t, x) for t, x in zip(tracks, late, strict=True)]
-    # a person who walks straight on looks through a late camera as through one that stands elsewhere
+    # for a person who walks straight, a late camera has the same effect as a displaced one
     left = _score(small, _few(in_step, _JUDGED), size)
     placed = _displaced(rig, small, tracks, size, silhouettes, left, o) if not findings else None
     if placed is None:
         findings, tracks = timed, in_step
-    else:  # a camera that stands elsewhere sees the person move at other times: reported as moved
+    else:  # a displaced camera also seems late: it is reported as displaced
         findings.append(placed[0])
         small = placed[1]
         late = _timing(rig, small, tracks, size, findings, o)
@@ -108,8 +116,14 @@ def examine_silhouettes(
 
 
 def gross_silhouettes(rig: CameraRig, silhouettes: Sequence[Silhouettes | None], o: Limits) -> tuple[Finding, ...]:
-    """What a few frames (not in a row) tell: mirrored, turned and exchanged views, planes that never meet, and the
-    unit. rig: that of the silhouettes."""
+    """Find gross faults from the silhouettes of a few frames, which need not be consecutive.
+
+    The faults are mirrored, rotated and exchanged views, tangent planes that never agree, and a wrong unit.
+
+    rig: the cameras of the silhouettes.
+    o: limits.
+    Returns: the findings; none where there is only one view or no silhouette.
+    """
     tracks = mask_tracks(silhouettes)
     size = _sizes(tracks)
     findings: list[Finding] = []
@@ -129,8 +143,11 @@ def _sizes(tracks: Sequence[MaskTrack]) -> Array:
 
 
 def _score(rig: CameraRig, tracks: Sequence[MaskTrack], size: Array) -> float:
-    """Return mean over the views of their disagreement in shares of the person's size; 10 when planes never meet. Views
-    without a whole mask (size 0) say nothing."""
+    """Compute the mean disagreement of the views' tangent planes, in shares of the person's size; 10 where planes never
+    agree.
+
+    Views without a whole mask (size 0) do not count.
+    """
     seen = size > 0
     by_view = tangency_by_view(tangency(rig, tracks), len(rig))[seen] / size[seen]
     return float(np.mean(np.nan_to_num(np.minimum(by_view, 10.0), nan=10.0))) if seen.sum() > 1 else 0.0
@@ -173,7 +190,7 @@ def _trials(rig: CameraRig, tracks: list[MaskTrack]) -> Iterator[Trial[list[Mask
 
 
 def _delayed(track: MaskTrack, late: float) -> MaskTrack:
-    """Return the track as it is when frame t + late is shown at t."""
+    """Shift a track in time, so that frame t + late becomes frame t."""
     return track.at(np.arange(len(track.area)) + round(late))
 
 
@@ -206,8 +223,11 @@ def _displaced(
     in_step: float,
     o: Limits,
 ) -> tuple[Finding, CameraRig] | None:
-    """Find the camera whose other place alone cures the disagreement of the tangent planes, far better than
-    synchronisation does; return it and the rig with the camera there."""
+    """Find the camera that removes the disagreement of tangent planes when it alone is moved, far better than
+    synchronisation.
+
+    Returns: the finding and the rig with the moved camera; None where there is no such camera.
+    """
     few = _few(tracks, _JUDGED)
     before = _score(small, few, size)
     if before < o.tangency or len(rig) < 3:
@@ -226,7 +246,7 @@ def _poses(
     silhouettes: Sequence[Silhouettes | None],
     o: Limits,
 ) -> list[Finding]:
-    """Return whether one camera alone, moved, makes the tangent planes agree."""
+    """Check whether moving one camera makes the tangent planes agree."""
     few = _few(tracks, _JUDGED)
     before = _score(small, few, size)
     if before < o.tangency or len(rig) < 3:
@@ -247,7 +267,10 @@ def _poses(
 
 
 def _scattered(small: CameraRig, tracks: Sequence[MaskTrack], size: Array, before: float) -> Finding:
-    """Masks that do not show one person: those of one view, where the others agree without it."""
+    """Make the finding that masks do not show one person; it names a view without which the others agree.
+
+    before: disagreement of the tangent planes, share of the person's size.
+    """
     disagree = f"the silhouettes' tangent planes disagree by {100 * before:.0f} % of the person's size"
     seen = np.flatnonzero(size > 0)
     for c in seen if len(seen) > 3 else ():
@@ -260,7 +283,7 @@ def _scattered(small: CameraRig, tracks: Sequence[MaskTrack], size: Array, befor
 
 
 def _best_moved(small: CameraRig, few: list[MaskTrack], size: Array) -> tuple[float, int, CameraRig]:
-    """What disagreement is left when the camera that helps most is moved, which that is, and the rig with it there."""
+    """Find the camera that helps most when it is moved: the remaining disagreement, its index, and the rig."""
     tried = [_moved_alone(small, few, size, c) for c in range(len(small))]
     left = [_score(moved, few, size) for moved in tried]
     c = int(np.argmin(left))
@@ -288,7 +311,7 @@ def _elsewhere(
 
 
 def _moved_alone(rig: CameraRig, tracks: list[MaskTrack], size: Array, c: int) -> CameraRig:
-    """Return the rig with camera c where its tangent planes agree best with the others'."""
+    """Move camera c to where its tangent planes agree best with those of the others."""
     from scipy.optimize import least_squares  # takes long to import
 
     mine = [k for k in range(len(rig)) if k != c]
@@ -313,7 +336,7 @@ def _moved_alone(rig: CameraRig, tracks: list[MaskTrack], size: Array, c: int) -
 
 
 def _person(silhouettes: Sequence[Silhouettes | None]) -> Array:
-    """Return some points (N, 3) of the person, m, from a visual hull; the origin when there is none."""
+    """Compute some points (N, 3) of the person from a visual hull, m; the origin where there is none."""
     for s in silhouettes[:: max(1, len(silhouettes) // 5)]:
         if s is not None and s.usable.sum() > 1:
             try:
@@ -324,8 +347,7 @@ def _person(silhouettes: Sequence[Silhouettes | None]) -> Array:
 
 
 def _unit(rig: CameraRig, size: Array, o: Limits) -> Iterator[Finding]:
-    """Return the person's height from its size in the images and the distance to where the cameras look: good to a
-    third."""
+    """Check the person's height from its size in the images and the distance of the cameras; accurate to a third."""
     look = np.stack([c.camera_from_world[2, :3] for c in rig])
     across = np.eye(3) - look[:, :, None] * look[:, None, :]
     middle = np.linalg.lstsq(across.sum(0), (across @ rig.positions[..., None]).sum(0)[:, 0], rcond=None)[0]
@@ -340,16 +362,18 @@ def _unit(rig: CameraRig, size: Array, o: Limits) -> Iterator[Finding]:
 
 @dataclass(frozen=True)
 class Observed:
-    """What the doctor looks at: consecutive frames of one recording.
+    """Evidence of consecutive frames of one recording, for the diagnostics.
 
-    rig: as calibrated, with lens distortion.
-    keypoints (C, T, K, 3) in px of the calibrated, distorted images (confidence 0: missing) and their names.
-    silhouettes: T, undistorted, at any working size, made without the key points (else they agree with them whatever is
-        wrong).
-    clips: one per view.
-    height: of the person, m, when known.
-    people: sentences about who else is there.
-    depths: of some frames, where there are depth cameras.
+    rig: the calibrated cameras, with lens distortion.
+    keypoints: (C, T, K, 3) px of the calibrated, distorted images, and confidence (0: missing).
+    names: K names of the key points.
+    silhouettes: T, undistorted, at any working size. They must be made without the key points, because otherwise they
+        agree with them in any case.
+    clips: file of each view.
+    frame_rate: frames/s.
+    height: of the person, m, where known.
+    people: sentences about other people.
+    depths: depth maps of some frames, where there are depth cameras.
     """
 
     rig: CameraRig
@@ -365,12 +389,13 @@ class Observed:
 
 @dataclass(frozen=True)
 class Cured:
-    """The observations after the cures.
+    """The evidence after the faults were undone.
 
-    rig, key points in step and in place.
-    late (C,) frames.
-    shift (C, 2) px of the calibrated size to add to the images.
-    keypoint_lag in frames.
+    rig: corrected cameras.
+    keypoints: synchronous key points in the right place.
+    late: (C,) delay of each view, frames.
+    shift: (C, 2) to add to the images, px of the calibrated size.
+    keypoint_lag: frames.
     """
 
     rig: CameraRig
@@ -388,16 +413,30 @@ class _State:
 
 
 def examine(observed: Observed, limits: Limits | None = None) -> PersonReport:
-    """Return all checks that the evidence allows. An EvidenceError when there is neither key point nor silhouette."""
+    """Diagnose the calibration of a recording: run all checks for which there is evidence.
+
+    observed: evidence of consecutive frames.
+    limits: limits above which a fault is reported; the defaults where None.
+    Returns: the report.
+    Raises: EvidenceError where there are neither key points nor silhouettes.
+    """
     return examine_and_cure(observed, limits)[0]
 
 
 def examine_and_cure(observed: Observed, limits: Limits | None = None) -> tuple[PersonReport, Cured]:
-    """Return the report, and the observations as they are after the faults were undone (for a refinement)."""
+    """Diagnose the calibration of a recording as `examine` does, and undo the faults for a refinement.
+
+    observed: evidence of consecutive frames.
+    limits: limits above which a fault is reported; the defaults where None.
+    Returns: the report, and the evidence after the faults were undone.
+    Raises: EvidenceError where there are neither key points nor silhouettes.
+    """
     o = limits or Limits()
     n = len(observed.rig)
     findings = list(clip_findings(observed.rig, observed.clips, observed.frame_rate))
-    findings += [Finding("people", (), text, "nothing, if that is right", 0.0, fault=False) for text in observed.people]
+    findings += [
+        Finding("people", (), text, "nothing, if that is right", 0.0, severity=REVIEW) for text in observed.people
+    ]
     by_depth = depth_findings(observed.depths)
     findings += by_depth
     if observed.keypoints is None or (observed.keypoints[..., 2] > 0.3).any((1, 2)).sum() < 2:
@@ -407,7 +446,7 @@ def examine_and_cure(observed: Observed, limits: Limits | None = None) -> tuple[
                 "its calibration."
             )
         found, views, late = examine_silhouettes(observed.rig, observed.silhouettes, o)
-        # of cameras that measure, masks tell nothing better: their faults are those of the depth maps, guessed
+        # for depth cameras, masks give no better information: their faults follow from those of the depth maps
         findings += [] if any(f.fault for f in by_depth) else found
         return PersonReport(tuple(findings), views), Cured(observed.rig, observed.keypoints, late, np.zeros((n, 2)), 0)
     state = _State(observed.rig, observed.keypoints)
@@ -423,7 +462,7 @@ def examine_and_cure(observed: Observed, limits: Limits | None = None) -> tuple[
     extrinsics = None
     focal = list(focal_findings(focal_by_points(state.rig, pixels))) if n > 1 and not gross else []
     findings += focal
-    later = bool((np.isinf(sd) & (late != 0)).any())  # by how much is not known: cameras would take the blame for it
+    later = bool((np.isinf(sd) & (late != 0)).any())  # an unknown delay would look like wrong camera poses
     if not focal and n > 1 and not gross & {"inverted"}:
         extrinsics = judge_extrinsics(state.rig, pixels, o)
         if extrinsics is not None and later:
@@ -431,7 +470,7 @@ def examine_and_cure(observed: Observed, limits: Limits | None = None) -> tuple[
         elif extrinsics is not None:
             state.rig = extrinsics.lens_cured
             findings += extrinsics.findings
-    if any(f.kind == "scatter" for f in findings):  # what never meets tells no time, and says nothing of a body
+    if any(f.kind == "scatter" for f in findings):  # views that never agree give no delay and no body size
         findings = [f for f in findings if f.kind != "late"]
         late, pixels = np.zeros(n), state.pixels
     elif not later:
@@ -441,7 +480,7 @@ def examine_and_cure(observed: Observed, limits: Limits | None = None) -> tuple[
 
 
 def _gross(state: _State, observed: Observed, o: Limits) -> None:
-    """Undoes up to three gross faults, the one that helps most first."""
+    """Find and undo up to three gross faults, the one with the largest effect first."""
     stored = [c.size for c in observed.clips] if observed.clips else [None] * len(state.rig)
     for _ in range(3):
         every = max(1, state.pixels.shape[1] // 15)
@@ -456,8 +495,11 @@ def _gross(state: _State, observed: Observed, o: Limits) -> None:
 def _against_masks(
     observed: Observed, state: _State, findings: list[Finding], o: Limits
 ) -> tuple[tuple[Alignment | None, ...] | None, int, Array]:
-    """Lag and shift of the key points against the masks of the same view. Returns the alignments, the common lag and
-    the shifts (C, 2) to add to the images, px of the calibrated size (zero where none was found)."""
+    """Estimate the lag and shift of key points against the masks of the same view, and add the findings.
+
+    Returns: the alignments, the common lag, and the shifts (C, 2) to add to the images, px of the calibrated size (0
+        where none was found).
+    """
     shift = np.zeros((len(observed.rig), 2))
     if observed.silhouettes is None or observed.keypoints is None:
         return None, 0, shift
@@ -501,7 +543,7 @@ def _against_masks(
         spread = np.maximum(spread, 0.0025)
         least = np.maximum(np.maximum(o.shift_sd * sd, o.shift * size[c]), o.shift_spread * spread * size[c])
         least = np.maximum(least, o.shift_px * ratio)
-        least[1] *= 1.5  # limbs hang: few of them show the vertical place
+        least[1] *= 1.5  # limbs are mostly vertical, so few of them show a vertical shift
         significant = np.abs(move) > least
         if significant.any():
             shift[c] = np.where(significant, move, 0.0)
@@ -522,15 +564,19 @@ def _against_masks(
 
 
 def _own_shifts(made: Sequence[Alignment | None], rig: CameraRig, small: CameraRig) -> Array:
-    """Return (C, 2) px of the calibrated size by which each view's images would have to move, less what the views
-    share: that is a matter of the detector's joints. NaN where unknown."""
+    """Compute the shift (C, 2) of each view's images, px of the calibrated size, without the part common to all views.
+
+    NaN where unknown.
+
+    Why: the common part comes from the detector's definition of the joints.
+    """
     own = np.full((len(made), 2), np.nan)
     for c, a in enumerate(made):
         if a is not None:
             own[c] = a.shift * np.array(rig[c].size) / np.array(small[c].size)
     known = np.isfinite(own[:, 0])
     if known.any():
-        # limbs hang, so the vertical shift is the one that detectors get wrong alike, in two views already
+        # limbs are mostly vertical, so detectors have a common vertical error, even with only two views
         own[:, 1] -= np.nanmedian(own[:, 1])
         if known.sum() > 2:
             own[:, 0] -= np.nanmedian(own[:, 0])
@@ -538,7 +584,7 @@ def _own_shifts(made: Sequence[Alignment | None], rig: CameraRig, small: CameraR
 
 
 def _common_lag(made: Sequence[Alignment | None], o: Limits) -> tuple[int, int]:
-    """Return the lag (whole frames) that most views ask for, and how many of them; 0 when they do not agree."""
+    """Determine the lag (whole frames) on which most views agree, and their number; 0 where they do not agree."""
     known = [a for a in made if a is not None]
     if not known:
         return 0, 0
@@ -559,7 +605,7 @@ def _views(
     alignments: tuple[Alignment | None, ...] | None,
     extrinsics: Extrinsics | None,
 ) -> tuple[ViewReport, ...]:
-    """Per view: residuals of key points (all views, and left out) and of silhouettes."""
+    """Report residuals of key points and silhouettes for each view."""
     c = len(observed.rig)
     uv, confidence = undistorted(observed.rig, pixels)
     flat, seen = uv.reshape(c, -1, 2), confidence.reshape(c, -1)

@@ -1,11 +1,11 @@
-"""Findings of the diagnostics: properties of the files, limits of faults, and faults."""
+"""Findings of the diagnostics: properties of files, limits, faults, and checks of depth cameras."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import cv2
 import numpy as np
@@ -16,13 +16,18 @@ from hypose.evidence.depth_evidence import Depth, in_world
 from hypose.evidence.depth_floor import camera_on_floor
 from hypose.geometry import transform
 
+INVALID, REVIEW, INFO = "invalid", "review", "info"
+"""Severities of a finding."""
+
 
 @dataclass(frozen=True)
 class ViewFile:
-    """What one view's file says.
+    """Properties of one view's file.
 
-    size (w, h) px of the stored images, frames/s, number of frames; None = unknown.
-    accepted: the user has said that the images were only stretched (accept_scaled).
+    size: width and height of the stored images, px; None where unknown.
+    frame_rate: frames/s; None where unknown.
+    frames: number of frames; None where unknown.
+    accepted: the user has stated that the images were only stretched (accept_scaled).
     """
 
     size: tuple[int, int] | None = None
@@ -35,31 +40,31 @@ class ViewFile:
 class Limits:
     """Limits above which the diagnostics report a fault; shares are of the person's longer side in the image.
 
-    gross: share, disagreement of a view with the others above which gross faults are tried.
-    gross_lens: share, the same for lens conventions.
-    gross_cured: share of the disagreement that may be left after the cure.
-    largest_lag: frames.
-    late: frames from which a view is late.
-    late_sd: sd from which a view is late.
-    late_gain: gain of half the log likelihood from which a view is late.
-    keypoint_lag_sd: sd of the lag of all views' key points against the masks.
-    own_lag_sd: sd of the lag of one view's key points against the masks.
-    shift: share by which a view's image is shifted.
-    shift_sd: sd from which a view's image is shifted.
-    shift_spread: multiple of the spread of the other views' shifts.
-    shift_px: px of the masks, smallest shift.
-    extrinsics: share of the residual that may be left after refinement.
-    scatter: share that may be left when cameras were only off and are refined (detectors reach 0.01 to 0.02).
-    moved: share by which a camera's image of the person moves.
-    gain: share, smallest fall of the residual.
-    lens_z: sd of a radial term.
-    lens_gain: share of the residual that may be left after freeing the radial term.
-    lens_px: share, effect of the radial term on the person.
-    heights: m, range of a person's height.
-    usual_heights: m, range of nearly all heights.
-    height_share: share of the known height that is a fault.
-    height_doubt: share of the known height that is worth a look.
-    tangency: share, disagreement of the silhouettes' tangent planes.
+    gross: disagreement of a view with the others above which gross faults are tried, share.
+    gross_lens: the same for lens conventions.
+    gross_cured: share of the disagreement that may remain after the cure.
+    largest_lag: largest delay that is searched first, frames.
+    late: delay from which a view counts as late, frames.
+    late_sd: the same in standard deviations of the delay.
+    late_gain: least gain of half the log likelihood for a late view.
+    keypoint_lag_sd: lag of all views' key points against the masks, in its standard deviations.
+    own_lag_sd: lag of one view's key points against the masks, in its standard deviations.
+    shift: shift of a view's image, share.
+    shift_sd: shift of a view's image, in its standard deviations.
+    shift_spread: shift of a view's image, as a multiple of the spread of the other views' shifts.
+    shift_px: smallest shift, px of the masks.
+    extrinsics: share of the residual that may remain after a refinement.
+    scatter: share that may remain when only camera poses were wrong and are refined (detectors reach 0.01 to 0.02).
+    moved: movement of the person in a camera's image by the refinement, share.
+    gain: smallest decrease of the residual, share.
+    lens_z: radial term, in its standard deviations.
+    lens_gain: share of the residual that may remain after the radial term is freed.
+    lens_px: effect of the radial term at the person, share.
+    heights: range of a person's height, m.
+    usual_heights: range of nearly all heights, m.
+    height_share: relative difference from the known height that is a fault.
+    height_doubt: relative difference from the known height that is worth a check.
+    tangency: disagreement of the silhouettes' tangent planes, share.
     """
 
     gross: float = 0.03
@@ -94,10 +99,13 @@ SeenT = TypeVar("SeenT")
 
 @dataclass(frozen=True)
 class Trial(Generic[SeenT]):
-    """One suspected fault undone.
+    """A suspected fault that was undone as a trial.
 
-    kind, views (indices) and words as in a Finding.
-    rig and what the views see (key points (C, T, K, 3), tracks of masks, depth maps) after the cure.
+    kind, cure: as in `Finding`.
+    views: indices of the affected views; empty for all.
+    words: description of the fault.
+    rig: cameras after the cure.
+    seen: what the views see after the cure: key points (C, T, K, 3), mask tracks or depth maps.
     """
 
     kind: str
@@ -110,62 +118,85 @@ class Trial(Generic[SeenT]):
 
 @dataclass(frozen=True)
 class Finding:
-    """One fault.
+    """A fault, or something that the user should know.
 
-    kind: one word.
-    views: the cameras' names, () = all.
-    text: what and the evidence.
-    cure: the next step.
-    size: how large it is in its own unit.
-    fault: False for what only has to be known.
+    kind: one or two words, for programs.
+    views: names of the affected cameras; empty for all.
+    text: description with the evidence.
+    cure: the next step; empty where there is none.
+    size: size of the fault in a unit of its kind.
+    severity: INVALID for a result that cannot be trusted, REVIEW for one that must be checked, INFO for information
+        only.
     """
 
     kind: str
     views: tuple[str, ...]
     text: str
-    cure: str
-    size: float
-    fault: bool = True
+    cure: str = ""
+    size: float = 1.0
+    severity: str = INVALID
+
+    @property
+    def fault(self) -> bool:
+        """Whether the finding makes a result invalid."""
+        return self.severity == INVALID
 
     @property
     def sentence(self) -> str:
-        """Return the fault and the next step."""
-        return f"{self.text}. Next: {self.cure}."
+        """Description of the fault and the next step."""
+        text = self.text if self.text.endswith((".", ":")) else f"{self.text}."
+        return f"{text} Next: {self.cure}." if self.cure else text
+
+    def document(self) -> dict[str, Any]:
+        """Convert the finding to JSON values."""
+        return {**vars(self), "views": list(self.views)}
+
+    @staticmethod
+    def of_document(kept: Mapping[str, Any]) -> Finding:
+        """Restore a finding from the JSON values of `document`."""
+        texts = {name: str(kept[name]) for name in ("kind", "text", "cure", "severity")}
+        return Finding(views=tuple(map(str, kept["views"])), size=float(kept["size"]), **texts)
 
 
 # ---- doctor depth --------------------------------------------------------------------------------------------------
-# What depth maps say of their cameras: whether they measure at all, the floor that each sees, and people whom one sees
-# at a place that another one sees to be empty.
+# Checks of depth cameras by their maps: whether they measure at all, the floor that each sees, and people whom one sees
+# at a place that is empty for another one.
 
 
 FLOOR_M, FLOOR_DEGREES, PLAINLY = 0.03, 1.5, 4.0
-"""m and degrees by which the floor may lie off z = 0, or be tilted, before a depth camera; from so many times that
-on its maps are not to be trusted. Through the right cameras it was 4 mm and 0.1 degrees at most (simulated, seeds 0 to
-5); a scale that is 5 % off makes 60 mm."""
+"""Largest height (m) and tilt (degrees) of the floor seen by a depth camera against z = 0. From PLAINLY times these
+values its maps cannot be trusted. With correct cameras they were at most 4 mm and 0.1 degrees (simulated, seeds 0 to
+5); a scale error of 5 % gives 60 mm."""
 _BEHIND_M = 0.3
-"""m by which a camera must see past a place to show that no person is there: late cameras and cameras that have been
-moved a little see the person half a step further"""
+"""Distance, m, by which a camera must see beyond a place to show that no person is there. Late cameras, and cameras
+that were moved a little, see the person up to half a step farther away."""
 _REFUTED, _CURED, _AS_LIKELY = 0.7, 0.35, 0.1
-"""share of the points on people that another camera sees past, in a third of the frames: 0.13 at most in right
-recordings of one person and of two, 0.32 with a camera 150 mm and 3 degrees off, 0.93 to 0.97 of maps that are
-exchanged before who walks about (simulated, seeds 20 to 31; who stays in the middle stands there before them, too: 0.26
-at most); the rest of it at most once the cause is undone, and how much more of it still makes a cause as likely"""
+"""Limits for the share of points on people beyond which another camera sees, in a third of the frames. _REFUTED:
+smallest share of a fault. _CURED: largest share after the cause is undone. _AS_LIKELY: difference up to which causes
+are equally likely. The share is at most 0.13 in correct recordings of one and two people, 0.32 with a camera that is
+150 mm and 3 degrees off, 0.93 to 0.97 with exchanged maps of a walking person (simulated, seeds 20 to 31), but at most
+0.26 with exchanged maps of a person who stays in the middle."""
 REFUTED_PLACES = frozenset({"places", "swapped", "mirrored"})
-"""kinds of findings by which the cameras do not stand where they are said to, so that one person may seem to be two"""
+"""Kinds of findings that mean wrong camera poses, so that one person may seem to be two."""
 _POINTS, _FRAMES = 20, 3
-"""points before another camera that tell, and frames with so many"""
+"""Least number of points in front of another camera in a frame, and of such frames, for a result."""
 _RIDDLED = 0.97
-"""share of the measured pixels with a hole among their neighbours above which maps show no surface: 0.34 at most of
-simulated cameras as they are (seeds 20 to 25), 0.07 of crops of a real one; of the former 0.96 with three of ten pixels
-lost, which are tracked, and 0.99 with four of ten, which are not"""
+"""Share of measured pixels with a hole among their neighbours above which maps show no surface. It is at most 0.34 in
+simulated cameras (seeds 20 to 25) and 0.07 in crops of a real one. In simulated maps it is 0.96 with three of ten
+pixels lost, which can still be tracked, and 0.99 with four of ten, which cannot."""
 _BLANK = 0.5
-"""share of the frames in which a camera measures nothing, above which it is named; cameras lose a few"""
+"""Share of frames without any measurement above which a camera is reported; cameras lose a few frames."""
 
 
 def depth_findings(depths: Sequence[Depth]) -> tuple[Finding, ...]:
-    """Of the depth maps of some instants, in the order of time: cameras that measure nothing, or have holes all over,
-    each camera's floor at the first and the last of them, and cameras that see past the person whom another one
-    sees."""
+    """Check the depth cameras of a recording.
+
+    The checks are: cameras that measure nothing, maps full of holes, the floor in the first and the last map, and
+        cameras that see through the person whom another camera sees.
+
+    depths: depth maps of some instants, in the order of time.
+    Returns: the findings.
+    """
     floors: dict[tuple[str, ...], Finding] = {}
     for depth, when in zip([*depths[:1], *depths[-1:]], ("", " at the end"), strict=False):
         floors = {f.views: f for f in _by_floor(depth, when)} | floors
@@ -186,7 +217,7 @@ def _riddled(depths: Sequence[Depth]) -> Iterator[Finding]:
         if share > _RIDDLED:
             name = depths[0].rig.names[c]
             text = (
-                f"{name} has holes all over its depth maps: {100 * share:.0f} % of what it measures lies beside one, "
+                f"{name} has holes all over its depth maps: {100 * share:.0f} % of what it measures is next to one, "
                 "and nothing shows a surface"
             )
             cure = "look at its maps, record without what dazzles it, and without a filter that drops single values"
@@ -194,7 +225,7 @@ def _riddled(depths: Sequence[Depth]) -> Iterator[Finding]:
 
 
 def _measuring_nothing(depths: Sequence[Depth]) -> Iterator[Finding]:
-    """Cameras whose maps are empty; a fault when no view is left."""
+    """Find cameras whose maps are empty; it is a fault where no other view is left."""
     blank = np.array([np.zeros(len(d.rig), np.bool_) if d.blank is None else d.blank for d in depths])
     if not blank.size:
         return
@@ -204,13 +235,13 @@ def _measuring_nothing(depths: Sequence[Depth]) -> Iterator[Finding]:
         name = depths[0].rig.names[c]
         when = "in all frames" if often[c] == 1 else f"in {100 * often[c]:.0f} % of the frames"
         text = f"{name} measures nothing {when} that were looked at: its depth maps are empty"
-        cure = "look whether it recorded, and give its maps anew, or take its [[view]] out of recording.toml"
-        yield Finding("blank", (name,), text, cure, float(often[c]), not left.any())
+        cure = "check whether it recorded, and give its maps again, or take its [[view]] out of recording.toml"
+        yield Finding("blank", (name,), text, cure, float(often[c]), REVIEW if left.any() else INVALID)
 
 
 def _by_floor(depth: Depth, when: str) -> Iterator[Finding]:
-    """Of the floor that each depth camera sees: one camera's maps in another scale, or another place, contradict
-    nothing else."""
+    """Check the floor that each depth camera sees, because a wrong scale or pose of a single camera contradicts nothing
+    else."""
     for c in np.flatnonzero(depth.usable):
         camera = depth.rig[int(c)]
         w, h = camera.size
@@ -225,15 +256,18 @@ def _by_floor(depth: Depth, when: str) -> Iterator[Finding]:
             where = f"{1e3 * abs(away):.0f} mm {'above' if away > 0 else 'below'} z = 0, tilted by {tilt:.1f} degrees"
             text = f"{camera.name} sees the floor{when} {where}"
             cure = (
-                "look whether its maps are in millimetres and whether it has been moved since it was calibrated; "
-                "hypose depth-import finds the cameras' places anew"
+                "check whether its maps are in millimetres and whether it has been moved since it was calibrated; "
+                "hypose depth-import finds the cameras' places again"
             )
-            yield Finding("floor", (camera.name,), text, cure, size, size > PLAINLY)
+            yield Finding("floor", (camera.name,), text, cure, size, INVALID if size > PLAINLY else REVIEW)
 
 
 def seen_past(depth: Depth) -> tuple[int, int]:
-    """Of the points that each camera measures on people and another one looks at: how many, and how many of these it
-    sees past, so that no person is there."""
+    """Count the points on people beyond which another camera sees, which shows that no person is there.
+
+    depth: depth maps of all cameras at one instant.
+    Returns: number of points at which another camera looks, and number of those beyond which it sees.
+    """
     surface, looked, past = depth.surface, 0, 0
     for a, b in permutations(np.flatnonzero(depth.usable).tolist(), 2):
         camera = depth.rig[b]
@@ -250,14 +284,17 @@ def seen_past(depth: Depth) -> tuple[int, int]:
 
 
 def _share(depths: Sequence[Depth]) -> float:
-    """Return the share of points that are seen past, which a third of the frames exceed (who passes the middle stands
-    there before wrong cameras, too); NaN when too few frames tell."""
+    """Compute the share of points beyond which another camera sees; its upper third over frames, NaN with too few
+    frames.
+
+    Why: a person who passes the middle of the scene is there even with wrong cameras.
+    """
     counted = [(past, looked) for looked, past in map(seen_past, depths) if looked >= _POINTS]
     return float(np.quantile([p / n for p, n in counted], 2 / 3)) if len(counted) >= _FRAMES else float("nan")
 
 
 def _cameras(depths: Sequence[Depth]) -> list[int]:
-    """Return the views that are depth cameras."""
+    """List the indices of the views that are depth cameras."""
     return np.flatnonzero(np.any([d.usable for d in depths], axis=0)).tolist()
 
 
@@ -272,21 +309,21 @@ def _by_people(depths: Sequence[Depth]) -> Iterator[Finding]:
     text = f"{who} do not see the person at one place: one sees past {100 * share:.0f} % of what the other sees of them"
     best = min([_CURED, *(left + _AS_LIKELY)])
     likely = [trials[k] for k in np.argsort(left, kind="stable") if left[k] < best]
-    if likely:  # two cameras whose maps are exchanged see the same as two that are mirrored, turned about the scene
+    if likely:  # exchanged maps of two cameras look like mirrored maps, rotated about the scene
         text += f"; that is not so if {' or if '.join(t.words for t in likely)}"
-        cure = "look which it is, and " * (len(likely) > 1) + ", or ".join(t.cure for t in likely)
+        cure = "check which it is, and " * (len(likely) > 1) + ", or ".join(t.cure for t in likely)
         views = tuple(depths[0].rig.names[c] for c in likely[0].views) if len(likely) == 1 else tuple(names)
         yield Finding(likely[0].kind if len(likely) == 1 else "places", views, text, cure, share)
         return
     cure = (
-        "look whether every camera has its own maps, not mirrored, of one and the same recording, and whether they all "
-        "began at the same time; hypose depth-import finds the cameras' places anew"
+        "check whether every camera has its own maps, not mirrored, of the same recording, and whether they all "
+        "began at the same time; hypose depth-import finds the cameras' places again"
     )
     yield Finding("places", tuple(names), text, cure, share)
 
 
 def _trials(depths: Sequence[Depth]) -> list[Trial[list[Depth]]]:
-    """Maps that are mirrored, of all cameras or of one, and maps of two cameras that are exchanged."""
+    """List trials for mirrored maps of all cameras or of one, and for exchanged maps of two cameras."""
     rig, usable = depths[0].rig, _cameras(depths)
     out = list[Trial[list[Depth]]]()
     for views in [usable, *([c] for c in usable if len(usable) > 1)]:

@@ -1,4 +1,4 @@
-"""From board videos or photos to a calibrated rig in a world with a floor, with everything a user should see."""
+"""Calibration from board videos or photos: a rig of cameras in a world with a floor, and notes for the user."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from hypose.geometry import Array, Image, rotation_between, se3, se3_inverse, so
 from hypose.io.videos.video import open_video
 
 # ---- surroundings --------------------------------------------------------------------------------------------------
-# Which way round two cameras see a board that looks the same turned by 180 degrees and lies still: seen from above,
+# The orientation of a still board that looks the same when turned by 180 degrees, in two cameras: seen from above,
 # the floor around it must look the same in both pictures (what stands on the floor does not, but seldom says the
 # opposite).
 
 
 _REACH = 4.0  # board lengths around its middle
 _CELLS = 320
-_MIN_SHARE = 0.06  # of the square: less common floor says nothing
-_LEAST_RISE = 0.12  # sine of the lowest viewing angle: floor seen flatter is a smear
+_MIN_SHARE = 0.06  # of the square: less common floor is not enough
+_LEAST_RISE = 0.12  # sine of the lowest viewing angle: below, the floor is too blurred
 
 
 def floor_likelihood(
@@ -42,11 +42,13 @@ def floor_likelihood(
     d_from_c: Array,
     other: Array,
 ) -> float:
-    """Return how many times better the floor of cameras c and d agrees under d_from_c than under `other` (both (4, 4)):
-    quotient of the unexplained shares 1 - correlation; 1 when there is nothing to compare.
+    """Compare two relative poses of cameras c and d by the appearance of the floor around the board.
 
-    images: by camera, BGR (h, w, 3) with the board lying still.
-    camera_from_board: its pose in each.
+    images: pictures BGR (h, w, 3) by camera index, with the board lying still.
+    camera_from_board: (4, 4) pose of the board by camera index.
+    d_from_c, other: (4, 4) the two relative poses.
+    Returns: how many times better the floor agrees under d_from_c than under `other`: quotient of the unexplained
+        shares 1 - correlation; 1 where the floor cannot be compared.
     """
     base = camera_from_board[c]
     one = _from_above(images[c], replace(cameras[c], camera_from_world=base), board)
@@ -60,15 +62,18 @@ def floor_likelihood(
 
 
 def _from_above(image: Image, camera: Camera, board: Board) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Return the floor around the board as seen from above (n, n, 3), and where it is seen well. camera: in the board's
-    frame."""
+    """Rectify the floor around the board to a view from above.
+
+    camera: in the board's frame.
+    Returns: picture (n, n, 3), and mask (n, n) of the floor that is seen well.
+    """
     low, high = board.points.min(0), board.points.max(0)
     middle, length = 0.5 * (low + high), float((high - low).max())
     line = np.linspace(-_REACH * length, _REACH * length, _CELLS)
     x, y = np.meshgrid(line + middle[0], line + middle[1])
     points = np.stack([x, y, np.zeros_like(x)], -1)
     uv = camera.project(points)
-    # a lens model says anything far outside the picture: only points whose pinhole image is near count
+    # a lens model is meaningless far outside the picture: only points whose pinhole image is near count
     plain = camera.project_pinhole(points)
     size = np.array(camera.size)
     with np.errstate(invalid="ignore"):
@@ -85,8 +90,10 @@ def _from_above(image: Image, camera: Camera, board: Board) -> tuple[NDArray[np.
 def _correlation(
     one: tuple[NDArray[np.float32], NDArray[np.bool_]], two: tuple[NDArray[np.float32], NDArray[np.bool_]]
 ) -> float:
-    """Return mean correlation of the colours over the common floor, each colour relative to its surroundings so that
-    shading does not count; NaN with too little in common."""
+    """Compute the mean correlation of colours over the common floor; NaN where too little is common.
+
+    Why: each colour is relative to its surroundings, so that shading has no effect.
+    """
     mask = one[1] & two[1]
     if mask.mean() < _MIN_SHARE:
         return float("nan")
@@ -115,11 +122,14 @@ _STILL_FRAMES = 3
 def floor_frame(
     rig: CameraRig, boards: Mapping[int, Array], board: Board, wanted: int | None, still: bool
 ) -> tuple[int | None, str]:
-    """Return the frame in which the board lies on the floor, None if there is none, and a sentence about it.
+    """Choose the frame in which the board lies on the floor.
 
-    wanted: the user's choice, the nearest frame with a board is taken.
-    still: the board never moved. Otherwise the first frame of the longest time in which the board stays where it is,
-        flat against the cameras' common up.
+    boards: world_from_board (4, 4) by frame.
+    wanted: frame chosen by the user; the nearest frame with a board is used.
+    still: the board never moved. Otherwise the middle of the longest time is used in which the board does not move and
+        is level, judged by the cameras' common up direction.
+    Returns: the frame, None where there is none, and a sentence about the choice.
+    Raises: CalibrationError where no board is near the wanted frame.
     """
     if not boards:
         return None, ""
@@ -163,8 +173,14 @@ def floor_frame(
 def place_on_floor(
     rig: CameraRig, boards: Mapping[int, Array], board: Board, frame: int | None
 ) -> tuple[CameraRig, dict[int, Array]]:
-    """Rig and boards in a world with z up. With a floor frame the origin is the board's first corner and x its first
-    row; otherwise the origin lies under the middle of all boards and x points as the first camera's right."""
+    """Transform rig and boards to a world with z up.
+
+    With a floor frame, the origin is the board's first corner and x its first row. Otherwise the origin is below the
+    middle of all boards and x points to the right of the first camera.
+
+    boards: world_from_board (4, 4) by frame.
+    frame: frame in which the board lies on the floor; None where unknown.
+    """
     if frame is not None:
         world_from_old = np.diag([1.0, -1.0, -1.0, 1.0]) @ se3_inverse(boards[frame])
     else:
@@ -181,13 +197,15 @@ def place_on_floor(
 
 
 def _common_up(rig: CameraRig) -> Array:
-    """Return (3,) mean of the cameras' upward directions, without the part along their views that tilting adds: the
-    direction most perpendicular to all cameras' x axes, since cameras are tilted but seldom rolled."""
+    """Estimate the common up direction (3,) of cameras: the direction most perpendicular to all cameras' x axes.
+
+    Why: cameras are tilted but seldom rolled, so this excludes the part along their views that tilting adds.
+    """
     right = np.stack([c.camera_from_world[0, :3] for c in rig])
     mean = -np.stack([c.camera_from_world[1, :3] for c in rig]).mean(0)
     _, s, vt = np.linalg.svd(right)
     up = vt[-1]
-    if len(rig) < 2 or s[1] < 0.2 * s[0]:  # x axes all alike leave it open
+    if len(rig) < 2 or s[1] < 0.2 * s[0]:  # parallel x axes do not determine it
         up = mean
     up = up / np.linalg.norm(up)
     return up if up @ mean >= 0 else -up
@@ -199,12 +217,14 @@ _TWO_SIDED = "a board printed on both sides, of which cameras see different ones
 
 @dataclass(frozen=True)
 class CalibrateOptions:
-    """Calibrate options.
+    """Options of a calibration with boards.
 
-    lenses: cameras whose K and distortion are known, by name, kept unless refine_lenses.
-    fisheye: all other lenses.
+    lenses: cameras whose K and distortion are known, by name; they are kept unless refine_lenses.
+    refine_lenses: refine the known lenses.
+    fisheye: all other lenses are fisheye lenses.
     floor: frame in which the board lies on the floor.
-    max_frames: pictures looked at per camera.
+    max_frames: largest number of pictures per camera.
+    progress: called with stage, number done and total.
     """
 
     lenses: CameraRig | None = None
@@ -217,14 +237,14 @@ class CalibrateOptions:
 
 @dataclass(frozen=True)
 class BoardCalibration:
-    """Board calibration.
+    """The result of a calibration with boards.
 
-    rig: world z up, m.
-    views: what each camera saw.
-    lens_views: in the lens pictures, if there were any.
-    fit: the joint refinement.
-    lenses.
-    notes and warnings: sentences.
+    rig: calibrated cameras, world z up, m.
+    views: detected boards of each camera.
+    lens_views: detected boards in the lens pictures, if there are any.
+    fit: result of the joint refinement.
+    lenses: lens of each camera before the joint refinement.
+    notes, warnings: sentences for the user.
     """
 
     rig: CameraRig
@@ -237,7 +257,8 @@ class BoardCalibration:
 
 
 class BoardsNotFound(CalibrationError):
-    """The board was not found (well enough) in some camera; `views` hold what was seen, for the contact sheet."""
+    """Error that the board was not found, or not well enough, in some camera; `views` hold the detections for the
+    contact sheet."""
 
     def __init__(self, message: str, views: tuple[CameraViews, ...]) -> None:
         super().__init__(message)
@@ -250,11 +271,15 @@ def calibrate_from_boards(
     options: CalibrateOptions | None = None,
     lens_sources: Sequence[BoardFootage] | None = None,
 ) -> BoardCalibration:
-    """Rig from one board video (or photo folder) per camera, filmed at the same time.
+    """Calibrate a rig from one board video or photo folder per camera, recorded at the same time.
 
-    lens_sources: further board pictures per camera, by the same names, for the lens only. With a single source only
-    its lens is calibrated and the board's place on the floor gives its pose. BoardsNotFound (a CalibrationError) says
-    per camera what was seen instead."""
+    With a single source only its lens is calibrated, and the board on the floor gives its pose.
+
+    sources: board pictures of each camera.
+    options: the defaults where None.
+    lens_sources: further board pictures per camera, by the same names, for the lens only.
+    Raises: BoardsNotFound (a CalibrationError) with a description of each camera's pictures.
+    """
     o = options or CalibrateOptions()
     lens_views: tuple[CameraViews, ...] = ()
     if lens_sources:
@@ -325,7 +350,7 @@ def _lens(
         if given is None and len(o.lenses) == len(views) and not set(o.lenses.names) & {v.name for v in views}:
             given = replace(o.lenses[i], name=view.name)
         if given is None:
-            o.lenses.select([view.name])  # its error lists the cameras there are
+            o.lenses.select([view.name])  # its error lists the existing cameras
         assert given is not None
         camera = replace(_scaled(given, view, "the given lens"), camera_from_world=np.eye(4))
         errors = [board_poses(camera, s, board.points)[0][1] for s in view.sightings.values()]
@@ -339,7 +364,7 @@ def _lens(
 
 
 def _scaled(lens: Camera, view: CameraViews, whose: str) -> Camera:
-    """Return a lens at the size of a view's pictures; a CalibrationError when they have another shape."""
+    """Adapt a lens to the size of a view's pictures; CalibrationError where they have another shape."""
     (w, h), (lens_w, lens_h) = view.size, lens.size
     if abs((w / h) / (lens_w / lens_h) - 1) > 0.01:
         raise CalibrationError(
@@ -350,7 +375,7 @@ def _scaled(lens: Camera, view: CameraViews, whose: str) -> Camera:
 
 
 def _lag_hint(lenses: Sequence[CalibratedLens], views: Sequence[CameraViews], board: Board) -> str:
-    """Return a sentence about videos that are clearly late, or ''."""
+    """Format a sentence about videos that are clearly late; empty where there are none."""
     if len(lenses) < len(views) or any(v.still for v in views):
         return ""
     lags = estimate_lags([n.camera for n in lenses], [v.sightings for v in views], board)
@@ -372,7 +397,7 @@ def _determined(fit: RigCalibration) -> None:
 
 
 def _chooser(views: Sequence[CameraViews], lenses: Sequence[CalibratedLens], board: Board) -> PoseComparison:
-    """Compares the floor around a symmetric board, in the first frame that both cameras saw."""
+    """Make the function that compares relative poses by the floor, in the first frame that both cameras saw."""
     pictures: dict[tuple[int, int], Image] = {}
 
     def picture(c: int, frame: int) -> Image:

@@ -1,10 +1,10 @@
-"""Cameras from one person who walks about, and the person's height: no board, no measured points.
+"""Calibration of cameras from one walking person and the person's height, without a board or measured points.
 
-The start is `two_views`: offsets from the epipolar geometry of pairs, a rig chained from essential matrices, focal
-lengths tried where they are unknown. The bundle adjustment is the one that refines a rig; its scores correct offsets.
-What such a recording cannot tell is refused: steady walking in a circle looks the same from cameras that are turned
-about its middle and late by a stride, so the start is made at the second best offsets as well and has to be clearly
-worse there.
+The start comes from `two_views`: time offsets from the epipolar geometry of pairs, a rig chained from essential
+matrices, and trial focal lengths where they are unknown. Bundle adjustment of points then refines the rig, and its
+derivatives correct the offsets.
+Ambiguous recordings are refused. Steady walking in a circle looks the same from cameras that are rotated about its
+centre and late by a stride. So the start is also made with the second best offsets, and these must be clearly worse.
 """
 
 from __future__ import annotations
@@ -42,9 +42,9 @@ from hypose.geometry import Array, rotation_between, se3, skew
 from hypose.tracking.subject import shape_from_keypoints
 
 WALK = "film a person who walks about irregularly, turns both ways and raises an arm now and then, for 20 s"
-_MOMENTS, _STEP = 120, 2.0  # frames that are looked at; over how many frames a point's speed is taken
-_WIDER = 6  # times that offsets are looked for, each time twice as far as before
-_CLEAR, _CLOSE, _DUEL = 0.65, 0.3, 0.1  # depth of a clear minimum; rivals that are so near are tried, and must be worse
+_MOMENTS, _STEP = 120, 2.0  # number of frames that are used; number of frames over which a point's speed is computed
+_WIDER = 6  # number of searches for offsets, each with twice the range of the one before
+_CLEAR, _CLOSE, _DUEL = 0.65, 0.3, 0.1  # depth of a clear minimum; nearness and least excess of alternatives
 _FEWEST_S, _SHORT_S, _SPREAD_M, _DOUBT = 1.0, 10.0, 0.25, 3.0  # approximate results; their sd are multiplied by _DOUBT
 _ANGLE_DEG, _NARROW_DEG, _RESIDUAL, _FOCAL_SD, _PLACE_SD = (
     10.0,
@@ -59,13 +59,13 @@ _FEET = tuple(f"{side}_{part}" for side in ("left", "right") for part in ("heel"
 
 @dataclass(frozen=True)
 class PersonCalibration:
-    """Person calibration.
+    """The result of a calibration from a person.
 
-    rig: metres, z up, floor at 0.
-    late (C,): frames by which each view is late, against the median view.
-    sds: of cameras and offsets.
-    median_px: of the residuals.
-    approximate: sentences on badly determined results.
+    rig: calibrated cameras, m, z up, floor at 0.
+    late: (C,) delay of each view against the median view, frames.
+    sds: standard deviations of cameras and offsets.
+    median_px: median residual, px.
+    approximate: sentences about results that are poorly determined.
     """
 
     rig: CameraRig
@@ -86,12 +86,17 @@ def calibrate_from_person(
     largest_s: float | None = None,
     progress: Callable[[str, int, int], None] = lambda stage, done, total: None,
 ) -> PersonCalibration:
-    """Find cameras, offsets, vertical and floor.
+    """Calibrate cameras, time offsets, vertical direction and floor from the key points of one person.
 
-    points (C, T, K, 3): px of the stored pictures and confidence of one person; lenses: cameras whose poses do not
-    count, and whose lenses do not either unless lenses_known; height m; largest_s: offset that is looked for, s (None:
-    one second, and more where that is not enough).
-    A CalibrationError says why it cannot be done, and what would help."""
+    points: (C, T, K, 3) px of the stored pictures, and confidence.
+    names: K names of the key points.
+    lenses: cameras whose poses are ignored; their lenses are used as they are where lenses_known, else as a start.
+    height: of the person, m.
+    frame_rate: frames/s.
+    largest_s: largest offset that is searched, s; None for one second, and more where that is not enough.
+    progress: called with stage, number done and total.
+    Raises: CalibrationError with the reason and a remedy, where the cameras cannot be determined.
+    """
     if len(points) < (2 if lenses_known else 3):
         raise CalibrationError(
             "Cameras are found from three views, or from two whose focal lengths are known: give these with "
@@ -109,7 +114,7 @@ def calibrate_from_person(
 
 
 class _Search:
-    """One calibration under way. Frames of the common clock are those of the median view."""
+    """A running calibration. Frames of the common clock are those of the median view."""
 
     def __init__(
         self,
@@ -127,12 +132,12 @@ class _Search:
         self.sd = point_sd(raw[..., :2], raw[..., 2]) / 1.6  # 1 % of the person's size
 
     def undistorted(self, rig: CameraRig) -> Array:
-        """Key points as pinhole cameras would show them."""
+        """Undistort the key points with the lenses of a rig."""
         pixels = [c.undistort_points(p[..., :2]) for c, p in zip(rig, self.raw, strict=True)]
         return np.concatenate([pixels, self.raw[..., 2:]], -1)
 
     def moments(self, late: Array) -> NDArray[np.int64]:
-        """Return frames of the common clock that all views have, evenly chosen."""
+        """Choose evenly spread frames of the common clock that all views have; late (C,) delay, frames."""
         first, last = np.ceil(max(0, -late.min())), np.floor(self.raw.shape[1] - 1 - max(0, late.max()))
         if last - first < _FEWEST_S * self.frame_rate:
             raise CalibrationError(
@@ -143,11 +148,11 @@ class _Search:
     # ---- start
 
     def start(self, largest_s: float | None) -> tuple[CameraRig, Array]:
-        """Return a rig at an arbitrary scale, and offsets; a CalibrationError when other offsets explain as much."""
+        """Find a start rig of arbitrary scale, and offsets; CalibrationError where other offsets fit equally well."""
         curves = self.curves(largest_s)
         late = solve_offsets(curves, len(self.raw)).frames
         best = self.rig(late)
-        if not self.known:  # essential matrices tell offsets better than fundamental ones
+        if not self.known:  # essential matrices determine offsets better than fundamental ones
             curves = epipolar_curves(self.points, [c.K for c in best[1]], self.sd, int(curves.lags[-1]))
             late = solve_offsets(curves, len(self.raw)).frames
         rival = rival_offsets(curves, late)
@@ -166,7 +171,8 @@ class _Search:
         return self.rig(late)[1], late
 
     def curves(self, largest_s: float | None) -> Curves:
-        """Epipolar curves over as many offsets as are needed until pairs with a clear minimum join all views."""
+        """Compute epipolar curves over a range of offsets that grows until pairs with a clear minimum connect all
+        views."""
         largest = max(4, round((largest_s or 1.0) * self.frame_rate))
         lenses = [c.K for c in self.lenses] if self.known else None
         tried: list[Curves] = []
@@ -175,7 +181,7 @@ class _Search:
             tried.append(epipolar_curves(self.points, lenses, self.sd, largest))
             group = np.arange(len(self.raw))
             for (a, b), cost in zip(tried[-1].pairs, tried[-1].cost, strict=True):
-                inside = abs(tried[-1].lags[cost.argmin()]) < largest - 2  # at the end the minimum lies farther
+                inside = abs(tried[-1].lags[cost.argmin()]) < largest - 2  # at the end the minimum may be farther away
                 if inside and cost.min() < _CLEAR * np.median(cost):
                     group[group == group[b]] = group[a]
             if (group == group[0]).all():
@@ -186,7 +192,8 @@ class _Search:
         return tried[0]
 
     def rig(self, late: Array, lenses: CameraRig | None = None) -> tuple[float, CameraRig]:
-        """Return the cheapest start at offsets and its cost; lenses: whose focal lengths are taken."""
+        """Find the start rig with the lowest cost at given offsets, and its cost; lenses: source of the focal
+        lengths."""
         points = on_common_clock(self.points, late, self.moments(late))
         factors = FOCAL_FACTORS if lenses is None and not self.known else (1.0,)
         found = []
@@ -202,13 +209,15 @@ class _Search:
     # ---- refinement
 
     def scale(self, points: Array) -> float:
-        """Return the factor that makes points (N, 3) those of a person of the given height."""
+        """Compute the factor that scales points (N, 3) to a person of the given height."""
         shape = shape_from_keypoints(human(), points.reshape(-1, len(self.names), 3), self.names)
         return self.height / (shape.scale * human().stature)
 
     def refine(self, rig: CameraRig, late: Array) -> tuple[CameraRig, Array, float, Uncertainty]:
-        """Return the rig by all points at these offsets, in metres; its points (F, K, 3), median residual and
-        uncertainty."""
+        """Refine the rig with all points at given offsets.
+
+        Returns: the rig in metres, its points (F, K, 3), the median residual, the uncertainty.
+        """
         frames, free = self.moments(late), not self.known
         shown = [on_common_clock(p, late, frames) for p in (self.undistorted(rig), self.raw if free else self.points)]
         (uv, _), (given, seen) = ((p.reshape(len(rig), -1, 3)[..., :2], p[..., 2].reshape(len(rig), -1)) for p in shown)
@@ -236,7 +245,7 @@ class _Search:
     def judged(
         self, rig: CameraRig, late: Array, points: Array, median_px: float, sds: Uncertainty
     ) -> PersonCalibration:
-        """Return the rig on its floor, with its uncertainty; a CalibrationError when that is too large."""
+        """Put the rig on its floor and assemble the result; CalibrationError where the uncertainty is too large."""
         middle = np.nanmedian(points.reshape(-1, 3), axis=0)
         rays = (middle - rig.positions) / np.linalg.norm(middle - rig.positions, axis=1)[:, None]
         widest = float(np.degrees(np.arcsin(np.linalg.norm(np.cross(rays[:, None], rays), axis=-1).max())))
@@ -281,7 +290,7 @@ class _Search:
                 "points on average, which is wrong when the person leans",
             ),
         )
-        if upright:  # limbs and the head's height above the floor tell the scale equally well
+        if upright:  # limbs and the head's height above the floor determine the scale equally well
             head = [k for k, n in enumerate(self.names) if n in _HEAD]
             tall = float(np.median(np.nanmedian(points[:, head] @ up - floor, axis=0) / self.rest()[head]))
             rig, middle, floor = scale_rig(rig, tall**-0.5), middle * tall**-0.5, floor * tall**-0.5
@@ -295,14 +304,15 @@ class _Search:
         return PersonCalibration(transform_rig(rig, world), late, sds, median_px, approximate)
 
     def rest(self) -> Array:
-        """Return (K,) m by which key points are above the floor when a person of the given height stands."""
+        """Compute the height (K,) of key points above the floor for a standing person of the given height, m."""
         body = human()
         joint, offset, _ = landmark_of(self.names, body)
         sole = body.skin(np.zeros(len(body.skeleton.lower)))[:, 2].min()
         return self.height / body.stature * ((body.skeleton.rest_joints[joint] + offset)[:, 2] - sole)
 
     def upright(self, points: Array, frames: NDArray[np.int64]) -> tuple[Array, float, bool]:
-        """Return (3,) up, the floor's height along it, and whether feet on the floor show up; else the trunk."""
+        """Estimate the vertical: up (3,), the floor's height along it, and whether feet on the floor define it, not the
+        trunk."""
         ends = [[self.names.index(f"{side}_{part}") for side in ("left", "right")] for part in ("ankle", "shoulder")]
         up = np.nanmean(points[:, ends[1]] - points[:, ends[0]], axis=(0, 1))
         up /= np.linalg.norm(up)
@@ -326,15 +336,15 @@ class _Search:
 
 
 # ---- uncertainty ----
-# How far cameras that were found from a moving person may be off: a sandwich covariance.
+# The uncertainty of cameras that were found from a moving person: a sandwich covariance.
 # The errors of a detector are far from independent: a joint is set too high in one view all the time, and a whole arm
 # is misplaced for some frames. Scores are therefore summed over clusters, (view, key point) and (view, limb, block of
-# time), before they are squared; a plain Hessian is several times too sure. Source: Huber 1967; White 1980; Cameron,
+# time), before they are squared; plain Hessians give several times too little. Source: Huber 1967; White 1980; Cameron,
 # Gelbach & Miller 2011, "Robust inference with multiway clustering" (here the two clusterings are added, which is the
 # cautious side).
 
 
-_BLOCK = 12  # moments that err together
+_BLOCK = 12  # consecutive instants with correlated errors
 _PARTS = (
     ("nose", "eye", "ear", "head", "mouth"),
     ("elbow", "wrist", "pinky", "index", "thumb", "hand"),
@@ -344,10 +354,14 @@ _PARTS = (
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Standard deviations of C cameras when the rig is laid onto the truth by a similarity.
+    """Standard deviations of C cameras after the rig is aligned with the truth by a similarity.
 
-    turn_deg, place_m, focal (share; 0 where it is given), late (frames).
-    later (C,): frames by which the offsets should still be changed, which the bundle adjustment takes as given.
+    turn_deg: (C,) rotation, degrees.
+    place_m: (C,) position, m.
+    focal: (C,) share of the focal length; 0 where it is given.
+    late: (C,) offset, frames.
+    later: (C,) correction of the offsets that the residuals suggest, frames; the bundle adjustment takes the offsets as
+        given.
     """
 
     turn_deg: Array
@@ -358,18 +372,23 @@ class Uncertainty:
 
 
 def limbs_of(names: Sequence[str]) -> Array:
-    """Return (K,) which part of the body each key point belongs to: head, arms, legs, or the trunk."""
+    """Assign each key point to a part of the body by its name.
+
+    Returns: (K,) 0 for head, 1 for arms, 2 for legs, 3 for the trunk.
+    """
     return np.array([next((k for k, words in enumerate(_PARTS) if any(w in n for w in words)), 3) for n in names])
 
 
 def uncertainty(
     bundle: PointBundle, cameras: Sequence[Camera], radial: Array, points: Array, velocity: Array, labels: Array
 ) -> Uncertainty:
-    """Uncertainty at a solution of `adjust`.
+    """Compute the uncertainty of cameras and offsets at a solution of `adjust`, as a sandwich covariance with clusters.
 
-    points (N, 3) m.
-    velocity (C, N, 2) px per frame of the detections, for the offsets are unknown as well.
-    labels (N, 3): moment, key point and limb of each point.
+    bundle: the least-squares problem.
+    radial: (C,) radial term of each camera.
+    points: (N, 3) m.
+    velocity: (C, N, 2) velocity of the detections, px per frame, because the offsets are unknown as well.
+    labels: (N, 3) instant, key point and limb of each point.
     """
     r, weight, jc, jp = bundle.rows(list(cameras), radial, points)
     count, n = weight.shape
@@ -405,8 +424,10 @@ def uncertainty(
 
 
 def _without_gauge(cameras: Sequence[Camera], points: Array, size: int) -> Array:
-    """Return (S, S) the projection of the cameras' unknowns that takes out what no picture tells: a motion and the
-    scale of the whole world, and the start of the common clock."""
+    """Compute the projection (S, S) of the cameras' unknowns that removes what pictures do not determine.
+
+    These are a motion and the scale of the whole world, and the start of the common clock.
+    """
     count = len(cameras)
     middle = np.median(points, axis=0)
     reach = float(np.median([np.linalg.norm(c.position - middle) for c in cameras]))

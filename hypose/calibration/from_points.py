@@ -1,4 +1,4 @@
-"""Cameras from points of the scene whose places were measured, and clicked in every camera's picture."""
+"""Calibration of cameras from measured points of the scene that were clicked in each camera's picture."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from hypose.io.files import read_toml
 
 _LEAST_KNOWN, _LEAST_UNKNOWN = 4, 6  # points for a camera with a known and with an unknown lens
 _CLICK_PX = 1.0
-# few points cannot tell a lens from a place: little distortion is assumed, and square pixels
+# few points cannot separate lens and pose: little distortion is assumed, and square pixels
 _PRIOR = LensPrior(centre=0.02, aspect=0.003, radial=0.1, tangential=0.001, k3=0.02)
 
 
 @dataclass(frozen=True)
 class ScenePoints:
-    """Scene points.
+    """Measured points of a scene and their positions in the pictures.
 
-    points: (3,) m by name, world z up.
-    clicks: by camera and point, (2,) px.
-    sizes: of the pictures, where given.
+    points: (3,) by name, world z up, m.
+    clicks: (2,) px by camera and point.
+    sizes: width and height of the pictures by camera, px, where given.
     """
 
     points: Mapping[str, Array]
@@ -39,13 +39,13 @@ class ScenePoints:
 
 @dataclass(frozen=True)
 class PointCalibration:
-    """Point calibration.
+    """The result of a calibration from measured points.
 
-    rig.
+    rig: calibrated cameras.
     errors: px by camera and point.
-    rms_px per coordinate.
-    position_sd (C,) m for clicks of 1 px.
-    notes and warnings: sentences.
+    rms_px: root mean square per coordinate, px.
+    position_sd: (C,) standard deviation of the position for clicks of 1 px, m.
+    notes, warnings: sentences for the user.
     """
 
     rig: CameraRig
@@ -57,14 +57,16 @@ class PointCalibration:
 
 
 def read_scene_points(path: str | Path) -> ScenePoints:
-    """Return points and clicks of a TOML file (paths.toml in docs/calibration.md):
+    """Read measured points and their clicks from a TOML file of this form:
 
-    unit = "m"                      # of the points: m, cm or mm
-    [points]
-    corner_a = [0.0, 0.0, 0.0]      # x, y, z; z up
-    [clicks.cam01]
-    size = [1920, 1080]             # width, height of the picture; not needed with a calibration file
-    corner_a = [512.3, 830.0]       # px, the middle of the first pixel is 0, 0
+        unit = "m"                      # of the points: m, cm or mm
+        [points]
+        corner_a = [0.0, 0.0, 0.0]      # x, y, z; z up
+        [clicks.cam01]
+        size = [1920, 1080]             # width, height of the picture; not needed with a calibration file
+        corner_a = [512.3, 830.0]       # px, the middle of the first pixel is 0, 0
+
+    Raises: InputError where a key or value is wrong.
     """
     path = Path(path)
     document = read_toml(path, "a TOML file of scene points")
@@ -104,8 +106,14 @@ def _vectors(path: Path, table: str, entries: Any, length: int) -> dict[str, Arr
 
 
 def calibrate_from_points(scene: ScenePoints, lenses: CameraRig | None = None) -> PointCalibration:
-    """Cameras in the world of the measured points. lenses: K and distortion by camera name, kept; without one a camera
-    needs six points that are not in one plane, and its lens is assumed to have square pixels and little distortion."""
+    """Calibrate cameras in the world of measured points.
+
+    scene: the points and their positions in the pictures.
+    lenses: K and distortion by camera name, kept. Without them a camera needs six points that are not in one plane, and
+        its lens is assumed to have square pixels and little distortion.
+    Raises: CalibrationError where there are too few points, they lie in a line or plane, or no pose explains the
+        clicks.
+    """
     names = list(scene.points)
     world = np.stack([scene.points[n] for n in names])
     cameras, errors, sds, notes, warnings = [], {}, [], [], []
@@ -180,8 +188,10 @@ def _start(name: str, world: Array, pixels: Array, lens: Camera | None, size: tu
 
 
 def _posed(camera: Camera, world: Array, pixels: Array) -> tuple[Camera, float]:
-    """Return the camera where most clicks fit, and the median error, px: with all points, and with each left out,
-    because one wrong click bends everything."""
+    """Find the camera pose with the smallest median error, px, with all points and with each point left out.
+
+    Why: one wrong click distorts the whole pose.
+    """
     undistorted = camera.undistort_points(pixels)
     best: tuple[Camera, float] | None = None
     count = len(world)

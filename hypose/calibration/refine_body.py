@@ -1,11 +1,12 @@
-"""Cameras and poses from the person's silhouettes and key points: the tracked body is the calibration object.
+"""Refinement of cameras and poses from the person's silhouettes and key points, with the tracked body as calibration
+object.
 
 Unknowns are one pose per frame and six numbers per camera (seven with the focal length). Rows are those of the shape
 and pose solvers: two-way contour distances with a Geman-McClure weight, key points with a Cauchy weight. A row depends
 on the pose of its frame and on its own camera, so poses are eliminated frame by frame (Schur complement) and a step
 solves one small system for all cameras. The body is fixed, and with it the scale.
-Sources: Geman & McClure 1985; contour rows as in Gall et al. 2009; no published method refines extrinsics from
-silhouettes of an articulated body in this way, the nearest is Sinha & Pollefeys 2010 (frontier points).
+Sources: Geman and McClure 1985; contour rows as in Gall et al. 2009. No published method refines extrinsics from
+    silhouettes of an articulated body in this way; the nearest is Sinha and Pollefeys 2010 (frontier points).
 """
 
 from __future__ import annotations
@@ -31,9 +32,15 @@ _Cameras = list[Camera]
 
 @dataclass(frozen=True)
 class BodySettings:
-    """coarse: factors of the contour scale, one stage each; iterations: of each stage; contour_weight: of a contour row
-    at the reference density; keypoint_weight; focal: focal lengths too; normals: rows whose outlines point further
-    apart than this cosine are left out."""
+    """Settings of the refinement with a body.
+
+    coarse: factors of the contour scale, one per stage.
+    iterations: number of iterations of each stage.
+    contour_weight: weight of a contour row at the reference density.
+    keypoint_weight: weight of a key-point row.
+    focal: refine focal lengths as well.
+    normals: smallest cosine between the outline normals of a row; other rows are left out.
+    """
 
     coarse: tuple[float, ...] = (4.0, 2.0, 1.0)
     iterations: tuple[int, ...] = (5, 6, 6)
@@ -45,7 +52,12 @@ class BodySettings:
 
 @dataclass(frozen=True)
 class BodyAdjustment:
-    """rig at the size of the one given, poses (F, D), cost before and after (of the last stage's scale)."""
+    """The result of a refinement with a body.
+
+    rig: refined cameras, at the size of the given ones.
+    poses: (F, D) refined poses.
+    cost_before, cost: before and after, at the scale of the last stage.
+    """
 
     rig: CameraRig
     poses: Array
@@ -61,11 +73,14 @@ def adjust_with_body(
     options: BodySettings | None = None,
     free: NDArray[np.bool_] | None = None,
 ) -> BodyAdjustment:
-    """Refines a rig of pinhole cameras and the poses (F, D) of a body in F frames.
+    """Refine a rig of pinhole cameras and the poses of a body in F frames.
 
-    rig: at the working size, whose pixels those of the evidence are (the projections inside the terms are not used);
-    evidence: outlines and key points of each frame. free (C,): cameras that may move. An EvidenceError when no frame
-    has evidence."""
+    rig: cameras at the working size of the evidence; the projections inside the terms are not used.
+    poses: (F, D) start poses.
+    evidence: outlines and key points of each frame.
+    free: (C,) cameras that may move; None for all.
+    Raises: EvidenceError where no frame has evidence.
+    """
     o = options or BodySettings()
     cues = [[_cue(one, o) for one in of] for of in evidence]
     if not any(cues):
@@ -82,7 +97,7 @@ def adjust_with_body(
 
 
 def _cue(one: Term, o: BodySettings) -> Cue[_Cameras]:
-    """Rows in the images of the cameras as they are changed."""
+    """Make the function that gives the rows of a term in the images of the present cameras."""
 
     def rows(at: Posed, cameras: _Cameras, factor: float) -> Iterable[Rows]:
         projections = np.stack([c.projection for c in cameras])
@@ -96,7 +111,7 @@ def _cue(one: Term, o: BodySettings) -> Cue[_Cameras]:
 
 
 class _BodyProblem(PoseProblem[_Cameras]):
-    """The cameras are what the frames share."""
+    """Least-squares problem of `adjust_with_body`; the cameras are shared by all frames."""
 
     largest = 0.1
 

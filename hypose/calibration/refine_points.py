@@ -1,9 +1,9 @@
-"""Cameras and 3D points from the person's key points in all views: bundle adjustment with the points eliminated.
+"""Refinement of cameras and 3D points from key points: bundle adjustment with the points eliminated.
 
-The key points need not be joints: any point that all views see as the same place will do, so the person is a
-calibration object without a model. Robust rows (Cauchy), points eliminated by the Schur complement, so a step costs one
-small system for the cameras.
-Source: Triggs et al. 2000, "Bundle adjustment - a modern synthesis", section 6; Hartley & Zisserman 2004, appendix 6.
+The key points need not be joints: any points that all views see at the same place are suitable, so no body model is
+needed. Rows are robust (Cauchy). Points are eliminated with the Schur complement, so a step solves one small system for
+the cameras.
+Source: Triggs et al. 2000, "Bundle adjustment - a modern synthesis", section 6; Hartley and Zisserman 2004, appendix 6.
 """
 
 from __future__ import annotations
@@ -33,9 +33,14 @@ from hypose.io.calibrations import calibration_camera
 
 @dataclass(frozen=True)
 class CameraChange:
-    """How far one camera is from where the old calibration had it. turn_deg: angle; move_m: distance of the centres;
-    focal: factor on the focal length; image_px: median movement of the person's points in its image, px of the
-    calibrated size."""
+    """The difference of one camera from its old calibration.
+
+    name: name of the camera.
+    turn_deg: rotation, degrees.
+    move_m: distance of the centres, m.
+    focal: factor on the focal length.
+    image_px: median movement of the person's points in its image, px of the calibrated size.
+    """
 
     name: str
     turn_deg: float
@@ -45,7 +50,11 @@ class CameraChange:
 
 
 def apply_parameters(camera: Camera, x: Array) -> Camera:
-    """The camera changed by x (6,) or more; a radial term is not part of a Camera and is left to the caller."""
+    """Change a camera by its parameters.
+
+    x: (6,) rotation vector (rad) and translation (m) in the camera's frame; optionally (7,) with the logarithm of the
+        focal factor. Further elements, such as a radial term, are ignored.
+    """
     motion = se3(so3_exp(x[:3]), x[3:6])
     k = camera.K
     if len(x) > 6 and x[6] != 0:
@@ -55,10 +64,13 @@ def apply_parameters(camera: Camera, x: Array) -> Camera:
 
 
 def by_camera(points_camera: Array, gradient_camera: Array, unknowns: int = 6) -> Array:
-    """(R, unknowns) derivative of rows with respect to a camera's change at zero.
+    """Compute the derivative (R, unknowns) of rows with respect to the parameters of a camera at zero
+    (`apply_parameters`).
 
-    points_camera (R, 3) m, gradient_camera (R, 3): derivative of each row with respect to its point, both in the
-    camera's frame; unknowns 6, or 7 with the focal length."""
+    points_camera: (R, 3) in the camera's frame, m.
+    gradient_camera: (R, 3) derivative of each row with respect to its point, in the camera's frame.
+    unknowns: 6, or 7 with the focal length.
+    """
     parts = [np.cross(points_camera, gradient_camera), gradient_camera]
     if unknowns > 6:  # u - c = f x / z: scaling f scales x and y
         parts.append((points_camera[:, :2] * gradient_camera[:, :2]).sum(1)[:, None])
@@ -66,22 +78,27 @@ def by_camera(points_camera: Array, gradient_camera: Array, unknowns: int = 6) -
 
 
 def change_from(old: Camera, new: Camera) -> Array:
-    """(7,) the change that takes the old camera to the new one; the inverse of `changed`."""
+    """Compute the parameters (7,) that change the old camera to the new one; the inverse of `apply_parameters`."""
     motion = new.camera_from_world @ se3_inverse(old.camera_from_world)
     return np.r_[so3_log(motion[:3, :3]), motion[:3, 3], np.log(new.K[0, 0] / old.K[0, 0])]
 
 
 def transform_rig(rig: CameraRig, new_from_old: Array) -> CameraRig:
-    """The same cameras after the whole world moved rigidly: points x -> new_from_old x."""
+    """Copy the rig after the whole world was moved rigidly: points x -> new_from_old x, with new_from_old (4, 4)."""
     back = se3_inverse(new_from_old)
     return CameraRig(tuple(replace(c, camera_from_world=c.camera_from_world @ back) for c in rig))
 
 
 def gauge(new: CameraRig, old: CameraRig, points_new: Array) -> Array:
-    """Rigid old_from_new (4, 4) that lays a refined rig and its world onto the old one.
+    """Compute the rigid motion that aligns a refined rig and its world with the old one.
 
-    Cameras are compared by where their centres lie and where their axes meet the person (points_new (N, 3) m, in the
-    refined world): four points each. A camera that really moved is let go (weights 1 / distance)."""
+    Cameras are compared by four points each: the centre, and three where they look, at the person's distance.
+
+    new, old: the refined and the old rig.
+    points_new: (N, 3) points of the person in the refined world, m.
+    Returns: (4, 4) old_from_new.
+    Why: the weights are 1 / distance, so that a camera that really moved has little influence.
+    """
     middle = np.nanmedian(points_new, axis=0)
     reach = float(np.median(np.linalg.norm(new.positions - middle, axis=1)))
     marks_new = np.stack([_marks(c, reach) for c in new])
@@ -98,13 +115,16 @@ def gauge(new: CameraRig, old: CameraRig, points_new: Array) -> Array:
 
 
 def _marks(camera: Camera, reach: float) -> Array:
-    """(4, 3) points fixed to a camera: its centre, and three where it looks, at the person's distance."""
+    """Compute four points (4, 3) fixed to a camera: its centre, and three in front of it at the person's distance."""
     local = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.3, 0.0, 1.0], [0.0, 0.3, 1.0]]) * reach
     return transform(se3_inverse(camera.camera_from_world), local)
 
 
 def changes(old: CameraRig, new: CameraRig, points_world: Array) -> tuple[CameraChange, ...]:
-    """What moved between two rigs of one world; points_world (N, 3) m are the person's."""
+    """Compute the change of each camera between two rigs of the same world.
+
+    points_world: (N, 3) points of the person, m.
+    """
     out = []
     p = points_world[np.isfinite(points_world).all(1)]
     for a, b in zip(old, new, strict=True):
@@ -123,31 +143,40 @@ def changes(old: CameraRig, new: CameraRig, points_world: Array) -> tuple[Camera
 
 
 def scale_rig(rig: CameraRig, factor: float) -> CameraRig:
-    """The rig with all lengths multiplied by a factor."""
+    """Multiply all lengths of a rig by a factor."""
     return CameraRig(tuple(calibration_camera.rescaled(c, factor) for c in rig))
 
 
 def free_cameras(rig: CameraRig, fixed: tuple[str, ...]) -> NDArray[np.bool_]:
-    """(C,) True for the cameras that may move; a CalibrationError lists the names there are."""
+    """Mark the cameras that may move (C,): all except the fixed ones.
+
+    Raises: CalibrationError where a name does not exist; it lists the names that do.
+    """
     if fixed:
         rig.select(fixed)
     return np.array([c.name not in fixed for c in rig])
 
 
 _Shared = tuple[list[Camera], Array]
-"""cameras, radial (C,)"""
+"""Cameras, and radial terms (C,)."""
 _ITERATIONS = 30
 FEWEST_POINTS = 60
-"""3D points (over all frames) below which a rig is not adjusted"""
+"""Least number of 3D points over all frames for the adjustment of a rig."""
 
 
 HOLD = (0.3, 0.5, 0.05)
-"""sd (rad, m, share of the focal length) of the weak pull of every camera to where it is, which fixes the gauge"""
+"""Standard deviations (rad, m, share of the focal length) of the weak prior that holds every camera where it is and so
+fixes the gauge."""
 
 
 class CameraUnknowns:
-    """What changes of a rig's cameras, P numbers each: `changed`, and one radial distortion term where that is asked
-    for. free (C,): cameras that may move, None: all. hold: as `HOLD`."""
+    """Unknowns of a rig's cameras, P per camera: those of `apply_parameters`, and a radial distortion term on request.
+
+    focal: focal lengths are unknowns.
+    free: (C,) cameras that may move; None for all.
+    radial: there is a radial term.
+    hold: standard deviations of the prior, as `HOLD`.
+    """
 
     def __init__(
         self,
@@ -167,7 +196,10 @@ class CameraUnknowns:
         )
 
     def held(self, cameras: Sequence[Camera], radial: Array | None = None) -> tuple[Array, float]:
-        """(C, P) distance from the start and its cost."""
+        """Compute the differences of cameras from the start, and the cost of the prior.
+
+        Returns: (C, P) parameters, and the cost.
+        """
         x = np.stack([change_from(a, b) for a, b in zip(self.start, cameras, strict=True)])[:, : 6 + self.focal]
         if radial is not None and self.radial:
             x = np.concatenate([x, radial[:, None]], 1)
@@ -175,8 +207,11 @@ class CameraUnknowns:
 
 
 def pinhole_derivative(camera: Camera, points: Array) -> tuple[Array, Array]:
-    """Pixels (N, 2) from the principal point, and their derivatives (N, 2, 3), of points (N, 3) in the camera's frame,
-    without lens distortion."""
+    """Project points without lens distortion, and compute the derivatives.
+
+    points: (N, 3) in the camera's frame, m.
+    Returns: (N, 2) px relative to the principal point; derivatives with respect to the points (N, 2, 3).
+    """
     k, z = camera.K[:2, :2], np.maximum(points[:, 2], 1e-3)[:, None]
     offset = (points[:, :2] / z) @ k.T
     return offset, np.concatenate([k / z[..., None], -(offset / z)[..., None]], -1)
@@ -184,12 +219,12 @@ def pinhole_derivative(camera: Camera, points: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class PointAdjustment:
-    """Hold the result of `adjust`.
+    """The result of `adjust`.
 
-    rig: the refined cameras; its world frame is fixed by a weak prior on the start cameras (`HOLD`).
-    points (N, 3): 3D key points, m; NaN where fewer than two views see the point.
-    radial (C,): radial distortion term of each camera; 0 unless it was estimated.
-    radial_sd (C,): standard deviation of radial; 0 unless it was estimated.
+    rig: the refined cameras; the world frame is fixed by a weak prior on the start cameras (`HOLD`).
+    points: (N, 3) key points, m; NaN where fewer than two views see the point.
+    radial: (C,) radial distortion term of each camera; 0 unless it was estimated.
+    radial_sd: (C,) standard deviation of radial; 0 unless it was estimated.
     before: median reprojection error at the start, px, over the detections used.
     after: the same after the adjustment, px.
     """
@@ -213,11 +248,17 @@ def adjust(
     hold: tuple[float, float, float] = HOLD,
     iterations: int = _ITERATIONS,
 ) -> PointAdjustment:
-    """Refines a rig on key points.
+    """Refine a rig with the key points of a person (bundle adjustment).
 
-    pixels (C, N, 2) undistorted px of the rig; confidence (C, N), 0 = not seen; free (C,): cameras that may move;
-    focal: focal lengths are unknowns too; radial: so is one radial distortion term per camera; hold: as `HOLD`.
-    An EvidenceError when too few points are seen by two views."""
+    pixels: (C, N, 2) undistorted px of the rig.
+    confidence: (C, N); 0 where not seen.
+    free: (C,) cameras that may move; None for all.
+    focal: estimate focal lengths as well.
+    radial: estimate a radial distortion term per camera as well.
+    hold: standard deviations of the prior, as `HOLD`.
+    iterations: largest number of iterations.
+    Raises: EvidenceError where two views see too few common points.
+    """
     w = np.where((confidence > 0.3) & np.isfinite(pixels).all(-1), confidence, 0.0)
     uv = np.nan_to_num(pixels)
     keep = (w > 0).sum(0) >= 2
@@ -234,21 +275,34 @@ def adjust(
 
 
 def default_scale(pixels: Array, confidence: Array) -> float:
-    """sd of a detection in px: 0.8 % of the spread of a view's points (a person fills about four of their sd)."""
+    """Estimate the standard deviation of a detection, px: 0.8 % of the person's size in the median view.
+
+    The size is taken as four standard deviations of the points (C, N, 2) with confidence (C, N) above 0.
+    """
     spread = [np.std(p[c > 0], axis=0).max() * 4 for p, c in zip(pixels, confidence, strict=True) if (c > 0).sum() > 9]
     return max(0.008 * float(np.median(spread)) if spread else 2.0, 0.5)
 
 
 class PointBundle(SharedProblem[_Shared]):
-    """The least-squares problem of `adjust`: pixels (C, N, 2), confidence (C, N) of points that two views see; scale:
-    sd of a detection, px."""
+    """Least-squares problem of `adjust`.
+
+    pixels: (C, N, 2) px of points that at least two views see.
+    confidence: (C, N).
+    scale: standard deviation of a detection, px.
+    unknowns: unknowns of the cameras.
+    """
 
     def __init__(self, pixels: Array, confidence: Array, scale: float, unknowns: CameraUnknowns) -> None:
         self.uv, self.confidence, self.scale, self.unknowns = pixels, confidence, 2 * scale, unknowns
         self.free, self.limited, self.largest = unknowns.free, unknowns.turns, 0.2
 
     def residuals(self, cameras: list[Camera], radial: Array, points: Array) -> tuple[Array, Array, float]:
-        """(C, N, 2) px, (C, N) weights of squared px, and the robust cost."""
+        """Compute residuals and robust weights.
+
+        radial: (C,) radial term of each camera.
+        points: (N, 3) m.
+        Returns: residuals (C, N, 2), px; weights (C, N) of squared px; the robust cost.
+        """
         r = np.zeros_like(self.uv)
         for c, camera in enumerate(cameras):
             r[c] = bent(camera, camera.project_pinhole(points), radial[c]) - self.uv[c]
@@ -261,8 +315,11 @@ class PointBundle(SharedProblem[_Shared]):
         return r, weight, cost
 
     def rows(self, cameras: list[Camera], radial: Array, points: Array) -> tuple[Array, Array, Array, Array]:
-        """(C, N, 2) px, (C, N) weights, and derivatives by the cameras' unknowns (C, N, 2, P) and by the points
-        (C, N, 2, 3)."""
+        """Compute residuals and derivatives.
+
+        Returns: residuals (C, N, 2), px; weights (C, N); derivatives with respect to the cameras' unknowns (C, N, 2, P)
+            and to the points (C, N, 2, 3).
+        """
         r, weight, _ = self.residuals(cameras, radial, points)
         size, (n_cameras, n) = self.unknowns.count, weight.shape
         jc, jp = np.zeros((n_cameras, n, 2, size)), np.zeros((n_cameras, n, 2, 3))
@@ -278,7 +335,7 @@ class PointBundle(SharedProblem[_Shared]):
         return r, weight, jc, jp
 
     def equations(self, cameras: list[Camera], radial: Array, points: Array) -> SharedEquations:
-        """Of the cameras' unknowns (C P,), shared by the points'."""
+        """Assemble the normal equations: shared unknowns (C P,) of the cameras, own unknowns of the points."""
         r, weight, jc, jp = self.rows(cameras, radial, points)
         size, (n_cameras, n) = self.unknowns.count, weight.shape
         wjc = weight[..., None, None] * jc
@@ -295,13 +352,13 @@ class PointBundle(SharedProblem[_Shared]):
         )
 
     def evaluate(self, state: tuple[_Shared, Array]) -> tuple[float, Callable[[], SharedEquations]]:
-        """Cost and, when asked for, equations."""
+        """Compute the cost, and return it with a function that computes the equations."""
         (cameras, radial), points = state
         cost = self.residuals(cameras, radial, points)[2] + self.unknowns.held(cameras, radial)[1]
         return cost, partial(self.equations, cameras, radial, points)
 
     def moved(self, state: tuple[_Shared, Array], step: Array, own: Array) -> tuple[tuple[_Shared, Array], float]:
-        """Apply a step."""
+        """Apply a step to cameras and points; the largest camera change is returned too."""
         (cameras, radial), points = state
         x = step.reshape(len(cameras), self.unknowns.count)
         new = [apply_parameters(c, d if self.unknowns.focal else d[:6]) for c, d in zip(cameras, x, strict=True)]
@@ -309,7 +366,7 @@ class PointBundle(SharedProblem[_Shared]):
         return (shared, points + own), float(np.abs(x).max())
 
     def adjusted(self, iterations: int) -> PointAdjustment:
-        """Triangulate the points with the cameras at the start, and adjust both."""
+        """Triangulate the points with the start cameras, and adjust both."""
         rig = self.unknowns.start
         points = triangulate(rig, self.uv, self.confidence)[0]
         lost = ~np.isfinite(points).all(1)
@@ -330,7 +387,10 @@ class PointBundle(SharedProblem[_Shared]):
 
 
 def bent(camera: Camera, pixels: Array, radial: float) -> Array:
-    """Where a camera with a radial term shows the pixels (N, 2) of a pinhole camera."""
+    """Apply a radial term to the pixels (N, 2) of a pinhole camera.
+
+    The offset from the principal point is multiplied by 1 + radial r^2, where r is the offset in focal lengths.
+    """
     if radial == 0:
         return pixels
     centre = camera.K[:2, 2]
@@ -340,9 +400,15 @@ def bent(camera: Camera, pixels: Array, radial: float) -> Array:
 
 
 def point_residual(rig: CameraRig, pixels: Array, confidence: Array, *, min_confidence: float = 0.5) -> Array:
-    """(C, N) px between detections (C, N, 2) and the triangulation of all views; NaN where there is none.
+    """Compute the distances between detections and the triangulation of all views.
 
-    Points are triangulated from detections with a confidence above 0.3; those above min_confidence are judged."""
+    Points are triangulated from detections with a confidence above 0.3.
+
+    pixels: (C, N, 2) undistorted px.
+    confidence: (C, N).
+    min_confidence: detections above this are judged.
+    Returns: (C, N) px; NaN where there is none.
+    """
     points, _ = triangulate(rig, pixels, np.where(confidence > 0.3, confidence, 0.0))
     distance = np.stack(
         [np.linalg.norm(c.project_pinhole(points) - p, axis=-1) for c, p in zip(rig, pixels, strict=True)]
@@ -351,7 +417,12 @@ def point_residual(rig: CameraRig, pixels: Array, confidence: Array, *, min_conf
 
 
 def left_out_residual(rig: CameraRig, pixels: Array, confidence: Array) -> Array:
-    """(C, N) px between each camera's detections and the triangulation of all the others; NaN where there is none."""
+    """Compute the distances between each camera's detections and the triangulation of all other cameras.
+
+    pixels: (C, N, 2) undistorted px.
+    confidence: (C, N).
+    Returns: (C, N) px; NaN where there is none.
+    """
     out = np.full(confidence.shape, np.nan)
     used = np.where(confidence > 0.3, confidence, 0.0)
     for c in range(len(rig)):

@@ -1,9 +1,10 @@
-"""Where the cameras stand: relative poses from boards that two cameras saw at the same time, joined along the best
-connected tree, then refined jointly with lenses and board poses.
+"""Calibration of a rig from boards: relative poses of pairs of cameras, joined along the best tree, then refined
+jointly.
 
-A chessboard that looks the same turned by 180 degrees may be numbered oppositely in two cameras. The relative pose
-that explains all shared frames tells which numbering is right as soon as the board moves; for a board that lies still
-the floor around it does (`surroundings`).
+Relative poses come from boards that two cameras saw at the same time. The joint refinement includes lenses and board
+poses. A chessboard that looks the same when rotated by 180 degrees may be numbered oppositely in two cameras. Once the
+board moves, the relative pose that explains all common frames shows the right numbering; for a still board the floor
+around it does (`from_boards.floor_likelihood`).
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from hypose.errors import CalibrationError
 from hypose.geometry import Array, se3_inverse, so3_log, transform
 
 # ---- board timing --------------------------------------------------------------------------------------------------
-# Pictures that were not taken quite at the same instant: how far a moving board can be believed.
+# Pictures that were not taken at exactly the same instant: the uncertainty of a moving board's corners.
 #
 # Webcams and phones without a trigger expose within a part of a frame of each other, differently in every frame, so
 # a corner is uncertain by the distance it moves in that time. Boards held still then decide, as they should.
@@ -42,7 +43,7 @@ from hypose.geometry import Array, se3_inverse, so3_log, transform
 
 OFFSET_SD = 0.1
 """Standard deviation of a picture's instant, frames."""
-_REACH = 2  # frames: a neighbour farther away says nothing about the velocity
+_REACH = 2  # frames: a neighbour farther away gives no velocity
 
 
 def motion_noise(
@@ -51,10 +52,12 @@ def motion_noise(
     sightings: Mapping[int, Mapping[int, BoardDetection]],
     board: Board,
 ) -> dict[tuple[int, int], float]:
-    """Standard deviation (px) that a board's motion adds to its corners, by (camera, frame).
+    """Estimate the uncertainty of corners because a board moves while cameras expose at slightly different instants.
 
-    boards: world_from_board (4, 4) by frame as fitted so far. Boards without a neighbour in time, whose motion is not
-    known, are taken to move like the others' median."""
+    boards: world_from_board (4, 4) by frame, as fitted so far.
+    sightings: detected boards by camera index and frame.
+    Returns: standard deviation by (camera, frame), px. Boards without a neighbour in time get the median of the others.
+    """
     out: dict[tuple[int, int], float] = {}
     unknown = []
     for f in sorted({f for seen in sightings.values() for f in seen}):
@@ -74,7 +77,8 @@ def motion_noise(
 
 
 PoseComparison = Callable[[int, int, Array, Array], float]
-"""(camera c, camera d, d_from_c, another d_from_c) -> how much more likely the first is: > 1.1 or < 1 / 1.1 decide"""
+"""Function of camera c, camera d, d_from_c and another d_from_c that gives how many times more likely the first pose
+is."""
 
 _MAX_FRAMES = 120
 _ROUNDS = 8
@@ -86,11 +90,13 @@ _AGREE = 0.3  # share of the common boards that must agree with a relative pose
 
 @dataclass(frozen=True)
 class Link:
-    """Two cameras' relative pose.
+    """The relative pose of two cameras c and d.
 
-    d_from_c (4, 4); frames shared and how many of them agree.
-    other: a second answer that explains the boards as well, when there is one.
+    d_from_c: (4, 4).
+    shared: number of frames with a common board.
+    agreeing: number of these that agree with the pose.
     error: median over the frames, px.
+    other: a different pose that explains the boards as well; None where there is none.
     """
 
     c: int
@@ -104,18 +110,18 @@ class Link:
 
 @dataclass(frozen=True)
 class RigCalibration:
-    """Rig calibration.
+    """The result of `calibrate_rig`.
 
-    rig: in the frame of the first camera (see `floor`).
+    rig: cameras in the frame of the first camera; `place_on_floor` changes it.
     boards: world_from_board (4, 4) by frame.
-    sightings: those used, numbered alike in all cameras, by camera index and frame.
-    errors: rms px per coordinate by (camera, frame).
-    rms_px: over all.
-    weighted_px: with moving boards counted less, as in the fit.
-    camera_rms (C,).
-    focal_sd (C,) px.
-    position_sd (C,) m.
-    dropped: (camera, frame) that do not fit.
+    sightings: the used detections by camera index and frame, numbered alike in all cameras.
+    errors: rms per coordinate by (camera, frame), px.
+    rms_px: rms over all, px.
+    weighted_px: the same with less weight for moving boards, as in the fit.
+    camera_rms: (C,) rms of each camera, px.
+    focal_sd: (C,) standard deviation of the focal length, px.
+    position_sd: (C,) standard deviation of the position, m.
+    dropped: (camera, frame) of detections that do not fit.
     notes: sentences for the user.
     """
 
@@ -139,13 +145,13 @@ def calibrate_rig(
     choose: PoseComparison | None = None,
     lens_sightings: Sequence[Mapping[int, BoardDetection]] | None = None,
 ) -> RigCalibration:
-    """Poses of all cameras from boards seen at the same time.
+    """Calibrate the poses of all cameras from boards seen at the same time.
 
-    sightings: per camera, by frame of the common time.
-    choose: decides between two relative poses of a symmetric board that did not move.
-    lens_sightings: more boards, each for its own camera's lens only.
-
-    A CalibrationError names cameras that share no board with the others.
+    lenses: lens of each camera.
+    sightings: detected boards per camera, by frame of the common time.
+    choose: chooses between two relative poses of a symmetric board that did not move.
+    lens_sightings: further boards, each for its own camera's lens only.
+    Raises: CalibrationError where cameras have no common board with the others; it names them.
     """
     cameras = [n.camera for n in lenses]
     poses = [
@@ -181,7 +187,7 @@ def _link(
     poses: Sequence[Mapping[int, list[tuple[Array, float]]]],
     board: Board,
 ) -> Link | None:
-    """Return the relative pose under which the most shared frames agree, and the next best different one."""
+    """Find the relative pose with which most common frames agree, and the next best different one."""
     shared = [f for f in sightings[c] if f in sightings[d]]
     shared = [f for f in shared if poses[c][f][0][1] < 5 and poses[d][f][0][1] < 5]
     if not shared:
@@ -211,7 +217,7 @@ def _link(
 
 
 def _turn_motion(board: Board, turn: np.ndarray) -> Array:
-    """Rigid motion of the board's frame that renumbers its corners: point turn[i] = motion(point i)."""
+    """Compute the rigid motion of the board's frame that renumbers its corners: point turn[i] = motion(point i)."""
     a, b = board.points, board.points[turn]
     out = np.eye(4)
     step = a[1] - a[0]
@@ -232,7 +238,7 @@ def _disagreement(
     poses: Sequence[Mapping[int, list[tuple[Array, float]]]],
     board: Board,
 ) -> Array:
-    """Return (F,) px: rms error in camera d of the boards seen by camera c, under the better of their poses and
+    """Compute the rms error (F,) in camera d of the boards seen by camera c, px, for the best of their poses and
     numberings."""
     out = np.empty(len(shared))
     for k, f in enumerate(shared):
@@ -256,7 +262,7 @@ def _tree(
     choose: PoseComparison | None,
     notes: list[str],
 ) -> list[Link]:
-    """Links that join all cameras: unambiguous ones first, those on which most frames agree first."""
+    """Choose links that join all cameras: unambiguous ones first, and those on which most frames agree first."""
     names = [c.name for c in cameras]
     group = list(range(len(cameras)))
     out: list[Link] = []
@@ -270,7 +276,7 @@ def _tree(
     for link in sorted(sure, key=lambda k: (-min(k.agreeing, 10), k.error)):
         if group[link.c] != group[link.d]:
             join(link)
-    # the others: decided by what lies around the board, the clearest first
+    # the others: decided by the floor around the board, the clearest first
     unsure = [k for k in links if k.other is not None]
     weighed = []
     for link in unsure:
@@ -288,9 +294,9 @@ def _tree(
         if ratio < _DECIDED:
             raise CalibrationError(
                 "The board looks the same turned by 180 degrees and did not move, so it is open which way round camera "
-                f"{names[link.d]} sees it compared with {names[link.c]}, and the floor around it does not tell; move "
-                "the board to a second place, use a board with one even and one odd number of corners, or a ChArUco "
-                "board."
+                f"{names[link.d]} sees it compared with {names[link.c]}, and the floor around it does not show it; "
+                "move the board to a second place, use a board with one even and one odd number of corners, or a "
+                "ChArUco board."
             )
         notes.append(
             f"Which way round {names[link.d]} sees the board, which looks the same turned by 180 degrees, was decided "
@@ -320,7 +326,7 @@ def _span(seen: Mapping[int, BoardDetection]) -> str:
 
 
 def _placed(tree: Sequence[Link], cameras: Sequence[Camera]) -> list[Camera]:
-    """Cameras with poses in the first camera's frame."""
+    """Set the cameras' poses in the first camera's frame, along the tree of links."""
     poses: dict[int, Array] = {0: np.eye(4)}
     while len(poses) < len(cameras):
         before = len(poses)
@@ -335,7 +341,7 @@ def _placed(tree: Sequence[Link], cameras: Sequence[Camera]) -> list[Camera]:
 
 @dataclass(frozen=True)
 class _Numbered:
-    """Sightings by camera and frame, numbered alike, and the boards' poses in the world."""
+    """Detections by camera and frame, numbered alike, and the boards' poses in the world."""
 
     sightings: dict[int, dict[int, BoardDetection]]
     boards: dict[int, Array]
@@ -347,7 +353,8 @@ def _numbered(
     poses: Sequence[Mapping[int, list[tuple[Array, float]]]],
     board: Board,
 ) -> _Numbered:
-    """Per frame the board pose of one camera that the others agree with best, and the numbering each needs for it."""
+    """Choose per frame the board pose of one camera with which the others agree best, and each camera's numbering for
+    it."""
     boards: dict[int, Array] = {}
     out: dict[int, dict[int, BoardDetection]] = {c: {} for c in range(len(cameras))}
     for f in sorted({f for seen in sightings for f in seen}):
@@ -377,7 +384,7 @@ def _numbered(
 
 
 def _choose_frames(named: _Numbered, cameras: Sequence[Camera], count: int) -> list[int]:
-    """Return at most `count` frames: for each pair of cameras those that differ most, then the rest for the lenses."""
+    """Choose at most `count` frames: for each pair of cameras those that differ most, then others for the lenses."""
     seen = named.sightings
     if len(named.boards) <= count:
         return sorted(named.boards)
@@ -490,17 +497,17 @@ def _refined(
 
 
 def _in_front(camera: Camera, world_from_board: Array, board: Board) -> bool:
-    """Return whether the whole board lies in front of the camera."""
+    """Test whether the whole board lies in front of the camera."""
     return bool((transform(camera.camera_from_world @ world_from_board, board.points)[:, 2] > 0.01).all())
 
 
 def _filmed(seen: Mapping[int, BoardDetection]) -> dict[int, BoardDetection]:
-    """Without the pictures taken for the lens, which have no common time."""
+    """Remove the pictures taken for the lens, which have no common time."""
     return {f: s for f, s in seen.items() if f >= 0}
 
 
 def _by_view(obs: Observations, residuals: Array, c: int, f: int) -> tuple[Array, IntArray]:
-    """Return (C, F) rms px per coordinate, NaN where a camera saw no board, and number of corners."""
+    """Compute rms errors per coordinate (C, F), px, NaN where a camera saw no board, and the numbers of corners."""
     at = obs.camera * f + obs.frame
     count = np.bincount(at, minlength=c * f).reshape(c, f).astype(np.int64)
     total = np.bincount(at, (residuals**2).sum(1), c * f).reshape(c, f)

@@ -1,16 +1,15 @@
-"""Time offsets between cameras from the motion of the person: key points, or silhouettes alone.
+"""Time offsets between cameras from the motion of a person, seen as key points or silhouettes.
 
-Two cameras that see the same person at the same instant agree in what their epipolar geometry shares. For key points
-that is the epipolar constraint of every point; for silhouettes it is the planes through the baseline: the pencil of
-these planes is common to both views, so the two planes that just touch the person are the same (frontier points), and
-where along the pencil the silhouette changes is the same. Each pair of views gives a curve of disagreement over the
-offset; the offsets of all views are those that fit all curves together. What disagrees for long (a biased
-calibration, a detector that sets a joint too high) is removed first, so that timing can be judged before the
-calibration is.
+At the same instant, two views of the same person agree in their epipolar geometry. For key points this is the epipolar
+constraint of every point. For silhouettes it is the pencil of planes through the baseline, which both views have in
+common: the two planes tangent to the person are the same (frontier points), and the silhouette changes at the same
+place along the pencil. Each pair of views gives a curve of disagreement over the offset, and the offsets of all views
+are those that fit all curves together. Lasting disagreement (a biased calibration, a detector that places a joint too
+high) is removed first, so that timing can be checked before the calibration.
 
-Sources: epipolar residuals over time lags as in Elhayek et al. 2012 and Wolf & Zomet 2002; frontier points for timing
-from Sinha & Pollefeys 2010, "Camera network calibration and synchronization from silhouettes", section 5. The activity
-along the pencil is an addition: arms that move in front of the trunk touch no frontier plane.
+Sources: epipolar residuals over time lags as in Elhayek et al. 2012 and Wolf and Zomet 2002; frontier points for timing
+    from Sinha and Pollefeys 2010, "Camera network calibration and synchronization from silhouettes", section 5. The
+    activity along the pencil is an addition, because arms that move in front of the trunk touch no frontier plane.
 """
 
 from __future__ import annotations
@@ -36,23 +35,24 @@ if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
 
 BINS = 8
-"""pieces of the pencil of planes in which activity is counted"""
+"""Number of parts of the pencil of planes in which activity is counted."""
 _SPAN = 2  # frames to either side between which a change is looked for
 _STEP = 0.25  # of the offsets at which the curves are sampled, frames
 _TOGETHER = 2.0  # sd of a detection within which points share their error
 _LASTING = 16.0
-"""frames, sd: what lasts longer is an error, of a point or of the calibration, and has no information on time. With 14
-a person who stands and waves makes a camera late, with 20 a balancing one."""
+"""Standard deviation of the running mean, frames. Anything that lasts longer is an error of a point or of the
+calibration, without information on time. With 14, a person who stands and waves makes a camera late; with 20, a
+balancing person does."""
 _SMOOTH_POINTS, _SMOOTH_MASKS = 2.0, 1.0  # frames: so that interpolation smooths no more than the frames are already
 
 
 @dataclass(frozen=True)
 class Curves:
-    """Disagreement of pairs of views over the offset.
+    """Disagreement of pairs of views as a function of the offset.
 
-    pairs (P, 2).
-    lags (L,) frames: view b is later than view a by that much.
-    cost (P, L), half a log likelihood ratio, NaN where a pair has nothing in common.
+    pairs: P pairs of view indices.
+    lags: (L,) delay of the second view of a pair against the first, frames.
+    cost: (P, L) half a log likelihood ratio; NaN where a pair has no motion in common.
     """
 
     pairs: tuple[tuple[int, int], ...]
@@ -60,7 +60,7 @@ class Curves:
     cost: Array
 
     def __add__(self, other: Curves) -> Curves:
-        """Return both together; a pair that one does not know is taken from the other."""
+        """Add the costs of both; a pair that only one of them has keeps its cost."""
         both = np.stack([self.cost, other.cost])
         none = np.isnan(both).all(0)
         return Curves(self.pairs, self.lags, np.where(none, np.nan, np.nansum(both, axis=0)))
@@ -68,11 +68,11 @@ class Curves:
 
 @dataclass(frozen=True)
 class Offsets:
-    """Offsets.
+    """Time offsets of all views.
 
-    frames (C,): how many frames each view is late, against the median view.
-    sd (C,) frames, inf for a view without motion in common with the others.
-    gain: by how much the disagreement falls against no offset, in units of half a log likelihood.
+    frames: (C,) delay of each view against the median view.
+    sd: (C,) standard deviation, frames; infinite for a view without motion in common with the others.
+    gain: decrease of the disagreement compared with no offset, in half log likelihoods.
     """
 
     frames: Array
@@ -81,7 +81,7 @@ class Offsets:
 
 
 def fundamental(rig: CameraRig, a: int, b: int) -> Array:
-    """Return (3, 3) F with x_b^T F x_a = 0 for pinhole cameras a and b."""
+    """Compute the fundamental matrix F (3, 3) of the pinhole cameras a and b, with x_b^T F x_a = 0."""
     ca, cb = rig[a], rig[b]
     motion = cb.camera_from_world @ np.linalg.inv(ca.camera_from_world)
     e = skew(motion[:3, 3]) @ motion[:3, :3]
@@ -97,12 +97,13 @@ def keypoint_curves(
     *,
     step: float = _STEP,
 ) -> Curves:
-    """Curves from key points.
+    """Compute the curves of disagreement from key points.
 
-    pixels (C, T, K, 2) undistorted px of the rig, confidence (C, T, K).
-    largest: offset in frames.
-    scale_px: sd of a detection.
-    step: of the offsets, frames.
+    pixels: (C, T, K, 2) undistorted px of the rig.
+    confidence: (C, T, K).
+    largest: largest offset, frames.
+    scale_px: standard deviation of a detection, px.
+    step: step of the offsets, frames.
     """
     n, frames = pixels.shape[:2]
     lags = _lags(largest, frames, step)
@@ -138,8 +139,10 @@ def keypoint_curves(
 
 
 def _independent(pixels: Array, scale_px: float) -> Array:
-    """Return (K,) as how many points each of pixels (C, T, K, 2) counts: of points that lie together in every view, as
-    those of a face or a hand, a detector places all with the same error, scale_px."""
+    """Compute the effective weight (K,) of each point.
+
+    Why: points that are close together in every view, as in a face or hand, have the same error.
+    """
     apart = np.zeros((pixels.shape[2], pixels.shape[2]))
     for view in pixels:
         between = [np.median(np.linalg.norm(view - view[:, [k]], axis=-1), axis=0) for k in range(len(apart))]
@@ -149,12 +152,12 @@ def _independent(pixels: Array, scale_px: float) -> Array:
 
 @dataclass(frozen=True)
 class MaskTrack:
-    """What timing needs of one view's masks.
+    """Features of one view's masks over T frames, for timing.
 
-    outline (T) of convex hulls (n, 2) px or None.
-    changed (T) of (m, 2) px where frame t + 2 differs from t - 2, or None.
-    area (T,).
-    cut (T,): the mask touches the image border.
+    outline: T convex hulls (n, 2), px, or None.
+    changed: T sets of pixels (m, 2) that differ between frames t - 2 and t + 2, or None.
+    area: (T,) px.
+    cut: (T,) whether the mask touches the image border.
     """
 
     outline: tuple[Array | None, ...]
@@ -163,7 +166,7 @@ class MaskTrack:
     cut: NDArray[np.bool_]
 
     def at(self, frames: NDArray[np.int64]) -> MaskTrack:
-        """Return the track as it is when these frames are shown; outside of it there is no mask."""
+        """Select the frames (n,) of the track; frames outside of it have no mask."""
         n = len(self.area)
         inside, near = (frames >= 0) & (frames < n), np.clip(frames, 0, n - 1)
         shown = list(zip(near.tolist(), inside.tolist(), strict=True))
@@ -176,12 +179,15 @@ class MaskTrack:
 
     @property
     def size(self) -> float:
-        """Return median over the frames of the person's longer side, px; 0 where there is no mask."""
+        """Median over the frames of the person's longer side, px; 0 without masks."""
         return float(np.median([np.ptp(h, axis=0).max() for h in self.outline if h is not None] or [0.0]))
 
 
 def mask_tracks(silhouettes: Sequence[Silhouettes | None]) -> list[MaskTrack]:
-    """Return the tracks of all views from the masks of consecutive frames."""
+    """Compute the mask tracks of all views from the silhouettes of consecutive frames.
+
+    Raises: EvidenceError where there are no silhouettes.
+    """
     known = next((s for s in silhouettes if s is not None), None)
     if known is None:
         raise EvidenceError("There are no silhouettes to take the timing from.")
@@ -219,7 +225,7 @@ def mask_tracks(silhouettes: Sequence[Silhouettes | None]) -> list[MaskTrack]:
 
 
 def _majority(masks: Sequence[NDArray[np.uint8] | None], t: int) -> NDArray[np.uint8] | None:
-    """What most of three neighbouring frames say: edges flicker from frame to frame."""
+    """Compute the majority of three neighbouring masks, because edges flicker from frame to frame."""
     near = [masks[k] for k in (t - 1, t, t + 1) if 0 <= k < len(masks)]
     if masks[t] is None or len(near) < 3 or any(m is None for m in near):
         return masks[t]
@@ -228,8 +234,11 @@ def _majority(masks: Sequence[NDArray[np.uint8] | None], t: int) -> NDArray[np.u
 
 
 def tangent_planes(rig: CameraRig, tracks: Sequence[MaskTrack], a: int, b: int) -> tuple[Array, Array]:
-    """Angles about the baseline of the two planes that touch the person, in view a and view b: (2, T, 2) rad, and what
-    one radian is in pixels (2, T, 2); NaN where a view has no mask, is cut by the image border, or holds the epipole.
+    """Compute the two planes through the baseline of views a and b that are tangent to the person, in each view.
+
+    tracks: mask track of each view.
+    Returns: angles about the baseline (2, T, 2), rad, and pixels per radian (2, T, 2), for view a and view b; NaN where
+        a view has no mask, is cut by the image border, or contains the epipole.
     """
     out, size = np.full((2, len(tracks[a].area), 2), np.nan), np.full((2, len(tracks[a].area), 2), np.nan)
     frame = _pencil(rig, a, b)
@@ -245,7 +254,13 @@ def tangent_planes(rig: CameraRig, tracks: Sequence[MaskTrack], a: int, b: int) 
 
 
 def silhouette_curves(rig: CameraRig, tracks: Sequence[MaskTrack], largest: float, scale_px: float) -> Curves:
-    """Curves from the silhouettes' frontier planes and from where along the pencil they change."""
+    """Compute the curves of disagreement from silhouettes: their frontier planes, and where along the pencil they
+    change.
+
+    tracks: mask track of each view.
+    largest: largest offset, frames.
+    scale_px: standard deviation of a tangent, px.
+    """
     frames = len(tracks[0].area)
     lags = _lags(largest, frames)
     margin = int(np.ceil(lags[-1])) + 1
@@ -280,10 +295,13 @@ def silhouette_curves(rig: CameraRig, tracks: Sequence[MaskTrack], largest: floa
 
 
 def solve_offsets(curves: Curves, n_views: int) -> Offsets:
-    """Return the offsets of all views that fit the curves of all pairs best.
+    """Find the offsets of all views that fit the curves of all pairs best.
 
-    Coordinate descent on whole frames from several starts, then a continuous search. An EvidenceError when no pair of
-    views has motion in common.
+    The method is coordinate descent on whole frames from several starts, then a continuous search.
+
+    curves: disagreement of pairs of views over the offset.
+    n_views: number of views.
+    Raises: EvidenceError where no pair of views has motion in common.
     """
     from scipy.optimize import minimize  # takes long to import
 
@@ -339,9 +357,13 @@ def solve_offsets(curves: Curves, n_views: int) -> Offsets:
 
 
 def solve_widely(curves_of: Callable[[float], Curves], n_views: int, largest: float) -> tuple[Offsets, float]:
-    """`solve_offsets` of curves_of(largest), with twice the largest offset (frames) again while two views are found as
-    far apart as was looked for; and how far was looked in the end: views that are as far apart even then may be farther
-    (`at_the_end`)."""
+    """Find the offsets as `solve_offsets` does, with a range that is doubled while two views lie at its ends.
+
+    curves_of: function of the largest offset (frames) that gives the curves.
+    largest: largest offset at the start, frames.
+    Returns: the offsets, and the largest offset that was searched, frames; views at its ends may be farther apart
+        (`at_the_end`).
+    """
     found, reach = None, 0.0
     while True:
         try:
@@ -360,18 +382,28 @@ def solve_widely(curves_of: Callable[[float], Curves], n_views: int, largest: fl
 
 
 def at_the_end(found: Offsets, reach: float) -> bool:
-    """Are two views as far apart as was looked for, reach frames?"""
+    """Test whether two views are as far apart as the searched range, so that their true offset may be larger.
+
+    found: offsets of all views; views without a finite standard deviation do not count.
+    reach: largest offset that was searched, frames.
+    """
     sure = found.frames[np.isfinite(found.sd)]
     return len(sure) > 1 and float(np.ptp(sure)) > reach - 0.5
 
 
 def farther(found: Offsets, frames: Array, reach: float) -> NDArray[np.bool_]:
-    """Return (C,) views late by frames (C,) that may be later still, when reach frames were looked for."""
+    """Mark the late views whose true delay may be larger, because the offsets are at the end of the searched range.
+
+    found: offsets of all views.
+    frames: (C,) delay of each view, frames.
+    reach: largest offset that was searched, frames.
+    Returns: (C,) True where the delay may be larger.
+    """
     return np.asarray(at_the_end(found, reach) & (np.abs(frames) > 0.5 * reach))
 
 
 def _starts(splines: dict[tuple[int, int], CubicSpline], lags: Array, n: int) -> list[Array]:
-    """Return start offsets: all zero, and for every view as reference the best offsets of its pairs."""
+    """List start offsets: all zero, and for every view as reference the best offsets of its pairs."""
     out = [np.zeros(n)]
     for reference in range(n):
         x = np.zeros(n)
@@ -384,7 +416,7 @@ def _starts(splines: dict[tuple[int, int], CubicSpline], lags: Array, n: int) ->
 
 
 def _running_mean(e: Array, known: NDArray[np.bool_], scale: float) -> Array:
-    """Return (T, K) robust mean over time of e (T, K) around each frame, where known."""
+    """Compute a robust mean (T, K) of e (T, K) over time around each frame, where known."""
     w, middle = known.astype(np.float64), np.zeros(e.shape)
     for _ in range(3):
         weight = gaussian_filter1d(w, _LASTING, axis=0, mode="constant")
@@ -394,7 +426,7 @@ def _running_mean(e: Array, known: NDArray[np.bool_], scale: float) -> Array:
 
 
 def offsets_within(largest: float, frames: int) -> float:
-    """Return the largest offset that can be looked for in so many frames, when `largest` is wanted."""
+    """Limit the largest offset, frames, to what a clip of this many frames allows: (frames - 12) / 3."""
     return min(float(largest), (frames - 12) / 3)
 
 
@@ -409,7 +441,7 @@ def _lags(largest: float, frames: int, step: float = _STEP) -> Array:
 
 
 def _smoothed(values: Array, seen: NDArray[np.bool_], sd: float) -> Array:
-    """Return (T, K, d) or (T, d) smoothed over time, gaps bridged by interpolation; never seen: 0."""
+    """Smooth values (T, K, d) or (T, d) over time; gaps are interpolated, and points that are never seen are 0."""
     t = np.arange(len(values))
     flat = np.array(values, dtype=np.float64).reshape(len(values), -1)
     known = np.broadcast_to(np.asarray(seen).reshape(len(values), -1, 1), (*_two(values), values.shape[-1]))
@@ -437,8 +469,11 @@ def _homogeneous(x: Array) -> Array:
 
 
 def _pencil(rig: CameraRig, a: int, b: int) -> Array:
-    """Return (3, 3) rows: the baseline's direction and two perpendicular ones, world; planes are identified by their
-    angle about the first, counted from the middle of where both cameras look."""
+    """Compute the frame (3, 3) of the pencil of planes: rows are the baseline's direction and two perpendicular ones,
+    world.
+
+    Planes are identified by their angle about the first row, from the middle of the cameras' viewing directions.
+    """
     base = rig[b].position - rig[a].position
     e0 = base / max(float(np.linalg.norm(base)), 1e-12)
     look = rig[a].camera_from_world[2, :3] + rig[b].camera_from_world[2, :3]
@@ -451,7 +486,8 @@ def _pencil(rig: CameraRig, a: int, b: int) -> Array:
 
 
 def _angles(rig: CameraRig, c: int, pixels: Array, pencil: Array) -> tuple[Array, Array]:
-    """Angle (n,) of the plane through the baseline and each pixel (n, 2), and px per radian there (n,)."""
+    """Compute the angle (n,) of the plane through the baseline and each pixel (n, 2), and the pixels per radian there
+    (n,)."""
     camera = rig[c]
     d = _homogeneous(pixels) @ np.linalg.inv(camera.K).T @ camera.camera_from_world[:3, :3]
     length = np.linalg.norm(d, axis=1)
@@ -461,7 +497,8 @@ def _angles(rig: CameraRig, c: int, pixels: Array, pencil: Array) -> tuple[Array
 
 
 def _activity(rig: CameraRig, tracks: Sequence[MaskTrack], a: int, b: int, planes: Array) -> tuple[Array, Array] | None:
-    """Return (T, BINS) per view: share of the mask that changed, by where along the pencil. None without masks."""
+    """Compute the share of the mask that changed, by the place along the pencil: (T, BINS) per view; None without
+    masks."""
     known = planes[np.isfinite(planes).all(-1)]
     if len(known) < 8:
         return None

@@ -1,17 +1,17 @@
-"""Evidence of cameras that are not in step, brought to one clock: resampled in time, no frame dropped or repeated.
+"""Synchronisation of views: estimation of their offsets, and resampling of their evidence to a common clock.
 
-A view that is late by o frames shows in its frame t + o what the reference shows in its frame t. Key points are
-interpolated between frames; masks by their signed distance (a mask half way between two masks), which is right for
-parts that move less than their width between two frames.
+A view that is late by o frames shows in its frame t + o what the reference shows in its frame t. No frame is dropped or
+repeated. Key points are interpolated between frames; masks by their signed distance (a mask half way between two
+masks), which is right for parts that move less than their width between two frames.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from math import gcd
-from typing import Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,19 +36,19 @@ from hypose.geometry import Array, transform
 from hypose.io.videos.video import Sound
 
 WHOLE = 0.05
-"""frames: offsets nearer than this to a whole number are taken as whole, and nothing is interpolated"""
+"""Offsets that differ from a whole number by less than this (frames) are rounded, and nothing is interpolated."""
 
 
 _MASK_SHARE = 0.25  # weight of silhouettes relative to key points, whose errors are the smaller ones
 
 
 class FrameSequence(Protocol):
-    """Frames by number."""
+    """Interface of a sequence of frames."""
 
     def __len__(self) -> int: ...
 
     def frame(self, index: int, /) -> Frame:
-        """Frame number index, 0 <= index < len."""
+        """Get the frame with this index, 0 <= index < len."""
         ...
 
 
@@ -59,14 +59,13 @@ def offsets_from_motion(
     *,
     largest: float = 12.0,
 ) -> Offsets:
-    """Return how late each view is, from consecutive frames of key points, silhouettes or both.
+    """Estimate the delay of each view from consecutive frames of key points, silhouettes or both.
 
-    rig: as calibrated.
-    keypoints: pixels (C, T, K, 2) undistorted px of the calibrated size and confidence (C, T, K).
+    rig: the calibrated cameras.
+    keypoints: undistorted px (C, T, K, 2) of the calibrated size, and confidence (C, T, K).
     silhouettes: T, at any working size.
-    largest: offset in frames that is looked for.
-
-    An EvidenceError when the recording is too short or no person moves.
+    largest: largest offset that is searched, frames.
+    Raises: EvidenceError where the recording is too short or no person moves.
     """
     curves: Curves | None = None
     n = len(rig)
@@ -85,7 +84,11 @@ def offsets_from_motion(
 
 
 def point_sd(pixels: Array, confidence: Array) -> float:
-    """Usual error of a detection, px: 1.6 % of the person's size in the median view."""
+    """Estimate the usual error of a detection: 1.6 % of the person's size in the median view, px.
+
+    pixels: (C, T, K, 2) px.
+    confidence: (C, T, K).
+    """
     sizes = []
     for p, c in zip(pixels, confidence, strict=True):
         seen = c > 0.3
@@ -96,8 +99,13 @@ def point_sd(pixels: Array, confidence: Array) -> float:
 
 
 def points_at(points: Array, late: float) -> Array:
-    """Key points (T, K, 3) of one view at t + late for t = 0..T-1; confidence 0 outside, and where a neighbour that is
-    needed is missing; at most half a frame from a missing one its neighbour serves."""
+    """Interpolate the key points of one view at the times t + late, t = 0..T-1.
+
+    points: (T, K, 3) px, px, confidence.
+    late: frames.
+    Returns: (T, K, 3); confidence is 0 outside the clip and where a needed neighbour is missing. A missing neighbour is
+        replaced by the other one up to half a frame away.
+    """
     n = len(points)
     out = np.zeros_like(points)
     at = np.arange(n) + (round(late) if abs(late - round(late)) < WHOLE else late)
@@ -115,10 +123,11 @@ def points_at(points: Array, late: float) -> Array:
 
 
 def mask_between(before: NDArray[np.uint8], after: NDArray[np.uint8], share: float) -> NDArray[np.uint8]:
-    """Return the mask (h, w) 0/1 at `share` of the way from one mask to the next: zero set of the mixed signed
-    distances.
+    """Interpolate between two masks with the zero set of their mixed signed distances.
 
-    Parts that do not overlap in the two masks would vanish in the middle; they are taken from the nearer one.
+    before, after: (h, w) of 0 and 1.
+    share: position between them, from 0 to 1.
+    Why: the nearer mask is used where the mixed mask is empty, because parts that do not overlap vanish in the middle.
     """
     if share <= WHOLE or not after.any():
         return before
@@ -132,7 +141,11 @@ def mask_between(before: NDArray[np.uint8], after: NDArray[np.uint8], share: flo
 
 
 class Resampled:
-    """Frames of a source on the common clock. late (C,): frames by which each view is late."""
+    """Frames of a source, resampled to the common clock.
+
+    late: (C,) delay of each view, frames.
+    Raises: InputError where an offset is not finite.
+    """
 
     def __init__(self, source: FrameSequence, late: Sequence[float] | Array) -> None:
         self.source = source
@@ -152,49 +165,65 @@ class Resampled:
         return self._kept[index]
 
     def frame(self, index: int, /) -> Frame:
-        """Frame `index` of the common clock; a view that has no frame there (it started later, or ended earlier) is not
-        usable and says so."""
-        here = self._get(index)
-        n = len(self.source)
-        silhouettes, keypoints = here.silhouettes, here.keypoints
-        masks = points = None
-        usable: NDArray[np.bool_] = np.zeros(0, dtype=bool)
-        reasons: list[str] = []
-        if silhouettes is not None:
-            if len(self.late) != len(silhouettes.rig):
-                raise InputError(f"{len(self.late)} offsets are given for {len(silhouettes.rig)} views; give one each.")
-            masks, usable, reasons = silhouettes.masks.copy(), silhouettes.usable.copy(), list(silhouettes.reasons)
-        if keypoints is not None:
-            points = keypoints.points.copy()
-        for c, late in enumerate(self.late):
-            if late == 0:
-                continue
+        """Compute frame `index` of the common clock; a view without images at that time is not usable, with a
+        reason."""
+        here, n, views = self._get(index), len(self.source), list[_Between]()
+        for c, late in enumerate(self.late.tolist()):
             low = int(np.floor(index + late))
             share = index + late - low
             inside = 0 <= low and low + (share > 0) < n
             a = self._get(min(max(low, 0), n - 1))
             b = self._get(min(max(low + 1, 0), n - 1)) if share > 0 else a
-            if masks is not None and a.silhouettes is not None and b.silhouettes is not None:
-                fine = inside and bool(a.silhouettes.usable[c]) and bool(b.silhouettes.usable[c])
-                usable[c] = fine
-                reasons[c] = "" if fine else _why(a.silhouettes, b.silhouettes, c, index, late, inside)
-                masks[c] = mask_between(a.silhouettes.masks[c], b.silhouettes.masks[c], share) if fine else 0
-            if points is not None and a.keypoints is not None and b.keypoints is not None:
-                pair = np.stack([a.keypoints.points[c], b.keypoints.points[c]])
-                points[c] = points_at(pair, share)[0] if inside else 0.0
-        new_masks = (
-            None
-            if silhouettes is None or masks is None
-            else Silhouettes(masks, silhouettes.rig, usable, tuple(reasons))
-        )
-        new_points = None if keypoints is None or points is None else Keypoints(points, keypoints.names, keypoints.rig)
-        return Frame(here.time, here.index, new_masks, new_points, here.detections, here.sensor_joints)
+            views.append(_Between(index, c, late, a, b, share, inside))
+        kept = {name: _IN_STEP[name](piece, views) for name, piece in here.pieces.items() if name in _IN_STEP}
+        return Frame(here.time, here.index, **kept)
 
 
-def _why(a: Silhouettes, b: Silhouettes, c: int, index: int, late: float, inside: bool) -> str:
-    if not inside:
-        return f"{a.rig.names[c]}, frame {index}: the view has no image {late:+.2f} frames from here"
-    return a.reasons[c] or b.reasons[c]
+class _Between(NamedTuple):
+    """Where an instant of the common clock lies in one view: at a share of the way between two frames; inside: the view
+    has both of them."""
+
+    here: int
+    view: int
+    late: float
+    before: Frame
+    after: Frame
+    share: float
+    inside: bool
+
+
+def _masks_in_step(here: Silhouettes, views: Sequence[_Between]) -> Silhouettes:
+    if len(views) != len(here.rig):
+        raise InputError(f"{len(views)} offsets are given for {len(here.rig)} views; give one each.")
+    masks, usable, reasons = here.masks.copy(), here.usable.copy(), list(here.reasons)
+    for v in views:
+        c = v.view
+        for a, b in zip(v.before.of(Silhouettes), v.after.of(Silhouettes), strict=False) if v.late else ():
+            usable[c] = v.inside and bool(a.usable[c]) and bool(b.usable[c])
+            reasons[c] = "" if usable[c] else a.reasons[c] or b.reasons[c]
+            if not v.inside:
+                where = f"{here.rig.names[c]}, frame {v.here}"
+                reasons[c] = f"{where}: the view has no image {v.late:+.2f} frames from here"
+            masks[c] = mask_between(a.masks[c], b.masks[c], v.share) if usable[c] else 0
+    return Silhouettes(masks, here.rig, usable, tuple(reasons))
+
+
+def _points_in_step(here: Keypoints, views: Sequence[_Between]) -> Keypoints:
+    points = here.points.copy()
+    for v in views:
+        c = v.view
+        for a, b in zip(v.before.of(Keypoints), v.after.of(Keypoints), strict=False) if v.late else ():
+            points[c] = points_at(np.stack([a.points[c], b.points[c]]), v.share)[0] if v.inside else 0.0
+    return replace(here, points=points)
+
+
+_IN_STEP: dict[str, Callable[[Any, Sequence[_Between]], Any]] = {
+    "silhouettes": _masks_in_step,
+    "keypoints": _points_in_step,
+    "detections": lambda here, _: here,
+    "sensor_joints": lambda here, _: here,
+}
+"""What becomes of each piece of a frame on the common clock; the others, which are of one instant, are left out."""
 
 
 # ---- sync events ---------------------------------------------------------------------------------------------------
@@ -206,13 +235,20 @@ def _why(a: Silhouettes, b: Silhouettes, c: int, index: int, late: float, inside
 # taken, which is no better than the exposure is long.
 
 
-_RATE = 8000  # Hz: what sounds are compared at
-_LEAST_PEAK = 6.0  # a peak of the correlation in its own sd, below which there is no common sound
+_RATE = 8000  # Hz: sampling rate at which sounds are compared
+_LEAST_PEAK = 6.0  # least peak of the correlation, in its standard deviations, for a common sound
 
 
 def offsets_from_sound(sounds: Sequence[Sound], names: Sequence[str], largest_s: float = 10.0) -> tuple[Array, Array]:
-    """Return (C,) seconds by which each view is late, against the median view, and (C,) strength of the evidence (peak
-    of the correlation with the others in sd). An EvidenceError names the views that share no sound with the others."""
+    """Estimate the delay of each view from the sound, by cross-correlation.
+
+    sounds: sound of each view.
+    names: names of the views.
+    largest_s: largest offset, s.
+    Returns: (C,) delay against the median view, s; (C,) peak of the correlation with the others, in standard
+        deviations.
+    Raises: EvidenceError where a view has no sound in common with the others.
+    """
     prepared = [_prepared(s, n) for s, n in zip(sounds, names, strict=True)]
     c = len(prepared)
     rows, values, weights = [], [], []
@@ -236,7 +272,7 @@ def offsets_from_sound(sounds: Sequence[Sound], names: Sequence[str], largest_s:
 
 
 def _consistent(rows: Array, values: Array, weights: Array) -> Array:
-    """Offsets that agree with most pairs (weighted L1, iteratively reweighted)."""
+    """Solve for the offsets that agree with most pairs (weighted L1, iteratively reweighted)."""
     w = np.sqrt(weights)
     x = np.zeros(rows.shape[1])
     for _ in range(20):
@@ -260,11 +296,11 @@ def _prepared(sound: Sound, name: str) -> Array:
 
 
 def _pair(a: Array, b: Array, largest_s: float) -> tuple[float, float]:
-    """Return seconds by which b is late against a, and the height of the peak in sd."""
+    """Estimate the delay of b against a, s, and the height of the correlation's peak in standard deviations."""
     n = 1 << int(np.ceil(np.log2(len(a) + len(b))))
     cross = np.fft.rfft(b, n) * np.conj(np.fft.rfft(a, n))
     size = np.abs(cross)
-    # half whitened: fully whitened, the quiet frequencies' noise would count like the sound
+    # half whitened: with full whitening, noise at quiet frequencies would count as much as the sound
     r = np.fft.irfft(cross / np.maximum(size, 1e-3 * size.max()) ** 0.7, n)
     most = min(int(largest_s * _RATE), n // 2 - 2)
     r = np.r_[r[-most:], r[: most + 1]]
@@ -277,10 +313,12 @@ def _pair(a: Array, b: Array, largest_s: float) -> tuple[float, float]:
 
 
 def offsets_from_light(brightness: Sequence[Array], names: Sequence[str]) -> tuple[Array, tuple[str, ...]]:
-    """Return (C,) frames by which each view is late, against the median view, and what was seen in each ("lamp",
-    "flash").
+    """Estimate the delay of each view from a change of the light.
 
-    brightness: mean of every frame of each view. An EvidenceError names a view without such an event.
+    brightness: mean brightness of every frame of each view.
+    names: names of the views.
+    Returns: (C,) delay against the median view, frames; the kind of change in each view ("lamp", "flash").
+    Raises: EvidenceError where a view has no such change, or the kinds differ.
     """
     found = [light_event(np.asarray(b, dtype=np.float64), n) for b, n in zip(brightness, names, strict=True)]
     kinds = tuple(k for _, k in found)
@@ -292,7 +330,13 @@ def offsets_from_light(brightness: Sequence[Array], names: Sequence[str]) -> tup
 
 
 def light_event(brightness: Array, name: str) -> tuple[float, str]:
-    """When (frames, fractional) the light changed most in one view, and how: "lamp" (it stayed) or "flash"."""
+    """Find the largest change of the light in one view.
+
+    brightness: (T,) mean brightness of every frame.
+    name: name of the view.
+    Returns: its time, frames, fractional; "lamp" where the light stayed changed, "flash" where not.
+    Raises: EvidenceError where there is no clear change.
+    """
     b = np.asarray(brightness, dtype=np.float64)
     if len(b) < 12 or not np.isfinite(b).all():
         raise EvidenceError(f"{name}: at least 12 frames are needed to look for a flash; use --by motion.")
@@ -331,8 +375,15 @@ _BETTER = 0.1  # by how much it must exceed that without lag
 def estimate_lags(
     cameras: Sequence[Camera], sightings: Sequence[Mapping[int, BoardDetection]], board: Board, longest: int = 150
 ) -> dict[int, int]:
-    """Return frames by which cameras (by index) are late against the camera that saw most boards; only those that are
-    clearly not synchronous with it. Frame i + lag of such a camera shows what frame i of that one shows."""
+    """Estimate which videos of a moving board are not synchronous, from the board's speed.
+
+    The reference is the camera that saw most boards. Frame i + lag of a late camera shows the same instant as frame i
+    of the reference.
+
+    sightings: detected boards per camera, by frame.
+    longest: largest lag, frames.
+    Returns: lag by camera index, frames, only for cameras that are clearly not synchronous.
+    """
     speeds = [_speed(c, s, board) for c, s in zip(cameras, sightings, strict=True)]
     base = int(np.argmax([len(s[0]) for s in speeds]))
     out = {}
@@ -352,7 +403,8 @@ def estimate_lags(
 
 
 def _speed(camera: Camera, sightings: Mapping[int, BoardDetection], board: Board) -> tuple[Array, Array]:
-    """Moments (n,) in frames and the board's middle's speed (n,) there, m per frame, from neighbouring looks."""
+    """Compute the speed of the board's middle between neighbouring detections: times (n,), frames, and m per frame
+    (n,)."""
     frames = sorted(sightings)
     if len(frames) < 3:
         return np.zeros(0), np.zeros(0)
@@ -366,7 +418,8 @@ def _speed(camera: Camera, sightings: Mapping[int, BoardDetection], board: Board
 
 
 def _correlation(base: tuple[Array, Array], other: tuple[Array, Array], lag: int, reach: float) -> float:
-    """Correlation of the logarithms of the speeds, the other's taken `lag` frames later, where both are known."""
+    """Compute the correlation of the logarithms of two speeds, the second shifted by `lag` frames, where both are
+    known."""
     when, value = base
     t = when + lag
     known = np.interp(t, other[0], other[1], left=np.nan, right=np.nan)

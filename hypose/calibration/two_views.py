@@ -1,9 +1,10 @@
-"""Cameras and offsets from scratch: epipolar geometry of pairs of views that see one moving person.
+"""Cameras and offsets without a start value: epipolar geometry of pairs of views that see one moving person.
 
-Nothing is known but the pictures' key points and, perhaps, the lenses. The offset of a pair is the one at which its key
-points fit an epipolar geometry best; the rig starts with the pair of the best essential matrix, and the other cameras
-are joined one by one to the points that are triangulated already (perspective n points).
-Source: Hartley & Zisserman 2004, chapters 9 to 12; MAGSAC++ by Barath et al. 2020; SQPnP by Terzakis & Lourakis 2020.
+Only the key points and, perhaps, the lenses are known. The offset of a pair is the one at which its key points fit an
+epipolar geometry best. The rig starts with the pair of the best essential matrix; the other cameras are added one by
+one with the points that are triangulated already (perspective n points).
+Source: Hartley and Zisserman 2004, chapters 9 to 12; MAGSAC++ by Barath et al. 2020; SQPnP by Terzakis and Lourakis
+    2020.
 """
 
 from __future__ import annotations
@@ -26,23 +27,28 @@ SEEN_CONFIDENCE = 0.3  # confidence above which a key point counts
 LOOSE_PX = (2.0, 5.0, 0.7)  # sd (rad, m, share of the focal length) within which a rig from scratch may move
 FOCAL_FACTORS = (0.55, 0.75, 1.0, 1.35, 1.8, 2.4)  # focal lengths that are tried, in pictures' longer sides
 _COARSE = 3  # frames between the offsets that are tried first
-_FEWEST_PAIRS, _MANY = 500, 4000  # correspondences that an epipolar geometry is found from, and judged by
+_FEWEST_PAIRS, _MANY = 500, 4000  # correspondences that estimate an epipolar geometry, and that judge it
 _LEAST_PAIRS = 40
-_POINTS, _TRIES = 1500, 4  # that a start is made from, and pairs of views that it is begun with
+_POINTS, _TRIES = 1500, 4  # points for a start rig, and pairs of views from which it is tried
 
 
 def on_common_clock(points: Array, late: Array, frames: NDArray[np.int64]) -> Array:
-    """Return (C, F, K, 3) of points (C, T, K, 3) at frames of the common clock, when views are late by late (C,)
-    frames."""
+    """Interpolate key points at frames of the common clock.
+
+    points: (C, T, K, 3) px, px, confidence.
+    late: (C,) delay of each view, frames.
+    Returns: (C, F, K, 3).
+    """
     return np.stack([points_at(p, float(x))[frames] for p, x in zip(points, late, strict=True)])
 
 
 def epipolar_curves(points: Array, lenses: Sequence[Array] | None, sd: float, largest: int) -> Curves:
-    """Disagreement of pairs of views with the epipolar geometry that fits them best, over whole offsets up to largest.
+    """Compute the disagreement of pairs of views with their best epipolar geometry, over whole offsets.
 
-    points (C, T, K, 3) undistorted px.
-    lenses: K (3, 3) of each view, None: unknown.
-    sd: of a detection, px.
+    points: (C, T, K, 3) undistorted px, and confidence.
+    lenses: K (3, 3) of each view; None where unknown.
+    sd: standard deviation of a detection, px.
+    largest: largest offset, frames.
     """
     rng = np.random.default_rng(0)
     count, frames, kinds = points.shape[:3]
@@ -74,8 +80,12 @@ def epipolar_curves(points: Array, lenses: Sequence[Array] | None, sd: float, la
 
 
 def rival_offsets(curves: Curves, frames: Array, apart: float = 5.0) -> tuple[float, Array] | None:
-    """Return the best other offsets (C,), of which one pair's is at least `apart` frames away from that of frames (C,),
-    and by which share their disagreement is greater; None when there are none."""
+    """Find the best alternative offsets, in which at least one pair differs by more than `apart` frames.
+
+    curves: disagreement of pairs of views over the offset.
+    frames: (C,) the offsets found.
+    Returns: relative increase of the disagreement, and the alternative offsets (C,); None where there are none.
+    """
     usable = [(pair, c) for pair, c in zip(curves.pairs, curves.cost, strict=True) if np.isfinite(c).all()]
 
     def total(x: Array) -> float:
@@ -96,8 +106,13 @@ def rival_offsets(curves: Curves, frames: Array, apart: float = 5.0) -> tuple[fl
 
 
 def start_rig(points: Array, rig: CameraRig, sd: float) -> list[tuple[float, CameraRig]]:
-    """Return the rig, at an arbitrary scale, that explains points (C, F, K, 3) on one clock best, and its mean robust
-    cost of a detection, from the lenses of `rig`, whose poses do not count; nothing when no pair of views leads to one.
+    """Find a start rig of arbitrary scale that explains key points on one clock.
+
+    points: (C, F, K, 3) undistorted px, and confidence.
+    rig: lenses; their poses are ignored.
+    sd: standard deviation of a detection, px.
+    Returns: a list of one pair, the mean robust cost of a detection and the rig; empty where no pair of views gives a
+        start.
     """
     count = len(rig)
     uv = points.reshape(count, -1, 3)
@@ -127,8 +142,7 @@ def start_rig(points: Array, rig: CameraRig, sd: float) -> list[tuple[float, Cam
 def _chained(
     cameras: dict[int, Camera], rig: CameraRig, uv: Array, seen: NDArray[np.bool_], sd: float
 ) -> CameraRig | None:
-    """Return all cameras, joined to a pair of them one by one: the one next that most of the triangulated points agree
-    on."""
+    """Add cameras to a pair one by one, next the one with which most of the triangulated points agree."""
     while len(cameras) < len(rig):
         have = sorted(cameras)
         known = CameraRig(tuple(cameras[c] for c in have))
@@ -153,8 +167,11 @@ def _chained(
 
 
 def _pair(a: Camera, b: Camera, xa: Array, xb: Array, sd: float) -> list[tuple[float, Array]]:
-    """Return how bad a pair is to begin with (its disagreement, rays that are nearly parallel, points behind the
-    cameras), and camera b from camera a (4, 4); nothing without an epipolar geometry."""
+    """Estimate the relative pose of two cameras.
+
+    Returns: a list of one pair: badness as a start (disagreement, nearly parallel rays, points behind the cameras) and
+        b_from_a (4, 4); empty without an epipolar geometry.
+    """
     found = _epipolar(xa, xb, (a.K, b.K), sd, 1000)
     if found is None:
         return []
@@ -172,8 +189,12 @@ def _pair(a: Camera, b: Camera, xa: Array, xb: Array, sd: float) -> list[tuple[f
 def _epipolar(
     xa: Array, xb: Array, lenses: tuple[Array, Array] | None, sd: float, iterations: int
 ) -> tuple[Array, Array, Array, Array] | None:
-    """Fundamental matrix F, x_b^T F x_a = 0, essential matrix, and xa, xb (N, 2) as the lenses (K of both) see them at
-    depth 1; without lenses the pixels, and no essential matrix."""
+    """Estimate the epipolar geometry of corresponding points xa, xb (N, 2), px.
+
+    lenses: K of both; None where unknown.
+    Returns: fundamental matrix F with x_b^T F x_a = 0, essential matrix, and points at depth 1; without lenses the
+        pixels and no essential matrix. None where the estimation fails.
+    """
     if lenses is None:
         f, _ = cv2.findFundamentalMat(xa, xb, cv2.USAC_MAGSAC, 1.5 * sd, 0.999, iterations)
         return None if f is None or f.shape != (3, 3) else (np.asarray(f, np.float64), xa[:0], xa, xb)
@@ -187,7 +208,7 @@ def _epipolar(
 
 
 def _disagreement(fundamental: Array, xa: Array, xb: Array, sd: float) -> float:
-    """Return mean robust Sampson error."""
+    """Compute the mean robust Sampson error of corresponding points xa, xb (N, 2), px."""
     ha, hb = np.c_[xa, np.ones(len(xa))], np.c_[xb, np.ones(len(xb))]
     lines_b, lines_a = ha @ fundamental.T, hb @ fundamental
     size = np.sqrt((lines_b[:, :2] ** 2).sum(1) + (lines_a[:, :2] ** 2).sum(1) + 1e-12)

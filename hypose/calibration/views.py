@@ -1,4 +1,4 @@
-"""Look for the board in the videos or photos of every camera, and say what was seen where it was not found."""
+"""Search for the board in the videos or photos of every camera, and explanation where it was not found."""
 
 from __future__ import annotations
 
@@ -20,20 +20,23 @@ from hypose.io.videos.video import IMAGE_ENDINGS, VIDEO_ENDINGS, evenly_spread, 
 BoardProgress = Callable[[str, int, int], None]
 
 BLURRED_PX = 5.0
-"""Edges wider than this make corners too uncertain to be used."""
+"""Width of edges above which corners are too uncertain to be used, px."""
 _COLOURS = {
     False: "the board is printed white on black: give --inverted",
     True: "the board is printed black on white: leave --inverted out",
 }
-_COARSE = 4  # every 4th frame is looked at first, the others only next to a frame that shows the board
+_COARSE = 4  # every 4th frame is searched first, the others only next to a frame that shows the board
 _STILL = 3.0  # mean difference in grey levels between two pictures of a scene in which nothing moves
 _STILL_FRAMES = 60
 
 
 @dataclass(frozen=True)
 class BoardFootage:
-    """Where a camera's board pictures are: a video, a folder of photos or one photo. lag: frames by which the video
-    is late, so that its frame i + lag belongs to frame i of the others."""
+    """The board pictures of one camera.
+
+    path: a video, a folder of photos or one photo.
+    lag: delay of the video, frames: its frame i + lag belongs to frame i of the others.
+    """
 
     name: str
     path: Path
@@ -42,21 +45,29 @@ class BoardFootage:
 
 @dataclass(frozen=True)
 class Look:
-    """What one picture showed: the board, or why not."""
+    """The result of the search in one picture.
+
+    sighting: the detected board; None without one.
+    reason: why it was not found or not used; empty where it was.
+    focus: mean of the squared Laplacian, for comparison with other pictures of the same camera only.
+    brightness: mean grey level.
+    """
 
     sighting: BoardDetection | None
     reason: str
     focus: float
-    """Mean of the squared Laplacian, compared with other pictures of the same camera only."""
+    """Mean of the squared Laplacian, for comparison with other pictures of the same camera only."""
     brightness: float
 
 
 @dataclass(frozen=True)
 class CameraViews:
-    """What one camera saw.
+    """The results of the search in the pictures of one camera.
 
-    looks: by frame number (of the common time; photos: by order).
-    size (width, height) px.
+    size: width and height, px.
+    n_frames: number of frames.
+    looks: results by frame number (of the common time; of photos, by order).
+    lag: delay of the video, frames.
     still: the pictures do not change, and frame 0 stands for their mean.
     """
 
@@ -70,12 +81,12 @@ class CameraViews:
 
     @property
     def sightings(self) -> dict[int, BoardDetection]:
-        """Return the sharp boards by frame number."""
+        """Sharp detections by frame number."""
         return {f: k.sighting for f, k in self.looks.items() if k.sighting is not None and k.reason == ""}
 
     @property
     def coverage(self) -> float:
-        """Return share of the picture's 6 x 6 fields in which a corner was seen."""
+        """Share of the picture's 6 x 6 fields in which a corner was detected."""
         seen = np.zeros((6, 6), bool)
         for s in self.sightings.values():
             x, y = np.clip(6 * s.pixels / self.size, 0, 5.99).astype(int).T
@@ -83,7 +94,7 @@ class CameraViews:
         return float(seen.mean())
 
     def summary(self) -> str:
-        """Return one sentence on what was found."""
+        """Format the result as one sentence."""
         n = len(self.sightings)
         why: dict[str, int] = {}
         for look in self.looks.values():
@@ -97,10 +108,13 @@ class CameraViews:
 
 
 def find_sources(paths: Sequence[Path], what: str = "board videos") -> list[BoardFootage]:
-    """Return one source per camera: from a folder with one video or photo folder per camera, or from the paths
-    themselves.
+    """Find the board pictures of each camera.
 
-    Cameras are named by their files; where all files are called the same, by their folders.
+    Cameras are named by their files or, where these have equal names, by their folders.
+
+    paths: a folder with one video or photo folder per camera, or the videos and photo folders themselves.
+    what: name of the expected files, for error messages.
+    Raises: InputError where a path cannot be used or names are not unique.
     """
     found: list[Path] = []
     for path in paths:
@@ -118,7 +132,7 @@ def find_sources(paths: Sequence[Path], what: str = "board videos") -> list[Boar
         names = stems
     if len(set(names)) < len(names):
         raise InputError(
-            f"The {what} cannot be told apart by their names ({', '.join(stems)}); name the files by their cameras."
+            f"The {what} cannot be distinguished by their names ({', '.join(stems)}); name the files by their cameras."
         )
     return [BoardFootage(n, p) for n, p in zip(names, found, strict=True)]
 
@@ -149,10 +163,13 @@ def look_for_board(
     together: bool = True,
     progress: BoardProgress = lambda stage, done, total: None,
 ) -> tuple[CameraViews, ...]:
-    """Return the board in all pictures of all cameras; an InputError names a file that cannot be read.
+    """Search for the board in the pictures of all cameras.
 
-    max_frames: pictures looked at per camera, evenly spread.
-    together: the cameras filmed at the same time, so the same frames are looked at in all.
+    sources: board pictures of each camera.
+    max_frames: largest number of pictures per camera, evenly spread.
+    together: the cameras recorded at the same time, so the same frames are searched in all.
+    progress: called with stage, number done and total.
+    Raises: InputError where a file cannot be read.
     """
     count = [0, 1]
 
@@ -210,7 +227,7 @@ def _look(source: BoardFootage, numbers: Sequence[int], board: Board, step: Call
 
 
 def _still_mean(source: BoardFootage, numbers: Sequence[int]) -> Gray | None:
-    """Return mean picture of a clip in which nothing moves (noise is less in it), else None."""
+    """Compute the mean picture of a clip in which nothing moves, which has less noise; None where something moves."""
     if len(numbers) < 3:
         return None
     with open_video(source.path) as reader:
@@ -237,8 +254,7 @@ def _examine(picture: object, detect: Detector) -> Look:
 
 
 def _with_reasons(looks: Mapping[int, Look]) -> dict[int, Look]:
-    """Why the board was not found, as far as a picture tells: dark, overexposed, more blurred than those in which it
-    was found, or no board in it."""
+    """Add why the board was not found: dark, overexposed, more blurred than pictures with a board, or no board."""
     sharp = [k.focus for k in looks.values() if k.sighting is not None and not k.reason]
     usual = float(np.median(sharp)) if sharp else float("nan")
     out = {}
@@ -257,8 +273,14 @@ def _with_reasons(looks: Mapping[int, Look]) -> dict[int, Look]:
 
 
 def diagnose(views: CameraViews, board: Board, pictures: int = 6) -> str:
-    """What may be wrong when a camera saw no board at all: another number of corners, other markers, the colours
-    exchanged, the picture mirrored; '' when nothing else is found either."""
+    """Explain why a camera saw no board at all.
+
+    Tested are another number of corners, other markers, inverted colours and a mirrored picture.
+
+    views: the results of the search in the camera's pictures.
+    pictures: number of pictures that are tested.
+    Returns: the explanation; empty where there is none.
+    """
     with open_video(views.path) as reader:
         chosen = evenly_spread(0, reader.n_frames, pictures)
         grays = [np.asarray(cv2.cvtColor(reader.read(i), cv2.COLOR_BGR2GRAY), dtype=np.uint8) for i in chosen]
@@ -266,7 +288,11 @@ def diagnose(views: CameraViews, board: Board, pictures: int = 6) -> str:
 
 
 def chessboard_seen(grays: Sequence[Gray], about: tuple[int, int] = (9, 6)) -> tuple[int, int] | None:
-    """Corner counts of the chessboard that most pictures show, the larger first; about: what may be expected."""
+    """Count the inner corners of the chessboard in most of the pictures, the larger number first; None without a
+    chessboard.
+
+    about: expected corners along x and y.
+    """
     sizes: dict[tuple[int, int], int] = {}
     flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_LARGER | cv2.CALIB_CB_EXHAUSTIVE
     for gray in grays:
@@ -299,7 +325,7 @@ def _diagnose_chessboard(grays: Sequence[Gray], board: Board) -> str:
 
 
 def _markers(grays: Sequence[Gray], dictionary: str, inverted: bool) -> float:
-    """Most markers seen in one of the pictures."""
+    """Count the markers in the picture that shows most of them."""
     detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary)))
     best = 0
     for gray in grays:
@@ -347,7 +373,12 @@ def _diagnose_markers(grays: Sequence[Gray], board: Board) -> str:
 
 
 def positions(sightings: Mapping[int, BoardDetection], size: tuple[int, int]) -> Array:
-    """Return (F, 4): where each board lies in the picture: centre, size and slant, in units of the picture's width."""
+    """Describe the position of each board in the picture.
+
+    sightings: F detected boards by frame number.
+    size: width and height, px.
+    Returns: (F, 4) centre x and y, size and slant, in units of the picture's width (slant: rad).
+    """
     out = []
     for s in sightings.values():
         spread = s.pixels.std(0) / size[0]
@@ -356,20 +387,22 @@ def positions(sightings: Mapping[int, BoardDetection], size: tuple[int, int]) ->
 
 
 # ---- counted corners -----------------------------------------------------------------------------------------------
-# Which chessboard is it? Its corners, counted in the pictures, so that the user need not count them.
+# Identification of a chessboard: its corners are counted in the pictures, so that the user need not count them.
 
 
 _PICTURES = 8
-"""Pictures of each camera that are looked at."""
+"""Number of pictures per camera that are searched."""
 _ENOUGH = 4
-"""Pictures that must show the same number of corners before no further camera is looked at."""
+"""Number of pictures with the same number of corners after which no further camera is searched."""
 
 
 def count_corners(sources: Sequence[BoardFootage]) -> tuple[int, int]:
-    """Inner corners (columns, rows), the larger number first, of the chessboard in board videos or photos.
+    """Count the inner corners (columns, rows) of the chessboard in board videos or photos, the larger number first.
 
-    A board that is partly hidden or partly found shows fewer corners than it has, so that number counts which most
-    pictures agree on, and of those that as many agree on the larger. A CalibrationError when none is seen twice."""
+    Raises: CalibrationError where no count occurs twice.
+    Why: a partly hidden or partly detected board shows fewer corners than it has, so the count of most pictures is
+        used, and of equally frequent counts the larger.
+    """
     votes: dict[tuple[int, int], int] = {}
     for source in sources:
         for gray in _spread_counted(source):

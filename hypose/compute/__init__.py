@@ -1,5 +1,5 @@
-"""Compute: the only room whose code numba compiles; every hot function takes and returns arrays.
+"""Compute: the only package whose code numba compiles; its functions take and return arrays.
 
-A kernel is a function under `compiled.kernel`; public functions here check and tidy arrays, call kernels and spread
-work over threads. Other rooms import the module that they use.
+A kernel is a function decorated with `compiled.kernel`. Public functions check and convert arrays, call kernels, and
+spread work over threads. Other packages import the module that they use.
 """

@@ -1,6 +1,6 @@
-"""Flat arrays that kernels work on, as NamedTuples that numba takes: joint tree, mesh, masks, evidence of the solver.
+"""Flat arrays that kernels work on, as NamedTuples: joint tree, mesh, masks, evidence of the solver.
 
-Every field is always present, with zero rows when a cue is absent, so that one compiled solver serves all.
+Every field is always present, with zero rows where a cue is absent, so that one compiled solver serves all.
 """
 
 from __future__ import annotations
@@ -14,178 +14,201 @@ FIXED, BALL, HINGES = 0, 1, 2
 
 
 class TreeArrays(NamedTuple):
-    """Joint tree. J joints in parent-before-child order, D degrees of freedom; q[0:3] is the root's position, the
-    root's rotation vector is its ball joint (dof_start 3)."""
+    """Joint tree of J joints in parent-before-child order, with D degrees of freedom.
+
+    parents: (J,) index of the parent, -1 for the root.
+    kind: (J,) FIXED, BALL (three dof, rotation vector in the parent's frame) or HINGES (product of exponentials).
+    dof_start: (J,) first dof of the joint (undefined for FIXED).
+    dof_count: (J,) number of rotational dof.
+    axes: (D, 3) unit rotation axis of each dof in the model frame at rest (direction of translation for the first
+        three).
+    joints: (J, 3) m, rest joint centres in the model frame; the root at the origin.
+    joint_of_dof: (D,) joint that a dof moves (the root for the first six).
+
+    In a pose q (D,), q[0:3] is the root's position; the root's rotation vector is its ball joint (dof_start 3).
+    """
 
     parents: NDArray[np.int64]
-    """(J,) parent index, -1 for the root."""
     kind: NDArray[np.int64]
-    """(J,) FIXED, BALL (three dof, rotation vector in the parent's frame) or HINGES (product of exponentials)."""
     dof_start: NDArray[np.int64]
-    """(J,) first dof of the joint (undefined for FIXED)."""
     dof_count: NDArray[np.int64]
-    """(J,) number of rotational dof."""
     axes: NDArray[np.float64]
-    """(D, 3) unit rotation axis of a dof in the model frame at rest (translation direction for the first three)."""
     joints: NDArray[np.float64]
-    """(J, 3) rest joint centres in the model frame, m; the root at the origin."""
     joint_of_dof: NDArray[np.int64]
-    """(D,) joint that a dof moves (the root for the first six)."""
 
 
 class MeshArrays(NamedTuple):
-    """Closed skinned triangle mesh in the model frame at rest."""
+    """Closed skinned triangle mesh in the model frame at rest.
+
+    vertices: (V, 3) m.
+    faces: (F, 3) counter-clockwise seen from outside.
+    edges: (E, 4) vertices a, b, and the faces left (with a->b) and right (with b->a).
+    skin_index: (V, 4) joints that carry the vertex.
+    skin_weight: (V, 4) weights, descending, sum 1.
+    skin_count: (V,) number of non-zero weights, 1-4.
+    """
 
     vertices: NDArray[np.float32]
-    """(V, 3) m."""
     faces: NDArray[np.int32]
-    """(F, 3) counter-clockwise seen from outside."""
     edges: NDArray[np.int32]
-    """(E, 4): vertices a, b and the faces left (holds a->b) and right (holds b->a)."""
     skin_index: NDArray[np.int32]
-    """(V, 4) joints that carry the vertex."""
     skin_weight: NDArray[np.float32]
-    """(V, 4) weights, descending, sum 1."""
     skin_count: NDArray[np.int32]
-    """(V,) number of non-zero weights, 1-4."""
 
 
 NOT_KNOWN = 1e5
-"""px, in a signed distance: the distance to the mask's edge is unknown there, and rows that fall there are left out"""
+"""px, value in a signed distance where the distance to the mask's edge is unknown; rows there are omitted."""
 
 RIM = 2032
-"""most outline points of the body in one view (their numbers must fit 11 bits)"""
+"""Largest number of outline points of the body in one view (their numbers must fit into 11 bits)."""
 
 
 class PreparedMasks(NamedTuple):
-    """The masks of one frame, ready for `silhouette_xor`."""
+    """Masks of one frame of C views, ready for `silhouette_xor`.
+
+    masks: (C, h, w) 1 = person; smaller views are padded at the right and bottom.
+    areas: (C,) number of foreground pixels.
+    usable: (C,) False: the view is omitted.
+    sizes: (C, 2) width and height of each view inside the padded array.
+    projections: (C, 3, 4) pinhole projections of these masks' pixels.
+    bits: (C, h, ceil(w / 8) + 16) packed masks, lowest bit first, zeros after the last column.
+    norm: (C,) number of pixels of the whole person: the areas, or the expected areas where another person hides a part.
+    hidden: (C, h, B) packed like the bits: ignored pixels, which give no information (the masks are 0 there); (0, 0,
+        0): none.
+    open_masks: (C, h, w) the masks, and 1 at ignored pixels; the masks themselves where there are none.
+    """
 
     masks: NDArray[np.uint8]
-    """(C, h, w) 1 = person; smaller views are padded at the right and bottom."""
     areas: NDArray[np.int64]
-    """(C,) foreground pixels."""
     usable: NDArray[np.bool_]
-    """(C,) False: the view is left out."""
     sizes: NDArray[np.int64]
-    """(C, 2) each view's own width and height inside the padded array."""
     projections: NDArray[np.float64]
-    """(C, 3, 4) pinhole projections of these masks' pixels."""
     bits: NDArray[np.uint8]
-    """(C, h, ceil(w / 8) + 16) the masks packed, lowest bit first, zeros after the last column."""
     norm: NDArray[np.float64]
-    """(C,) pixels that count as the whole person: the areas, or the expected ones where another person hides a part."""
     hidden: NDArray[np.uint8]
-    """(C, h, B) packed like the bits: pixels that say nothing (the masks are 0 there); (0, 0, 0): none."""
     open_masks: NDArray[np.uint8]
-    """(C, h, w) the masks, and 1 where pixels say nothing; the masks themselves when there are none."""
 
 
 class Standing(NamedTuple):
-    """What of a body stands still while a limb is searched, drawn once per frame."""
+    """Parts of a body that stand still while a limb is searched, drawn once per frame.
+
+    bits: (C, h, B) their silhouettes, packed like the masks' bits.
+    counts: (C, 2) number of their pixels, and of those in the mask.
+    """
 
     bits: NDArray[np.uint8]
-    """(C, h, B) its silhouettes, packed like the masks' bits."""
     counts: NDArray[np.int64]
-    """(C, 2) its pixels, and those of them in the mask."""
 
 
 class ContourArrays(NamedTuple):
-    """Two-way contour distances. Forward rows: points of the body's outline against the signed distance of the mask;
-    reverse rows: points of the mask's outline against the nearest outline point of the body."""
+    """Two-way contour distances of C views.
+
+    Forward rows compare points of the body's outline with the signed distance of the mask; reverse rows compare points
+    of the mask's outline with the nearest outline point of the body.
+
+    sdf: (C, h, w) signed distance to the mask's edge around the person, px, negative inside; NOT_KNOWN where it depends
+        on ignored pixels.
+    outline: (C, K, 2) points on the mask's edge, px; below -1e5: omitted.
+    usable: (C,) False: the view is omitted.
+    sizes: (C, 2) width, height.
+    projections: (C, 3, 4).
+    forward_weight: weight of one forward row.
+    reverse_weight: weight of one reverse row.
+    scale: Geman-McClure scale, px.
+    coarse_scale: the same for the first iterations.
+    spacing: px between outline points of the body (candidates for the reverse rows).
+    stride: every stride-th of them makes a forward row.
+    shrunk: (C,) pixels of the lengths above (weights, scales, spacing) per pixel of sdf, outline and projections.
+    corners: (C, 2) pixel of the image at which each view's sdf begins.
+    sdf_sizes: (C, 2) its width and height; outside of it the distance counts as infinite.
+    """
 
     sdf: NDArray[np.float32]
-    """(C, h, w) signed distance to the mask's edge, px, negative inside, around the person; NOT_KNOWN where it
-    depends on pixels that say nothing."""
     outline: NDArray[np.float32]
-    """(C, K, 2) points on the mask's edge, px; beyond -1e5: left out."""
     usable: NDArray[np.bool_]
-    """(C,)"""
     sizes: NDArray[np.int64]
-    """(C, 2) width, height."""
     projections: NDArray[np.float64]
-    """(C, 3, 4)"""
     forward_weight: float
-    """weight of one forward row"""
     reverse_weight: float
-    """weight of one reverse row"""
     scale: float
-    """Geman-McClure scale, px"""
     coarse_scale: float
-    """the same for the first iterations"""
     spacing: float
-    """px between outline points of the body (candidates for the reverse rows)"""
     stride: int
-    """every stride-th of them makes a forward row"""
     shrunk: NDArray[np.float64]
-    """(C,) pixels of the lengths above (weights, scales, spacing) per pixel of sdf, outline and projections"""
     corners: NDArray[np.int64]
-    """(C, 2) pixel of the image at which each view's sdf begins"""
     sdf_sizes: NDArray[np.int64]
-    """(C, 2) its width and height; outside the distance counts as infinite"""
 
 
 class KeypointArrays(NamedTuple):
-    """2D key points; Cauchy cost of the distance in px."""
+    """2D key points; Cauchy cost of the distance in px.
+
+    points: (C, K, 3) u, v, weight (0 = not seen).
+    projections: (C, 3, 4).
+    joint: (K,) joint to which the point belongs.
+    offset: (K, 3) m in the joint's frame.
+    scale: px, 1 sd.
+    """
 
     points: NDArray[np.float64]
-    """(C, K, 3) u, v, weight (0 = not seen)"""
     projections: NDArray[np.float64]
-    """(C, 3, 4)"""
     joint: NDArray[np.int64]
-    """(K,)"""
     offset: NDArray[np.float64]
-    """(K, 3) m in the joint's frame"""
     scale: float
-    """px, 1 sd"""
 
 
 class PointArrays(NamedTuple):
-    """3D points; Cauchy cost of the distance in m."""
+    """3D points; Cauchy cost of the distance in m.
+
+    points_world: (M, 3) m.
+    weight: (M,) 0 = not seen.
+    joint: (M,) joint to which the point belongs.
+    offset: (M, 3) m in the joint's frame.
+    scale: (M,) m, 1 sd.
+    """
 
     points_world: NDArray[np.float64]
-    """(M, 3) m"""
     weight: NDArray[np.float64]
-    """(M,) 0 = not seen"""
     joint: NDArray[np.int64]
-    """(M,)"""
     offset: NDArray[np.float64]
-    """(M, 3) m in the joint's frame"""
     scale: NDArray[np.float64]
-    """(M,) m, 1 sd"""
 
 
 class DepthArrays(NamedTuple):
-    """Depth maps of sensors C: points of the person's surface, and how far each sensor sees. Geman-McClure cost of the
-    distance in m."""
+    """Depth maps of C sensors: points of the person's surface, and how far each sensor sees; Geman-McClure cost of the
+    distance in m.
+
+    points: (M, 3) m, world.
+    normals: (M, 3) unit, outward.
+    weight: (M,) of each point.
+    first: (C + 1,) points first[c] to first[c + 1] are those of sensor c.
+    eyes: (C, 3) m, positions of the sensors in the world.
+    maps: (C, h, w) m along the optical axis; 0: not known.
+    sizes: (C, 2) width, height.
+    projections: (C, 3, 4) of the maps' pixels; the last row has unit length, so that it gives metres.
+    ring_first: (V + 1,) the faces around vertex v are ring[ring_first[v]] to ring[ring_first[v + 1]].
+    ring: (3 F, 3) the other two corners of such a face, in the face's order, and the row of the face at the edge to the
+        first.
+    scale: m, Geman-McClure scale of the points.
+    free_weight: weight of the rows of body in front of the measured surface, all of them together, per point of the
+        sensor.
+    free_scale: m, their scale.
+    slack: m in front of the measured surface that cost nothing.
+    """
 
     points: NDArray[np.float64]
-    """(M, 3) m, world"""
     normals: NDArray[np.float64]
-    """(M, 3) unit, outward"""
     weight: NDArray[np.float64]
-    """(M,)"""
     first: NDArray[np.int64]
-    """(C + 1,): points first[c] to first[c + 1] are those of sensor c"""
     eyes: NDArray[np.float64]
-    """(C, 3) m, world: where the sensors are"""
     maps: NDArray[np.float32]
-    """(C, h, w) m along the optical axis; 0: not known"""
     sizes: NDArray[np.int64]
-    """(C, 2) width, height"""
     projections: NDArray[np.float64]
-    """(C, 3, 4) of the maps' pixels; the last row has unit length, so that it tells metres"""
     ring_first: NDArray[np.int64]
-    """(V + 1,): ring[ring_first[v]] and on, to that of v + 1, are the faces around vertex v"""
     ring: NDArray[np.int32]
-    """(3 F, 3) their other corners, in the face's order, and the row of the face at the edge to the first"""
     scale: float
-    """m, Geman-McClure scale of the points"""
     free_weight: float
-    """weight of the rows of body before what was seen, all of them together, per point of the sensor"""
     free_scale: float
-    """m"""
     slack: float
-    """m before what was seen that cost nothing"""
 
 
 def _no_contours() -> ContourArrays:
@@ -195,13 +218,17 @@ def _no_contours() -> ContourArrays:
 
 
 NO_CONTOURS = _no_contours()
-"""Of a frame without silhouettes; shared by all, for without a row there is nothing that anybody could change."""
+"""Contours of a frame without silhouettes; shared by all, because without rows nothing can be changed."""
 NO_KEYPOINTS = KeypointArrays(np.zeros((0, 0, 3)), np.zeros((0, 3, 4)), np.zeros(0, np.int64), np.zeros((0, 3)), 1.0)
 NO_POINTS = PointArrays(np.zeros((0, 3)), np.zeros(0), np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0))
 
 
 class Cues(NamedTuple):
-    """What a solve of one frame takes of its evidence. depth: None is compiled by itself."""
+    """Evidence of one frame for the solver.
+
+    contours, keypoints, points: arrays with zero rows where the cue is absent.
+    depth: None is compiled separately.
+    """
 
     contours: ContourArrays
     keypoints: KeypointArrays
@@ -210,95 +237,107 @@ class Cues(NamedTuple):
 
 
 class PriorArrays(NamedTuple):
-    """Sum of quadratics 1/2 weight (q - centre)^2 and the limits."""
+    """Sum of P quadratics 1/2 weight (q - centre)^2, and the limits of the pose.
+
+    centre: (P, D).
+    weight: (P, D).
+    lower, upper: (D,) limits.
+    """
 
     centre: NDArray[np.float64]
-    """(P, D)"""
     weight: NDArray[np.float64]
-    """(P, D)"""
     lower: NDArray[np.float64]
-    """(D,)"""
     upper: NDArray[np.float64]
-    """(D,)"""
 
 
 class SolveLimits(NamedTuple):
-    """Settings of one solve."""
+    """Settings of one solve.
+
+    iterations: number of iterations, the coarse ones included.
+    coarse_iterations: number of coarse iterations.
+    tolerance: stop when no dof moves further (rad; for metres half as much).
+    damping: initial Levenberg-Marquardt damping relative to the diagonal.
+    tries: number of attempts at a step, each with more damping, before the solve ends (in the coarse iterations: before
+        the fine ones).
+    """
 
     iterations: int
-    """all, the coarse ones included"""
     coarse_iterations: int
     tolerance: float
-    """stop when no dof moves further (rad; twice the metres)"""
     damping: float
-    """initial Levenberg-Marquardt damping relative to the diagonal"""
     tries: int
-    """of a step, each with more damping, before the solve is given up (the coarse iterations: before the fine ones)"""
 
 
 class Workspace(NamedTuple):
-    """Scratch memory of one thread for one body and one image size; contents mean nothing between calls."""
+    """Scratch memory of one thread for one body and one image size; the contents are undefined between calls.
+
+    vertices, turned, uv, bounds, front, union, start, end: see coverage.py; uv is (V, 2, VIEWS) px.
+    lines: (5, E) the edges start, end in one view: u, v, u, v, and their lengths, px.
+    difference: (h + 1, B) zero between calls.
+    own: flat packed silhouette of the body, B bits per row.
+    rim: (3, R) points of the body's outline in one view: share of the edge, u, v px.
+    rim_edge: (R,) their edges.
+    work: flat, values of LANES points at a time, computed in vector lanes.
+    spot: (LANES,).
+    sorted: (2, R) the same points sorted into bands of rows: u, v px.
+    sorted_number, bands: their numbers, and where each band begins.
+    rotations, centres, twists: joint frames of the pose.
+    wrench_hessian: (J, 21) lower triangle of the 6 x 6 sum of each joint.
+    wrench_gradient: (J, 6).
+    ends: (2, M) vertices of the mesh edges on which outline points were found.
+    found: (5, M) values of these points, see contours.contour_rows.
+    rows: (M, 8) rows of contours and depth that wait to be summed.
+    row_joints: (M,) their joints.
+    lanes: (9, M + 24) the same rows in the order of their joints, one number of a row per line; the last line is
+        scratch.
+    place: (J + 1,) where each joint's rows begin.
+    """
 
     vertices: NDArray[np.float32]
     turned: NDArray[np.float32]
     uv: NDArray[np.float32]
-    """(V, 2, VIEWS) px, and so on: see coverage.py"""
     bounds: NDArray[np.float32]
     front: NDArray[np.uint8]
     union: NDArray[np.int32]
     start: NDArray[np.int32]
     end: NDArray[np.int32]
     lines: NDArray[np.float32]
-    """(5, E) the edges start, end in one view: u, v, u, v, and their lengths px"""
     difference: NDArray[np.int8]
-    """(h + 1, B) zero between calls"""
     own: NDArray[np.uint8]
-    """flat, packed, B bits a row"""
     rim: NDArray[np.float32]
-    """(3, R) points of the body's outline in one view: share of the edge, u, v px"""
     rim_edge: NDArray[np.int32]
     work: NDArray[np.float32]
-    """flat, of LANES points at a time: values computed from them in vector lanes"""
     spot: NDArray[np.int32]
-    """(LANES,)"""
     sorted: NDArray[np.float32]
-    """(2, R) the same points in bands of rows: u, v px"""
     sorted_number: NDArray[np.int32]
     bands: NDArray[np.int64]
     rotations: NDArray[np.float64]
     centres: NDArray[np.float64]
     twists: NDArray[np.float64]
     wrench_hessian: NDArray[np.float64]
-    """(J, 21) lower triangle of the 6 x 6 sum of each joint"""
     wrench_gradient: NDArray[np.float64]
-    """(J, 6)"""
     ends: NDArray[np.int32]
-    """(2, M) vertices of the mesh edges on which outline points were found"""
     found: NDArray[np.float32]
-    """(5, M) what was found there, see contours.contour_rows"""
     rows: NDArray[np.float64]
-    """(M, 8) rows of contours and depth that wait to be summed"""
     row_joints: NDArray[np.int32]
-    """(M,)"""
     lanes: NDArray[np.float64]
-    """(9, M + 24) the same in the order of their joints, a number of a row to a line; the last line is scratch"""
     place: NDArray[np.int64]
-    """(J + 1,)"""
 
 
 _Arrays = TypeVar("_Arrays", bound=NamedTuple)
 
 
 def plain(a: ArrayLike, dtype: type) -> NDArray:
-    """Return the array, contiguous and writable: numba compiles a kernel again for every layout and for read-only
-    arrays."""
-    if type(a) is np.ndarray and a.dtype == dtype and a.flags.carray:  # as nearly always
+    """Return an array as contiguous and writable, because numba compiles a kernel again for every layout and for
+    read-only arrays.
+    """
+    if type(a) is np.ndarray and a.dtype == dtype and a.flags.carray:  # the usual case
         return a
     return np.require(a, dtype, ["C", "W", "A"])
 
 
 def tidy(arrays: _Arrays) -> _Arrays:
-    """Return the same for all arrays of a tuple."""
+    """Make all arrays of a NamedTuple contiguous and writable, as `plain`."""
     for a in arrays:
         if type(a) is np.ndarray and not a.flags.carray:
             break
@@ -315,10 +354,14 @@ def prepare_masks(
     ignored: NDArray[np.uint8] | None = None,
     norm: ArrayLike | None = None,
 ) -> PreparedMasks:
-    """Masks (C, h, w) non-zero = person, usable (C,), sizes (C, 2) width and height, pinhole projections (C, 3, 4).
+    """Prepare masks for the scorer.
 
-    ignored (C, h, w) 0 and 1: pixels that say nothing, neither for nor against a body there.
-    norm (C,) px: what counts as the whole person (default, and where NaN: the masks' areas).
+    masks: (C, h, w) non-zero = person.
+    usable: (C,) False: the view is omitted.
+    sizes: (C, 2) width and height of each view.
+    projections: (C, 3, 4) pinhole projections.
+    ignored: (C, h, w) 1 at pixels that give no information, neither for nor against a body there; None: none.
+    norm: (C,) number of pixels of the whole person; None, and where NaN: the masks' areas.
     """
     m = np.ascontiguousarray(masks)
     if m.dtype != np.uint8:

@@ -1,14 +1,15 @@
-"""How a function becomes a kernel: numba with one set of options, and a cache on disk that may fail without harm.
+"""Compile functions with numba (always with the same options), and cache the result on disk; a failing cache never
+stops a run.
 
-numba's own cache takes its files on trust: a damaged file ends the process, and after an edit of a kernel that another
-file calls the caller goes on running the old one. Here a cache that cannot be written, read or trusted costs time,
-never a run. Files are named by the sources of the kernel and of all it imports, by their loaded bytecode, by numba and
-by the processor, and are read only when their checksum holds.
+Why an own cache: numba's cache trusts its files. A damaged file ends the process, and after an edit of a kernel that
+another file calls, the caller still runs the old one. Here files are named by the sources of the kernel and of all that
+it imports, by the loaded bytecode, the version of numba and the processor, and are read only when their checksum is
+right. A cache that cannot be written or read costs time, never a run.
 
 The folder of the cache (compiled kernels, the list of fonts) is chosen once per process: the folder named by
 HYPOSE_CACHE_DIR; the user's cache (XDG_CACHE_HOME or ~/.cache, on macOS ~/Library/Caches, on Windows %LOCALAPPDATA%); a
-private folder among the temporary ones; none. Compiled code is run as it is read, so a folder that others may write to
-is not taken.
+private folder in the temporary folder; none. Compiled code is executed when it is read, so that a folder in which other
+users may write is not used.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from pickle import loads
 from types import CodeType
 from typing import Any
 
-# Intel's vector mathematics is there on some machines only, and its last digits differ from the C library's
+# Intel's vector mathematics exists on some machines only, and its last digits differ from those of the C library
 os.environ.setdefault("NUMBA_DISABLE_INTEL_SVML", "1")
 
 import llvmlite  # noqa: E402
@@ -49,13 +50,13 @@ _log = logging.getLogger("hypose")
 
 @cache
 def log_cache(text: str) -> None:
-    """Say something about the cache, each sentence once per process; without a handler it goes to stderr."""
+    """Log a message about the cache, each text once per process; without a handler it goes to stderr."""
     _log.warning("%s", text)
 
 
 @cache
 def cache_folder() -> Path | None:
-    """Return the folder of this process, or None where no folder can be used; it may be read-only when it is filled."""
+    """Return the cache folder of this process; None where no folder can be used. A filled folder may be read-only."""
     for folder in _candidates():
         problem = _problem(folder)
         if not problem:
@@ -68,11 +69,13 @@ def cache_folder() -> Path | None:
 
 @cache
 def make_folder(folder: Path) -> None:
-    """Make a folder in the cache, for the users that the cache is for, and remove what has not been used for long from
-    it and from its kind of other versions (kernels, kernels-of-...)."""
+    """Make a folder in the cache for the users of the cache, and remove files that were not used for 60 days.
+
+    Files are removed from this folder and from those of other versions with the same prefix (kernels, kernels-of-...).
+    """
     if not folder.is_dir():
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        with contextlib.suppress(OSError):  # another process has made it in this moment
+        with contextlib.suppress(OSError):  # another process has just made it
             folder.chmod(stat.S_IMODE(folder.parent.stat().st_mode))
     oldest = time.time() - _UNUSED_DAYS * 86400
     for path in folder.parent.glob(f"{folder.name}*/*"):
@@ -82,7 +85,7 @@ def make_folder(folder: Path) -> None:
 
 
 def _named() -> Path | None:
-    """Return the folder that the variable names; a ~ that no shell has read is the home."""
+    """Return the folder that HYPOSE_CACHE_DIR names, with ~ expanded; None where it is not set."""
     name = os.environ.get(VARIABLE)
     return Path(os.path.expanduser(name)) if name else None
 
@@ -97,7 +100,7 @@ def _candidates() -> Iterator[Path]:
         user = os.path.join(home, "Library", "Caches")
     else:
         user = os.environ.get("XDG_CACHE_HOME") or os.path.join(home, ".cache")
-    # a home that is not there (/nonexistent) is not made, even by who may
+    # a home folder that does not exist (/nonexistent) is not created, even with the permission to do so
     if os.path.isabs(user) and (os.path.isdir(home) or not user.startswith(home)):
         yield Path(user) / "hypose"
     try:
@@ -108,7 +111,7 @@ def _candidates() -> Iterator[Path]:
 
 
 def _problem(folder: Path) -> str:
-    """Why a folder cannot be the cache; empty when it can."""
+    """Return why a folder cannot be the cache; empty where it can."""
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         status = folder.stat()
@@ -118,7 +121,7 @@ def _problem(folder: Path) -> str:
                 return "it belongs to another user"
             if status.st_mode & stat.S_IWOTH or (status.st_mode & stat.S_IWGRP and not named):
                 return "other users may write there"
-        if any(folder.iterdir()):  # filled: good for reading, if for nothing else
+        if any(folder.iterdir()):  # filled: it can be read at least
             return ""
         tempfile.TemporaryFile(dir=folder).close()
     except OSError as error:
@@ -129,14 +132,16 @@ def _problem(folder: Path) -> str:
 _IMPORT = re.compile(r"^ *(?:from|import) (hypose\.compute[\w.]*)", re.MULTILINE)
 _ROOM = Path(__file__).parent
 failures: list[OSError] = []
-"""Why kernels that this process has compiled are not in the cache"""
+"""Errors because of which kernels compiled by this process are not in the cache."""
 
 
 def kernel(function: Callable[..., Any] | None = None, *, inline: bool = False) -> Any:
-    """Compile a function with numba when it is first called, or load what an earlier process has compiled.
+    """Decorate a function to be compiled by numba at its first call, or loaded from the cache.
 
-    Without fast-math: sums keep their order, so that one machine finds the same pose, bit by bit, for any number of
-    threads. inline: put its code where it is called (small functions that are called in loops).
+    inline: insert the code at the place of the call (for small functions called in loops).
+
+    Fast-math is off: sums keep their order, so that one machine finds the same pose, bit by bit, for any number of
+    threads.
     """
     if function is None:
         return partial(kernel, inline=inline)
@@ -147,16 +152,16 @@ def kernel(function: Callable[..., Any] | None = None, *, inline: bool = False) 
 
 
 class KernelCache(NullCache):
-    """numba's interface of a cache, for one kernel: one file per signature and processor.
+    """Cache of one kernel in numba's interface: one file per signature and processor.
 
-    Nothing here raises: what cannot be read is compiled, what cannot be written is compiled again the next time.
+    Its methods never raise: what cannot be read is compiled, what cannot be written is compiled again the next time.
     """
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self._function = function
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return the kernel compiled for a signature, or None."""
+        """Load the kernel compiled for a signature; None where it is not in the cache."""
         path = self._path(sig)
         if path is None or not os.path.exists(path):
             return None
@@ -165,17 +170,17 @@ class KernelCache(NullCache):
             if data[:32] != hashlib.sha256(data[32:]).digest():
                 raise ValueError("The checksum is wrong.")
             rtsys.initialize(target_context)
-            # numba keeps kernels in no other form than as pickles; a private folder and the checksum vouch for this one
+            # numba stores kernels only as pickles; the private folder and the checksum make this one trustworthy
             found = CompileResult._rebuild(target_context, *loads(data[32:]))  # noqa: S301
         except Exception:  # of any kind: the kernel is compiled, and its file replaced
             log_cache(f"Damaged files of compiled code in {path.parent} are compiled again.")
             return None
         with contextlib.suppress(OSError):
-            os.utime(path)  # in use: not thrown away
+            os.utime(path)  # in use: not to be removed
         return found
 
     def save_overload(self, sig: Any, cres: Any) -> None:
-        """Keep a compiled kernel, unless it holds values of this process only."""
+        """Save a compiled kernel, unless it holds values of this process only."""
         path = self._path(sig)
         if cres.library.has_dynamic_globals or path is None:
             return
@@ -200,7 +205,12 @@ class KernelCache(NullCache):
 
 
 def cache_file(name: str, kind: str, *key: Any) -> Path | None:
-    """Return a file of the cache, for this processor and these versions."""
+    """Return the path of a file of the cache, for this processor and these versions; None without a cache folder.
+
+    name: start of the file name.
+    kind: ending of the file name.
+    key: values on which the name must depend.
+    """
     folder, processor = cache_folder(), cpu_target.target_context.codegen().magic_tuple()
     text = repr((key, processor, numba.__version__, llvmlite.__version__, sys.implementation.cache_tag))
     digest = hashlib.sha256(text.encode()).hexdigest()[:24]
@@ -208,7 +218,9 @@ def cache_file(name: str, kind: str, *key: Any) -> Path | None:
 
 
 def _bytecode(module: str) -> bytes:
-    """Return what Python has loaded of a module's kernels: after an edit within a second it may run the older code."""
+    """Return the loaded bytecode of a module's kernels: after two edits within one second, Python may run the older
+    code.
+    """
     values = vars(sys.modules[module]).values() if module in sys.modules else ()
     codes = [v.py_func.__code__ for v in values if isinstance(v, Dispatcher)]
     plain = [[c for c in code.co_consts if not isinstance(c, CodeType)] for code in codes]
@@ -217,7 +229,9 @@ def _bytecode(module: str) -> bytes:
 
 @cache
 def _digest_of_sources(module: str) -> str | None:
-    """Of a module of kernels and all modules of this room that it imports, directly or not; None without a source."""
+    """Compute the digest of a kernel module and of all modules of this package that it imports; None
+    without a source.
+    """
     texts: dict[str, bytes] = {}
     left = [module]
     while left:

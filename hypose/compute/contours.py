@@ -1,8 +1,8 @@
-"""Two-way contour distances of a body in one view, as residuals on edges of its mesh; rows.py makes rows of
+"""Compute two-way contour distances of a body in one view, as residuals on edges of its mesh; rows.py makes rows of
 them.
 
-Long work is in loops of its own without branches, which the compiler makes vectors of; chosen values are written
-where the next one goes, and the place moves on when it counts.
+Long computations are in loops of their own without branches, so that the compiler vectorises them: chosen values are
+written to the next place, and the place advances only where the value counts.
 """
 
 from __future__ import annotations
@@ -19,19 +19,22 @@ from hypose.compute.rows import BORDER
 
 f4, i4, u4, u8 = np.float32, np.int32, np.uint32, np.uint64
 _BAND, _BANDS = 8, 64
-"""rows of a band in which a point of the mask's outline is looked for first, and so many of them"""
+"""_BAND: rows of a band in which the nearest point of the mask's outline is searched first. _BANDS: number of bands."""
 _NEXT_BAND = int(0.98 * 64 * _BAND**2)
-"""a squared distance, packed, that no point has which lies a whole band or more above or below"""
+"""Packed squared distance that every point exceeds which lies a whole band or more above or below."""
 _OUT, _OPEN = -2, -1
-"""places of points that are no evidence, and of those that look out of the window"""
+"""Marks of outline points: _OUT: no evidence. _OPEN: the neighbouring pixel lies outside the window."""
 
 
 @kernel
 def _nearest(u, v, number, begin, end, x, y):
-    """The nearest to (x, y) of points u, v (N,) f4 from begin to end: squared distance in 1/64 px^2 and the point's
-    number (i4) are packed into one integer, so that the minimum needs no branch, and the loop vectorises."""
+    """Find the nearest to (x, y) of points u, v (N,) f4 from begin to end.
+
+    Squared distance in 1/64 px^2 and the point's number (i4) are packed into one integer, so that the minimum needs no
+    branch and the loop vectorises.
+    """
     best = i4(2147483647)
-    for i in range(u8(begin), u8(end)):  # of signed indices each would be compared with 0
+    for i in range(u8(begin), u8(end)):  # signed indices would each be compared with 0
         dx, dy = u[i] - x, v[i] - y
         one = i4((i4(min((dx * dx + dy * dy) * f4(64), f4(1e6))) << i4(11)) | number[i])
         best = one if one < best else best
@@ -40,9 +43,12 @@ def _nearest(u, v, number, begin, end, x, y):
 
 @kernel
 def _by_row(n, rim_u, rim_v, low, u, v, number, place):
-    """The first n points of the rim in the order of their bands of _BAND rows, which begin at row `low`, and their
-    numbers: u, v (R,) f4, number (R,) i4, far away beyond the last point; place (B + 1,): where each band begins. The
-    last band holds everything below."""
+    """Sort the first n outline points into bands of _BAND rows, which begin at row `low`; the last band holds
+    everything below.
+
+    u, v, number: (R,) get the points and their numbers; far away beyond the last point.
+    place: (B + 1,) gets where each band begins.
+    """
     bands = place.shape[0] - 1
     place[:] = 0
     for i in range(n):
@@ -63,8 +69,11 @@ def _by_row(n, rim_u, rim_v, low, u, v, number, place):
 
 @kernel
 def nearest(n, u, v, number, place, low, points, found):
-    """found (K,) i4: the numbers of the nearest of n points in the order of `_by_row` to points (K, 2) f4, each looked
-    for in the neighbouring bands first, where that lies nearer than all others can; 0 for points that are left out."""
+    """Find the nearest of n points, sorted by `_by_row`, to each of points (K, 2) f4.
+
+    found: (K,) i4 gets their numbers; 0 for omitted points. The neighbouring bands are searched first, and the others
+        only where these have no point near enough.
+    """
     bands = place.shape[0] - 1
     for m in range(points.shape[0]):
         x, y = points[m, 0], points[m, 1]
@@ -72,7 +81,7 @@ def nearest(n, u, v, number, place, low, points, found):
         if x < f4(-1e5):
             continue
         band = int(np.floor((y - low) * f4(1 / _BAND)))
-        # whole vectors, for a part of one takes as long
+        # whole vectors, because a part of one takes as long
         begin = place[min(max(band - 1, 0), bands)] // 8 * 8
         end = (place[min(max(band + 2, 0), bands)] + 7) // 8 * 8
         best = _nearest(u, v, number, begin, end, x, y)
@@ -83,7 +92,7 @@ def nearest(n, u, v, number, place, low, points, found):
 
 @kernel
 def _lengths(n, lines):
-    """lines (5, E) f4 px: the lengths of n lines into the last row; by itself it vectorises."""
+    """Compute the lengths of n lines (5, E) f4 px into the last row."""
     for e in range(n):
         dx, dy = lines[2, e] - lines[0, e], lines[3, e] - lines[1, e]
         lines[4, e] = math.sqrt(dx * dx + dy * dy)
@@ -91,8 +100,11 @@ def _lengths(n, lines):
 
 @kernel
 def _spread(n, lengths, spacing, edge, along):
-    """Points every `spacing` px along n edges of these lengths, one after the other: edge (R,) i4 and px along it (R,)
-    f4; returns how many."""
+    """Place points every `spacing` px along n edges of these lengths, one edge after the other.
+
+    edge, along: (R,) get the edge (i4) and the px along it (f4).
+    Returns: number of points.
+    """
     found, position = 0, spacing * f4(0.5)
     for e in range(n):
         length = lengths[e]
@@ -108,8 +120,11 @@ def _spread(n, lengths, spacing, edge, along):
 
 @kernel
 def _place_rim(work, spot, w, h, x0, y0, width, height, line):
-    """work (6 x LANES,) f4: px along an edge, its ends u, v, u, v, its length px; become the share of the edge, u, v.
-    spot (LANES,) i4: the bit of the own silhouette, `line` bits a row, in the pixel just outside; else _OUT, _OPEN."""
+    """Compute the positions of LANES outline points, and the pixel just outside the body next to each.
+
+    work: (6 x LANES,) f4: px along an edge, its ends u, v, u, v, its length px; gets the share of the edge, u, v.
+    spot: (LANES,) i4 gets the bit of that pixel in the own silhouette, `line` bits per row; else _OUT or _OPEN.
+    """
     right, bottom = f4(w - 1 - BORDER), f4(h - 1 - BORDER)
     left, top, wide, high, row = i4(x0), i4(y0), i4(width), i4(height), i4(line)
     for k in range(LANES):
@@ -119,7 +134,7 @@ def _place_rim(work, spot, w, h, x0, y0, width, height, line):
         x, y = xa + t * dx, ya + t * dy
         work[k], work[LANES + k], work[2 * LANES + k] = t, x, y
         side, below = x + -dy / length + f4(0.5), y + dx / length + f4(0.5)
-        # as whole numbers only what fits them
+        # only values that fit become whole numbers
         tx = i4(i4(min(max(side, f4(-2)), f4(1e6))) - left)
         ty = i4(i4(min(max(below, f4(-2)), f4(1e6))) - top)
         at = i4(ty * row + tx)
@@ -135,8 +150,13 @@ def _place_rim(work, spot, w, h, x0, y0, width, height, line):
 
 @kernel
 def _rim(n, lines, own, w, h, x0, y0, width, height, line, edge, rim, work, spot):
-    """Of n points on edges: edge (R,), rim (3, R) f4: share of the edge (px along it before), u, v px of those that are
-    to be seen: next to them the own silhouette, of `line` bits a row, ends. Returns how many."""
+    """Keep those of n outline points that are visible: next to them the body's own silhouette ends.
+
+    rim: (3, R) f4, first the px along each edge; gets the share of the edge, u, v px of the visible points.
+    edge: (R,) their edges.
+    own: packed silhouette, `line` bits per row.
+    Returns: number of visible points.
+    """
     seen = 0
     for first in range(0, n, LANES):
         some = min(LANES, n - first)
@@ -159,8 +179,11 @@ def _rim(n, lines, own, w, h, x0, y0, width, height, line, edge, rim, work, spot
 
 @kernel
 def _interpolate(work, i2, weight):
-    """work (6 x LANES,) f4: how far points lie right of and below a pixel, and distances in it and right of, below and
-    right below it; become the gradient along u and v, weight, distance, and loss."""
+    """Interpolate distances bilinearly at LANES points.
+
+    work: (6 x LANES,) f4: fraction of a pixel right of and below a pixel, and the distances in it, right of it, below
+        it, and right below it; gets the gradient along u and v, weight, distance, loss.
+    """
     for k in range(LANES):
         fx, fy, s00, s01 = work[k], work[LANES + k], work[2 * LANES + k], work[3 * LANES + k]
         s10, s11 = work[4 * LANES + k], work[5 * LANES + k]
@@ -173,11 +196,11 @@ def _interpolate(work, i2, weight):
 
 @kernel
 def _forward_rows(n, stride, rim, edge, ws, sdf, corner, size, i2, weight, n_found, count):
-    """Adds to the found rows, as contour_rows does, every stride-th of n points of the rim; returns their cost in
-    forward weights, and how many have been found then.
+    """Append forward rows for every stride-th of n outline points to the found rows, as `contour_rows`.
 
-    corner, size (2,): of sdf in the image.
-    weight: / scale^2.
+    corner, size: (2,) of sdf in the image.
+    weight: divided by scale^2.
+    Returns: cost in forward weights, and number of found rows.
     """
     left, top, across, down, row = corner[0], corner[1], size[0] - 1, size[1] - 1, u4(sdf.shape[1])
     work, spot, ends, found = ws.work, ws.spot, ws.ends, ws.found
@@ -192,7 +215,7 @@ def _forward_rows(n, stride, rim, edge, ws, sdf, corner, size, i2, weight, n_fou
             yi -= top
             inside = (xi >= 0) & (xi < across) & (yi >= 0) & (yi < down)
             spot[k] = yi * row + xi if inside else _OPEN
-        for k in range(some):  # by itself: memory is waited for in many places at once
+        for k in range(some):  # a loop of its own: many memory reads wait in parallel
             at = u4(max(spot[k], i4(0)))
             s00, s01, s10, s11 = flat[at], flat[at + u4(1)], flat[at + row], flat[at + row + u4(1)]
             work[2 * LANES + k], work[3 * LANES + k], work[4 * LANES + k], work[5 * LANES + k] = s00, s01, s10, s11
@@ -215,8 +238,12 @@ def _forward_rows(n, stride, rim, edge, ws, sdf, corner, size, i2, weight, n_fou
 
 @kernel
 def _onto_edges(work, i2, weight):
-    """work (6 x LANES,) f4: points u, v and the ends of an edge u, v, u, v px; become what contour_rows finds of the
-    points on the edges, and their loss; i2: 1 / scale^2, weight: / scale^2."""
+    """Project points onto edges, and compute their distances.
+
+    work: (6 x LANES,) f4: points u, v and the ends of an edge u, v, u, v px; gets the five values of `contour_rows` and
+        the loss.
+    i2, weight: 1 / scale^2, and weight / scale^2.
+    """
     for k in range(LANES):
         x, y, xa, ya = work[k], work[LANES + k], work[2 * LANES + k], work[3 * LANES + k]
         dx, dy = work[4 * LANES + k] - xa, work[5 * LANES + k] - ya
@@ -232,8 +259,11 @@ def _onto_edges(work, i2, weight):
 
 @kernel
 def _reverse_rows(n, low, outline, edge, lines, ws, i2, weight, n_found, count):
-    """Adds to the found rows, as contour_rows does, the mask's outline (K, 2) on the nearest of n points of the rim, in
-    bands from row `low` on; returns its cost in reverse weights, and how many have been found then."""
+    """Append reverse rows for the mask's outline (K, 2) to the found rows, as `contour_rows`.
+
+    n, low: number of the body's outline points, sorted in bands from row `low` on.
+    Returns: cost in reverse weights, and number of found rows.
+    """
     work, spot, ends, found = ws.work, ws.spot, ws.ends, ws.found
     cost, last = 0.0, ends.shape[1] - 1
     u, v = ws.sorted[0], ws.sorted[1]
@@ -261,14 +291,18 @@ def _reverse_rows(n, low, outline, edge, lines, ws, i2, weight, n_found, count):
 
 @kernel
 def contour_rows(c, k, n_union, bounds, mesh, contours, scale, ws, n_found, count):
-    """Found rows of view c, lane k of those in the workspace, from ws.found[:, n_found] on; count[0] forward and
-    count[1] reverse rows are added; returns the view's cost and how many have been found then.
+    """Compute the contour rows of view c, which is lane k of those in the workspace.
 
-    ws.ends (2, M): the vertices of the edge; ws.found (5, M) f4: place on the edge 0..1, gradient of the residual along
-    u and v per px, weight, residual. bounds (5, VIEWS): of the body. Cost of a row: 1/2 w e^2 / (1 + e^2), e = r /
-    scale (Geman & McClure 1985), weight in the normal equations w / (1 + e^2)^2. A view in which the body is not to be
-    seen costs what its outline points cost at infinite distance. Which points are the outline, and which is nearest, is
-    held fixed in the derivatives.
+    n_found: number of rows found before; new ones are appended to ws.ends and ws.found.
+    count: (2,) gets the numbers of forward and reverse rows added.
+    bounds: (5, VIEWS) of the body.
+    ws.ends: (2, M) vertices of the edge of each row.
+    ws.found: (5, M) f4: place on the edge 0..1, gradient of the residual along u and v per px, weight, residual.
+    Returns: cost of the view, and number of found rows.
+
+    Cost of a row: 1/2 w e^2 / (1 + e^2), e = r / scale (Geman & McClure 1985); its weight in the normal equations is w
+    / (1 + e^2)^2. A view in which the body is not visible costs what its outline points cost at infinite distance.
+    Which points are the outline, and which is nearest, is held fixed in the derivatives.
     """
     w, h = contours.sizes[c, 0], contours.sizes[c, 1]
     sdf, outline = contours.sdf[c], contours.outline[c]
@@ -288,7 +322,7 @@ def contour_rows(c, k, n_union, bounds, mesh, contours, scale, ws, n_found, coun
     emit_lines(n, lines, x0, y0, width, height, ws.difference)
     own, stride = ws.own, ws.difference.shape[1]
     for s in range(0, width, STRIP):
-        fill_strip(ws.difference, s, stride, height, own, own, s >> 3, stride >> 3, ws.bands)  # which counts nothing
+        fill_strip(ws.difference, s, stride, height, own, own, s >> 3, stride >> 3, ws.bands)  # the counts are not used
     for x in range(width):
         ws.difference[height, x] = 0
     _lengths(n, lines)

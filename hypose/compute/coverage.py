@@ -1,14 +1,15 @@
-"""Coverage: which pixels triangles cover, by contour winding differences; kernels, each for many silhouettes at once.
+"""Compute which pixels triangles cover, by contour winding differences; kernels for many silhouettes at once.
 
 A pixel is covered when its centre lies in at least one triangle. The number of triangles over the pixels of an image
-column changes only at their sides, so +-1 at the pixel below every crossing of a directed side and a running sum down
-the rows count the layers, without a test per pixel. Sides of two triangles that are drawn in the same sense cancel:
-of a mesh seen from outside only the contour edges, front on exactly one side, are drawn. Sampling is half open (a
-triangle covers column x when ceil(left) <= x < ceil(right), and there the rows ceil(top) <= y < ceil(bottom)), as in
+column changes only at their sides. So +-1 is added at the pixel below every crossing of a directed side, and a running
+sum down the rows counts the layers, without a test per pixel. Sides of two triangles that are drawn in the same sense
+cancel: of a mesh seen from outside only the contour edges (front on exactly one side) are drawn. Sampling is half open
+(a triangle covers column x when ceil(left) <= x < ceil(right), and there the rows ceil(top) <= y < ceil(bottom)), as in
 the tests' definition; float32 against float64 moves 1-2 pixels of a silhouette at most. Differences are int8 and may
 wrap: the sums of up to 127 layers are right.
 
-VIEWS views of one pose (solver, what stands), LANES poses in one view (scorer), or any faces (parts of a body).
+Variants: VIEWS views of one pose (solver, standing parts), LANES poses in one view (scorer), or any faces (parts of a
+    body).
 """
 
 from __future__ import annotations
@@ -42,7 +43,9 @@ NEAR = 0.05
 
 @kernel
 def cross_columns(xa, ya, xb, yb, sign, width, height, difference):
-    """+-sign at the first row on or below the directed segment, for every column it crosses; x, y about the window."""
+    """Add +-sign at the first row on or below a directed segment, for every column that it crosses; x, y relative to
+    the window.
+    """
     s = np.int16(-sign)
     if xa > xb:
         xa, xb, ya, yb = xb, xa, yb, ya
@@ -59,8 +62,10 @@ def cross_columns(xa, ya, xb, yb, sign, width, height, difference):
 
 @kernel
 def emit_clipped_faces(vertices, faces, p, x0, y0, width, height, difference, one_sided):
-    """Draws every face, cut at NEAR, by itself, front or back (where the plane opens the body its inside is seen; not
-    if one_sided): slow, for what reaches the near plane."""
+    """Draw every face separately, clipped at NEAR; slow, for bodies that reach the near plane.
+
+    one_sided: False: faces seen from inside are drawn too, because the near plane opens the body.
+    """
     polygon = np.empty((4, 2), np.float32)
     depth = np.empty(3, np.float32)
     for f in range(faces.shape[0]):
@@ -112,9 +117,15 @@ def emit_clipped_faces(vertices, faces, p, x0, y0, width, height, difference, on
 
 @kernel
 def cover_faces(uv, z, faces, part, one_sided, width, height, difference):
-    """Adds the winding differences of faces (F, 3) of corners at uv (V, 2) px and z (V,) m to difference (P, height +
-    1, B), those of their parts (F,); faces nearer than NEAR, and those with a corner that is not finite, are left out;
-    one_sided: so are those seen from inside."""
+    """Add the winding differences of faces to the difference image of their part.
+
+    uv, z: (V, 2) px and (V,) m of the corners.
+    faces, part: (F, 3), and (F,) part of each.
+    one_sided: omit faces seen from inside.
+    difference: (P, height + 1, B).
+
+    Faces nearer than NEAR, and those with a corner that is not finite, are omitted.
+    """
     for f in range(faces.shape[0]):
         a, b, c = u4(faces[f, 0]), u4(faces[f, 1]), u4(faces[f, 2])
         xa, ya, xb, yb, xc, yc = uv[a, 0], uv[a, 1], uv[b, 0], uv[b, 1], uv[c, 0], uv[c, 1]
@@ -130,13 +141,16 @@ def cover_faces(uv, z, faces, part, one_sided, width, height, difference):
 
 
 VIEWS = 4
-"""views that are looked at together: a register of every processor"""
+"""Number of views that are computed together: one register of every processor."""
 
 
 @kernel
 def _project_views(vertices, p, uv, bounds):
-    """Pixels uv (V, 2, VIEWS) of vertices (V, 3) under projections p (12, VIEWS), all f4; bounds (5, VIEWS) gets
-    x0, x1, y0, y1 and the nearest depth."""
+    """Project vertices (V, 3) with projections p (12, VIEWS), all f4.
+
+    uv: (V, 2, VIEWS) gets the pixels.
+    bounds: (5, VIEWS) gets x0, x1, y0, y1 and the smallest depth.
+    """
     left, right, top = splat(f4(1e9), VIEWS), splat(f4(-1e9), VIEWS), splat(f4(1e9), VIEWS)
     bottom, near = splat(f4(-1e9), VIEWS), splat(f4(1e9), VIEWS)
     for k in range(vertices.shape[0]):
@@ -157,14 +171,17 @@ def _project_views(vertices, p, uv, bounds):
 
 @kernel
 def _row_of_views(p, at, x, y, z):
-    """A row of projections times a point."""
+    """Multiply a row of projections with a point."""
     value = load(p, at, VIEWS) * x + load(p, at + VIEWS, VIEWS) * y + load(p, at + 2 * VIEWS, VIEWS) * z
     return value + load(p, at + 3 * VIEWS, VIEWS)
 
 
 @kernel
 def _front_views(uv, a, b, c):
-    """Bit k of the result: the triangle of vertices a, b, c (rows of uv (V, 2, VIEWS) f4) is clockwise in view k."""
+    """Test whether a triangle is clockwise in each view: bit k of the result is that of view k.
+
+    a, b, c: its vertices, rows of uv (V, 2, VIEWS) f4.
+    """
     i, j, k = a * (2 * VIEWS), b * (2 * VIEWS), c * (2 * VIEWS)
     ua, ub, uc = load(uv, i, VIEWS), load(uv, j, VIEWS), load(uv, k, VIEWS)
     va, vb, vc = load(uv, i + VIEWS, VIEWS), load(uv, j + VIEWS, VIEWS), load(uv, k + VIEWS, VIEWS)
@@ -173,11 +190,13 @@ def _front_views(uv, a, b, c):
 
 @kernel
 def project_views(vertices, projections, first, q, p, turned, uv, bounds):
-    """Pixels uv (V, 2, VIEWS) of vertices (V, 3) f4, about the root of pose q, in the views from `first` on (the last
-    one repeated) of projections (C, 3, 4) f8, which become p (VIEWS, 3, 4) f4.
+    """Project vertices into VIEWS views, from view `first` on (the last view is repeated).
 
-    bounds (5, VIEWS) gets x0, x1, y0, y1 and the nearest depth.
-    turned (12, VIEWS) f4: scratch.
+    vertices: (V, 3) f4, relative to the root of pose q.
+    projections: (C, 3, 4) f8; they are written to p (VIEWS, 3, 4) f4, relative to the root.
+    turned: (12, VIEWS) f4, scratch.
+    uv: (V, 2, VIEWS) gets the pixels.
+    bounds: (5, VIEWS) gets x0, x1, y0, y1 and the smallest depth.
     """
     for k in range(VIEWS):
         camera_about_root(projections[min(first + k, projections.shape[0] - 1)], q, p[k])
@@ -189,14 +208,14 @@ def project_views(vertices, projections, first, q, p, turned, uv, bounds):
 
 @kernel
 def front_views(faces, uv, front):
-    """front (F,) u1: bit k where a face turns its outside to the camera of view k."""
+    """Mark in front (F,) u1, bit k, the faces whose outside faces the camera of view k."""
     for f in range(faces.shape[0]):
         front[f] = _front_views(uv, faces[f, 0], faces[f, 1], faces[f, 2])
 
 
 @kernel
 def contours_of_any(edges, front, union):
-    """union (E,) i4: the edges that are on a contour in some view; returns how many."""
+    """List in union (E,) i4 the edges that are on a contour in any view; return their number."""
     n = 0
     for e in range(edges.shape[0]):
         union[n] = e
@@ -206,8 +225,12 @@ def contours_of_any(edges, front, union):
 
 @kernel
 def contours_of_view(k, n_union, union, edges, front, uv, start, end, lines):
-    """Directed contour edges of view k as in contour_edges, and lines (4, E) f4: where they start and
-    end, u, v, u, v px; returns how many."""
+    """List the directed contour edges of view k, with the front face on their left.
+
+    start, end: (E,) get their vertices.
+    lines: (4, E) f4 gets their ends u, v, u, v px.
+    Returns: number of edges.
+    """
     n, bit = 0, np.uint8(1 << k)
     for i in range(n_union):
         e = u4(union[i])
@@ -224,7 +247,7 @@ def contours_of_view(k, n_union, union, edges, front, uv, start, end, lines):
 
 @kernel
 def emit_lines(n, lines, x0, y0, width, height, difference):
-    """Winding differences of n directed contour edges, as emit_contours makes them."""
+    """Add the winding differences of n directed contour edges; lines (4, E) px as of `contours_of_view`."""
     fx, fy = f4(x0), f4(y0)
     for e in range(n):
         xa, ya, xb, yb = lines[0, e] - fx, lines[1, e] - fy, lines[2, e] - fx, lines[3, e] - fy
@@ -232,15 +255,18 @@ def emit_lines(n, lines, x0, y0, width, height, difference):
 
 
 LANES = 16
-"""Particles per block; one AVX-512 register of float32."""
+"""Number of poses that are computed together: one AVX-512 register of float32."""
 STRIP = 64
-"""Image columns per strip of the counting pass; one AVX-512 register of int8."""
+"""Number of image columns that are summed together: one AVX-512 register of int8."""
 
 
 @kernel
 def project_vertices(points, p, u, v, bounds):
-    """Pixels u, v (V, LANES) of points (V, 3, LANES) under projections p (12, LANES), all f4; bounds (5, LANES) gets
-    x0, x1, y0, y1 and the nearest depth."""
+    """Project points (V, 3, LANES) with projections p (12, LANES), all f4.
+
+    u, v: (V, LANES) get the pixels.
+    bounds: (5, LANES) gets x0, x1, y0, y1 and the smallest depth.
+    """
     left, right, top = splat(f4(1e9), LANES), splat(f4(-1e9), LANES), splat(f4(1e9), LANES)
     bottom, near = splat(f4(-1e9), LANES), splat(f4(1e9), LANES)
     for k in range(points.shape[0]):
@@ -262,14 +288,17 @@ def project_vertices(points, p, u, v, bounds):
 
 @kernel
 def _row_of_lanes(p, at, x, y, z):
-    """A row of projections times points."""
+    """Multiply a row of projections with points."""
     value = times_plus(load(p, at + 2 * LANES, LANES), z, load(p, at + 3 * LANES, LANES))
     return times_plus(load(p, at, LANES), x, times_plus(load(p, at + LANES, LANES), y, value))
 
 
 @kernel
 def front_lanes(u, v, a, b, c):
-    """Bit l of the result: the triangle of vertices a, b, c (rows of u, v (V, LANES)) is clockwise in lane l."""
+    """Test whether a triangle is clockwise in each lane: bit l of the result is that of lane l.
+
+    a, b, c: its vertices, rows of u, v (V, LANES).
+    """
     ua, ub, uc = load(u, a * LANES, LANES), load(u, b * LANES, LANES), load(u, c * LANES, LANES)
     va, vb, vc = load(v, a * LANES, LANES), load(v, b * LANES, LANES), load(v, c * LANES, LANES)
     return bits((ub - ua) * (vc - va) < (uc - ua) * (vb - va))
@@ -277,14 +306,13 @@ def front_lanes(u, v, a, b, c):
 
 @kernel
 def prepare_edge(u, v, a, b, window, edge, columns):
-    """The edge from vertex a to b in every lane: where it starts in the lane's window and how it runs.
+    """Prepare the edge from vertex a to b in every lane: where it starts in the lane's window, and its slope.
 
-    window (5, LANES) f4: origin x, y, first and end column, rows. Writes edge (4, LANES) f4: left end x, y in the
-        window, slope, first column.
-    columns (LANES,) i4: how many it crosses.
-
-    Returns two masks of lanes: bits 0-15 it crosses columns and is not wholly below the window, bits 16-31 it runs
-    right to left.
+    window: (5, LANES) f4: origin x, y, first and end column, rows.
+    edge: (4, LANES) f4 gets the left end x, y in the window, the slope, and the first column.
+    columns: (LANES,) i4 gets the number of columns that it crosses.
+    Returns: two masks of lanes: bits 0-15: it crosses columns and is not wholly below the window; bits 16-31: it runs
+        from right to left.
     """
     left, top, rows = load(window, 0, LANES), load(window, LANES, LANES), load(window, 4 * LANES, LANES)
     xa, xb = load(u, a * LANES, LANES) - left, load(u, b * LANES, LANES) - left
@@ -303,21 +331,28 @@ def prepare_edge(u, v, a, b, window, edge, columns):
 
 @kernel
 def write_crossings(edge, lane, skip, rows, stride, out, place):
-    """LANES pixel indices row * stride + column into out (i4, flat index place): where the prepared edge of a lane
-    crosses its columns, from the skip-th on. Those past its end are rubbish, for the next edge to overwrite."""
+    """Write the pixel indices row * stride + column at which the prepared edge of a lane crosses its columns, from the
+    skip-th on.
+
+    out: i4, gets LANES indices from the flat index `place` on; those past the end of the edge are invalid and are
+        overwritten by the next edge.
+    """
     x0, y0, slope, first = edge[0, lane], edge[1, lane], edge[2, lane], edge[3, lane]
     column = cast(ramp(LANES), f4) + (first + f4(skip))
     y = (column - x0) * slope + y0
-    # the last clamp: rubbish past the image must convert too
+    # the last clamp: invalid numbers past the image must convert too
     row = ceil(at_most(at_least(y, f4(0)), f4(rows)))
     store(out, place, cast(row, i4) * stride + cast(column, i4))
 
 
 @kernel
 def count_strip(difference, start, stride, rows, mask, drawn, mask_start, mask_stride, counts):
-    """Running sums down STRIP columns of difference (i1, flat, from index start), cleared with it: adds to counts (2,)
-    i8 the pixels where the sum is positive and that are not set in drawn, and those of them set in mask (both u1,
-    packed, low bit first, flat index mask_start)."""
+    """Sum STRIP columns of the difference image down the rows, clear them, and count the covered pixels.
+
+    difference: i1, flat, from index start on.
+    mask, drawn: u1, packed, low bit first, from the flat index mask_start on.
+    counts: (2,) i8: the pixels with a positive sum that are not set in drawn are added, and those of them set in mask.
+    """
     zero = splat(i1(0), STRIP)
     total, model, hit = zero, 0, 0
     for k in range(rows):
@@ -333,9 +368,14 @@ def count_strip(difference, start, stride, rows, mask, drawn, mask_start, mask_s
 
 @kernel
 def fill_strip(difference, start, stride, rows, mask, out, place, line, counts):
-    """Running sums down STRIP columns of difference (i1, flat, from index start), cleared with it. In out (u1, packed,
-    low bit first, flat index `place`, `line` bytes a row) the pixels where the sum is positive are set and no others;
-    adds to counts (2,) i8 those pixels, and those of them that were set in mask, packed alike."""
+    """Sum STRIP columns of the difference image down the rows, clear them, and write and count the covered pixels.
+
+    difference: i1, flat, from index start on.
+    out: u1, packed, low bit first, from the flat index `place` on, `line` bytes per row: gets the pixels with a
+        positive sum.
+    mask: packed alike.
+    counts: (2,) i8: those pixels are added, and those of them set in mask.
+    """
     zero = splat(i1(0), STRIP)
     total, model, hit = zero, 0, 0
     for k in range(rows):
@@ -352,15 +392,21 @@ def fill_strip(difference, start, stride, rows, mask, out, place, line, counts):
 
 @kernel
 def row_stride(columns):
-    """Bytes per row of the difference image of a window: whole strips, an odd number so that a column of them does
-    not fall on few sets of the cache."""
+    """Return the bytes per row of the difference image of a window: whole strips, and an odd number of them.
+
+    Why: with an even number a column would fall on few sets of the processor's cache.
+    """
     return STRIP * (((columns + STRIP - 1) // STRIP) | 1)
 
 
 @kernel
 def list_crossings(mesh, u, v, some, window, origin, front, union, edge, columns, lists, ends):
-    """Pixels where the contours cross columns, per lane: lists (2 LANES, capacity) i4, up at 2 lane and down after it,
-    ends (2 LANES,) how many. Returns the lanes whose lists are full (to be drawn otherwise)."""
+    """List the pixels at which the contours cross columns, per lane.
+
+    lists: (2 LANES, capacity) i4: upward crossings of lane l at 2 l, downward ones at 2 l + 1.
+    ends: (2 LANES,) gets their numbers.
+    Returns: mask of the lanes whose lists are full, which must be drawn otherwise.
+    """
     full = u4(0)
     for f in range(mesh.faces.shape[0]):
         front[f] = front_lanes(u, v, mesh.faces[f, 0], mesh.faces[f, 1], mesh.faces[f, 2])
@@ -401,7 +447,7 @@ def list_crossings(mesh, u, v, some, window, origin, front, union, edge, columns
 
 @kernel
 def draw_lists(up, down, difference):
-    """Adds the two lists of pixels into difference (i1, flat)."""
+    """Add the two lists of pixels into a difference image (i1, flat)."""
     for i in range(up.shape[0]):
         difference[u4(up[i])] += i1(1)
     for i in range(down.shape[0]):

@@ -1,4 +1,4 @@
-"""How far posed bodies lie from what depth cameras saw: the difference of depth over the pixels that both show."""
+"""Compare posed bodies with depth maps: the difference of depth over the pixels that show both."""
 
 from __future__ import annotations
 
@@ -25,45 +25,56 @@ from hypose.compute.zbuffer import NEAR, draw_nearest
 
 
 class SeenDepth(NamedTuple):
-    """What sensors C saw of a person, small, so that many bodies can be compared."""
+    """Depth maps of a person from C sensors, small, so that many bodies can be compared with them.
+
+    maps: (C, h, w) m along the optical axis at the person's pixels, 0 elsewhere.
+    sizes: (C, 2) width, height of each.
+    projections: (C, 3, 4) of these pixels, the last row of unit length.
+    counts: (C,) number of pixels of the person.
+    """
 
     maps: NDArray[np.float32]
-    """(C, h, w) m along the optical axis at the person's pixels, 0 elsewhere"""
     sizes: NDArray[np.int64]
-    """(C, 2) width, height of each"""
     projections: NDArray[np.float64]
-    """(C, 3, 4) of these pixels, the last row of unit length"""
     counts: NDArray[np.int64]
-    """(C,) pixels of the person"""
 
 
 class StandingDepth(NamedTuple):
-    """What of a body stands still while a limb is searched, drawn once."""
+    """Parts of a body that stand still while a limb is searched, drawn once.
+
+    pose: (D,).
+    rotations: (J, 3, 3) of all joints at this pose.
+    centres: (J, 3) m, relative to the root's position.
+    joints: indices of the joints that turn, in the tree's order.
+    faces: indices of the faces that move.
+    vertices: indices of their vertices.
+    drawn: (C, h, w) 1/m, 0 = none: inverse depth of the standing faces.
+    cost: (C,) pixels, cost of these.
+    """
 
     pose: NDArray[np.float64]
-    """(D,)"""
     rotations: NDArray[np.float64]
-    """(J, 3, 3) of all joints at this pose"""
     centres: NDArray[np.float64]
-    """(J, 3) m, from the root's position"""
     joints: NDArray[np.int64]
-    """those that turn, in the tree's order"""
     faces: NDArray[np.int64]
-    """those that turn"""
     vertices: NDArray[np.int64]
-    """theirs"""
     drawn: NDArray[np.float32]
-    """(C, h, w) 1/m, 0 = none: the faces that stand"""
     cost: NDArray[np.float64]
-    """(C,) pixels: theirs"""
 
 
 def depth_energy(
     poses: ArrayLike, tree: TreeArrays, mesh: MeshArrays, seen: SeenDepth, most_m: float, threads: int | None = None
 ) -> NDArray[np.float64]:
-    """Return (N, C) of poses (N, D): sum over the pixels that show the person and the drawn body of min(|z - z'|,
-    most_m) / most_m, over the person's pixels; what only one of both shows is the silhouettes' affair. 0 for a view
-    without the person. The same for any number of threads, and for a pose alone or among others."""
+    """Compute how badly the depths of posed bodies fit the depth maps.
+
+    poses: (N, D).
+    seen: depth maps of the person.
+    most_m: largest difference that counts, m.
+    threads: number of threads; None: the default.
+    Returns: (N, C): the sum over pixels that show both the person and the body of min(|z - z'|, most_m) / most_m,
+        divided by the person's pixels. Pixels that show only one of them are left to the silhouettes. 0 for a view
+        without the person. The result is the same for any number of threads, and for a pose alone or among others.
+    """
     q = plain(poses, np.float64)
     out = np.zeros((len(q), len(seen.maps)))
     score, given = _energies, (tidy(tree), tidy(mesh), *_against(seen, most_m))
@@ -75,7 +86,12 @@ def depth_energy(
 def standing_depth(
     pose: ArrayLike, tree: TreeArrays, mesh: MeshArrays, seen: SeenDepth, most_m: float, moving: ArrayLike
 ) -> StandingDepth:
-    """What the joints `moving` (J,) bool, and those below them, do not move of a body at a pose (D,)."""
+    """Draw the parts of a body at a pose (D,) that stand still while a limb moves.
+
+    seen: depth maps of the person.
+    most_m: largest difference of depth that counts, m.
+    moving: (J,) bool, joints that move; they and the joints below them are left out.
+    """
     q = plain(pose, np.float64)
     n = len(tree.parents)
     parts = moving_parts(mesh, tree, plain(moving, np.bool_), None)
@@ -98,8 +114,13 @@ def limb_depth_energy(
     rough: bool = False,
     threads: int | None = None,
 ) -> NDArray[np.float64]:
-    """`depth_energy` of poses that differ in a limb alone from what stands. rough: the limb is not drawn, each of its
-    faces counts at its middle, which takes half the time."""
+    """Compute `depth_energy` of poses that differ only in one limb from the standing parts.
+
+    seen, most_m: as in `depth_energy`.
+    standing: drawn by `standing_depth`.
+    rough: do not draw the limb, but compare each of its faces at its middle, which takes half the time.
+    Returns: (N, C), as of `depth_energy`.
+    """
     q = plain(poses, np.float64)
     out = np.zeros((len(q), len(seen.maps)))
     score, given = _limb_energies, (tidy(tree), tidy(mesh), standing)
@@ -119,10 +140,16 @@ def limb_shown(
     reach_m: float,
     apart_m: float,
 ) -> NDArray[np.float64]:
-    """Return (C, 3) m^2, at the distance of a centre (3,) m, world, of the limb that was left out of what stands, in
-    the pose that this was drawn at: what of it is in sight; what of that lies within apart_m of what the sensor saw;
-    and what the sensor saw, no further than reach_m from the centre, that lies more than apart_m before all of the
-    body, or next to it."""
+    """Measure how much of a limb a sensor shows, at the pose at which the standing parts were drawn.
+
+    seen: depth maps of the person.
+    standing: parts without the limb.
+    centre: (3,) m, world; areas are computed at its distance.
+    reach_m: radius around the centre in which measured surface counts, m.
+    apart_m: largest distance of surfaces that agree, m.
+    Returns: (C, 3) m^2: visible area of the limb; area of that within apart_m of the measured surface; measured area
+        within the reach that lies more than apart_m in front of the whole body, or next to it.
+    """
     out = np.zeros((len(seen.maps), 3))
     maps, projections, sizes, apart = _against(seen, apart_m)
     at = plain(np.asarray(centre, dtype=np.float64) - standing.pose[:3], np.float64)
@@ -143,8 +170,9 @@ _NO_SURFACE = f4(1e9)
 
 @kernel(inline=True)
 def _off(near, other, most):
-    """What a pixel costs where the body lies at the inverse depth `near` and something was seen at `other` m, 0 where
-    only one of both is."""
+    """Compute the cost of a pixel with inverse body depth `near` and measured depth `other` m; 0 where one of them is
+    missing.
+    """
     if other > f4(0) and near > f4(0):
         return min(abs(f4(1) / near - other), most)
     return f4(0)
@@ -152,7 +180,7 @@ def _off(near, other, most):
 
 @kernel
 def _cost(nearest, seen, most, box):
-    """Cost of a drawn picture (h, w) f4, 1/m, against seen (h, w) f4 m in a box (4,) x0, x1, y0, y1."""
+    """Compute the cost of a drawn picture (h, w) f4 1/m against seen (h, w) f4 m in a box (4,) x0, x1, y0, y1."""
     total = 0.0
     for y in range(box[2], box[3]):
         for x in range(box[0], box[1]):
@@ -162,8 +190,10 @@ def _cost(nearest, seen, most, box):
 
 @kernel
 def _roughly(faces, chosen, u, v, z, seen, most, standing, width, height):
-    """About by how much the cost grows with the chosen faces before what stands (h, w) f4, 1/m: each as one thing at
-    its middle, as large as its area, whatever lies before it."""
+    """Estimate by how much the cost grows with the chosen faces in front of the standing parts (h, w) f4 1/m.
+
+    Each face is compared at its middle and weighted by its area, without hiding other faces.
+    """
     grown = f4(0)
     third, half = f4(1 / 3), f4(0.5)
     for k in range(chosen.shape[0]):
@@ -185,8 +215,10 @@ def _roughly(faces, chosen, u, v, z, seen, most, standing, width, height):
 
 @kernel
 def _turned(q, tree, joints, rotations, centres):
-    """The frames of some joints, in the tree's order, at pose q (D,), where those of all others are known: as
-    `joint_frames`, without the twists."""
+    """Compute the frames of some joints, in the tree's order, at pose q (D,), from known frames of all others.
+
+    It does what `joint_frames` does, without the twists.
+    """
     local, frame = np.empty((3, 3)), np.empty((3, 3))
     for n in range(joints.shape[0]):
         j = joints[n]
@@ -216,8 +248,12 @@ def _turned(q, tree, joints, rotations, centres):
 
 @kernel
 def _project(p, vertices, chosen, u, v, z, inverse, size, box):
-    """Pixels, distances and inverse distances (0: nearer than NEAR) of the chosen vertices under a camera p (3, 4) f4
-    about the root; box (4,): x0, x1, y0, y1 of the picture of size (2,) in which those before it lie."""
+    """Project the chosen vertices with a camera p (3, 4) f4 about the root.
+
+    u, v, z, inverse: (V,) get pixels, depths and inverse depths (0: nearer than NEAR).
+    size: (2,) of the picture.
+    box: (4,) gets x0, x1, y0, y1 of the part of the picture in which the vertices in front of NEAR lie.
+    """
     x0, x1, y0, y1 = f4(1e6), f4(-1e6), f4(1e6), f4(-1e6)
     for k in range(chosen.shape[0]):
         i = chosen[k]
@@ -235,8 +271,9 @@ def _project(p, vertices, chosen, u, v, z, inverse, size, box):
 
 @kernel
 def _energies(poses, first, last, tree, mesh, seen, projections, sizes, most, out):
-    """out (N, C): cost of the drawn poses (N, D), of which first to last are done, against seen (C, h, w) f4: sum of
-    `_off`, over most."""
+    """Compute the costs out (N, C) of the drawn poses first to last against seen (C, h, w) f4: sum of `_off`, over
+    most.
+    """
     every, drawn = np.arange(mesh.faces.shape[0]), np.empty(seen.shape, np.float32)
     rotations, centres = np.empty((tree.parents.shape[0], 3, 3)), np.empty((tree.parents.shape[0], 3))
     for n in range(first, last):
@@ -245,8 +282,12 @@ def _energies(poses, first, last, tree, mesh, seen, projections, sizes, most, ou
 
 @kernel
 def _stand(q, tree, mesh, faces, seen, projections, sizes, most, rotations, centres, drawn, cost):
-    """drawn (C, h, w) f4, 1/m: some faces of the body at pose q (D,), whose frames are rotations (J, 3, 3) and centres
-    (J, 3); cost (C,): theirs against seen (C, h, w) f4, over most. All overwritten."""
+    """Draw some faces of the body at pose q (D,) and compute their cost; all outputs are overwritten.
+
+    rotations, centres: (J, 3, 3) and (J, 3) get the joint frames.
+    drawn: (C, h, w) f4 gets the inverse depth, 1/m.
+    cost: (C,) gets the cost against seen (C, h, w) f4, over most.
+    """
     n_vertices = mesh.vertices.shape[0]
     every, vertices = np.arange(n_vertices), np.empty((n_vertices, 3), np.float32)
     u, v, z = np.empty(n_vertices, np.float32), np.empty(n_vertices, np.float32), np.empty(n_vertices, np.float32)
@@ -263,7 +304,10 @@ def _stand(q, tree, mesh, faces, seen, projections, sizes, most, rotations, cent
 
 @kernel
 def _limb_energies(poses, first, last, tree, mesh, standing, seen, projections, sizes, most, rough, out):
-    """out (N, C): as `_energies`, of poses that differ in a limb alone from what stands. rough: `_roughly`."""
+    """Compute the costs out (N, C), as `_energies`, of poses that differ only in one limb from the standing parts.
+
+    rough: estimate by `_roughly` instead of drawing.
+    """
     joints, moving, moved = standing.joints, standing.faces, standing.vertices
     n_vertices = mesh.vertices.shape[0]
     rotations, centres, drawn = standing.rotations.copy(), standing.centres.copy(), standing.drawn
@@ -303,10 +347,11 @@ def _limb_energies(poses, first, last, tree, mesh, standing, seen, projections, 
 
 @kernel
 def _limb_shown(tree, mesh, standing, seen, projections, sizes, centre, reach, apart, out):
-    """out (C, 3), zero, of the limb that was left out of what stands, in the pose that this was drawn at, in m^2 at the
-    distance of a centre (3,), from the root: what of it is in sight; what of that lies within `apart` m of what the
-    sensor saw; and what the sensor saw, no further than `reach` m from the centre, that lies more than `apart` before
-    all of the body, or next to it."""
+    """Measure the visible areas of a limb into out (C, 3), zero before, as `limb_shown`.
+
+    centre: (3,) m from the root.
+    reach, apart: m.
+    """
     n_vertices = mesh.vertices.shape[0]
     maps, vertices = np.empty((tree.parents.shape[0], 12), np.float32), np.empty((n_vertices, 3), np.float32)
     u, v, z = np.empty(n_vertices, np.float32), np.empty(n_vertices, np.float32), np.empty(n_vertices, np.float32)

@@ -1,4 +1,4 @@
-"""What a depth map shows of a person's surface, and what lies before an empty room."""
+"""Extract from a depth map the points of a person's surface, and the things in front of an empty room."""
 
 from __future__ import annotations
 
@@ -16,20 +16,24 @@ from hypose.geometry import Array
 Box = tuple[int, int, int, int]
 f4 = np.float32
 _AROUND = 2
-"""px about a point that are looked at"""
+"""px around a point that are read."""
 _LEAST_COSINE = 0.05
 
 
 def points_of_surface(
     depth: NDArray[np.float32], person: NDArray[np.uint8], box: Box, k: ArrayLike, jump_m: float, count: int
 ) -> tuple[Array, Array, Array]:
-    """Return at most `count` points (N, 3) m of the person's surface, evenly over the person, unit outward normals (N,
-    3), both in the camera's frame, and the cosine (N,) between normal and ray.
+    """Sample points of a person's surface from a depth map, evenly over the person.
 
-    depth (h, w) m, 0 = hole.
-    person (h, w) 0/1 and the box x0, y0, x1, y1 around it (half open).
-    k (3, 3) of a pinhole camera. A point is the median of 3 x 3 px without a hole or a jump of jump_m, so values
-        between both sides of an edge are none.
+    depth: (h, w) m, 0 = hole.
+    person: (h, w) 0/1.
+    box: x0, y0, x1, y1 around the person (half open).
+    k: (3, 3) of a pinhole camera.
+    jump_m: least difference between neighbouring pixels of two surfaces, m.
+    count: largest number of points.
+    Returns: points (N, 3) m and unit outward normals (N, 3) in the camera's frame, and the cosine (N,) between normal
+        and ray. A point is the median of 3 x 3 px without a hole or a jump, so that values between both sides of an
+        edge are excluded.
     """
     lens = np.asarray(k, dtype=np.float64)[[0, 1, 0, 1], [0, 1, 2, 2]]
     points, normals, cosines = np.empty((count, 3)), np.empty((count, 3)), np.empty(count)
@@ -42,8 +46,12 @@ def points_of_surface(
 def before_room(
     depth: NDArray[np.float32], room: NDArray[np.float32], sd: NDArray[np.float32], sds: float, least_m: float
 ) -> NDArray[np.uint8]:
-    """Return (h, w) 1 where a depth map (h, w) m lies before the empty room (h, w), 0 = not known, by more than `sds`
-    of its standard deviations (h, w) and least_m."""
+    """Find the pixels at which a depth map lies in front of the empty room.
+
+    depth, room, sd: (h, w) m: depth map, empty room (0 = not known), and standard deviation.
+    sds, least_m: least distance, in standard deviations and in m.
+    Returns: (h, w) 1 where it lies in front, or where the room is not known.
+    """
     near = room - depth > np.maximum(np.float32(sds) * sd, np.float32(least_m))
     return ((near | (room <= 0)) & (depth > 0)).view(np.uint8)
 
@@ -57,12 +65,16 @@ def things_before(
     floor_m: float,
     calm: Callable[[NDArray[np.uint8]], NDArray[np.uint8]],
 ) -> tuple[NDArray[np.uint8], int]:
-    """Return (h, w) 1 where a room (h, w) m is known and nearer than limit_m, higher than floor_m and not the person's
-    (h, w), and how many pixels these are.
+    """Find the pixels of things that are nearer than a limit, above the floor, and not of the person.
 
+    room: (h, w) m, 0 = not known.
+    person: (h, w) non-zero = person.
     corner: px x, y of the map at which the arrays begin.
     camera: K (3, 3) and camera_from_world (4, 4).
-    calm: takes single pixels away, before the floor is.
+    limit_m: largest depth, m.
+    floor_m: least height, m.
+    calm: function that removes single pixels from a mask, before the floor is removed.
+    Returns: (h, w) 1 at those pixels, and their number.
     """
     out = np.array(calm(((room > 0) & (room < limit_m) & (person == 0)).view(np.uint8)), dtype=np.uint8)
     v, u = np.nonzero(out)
@@ -75,25 +87,28 @@ def things_before(
 
 
 def middle_of_piece(labels: NDArray[np.integer], label: int, depth: NDArray[np.float32]) -> float:
-    """m: median of what a depth map (h, w) m shows at the pixels of a label (h, w); NaN where all are holes."""
+    """Compute the median of a depth map (h, w) m over the pixels of a label (h, w); NaN where all are holes."""
     return middle(depth[(labels == label) & (depth > 0)])
 
 
 def middle(values: NDArray[np.float32]) -> float:
-    """np.median of finite values (N,), sooner; NaN of none."""
+    """Compute the median of finite values (N,), faster than np.median; NaN for none."""
     n = len(values)
     if not n:
         return float("nan")
-    ordered = np.partition(values, n // 2)  # two places at once take twice as long
+    ordered = np.partition(values, n // 2)  # partitioning at two places takes twice as long
     upper = ordered[n // 2]
     return float(upper) if n % 2 else float((ordered[: n // 2].max() + upper) / np.float32(2))
 
 
 def holes_filled(mask: NDArray[np.uint8], depth: NDArray[np.float32], solid: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Return the mask (h, w) 0/1 with its holes filled where the depth map has no value.
+    """Fill the holes of a mask where the depth map has no value.
 
-    A hole is filled if a morphological closing covers it: of 5 px where solid (h, w) is True, of 3 px elsewhere.
-    depth (h, w): m, 0 = no value."""
+    mask: (h, w) 0/1.
+    depth: (h, w) m, 0 = no value.
+    solid: (h, w) True where a hole is filled if a closing of 5 px covers it; elsewhere a closing of 3 px.
+    Returns: the mask (h, w).
+    """
     own = (mask != 0).view(np.uint8)
     five, three = (cv2.morphologyEx(own, cv2.MORPH_CLOSE, np.ones((n, n), np.uint8)) for n in (5, 3))
     return own | (np.where(solid, five, three) & (depth <= 0))
@@ -101,7 +116,7 @@ def holes_filled(mask: NDArray[np.uint8], depth: NDArray[np.float32], solid: NDA
 
 @kernel
 def _median(depth, y, x, nine):
-    """Median of the 3 x 3 px about (x, y)."""
+    """Compute the median of the 3 x 3 px about (x, y)."""
     n = 0
     for i in range(y - 1, y + 2):
         for j in range(x - 1, x + 2):
@@ -116,8 +131,11 @@ def _median(depth, y, x, nine):
 
 @kernel
 def _sound(depth, person, x0, y0, x1, y1, jump, found):
-    """found (M,): number y * w + x of the person's pixels in a box whose 3 x 3 px lie on one surface: no hole, and no
-    jump. Returns how many."""
+    """Find the person's pixels in a box whose 3 x 3 px lie on one surface: no hole and no jump.
+
+    found: (M,) gets their numbers y * w + x.
+    Returns: number of pixels.
+    """
     w = depth.shape[1]
     low, high = np.empty(w, np.float32), np.empty(w, np.float32)
     n = 0
@@ -137,12 +155,13 @@ def _sound(depth, person, x0, y0, x1, y1, jump, found):
 
 @kernel
 def _surface_points(depth, person, box, lens, jump, points, normals, cosines):
-    """Points (N, 3) m and unit outward normals (N, 3), both in the camera's frame, and cosines (N,) between normal and
-    ray, of places evenly over the person in a map (h, w) f4 m; returns how many were found.
+    """Sample points of the person's surface as `points_of_surface`; return how many were found.
 
     box: x0, y0, x1, y1 around the person.
-    lens: fx, fy, cx, cy. A place is the median of 3 x 3 px that lie on one surface, its normal is that of the
-        neighbouring medians, which must lie on the surface too.
+    lens: fx, fy, cx, cy.
+    points, normals, cosines: (N, 3) m, (N, 3) and (N,) get the result.
+
+    The normal of a point is that of the neighbouring medians, which must lie on the surface too.
     """
     height, width = depth.shape
     x0, y0 = max(box[0], _AROUND), max(box[1], _AROUND)

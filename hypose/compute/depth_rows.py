@@ -1,4 +1,4 @@
-"""Rows of depth maps: points of a surface against the body's, and body that stands where nothing does."""
+"""Rows of depth maps: measured surface points against the body's surface, and body in front of the measured surface."""
 
 from __future__ import annotations
 
@@ -12,26 +12,27 @@ from hypose.compute.rows import sum_rows
 
 f4, i4 = np.float32, np.int32
 _PER_M2 = 4e6
-"""units of a squared distance that is packed into 20 bits: half a millimetre squared, up to half a metre"""
+"""Units of a squared distance (m^2) that is packed into 20 bits: half a millimetre squared, up to half a metre."""
 _LARGEST_SHARE = 1e6
 _TURNED = 0.0036
-"""m^2 by which a surface that looks the other way counts as further off, half of it at right angles"""
+"""m^2, added to the squared distance of a surface that faces the opposite way; half of it at right angles."""
 _BAND_M, _BANDS, _REACH = 0.12, 24, 2
-"""m: a point looks for its place in a band of height and so many on either side of it: points further off pull
-nowhere. The last band holds everything higher"""
+"""_BAND_M: height in m of a band of vertices. _BANDS: number of bands; the last holds everything higher. _REACH: number
+of bands on either side in which a point searches its nearest place; farther points have no effect.
+"""
 _NEXT_BAND = 0.99 * _BAND_M**2 * _PER_M2
-"""a squared distance, packed, that no place has which lies a whole band or more above or below"""
+"""Packed squared distance that every place exceeds which lies a whole band or more above or below."""
 _ON_SURFACE = 0.004
-"""m: nearer points pull along the surface's normal, for their own direction is noise"""
+"""m; nearer points pull along the surface's normal, because their own direction is noise."""
 _FARTHEST_BEFORE = 0.5
-"""m: body further before what was seen than that is the outline's affair"""
+"""m; body farther in front of the measured surface is left to the outline."""
 _LANES = 16
-"""triangles that are looked at together"""
+"""Number of triangles that are computed together."""
 
 
 @kernel
 def _vertex_normals(vertices, faces, normals):
-    """normals (V, 3) f4: unit, of vertices (V, 3) of a closed mesh, by the areas of the faces around."""
+    """Compute the unit normals (V, 3) f4 of vertices (V, 3) of a closed mesh, weighted by the areas of the faces."""
     normals[:] = f4(0)
     for f in range(faces.shape[0]):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
@@ -51,9 +52,12 @@ def _vertex_normals(vertices, faces, normals):
 
 @kernel
 def _nearest(fx, fy, fz, nx, ny, nz, px, py, pz, ox, oy, oz):
-    """The nearest of the given points to p, those with other normals than o counting as further off: squared distance
-    and index packed into one integer, as in contours.nearest. Its own kernel: all stays in single precision here,
-    and the arrays begin at the first point that counts: an index from elsewhere takes half as long again."""
+    """Find the nearest of the given points to p, where points with other normals than o count as farther off.
+
+    Returns: squared distance and index packed into one integer, as in contours.nearest.
+    Why an own kernel: everything stays in single precision, and the arrays begin at the first candidate (an index from
+    elsewhere takes half as long again).
+    """
     best = i4(2147483647)
     for i in range(fx.shape[0]):
         dx, dy, dz = fx[i] - px, fy[i] - py, fz[i] - pz
@@ -65,8 +69,9 @@ def _nearest(fx, fy, fz, nx, ny, nz, px, py, pz, ox, oy, oz):
 
 @kernel
 def _nearest_edge(vertices, ring, first, last, ax, ay, az, qx, qy, qz):
-    """Which of the rows first to last of the ring around a begins with the edge that is nearest to q, which is relative
-    to a."""
+    """Find which of the rows first to last of the ring around vertex a begins with the edge nearest to q (relative to
+    a).
+    """
     nearest, edge = f4(1e9), first
     for k in range(first, last):
         b = ring[k, 0]
@@ -81,10 +86,14 @@ def _nearest_edge(vertices, ring, first, last, ax, ay, az, qx, qy, qz):
 
 @kernel
 def closest_on_triangles(work):
-    """Lines 9 to 11 of work (12 _LANES,) f4: shares s and t of the corners u and v at the points of triangles that are
-    nearest to points p, and their squared distances; lines 0 to 8: u, v and p (x, y, z), relative to the third corner.
-    In vector lanes: which part of a triangle is the nearest cannot be foreseen, and a wrong guess takes as long as all
-    cases. Source: Ericson 2005, Real-Time Collision Detection, section 5.1.5."""
+    """Find the point of each of _LANES triangles that is nearest to a point.
+
+    work: (12 _LANES,) f4: lines 0 to 8: corners u and v and the point p (x, y, z), relative to the third corner; lines
+        9 to 11 get the shares s and t of the corners u and v, and the squared distance.
+    Why in vector lanes: which part of a triangle is nearest cannot be predicted, and a wrong branch takes as long as
+    all cases.
+    Source: Ericson 2005, Real-Time Collision Detection, section 5.1.5.
+    """
     for i in range(_LANES):
         ux, uy, uz = work[i], work[_LANES + i], work[2 * _LANES + i]
         vx, vy, vz = work[3 * _LANES + i], work[4 * _LANES + i], work[5 * _LANES + i]
@@ -116,10 +125,13 @@ def closest_on_triangles(work):
 
 @kernel
 def _nearest_places(n, vertices, ring_first, ring, corners, found):
-    """The places on the faces around n vertices that are nearest to points: corners (N, 3) gets the faces' vertices,
-    beginning with the one that corners[:, 0] has, and found (N, 8) f4 their shares and, in its fourth column, the
-    squared distance; in columns 3 to 5 it has the points, relative to that vertex. Each is in one of the two faces
-    at the edge that is nearest to the point."""
+    """Find the places on the faces around n vertices that are nearest to points; each is in one of the two faces at the
+    edge nearest to the point.
+
+    corners: (N, 3) gets the vertices of the faces, beginning with the vertex in corners[:, 0].
+    found: (N, 8) f4: columns 3 to 5 are the points, relative to that vertex; columns 0 to 2 get the shares of the
+        corners, column 3 the squared distance.
+    """
     work, sides = np.zeros(12 * _LANES, np.float32), np.empty(_LANES, np.int64)
     for begin in range(0, n, _LANES // 2):
         some = min(n - begin, _LANES // 2)
@@ -147,8 +159,12 @@ def _nearest_places(n, vertices, ring_first, ring, corners, found):
 
 @kernel
 def _by_height(vertices, normals, ex, ey, ez, faces_it, place):
-    """Which vertices face an eye, from low to high in bands of _BAND_M: faces_it (V,) i4; place (B + 1,): where each
-    band begins; returns the height at which the first one does. All relative to the root."""
+    """Sort the vertices that face an eye by height, into bands of _BAND_M; everything relative to the root.
+
+    faces_it: (V,) i4 gets the vertices.
+    place: (B + 1,) gets where each band begins.
+    Returns: height at which the first band begins.
+    """
     n_bands = place.shape[0] - 1
     low = f4(1e9)
     for v in range(vertices.shape[0]):
@@ -173,10 +189,11 @@ def _by_height(vertices, normals, ex, ey, ez, faces_it, place):
 
 @kernel
 def _form_rows(n, corners, found, n_rows, vertices, skin_index, skin_weight, skin_count, rows, joints):
-    """Appends the rows of n points of the surface to rows (M, 8) and joints (M,), as rows.form_rows does.
+    """Append the rows of n points of the surface to rows (M, 8) and joints (M,), as rows.form_rows.
 
-    corners (n, 3): vertices of which a point is a blend.
-    found (n, 8) f4: their shares, direction of the residual, weight, residual.
+    corners: (n, 3) vertices of which a point is a blend.
+    found: (n, 8) f4: their shares, direction of the residual, weight, residual.
+    Returns: number of rows.
     """
     for i in range(n):
         own = found[i]
@@ -192,7 +209,7 @@ def _form_rows(n, corners, found, n_rows, vertices, skin_index, skin_weight, ski
             z += share * vertices[v, 2]
             for m in range(skin_count[v]):
                 j = skin_index[v, m]
-                at = first  # the corners of a face mostly hang on the same joints
+                at = first  # the corners of a face are mostly carried by the same joints
                 while at < n_rows and joints[at] != j:
                     at += 1
                 if at == n_rows:
@@ -214,13 +231,16 @@ def _form_rows(n, corners, found, n_rows, vertices, skin_index, skin_weight, ski
 
 @kernel
 def depth_rows(q, mesh, depth, factor, ws, kept, count):
-    """Rows of depth maps, kept in ws.rows as `contour_rows` keeps its own; returns their cost. factor: of the scale.
-    count[0] gets the rows of surface points, count[1] those of body before what was seen.
+    """Compute the rows of depth maps, kept in ws.rows as `contour_rows` keeps its own; return their cost.
 
-    A point of the surface is drawn to the nearest place on the body among what faces its sensor and looks about as it
-    does: 1/2 w e^2 / (1 + e^2), e = distance / scale (Geman & McClure 1985). A vertex that faces the sensor and lies
-    nearer to it than what was seen in its pixel is pushed back along the optical axis, with the same loss. Which place
-    is nearest is held fixed in the derivatives."""
+    factor: of the scale.
+    count: (2,) gets the numbers of rows of surface points, and of body in front of the measured surface.
+
+    A point of the surface is drawn to the nearest place on the body that faces its sensor and has a similar normal: 1/2
+    w e^2 / (1 + e^2), e = distance / scale (Geman & McClure 1985). A vertex that faces the sensor and lies nearer to it
+    than the surface measured in its pixel is pushed back along the optical axis, with the same loss. Which place is
+    nearest is held fixed in the derivatives.
+    """
     vertices = ws.vertices
     n_vertices = vertices.shape[0]
     normals = np.empty((n_vertices, 3), np.float32)
@@ -261,9 +281,9 @@ def depth_rows(q, mesh, depth, factor, ws, kept, count):
             best = i4(2147483647)
             begin = np.int64(0)
             for reach in range(1, _REACH + 1):
-                if (best >> 11) < i4(_NEXT_BAND):  # all that was not looked at lies further off
+                if (best >> 11) < i4(_NEXT_BAND):  # all others are farther
                     break
-                # whole vectors, for a part of one takes as long
+                # whole vectors, because a part of one takes as long
                 begin = place[min(max(band - reach, 0), _BANDS)] // 8 * 8
                 end = (place[min(max(band + reach + 1, 0), _BANDS)] + 7) // 8 * 8
                 best = _nearest(
@@ -271,7 +291,7 @@ def depth_rows(q, mesh, depth, factor, ws, kept, count):
                     *(px, py, pz, ox, oy, oz),
                 )
             if (best >> 11) >= i4(_LARGEST_SHARE) - 1:
-                cost += 0.5 * depth.weight[m]  # nothing near: it costs what it costs at infinite distance
+                cost += 0.5 * depth.weight[m]  # nothing near: the cost at infinite distance
                 continue
             a = which[begin + (best & 2047)]
             owner[n_found], corners[n_found, 0], own = m, a, found[n_found]
@@ -299,7 +319,7 @@ def depth_rows(q, mesh, depth, factor, ws, kept, count):
             cost += 0.5 * w * rho
             own[3], own[4], own[5], own[6], own[7] = gx, gy, gz, slope, r
         count[0] += n_found
-        # body before what was seen
+        # body in front of the measured surface
         p = depth.projections[c]
         sx, sy, sz = f4(p[2, 0]), f4(p[2, 1]), f4(p[2, 2])
         h, width = depth.sizes[c, 1], depth.sizes[c, 0]

@@ -1,4 +1,4 @@
-"""What a structured-light depth sensor would deliver of a known scene: inverse-depth drawing, then its faults."""
+"""Simulate a structured-light depth sensor: draw the inverse depth of a known scene, then add the sensor's faults."""
 
 from __future__ import annotations
 
@@ -19,8 +19,13 @@ def draw(
     lens: tuple[float, float, float, float],
     inverse: NDArray[np.float32],
 ) -> None:
-    """Draw triangles (F, 3), of either orientation, of points (V, 3) m in the camera's frame into inverse (h, w) 1/m
-    (0 = empty), in place. lens: fx, fy, cx, cy px."""
+    """Draw triangles into a picture of inverse depth, in place.
+
+    points_camera: (V, 3) m in the camera's frame.
+    faces: (F, 3), of either orientation.
+    lens: fx, fy, cx, cy px.
+    inverse: (h, w) 1/m, 0 = empty.
+    """
     p = np.asarray(points_camera, dtype=np.float64)
     near = inverse_depth(p[:, 2], NEAR)
     draw_faces(p[:, :2] * near[:, None] * lens[:2] + lens[2:], near, faces, inverse)
@@ -49,7 +54,7 @@ def _sense(inverse, fx, baseline, smooth, rows, normals, uniforms, out):
             if v < 1 / 7.5 or v > 2.0:
                 continue
             z = 1.0 / v
-            # of the two one-sided differences the smaller: else every silhouette would be a hole
+            # the smaller of the two one-sided differences: else every silhouette would be a hole
             ax = min(abs(inverse[yy, xx + 1] - v), abs(v - inverse[yy, xx - 1]))
             ay = min(abs(inverse[yy + 1, xx] - v), abs(v - inverse[yy - 1, xx]))
             slope = max(ax, ay) * z * fx
@@ -74,11 +79,17 @@ _NORMALS, _UNIFORMS = _tables()
 def sense(
     inverse: NDArray[np.float32], fx: float, rng: np.random.Generator, baseline: float = 0.075
 ) -> NDArray[np.uint16]:
-    """Depth (h, w) uint16 mm, 0 = hole, of a drawn scene (inverse depth, 1/m), as the first Kinect delivers it.
+    """Simulate the depth picture of a drawn scene as the first Kinect delivers it.
 
-    Lateral jitter 0.6 px, shadow of the projector (baseline m), noise of the disparity (smooth 0.03 and white 0.05 px)
-    and its steps of 1/8 px, holes on grazing surfaces and at random, range 0.5-7.5 m. The figures are assumptions after
-    published measurements of that sensor, not fitted to one.
+    inverse: (h, w) inverse depth, 1/m.
+    fx: focal length, px.
+    rng: of the noise.
+    baseline: distance of the projector from the camera, m.
+    Returns: (h, w) uint16 mm, 0 = hole.
+
+    Simulated are a lateral jitter of 0.6 px, the shadow of the projector, noise of the disparity (smooth 0.03 and white
+    0.05 px) and its steps of 1/8 px, holes on grazing surfaces and at random, and the range 0.5-7.5 m. The values are
+    assumptions after published measurements of that sensor, not fitted to one.
     """
     h, w = inverse.shape
     smooth = rng.standard_normal((h // 8 + 2, w // 8 + 2)).astype(np.float32)

@@ -1,4 +1,5 @@
-"""Looking at a depth picture with forests of depth tests (forests.py): scanning with early rejection, density.
+"""Scan depth pictures with forests of depth tests (forests.py), with early rejection, and compute the density of the
+votes.
 
 A grid cell (i, j) of stride n stands for pixel (i n + n // 2, j n + n // 2).
 """
@@ -16,13 +17,16 @@ from hypose.compute.compiled import kernel
 from hypose.compute.forests import FAR_MM, PaddedDepth, f4, i4, response, u8
 
 PROBABILITY = 10000
-"""Probabilities are whole ten-thousandths."""
+"""Probabilities are whole multiples of 1 / PROBABILITY."""
 
 
 @kernel
 def _pack(test, left, count, size, records, shares):
-    """Scanning layout: records (trees, N, 8) i2 = test, left child, share of class 1, 0; shares (trees, N, C) u2: all
-    classes. Ten-thousandths; a node that has seen nothing is background."""
+    """Write the scanning layout of trees; probabilities in ten-thousandths, and a node without samples is background.
+
+    records: (trees, N, 8) i2 gets test, left child, share of class 1, 0.
+    shares: (trees, N, C) u2 gets the shares of all classes.
+    """
     classes = count.shape[2]
     for t in range(left.shape[0]):
         for n in range(size[t]):
@@ -53,7 +57,7 @@ def _leaf(flat, width, c, d, s, lo, hi, records, base):
 
 @kernel
 def _leaves(flat, width, cells, focal, clip, records, trees, out):
-    """out (S, trees) i4: the leaf that each cell of the padded picture reaches."""
+    """Find the leaf that each cell of the padded picture reaches in each tree, into out (S, trees) i4."""
     nodes = u8(records.shape[0] // trees)
     for i in range(cells.shape[0]):
         c = u8(cells[i])
@@ -66,7 +70,9 @@ def _leaves(flat, width, cells, focal, clip, records, trees, out):
 
 @kernel(inline=True)
 def _place(raster, i, j, stride):
-    """Where grid cell (i, j) lies in the flat picture; -1 when that is outside or its depth not within near..far."""
+    """Return the index of grid cell (i, j) in the flat picture; -1 where it is outside or its depth is not within
+    near..far.
+    """
     y, x = i * stride + stride // 2, j * stride + stride // 2
     if y >= raster.rows or x >= raster.columns:
         return -1
@@ -77,9 +83,13 @@ def _place(raster, i, j, stride):
 
 @kernel
 def _coarse_pass(raster, records, table, first, least, stride, wanted):
-    """wanted (ceil(rows / stride), ...) u4: bit g is set where the mean of forest g's first trees' shares, at the cell
-    or at a neighbour, reaches `least`. records (R, 8) i2 of all forests; table (G, 4) i8: first record, nodes per tree,
-    trees, clipping distance."""
+    """Scan a coarse grid with the first trees only, and mark the cells worth a full scan.
+
+    records: (R, 8) i2 of all forests.
+    table: (G, 4) i8: first record, nodes per tree, trees, clipping distance.
+    wanted: (ceil(rows / stride), ...) u4 gets bit g where the mean of forest g's first trees' shares, at the cell or at
+        a neighbour, reaches `least`.
+    """
     rows, columns = wanted.shape
     wanted[:] = 0
     for i in range(rows):
@@ -105,10 +115,15 @@ def _coarse_pass(raster, records, table, first, least, stride, wanted):
 
 @kernel
 def _scan(raster, records, table, first, least, stride, wanted, ratio, out):
-    """out (G, ceil(rows / stride), ...) f4: mean share of class 1 of each forest on the grid; 0 where there is no
-    depth, where its bit in wanted (coarse grid, `ratio` cells to one; used when ratio > 0) is 0, and where the mean
-    over its first trees stays below `least`, over twice as many below 1.5 `least` (first = 0: no such rejection).
-    records and table as in `coarse_pass`."""
+    """Compute the mean share of class 1 of each forest on the grid, into out (G, ceil(rows / stride), ...) f4.
+
+    records, table: as in `_coarse_pass`.
+    first, least: a cell is rejected where the mean over the first trees stays below `least`, or that over twice as many
+        below 1.5 `least` (first = 0: no rejection).
+    wanted, ratio: result of `_coarse_pass`, and grid cells per coarse cell (0: not used).
+
+    It is 0 where there is no depth, where the forest's bit in wanted is not set, and where the cell is rejected.
+    """
     rows, columns = out.shape[1:]
     limit1, limit2 = least * PROBABILITY * first, 1.5 * least * PROBABILITY * 2 * first
     out[:] = 0
@@ -138,8 +153,11 @@ def _scan(raster, records, table, first, least, stride, wanted, ratio, out):
 
 @kernel
 def _scan_classes(raster, records, shares, trees, clip, first, least, stride, out):
-    """out (C - 1, rows, columns) f4: mean share of the winning class where a gesture wins over the background and the
-    other gestures, else 0. Early rejection on the summed share of all gestures."""
+    """Compute the mean share of the winning class, into out (C - 1, rows, columns) f4: where a gesture wins over the
+    background and the other gestures, else 0.
+
+    Cells are rejected early by the summed share of all gestures, as in `_scan`.
+    """
     rows, columns = out.shape[1:]
     classes = shares.shape[1]
     nodes = u8(records.shape[0] // trees)
@@ -174,13 +192,17 @@ def _scan_classes(raster, records, shares, trees, clip, first, least, stride, ou
 
 @kernel
 def _parzen(raster, stride, scores, majority, sigma, sums, out):
-    """Density of the votes on the grid: out (rows, columns) f4, m^2 of surface per grid cell around it.
+    """Compute the density of the votes on the grid, into out (rows, columns) f4: m^2 of surface per grid cell around
+    it.
 
-    A cell votes where scores > majority. Deviation: its weight is score^3 x (z stride / focal)^2, where the thesis
-    counts votes: the surface it stands for, so that the sum over a gesture does not depend on its distance; the cube
-    lets the confident middle of a gesture's place decide where it is, not the half-hearted votes along a limb. Gaussian
-    kernel of unit sum, sigma in cells, cut at 3 sigma; sums (rows, columns) is scratch. Returns the index of the
-    largest value."""
+    majority: a cell votes where scores > majority.
+    sigma: of the Gaussian kernel of unit sum, cells; cut at 3 sigma.
+    sums: (rows, columns), scratch.
+    Returns: index of the largest value.
+    Deviation: the weight of a vote is score^3 x (z stride / focal)^2, where the thesis counts votes. This is the
+    surface for which it stands, so that the sum over a gesture does not depend on its distance. The cube lets the
+    confident middle of a gesture decide where it is, not the weak votes along a limb.
+    """
     rows, columns = scores.shape
     r = int(3 * sigma + 0.5)
     kernel = np.exp(-0.5 * (np.arange(-r, r + 1) / sigma) ** 2)
@@ -212,10 +234,10 @@ def _parzen(raster, stride, scores, majority, sigma, sums, out):
 
 
 class Packed(NamedTuple):
-    """A forest laid out for scanning.
+    """Forest in the memory layout for scanning.
 
-    records (nt, N, 8) i2: the test, the left child, the share of class 1 in ten-thousandths.
-    shares (nt, N, C) u2: those of all classes.
+    records: (nt, N, 8) int16: test, left child, share of class 1 in ten-thousandths, 0.
+    shares: (nt, N, C) uint16, shares of all classes.
     """
 
     records: NDArray[np.int16]
@@ -223,11 +245,13 @@ class Packed(NamedTuple):
 
 
 class Raster(NamedTuple):
-    """A padded picture as scanning reads it.
+    """Padded picture as the scan reads it.
 
-    flat (n,) i2 mm, its width and border.
-    rows and columns of the picture; depths from near to far (mm) are looked at.
-    focal length px.
+    flat: (n,) int16 mm.
+    width, border: of the padded picture, px.
+    rows, columns: of the picture.
+    near, far: range of the depths that are scanned, mm.
+    focal: focal length, px.
     """
 
     flat: NDArray[np.int16]
@@ -243,7 +267,7 @@ class Raster(NamedTuple):
 def pack(
     test: NDArray[np.int16], left: NDArray[np.int16], count: NDArray[np.uint32], size: NDArray[np.int32]
 ) -> Packed:
-    """Return the scanning layout of trees: test (nt, N, 5), left (nt, N), count (nt, N, C), size (nt,)."""
+    """Convert trees to the scanning layout: test (nt, N, 5), left (nt, N), count (nt, N, C), size (nt,)."""
     n = int(size.max())
     records = np.zeros((len(left), n, 8), np.int16)
     shares = np.zeros((len(left), n, count.shape[2]), np.uint16)
@@ -252,7 +276,12 @@ def pack(
 
 
 def leaves(picture: PaddedDepth, cells: NDArray[np.int64], packed: Packed, clip_mm: int) -> NDArray[np.int32]:
-    """Return (S, nt) the leaf that each cell reaches in each tree."""
+    """Find the leaf (S, nt) that each of S cells reaches in each of nt trees.
+
+    picture: padded depth picture.
+    cells: (S,) indices in its `flat`.
+    packed, clip_mm: forest, and its clipping distance.
+    """
     out = np.empty((len(cells), len(packed.records)), np.int32)
     records = packed.records.reshape(-1, 8)
     _leaves(picture.flat, picture.width, cells, picture.focal, clip_mm, records, len(packed.records), out)
@@ -261,9 +290,15 @@ def leaves(picture: PaddedDepth, cells: NDArray[np.int64], packed: Packed, clip_
 
 @dataclass(frozen=True)
 class ScanPlan:
-    """Where and how thoroughly a picture is scanned: every stride-th pixel between near and far; after `first` trees a
-    mean share below `least` is dropped, after twice as many one below 1.5 `least`. coarse > 0: the first trees look on
-    a grid `coarse` times wider first, and only the neighbourhood of what they keep is scanned."""
+    """Settings of where and how thoroughly a picture is scanned.
+
+    stride: every stride-th pixel is scanned.
+    near_mm, far_mm: range of depths that are scanned, mm.
+    first: number of trees after which a pixel may be rejected (0: no rejection).
+    least: a mean share below this is rejected after `first` trees, below 1.5 times this after twice as many.
+    coarse: > 0: the first trees scan a grid `coarse` times wider, and only the neighbourhood of the cells that they
+        keep is scanned finely.
+    """
 
     stride: int = 4
     near_mm: int = 500
@@ -285,13 +320,17 @@ def _raster(picture: PaddedDepth, near_mm: int, far_mm: int) -> Raster:
 
 
 MOST_FORESTS = 32
-"""Looked with at a time."""
+"""Largest number of forests in one scan."""
 
 
 def scan(picture: PaddedDepth, packed: Sequence[Packed], clip_mm: Sequence[int], plan: ScanPlan) -> NDArray[np.float32]:
-    """Return the mean share (G, rows, columns) of class 1 of each of at most 32 forests on the grid (0 where rejected).
+    """Compute the mean share of class 1 of several forests on the grid.
 
-    All forests share one coarse pass and one walk over the picture."""
+    picture: padded depth picture.
+    packed, clip_mm: forests, and their clipping distances.
+    plan: where to scan.
+    Returns: (G, rows, columns), 0 where rejected. All forests share one coarse pass and one walk over the picture.
+    """
     raster = _raster(picture, plan.near_mm, plan.far_mm)
     records = [p.records.reshape(-1, 8) for p in packed]
     starts = np.cumsum([0, *(len(r) for r in records)])
@@ -310,7 +349,12 @@ def scan(picture: PaddedDepth, packed: Sequence[Packed], clip_mm: Sequence[int],
 
 
 def scan_classes(picture: PaddedDepth, packed: Packed, clip_mm: int, plan: ScanPlan) -> NDArray[np.float32]:
-    """Return (C - 1, rows, columns): the mean share of each gesture where it wins, else 0."""
+    """Compute the mean share (C - 1, rows, columns) of each gesture of one forest where it wins, else 0.
+
+    picture: padded depth picture.
+    packed, clip_mm: forest of C classes, and its clipping distance.
+    plan: where to scan.
+    """
     raster = _raster(picture, plan.near_mm, plan.far_mm)
     shares = packed.shares.reshape(-1, packed.shares.shape[2])
     out = np.empty((shares.shape[1] - 1, *grid_shape(picture.shape, plan.stride)), np.float32)
@@ -322,7 +366,15 @@ def scan_classes(picture: PaddedDepth, packed: Packed, clip_mm: int, plan: ScanP
 def parzen(
     picture: PaddedDepth, scores: NDArray[np.float32], stride: int, majority: float, sigma_px: float
 ) -> tuple[NDArray[np.float32], int]:
-    """Density (rows, columns) of the votes: m^2 of voting surface per cell; and the index of its largest value."""
+    """Compute the density of the votes on the scanning grid.
+
+    picture: padded depth picture.
+    scores: (rows, columns) mean shares.
+    stride: of the grid, px.
+    majority: share that a cell needs to vote.
+    sigma_px: standard deviation of the Gaussian kernel, px.
+    Returns: m^2 of voting surface per cell (rows, columns), and the flat index of the largest value.
+    """
     sums, out = np.empty_like(scores), np.empty_like(scores)
     raster = _raster(picture, 0, FAR_MM)
     return out, int(_parzen(raster, stride, scores, majority, sigma_px / stride, sums, out))

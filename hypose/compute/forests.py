@@ -1,11 +1,12 @@
-"""Forests of depth tests: the test itself, the arrays they live in, and how trees grow. forest_votes.py: how a picture
-is looked at with them.
+"""Forests of depth tests: the test, the arrays of a forest, and how its trees grow. forest_votes.py scans pictures with
+them.
 
-Depth here is (h, w) uint16 in millimetres, 0 = hole, as sensors give it: tests compare whole millimetres, so that the
-same picture gives the same answer everywhere. A hole counts as far away (10 m), never as near.
-In kernels a picture is a padded flat int16 array in millimetres whose holes and border are FAR_MM. A test is (uy, ux,
-vy, vx, threshold) in millimetres: the clipped depth at the pixel + u minus that at the pixel + v (the pixel itself when
-v = 0) goes left when it is below the threshold. An offset of m millimetres at depth d is floor(m f / d + 0.5) pixels.
+Depth is (h, w) uint16 in millimetres, 0 = hole, as sensors give it: tests compare whole millimetres, so that the same
+picture gives the same result everywhere. A hole counts as far away (10 m), never as near. In kernels a picture is a
+padded flat int16 array in millimetres whose holes and border are FAR_MM.
+A test is (uy, ux, vy, vx, threshold) in millimetres: the clipped depth at the pixel + u minus that at the pixel + v
+(the pixel itself where v = 0) goes left where it is below the threshold. An offset of m millimetres at depth d is
+floor(m f / d + 0.5) pixels.
 """
 
 from __future__ import annotations
@@ -21,29 +22,29 @@ from hypose.compute.compiled import kernel
 
 DepthImage = NDArray[np.uint16]
 FAR_MM = 10000
-"""What a hole, the outside of the picture and everything beyond counts as."""
+"""Depth of a hole, of the outside of the picture, and of everything beyond, mm."""
 UNCLIPPED_MM = 20000
-"""A clipping distance that clips nothing."""
+"""Clipping distance that clips nothing, mm."""
 MAX_NODES = 32766
-"""Of one tree: node numbers are 16-bit."""
+"""Largest number of nodes of one tree: node numbers are 16-bit."""
 
 
 class GrowingArrays(NamedTuple):
-    """A forest that grows: nt trees of N nodes, S slots with T candidate tests per tree, C classes.
+    """Arrays of a growing forest: nt trees of N nodes, S slots with T candidate tests per tree, C classes.
 
-    test (nt, N, 5) i2: uy, ux, vy, vx, threshold in mm.
-    left (nt, N) i2:.
-    left child or -1 (right = left + 1).
-    seen (nt, N, C) u4: samples seen.
-    level (nt, N) u1: depth of the node.
-    slot (nt, N) i2 or -1.
-    size (nt,) i4: nodes in use.
-    free (nt, S) i2 and n_free (nt,) i4: stack of unused slots.
-    candidate (nt, S, T, 5) i2.
-    left_count (nt, S, T, C) u2.
-    total (nt, S, C) i4.
-    random (nt,) u8: state of each tree's random numbers.
-    tally (2,) i8: splits, refusals for want of a slot.
+    test: (nt, N, 5) int16: uy, ux, vy, vx, threshold, mm.
+    left: (nt, N) int16, left child or -1 (the right child is left + 1).
+    seen: (nt, N, C) uint32, number of samples per class.
+    level: (nt, N) uint8, depth of the node.
+    slot: (nt, N) int16, slot of a leaf, or -1.
+    size: (nt,) int32, number of nodes in use.
+    free: (nt, S) int16, stack of unused slots.
+    n_free: (nt,) int32, height of that stack.
+    candidate: (nt, S, T, 5) int16, candidate tests.
+    left_count: (nt, S, T, C) uint16, samples per class on the left side of each candidate.
+    total: (nt, S, C) int32, samples per class in the slot.
+    random: (nt,) uint64, state of each tree's random numbers.
+    tally: (2,) int64, number of splits, and of leaves refused because no slot was free.
     """
 
     test: NDArray[np.int16]
@@ -63,10 +64,12 @@ class GrowingArrays(NamedTuple):
 
 @dataclass(frozen=True)
 class PaddedDepth:
-    """A depth picture with a border of FAR_MM.
+    """Depth picture with a border of FAR_MM.
 
-    values (h + 2 border, w + 2 border) i2.
-    focal length px; tests of up to reach_mm may be read at pixels not nearer than near_mm.
+    values: (h + 2 border, w + 2 border) int16 mm.
+    border: px.
+    focal: focal length, px.
+    near_mm, reach_mm: tests of up to reach_mm may be read at pixels that are not nearer than near_mm.
     """
 
     values: NDArray[np.int16]
@@ -77,21 +80,21 @@ class PaddedDepth:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Height and width of the picture."""
+        """Height and width of the picture without border."""
         return self.values.shape[0] - 2 * self.border, self.values.shape[1] - 2 * self.border
 
     @property
     def flat(self) -> NDArray[np.int16]:
-        """values as one row."""
+        """The values as one row."""
         return self.values.reshape(-1)
 
     @property
     def width(self) -> int:
-        """Of the padded picture."""
+        """Width of the padded picture."""
         return self.values.shape[1]
 
     def cells(self, rows: ArrayLike, columns: ArrayLike) -> NDArray[np.int64]:
-        """Places in `flat` of the pixels (rows (S,), columns (S,))."""
+        """Compute the indices (S,) in `flat` of pixels (rows (S,), columns (S,))."""
         r, c = np.asarray(rows, dtype=np.int64), np.asarray(columns, dtype=np.int64)
         return (r + self.border) * self.width + c + self.border
 
@@ -99,7 +102,12 @@ class PaddedDepth:
 def pad_depth(
     depth: DepthImage, focal: float, near_mm: int, reach_mm: int, reuse: PaddedDepth | None = None
 ) -> PaddedDepth:
-    """Return the padded picture; written into `reuse` when that has the same shape and border."""
+    """Pad a depth picture (h, w) uint16 mm with a border of FAR_MM.
+
+    focal: focal length, px.
+    near_mm, reach_mm: the border is wide enough for tests of reach_mm at the depth near_mm.
+    reuse: padded picture that is overwritten where it has the same shape and border.
+    """
     border = math.ceil(reach_mm * focal / near_mm) + 2
     h, w = depth.shape
     shape = (h + 2 * border, w + 2 * border)
@@ -124,7 +132,13 @@ def grow(
     beta: float,
     deepest: int,
 ) -> None:
-    """Update a growing forest, in place, with the samples at `cells` (S,) of classes `labels` (S,), in their order."""
+    """Update a growing forest, in place, with samples of a picture, in their order.
+
+    cells, labels: (S,) indices in the padded picture's `flat`, and their classes.
+    arrays: the forest.
+    clip_mm, rate, alpha, beta, deepest: as in `gestures.forest.ForestSettings`.
+    spread_mm: range of the thresholds, mm.
+    """
     _grow(
         picture.flat,
         picture.width,
@@ -152,7 +166,9 @@ HALF = f4(4096.5)
 
 @kernel
 def _pad(depth, border, out):
-    """out (h + 2 border, w + 2 border) i2 = depth (h, w) u2 mm inside, holes and depths beyond FAR as FAR_MM."""
+    """Copy depth (h, w) u2 mm into the padded out (h + 2 border, w + 2 border) i2, with holes and far
+    depths as FAR_MM.
+    """
     for y in range(depth.shape[0]):
         line, made = depth[y], out[y + border]
         for x in range(depth.shape[1]):
@@ -162,8 +178,12 @@ def _pad(depth, border, out):
 
 @kernel(inline=True)
 def response(flat, width, c, d, s, lo, hi, uy, ux, vy, vx):
-    """What the test of (uy, ux) against (vy, vx) mm reads at cell c of depth d, with s = focal length / d and depths
-    clipped to lo..hi."""
+    """Compute the response of the test of (uy, ux) against (vy, vx) mm at cell c of depth d.
+
+    flat, width: padded picture, and its width.
+    s: focal length / d.
+    lo, hi: bounds to which depths are clipped.
+    """
     y = i4(f4(uy) * s + HALF) - SHIFT
     x = i4(f4(ux) * s + HALF) - SHIFT
     a = i4(flat[u8(np.int64(c) + y * width + x)])
@@ -179,7 +199,9 @@ def response(flat, width, c, d, s, lo, hi, uy, ux, vy, vx):
 
 @kernel(inline=True)
 def _bits(state, t):
-    """splitmix64 (Steele, Lea, Flood 2014): 64 random bits of tree t; its state is one word, saved with the forest."""
+    """Draw 64 random bits of tree t by splitmix64 (Steele, Lea, Flood 2014); its state is one word, saved with the
+    forest.
+    """
     state[t] = state[t] + u8(0x9E3779B97F4A7C15)
     z = state[t]
     z = (z ^ (z >> u8(30))) * u8(0xBF58476D1CE4E5B9)
@@ -189,7 +211,7 @@ def _bits(state, t):
 
 @kernel(inline=True)
 def uniform(state, t):
-    """A random number from 0 on, below 1, of tree t."""
+    """Draw a random number in [0, 1) of tree t."""
     return np.float64(_bits(state, t) >> u8(11)) * (1.0 / 9007199254740992.0)
 
 
@@ -211,8 +233,10 @@ def _offset(state, t, half):
 
 @kernel
 def draw_test(state, t, half, spread, test):
-    """A random test (5,): offsets uniform in the square, half of them against the pixel itself; the threshold is a
-    product of two uniform numbers, so that small differences are the most frequent."""
+    """Draw a random test (5,): offsets uniform in the square, half of them against the pixel itself.
+
+    The threshold is a product of two uniform numbers, so that small differences are the most frequent.
+    """
     test[0], test[1] = _offset(state, t, half), _offset(state, t, half)
     if uniform(state, t) < 0.5:
         test[2], test[3] = _offset(state, t, half), _offset(state, t, half)
@@ -234,13 +258,13 @@ def _entropy(counts, n):
 
 @kernel
 def best_test(left, total, side):
-    """(index, gain) of the candidate of largest information gain (eq. 3.2), in bits; -1 where none gains anything.
+    """Find the candidate test of largest information gain (Alcoverro 2014, eq. 3.2).
 
-    left (T, C): counts of the left side per candidate.
-    total (C,).
-    side (2, C) is scratch.
-
-    Deviation: the entropy before the split is added, which eq. 3.2 leaves out, so that beta of Algorithm 6 is a gain.
+    left: (T, C) counts of the left side per candidate.
+    total: (C,) counts of both sides.
+    side: (2, C), scratch.
+    Returns: (index, gain in bits); index -1 where no candidate gains.
+    Deviation: the entropy before the split is added, which eq. 3.2 omits, so that beta of Algorithm 6 is a gain.
     """
     n = 0
     for c in range(total.shape[0]):
@@ -262,7 +286,7 @@ def best_test(left, total, side):
 
 @kernel
 def _open(g, t, n, half, spread):
-    """A free slot with fresh candidates for leaf n of tree t; -1 when the pool is empty."""
+    """Give leaf n of tree t a free slot with new candidates; return the slot, or -1 where none is free."""
     if g.n_free[t] == 0:
         g.tally[1] += 1
         return -1
@@ -285,7 +309,7 @@ def _close(g, t, n, slot):
 
 @kernel
 def _split(g, t, n, slot, q):
-    """Make the winning candidate the node's test; the children start with the class counts of their side."""
+    """Make the winning candidate the test of a node; the children start with the class counts of their side."""
     a = g.size[t]
     g.size[t] += 2
     g.left[t, n] = a
@@ -304,12 +328,15 @@ def _split(g, t, n, slot, q):
 
 @kernel
 def _grow(flat, width, cells, labels, focal, near, clip, half, spread, rate, alpha, beta, deepest, g):
-    """Algorithm 6 for samples: cells (S,) i8 of the flat padded picture, labels (S,) i4 class. g: GrowingArrays.
+    """Update a growing forest with samples by Algorithm 6.
 
-    Deviation: a leaf gets candidates only once it has seen two samples of each of two classes, and counts |S_j| from
-    then on. Deviation: a slot that has seen 3 alpha samples without a gainful test is given back and drawn again.
-    Deviation: the Poisson number of repeats is added at once, so that a split waits for all of them. Deviation: the
-    numbers of nodes and of leaves with candidates are bounded, which bounds the memory.
+    cells: (S,) i8 of the flat padded picture.
+    labels: (S,) i4 classes.
+    g: GrowingArrays.
+    Deviations: a leaf gets candidates only after two samples of each of two classes, and counts |S_j| from then on. A
+    slot without a gainful test after 3 alpha samples is returned and drawn again. The Poisson number of repeats is
+    added at once, so that a split waits for all of them. The numbers of nodes and of leaves with candidates are
+    bounded, which bounds the memory.
     """
     trees, classes = g.left.shape[0], g.seen.shape[2]
     side = np.empty((2, classes), np.int64)

@@ -1,6 +1,6 @@
-"""The fit of one frame of fused skeletons, and how sure it is (kernels).
+"""Fit one frame of fused skeletons, and compute its uncertainty (kernels).
 
-Arrays in, arrays out; missing joints are marked by a weight of 0, never by NaN alone.
+Missing joints are marked by a weight of 0, never by NaN alone.
 """
 
 from __future__ import annotations
@@ -18,19 +18,25 @@ def fit_frame(
     points, weights, predicted, prior_weight, bones, lengths, bone_weight, data_weight, scale, coarse, iterations, x,
     share, variance,
 ):  # fmt: skip
-    """The 3D joints of one frame: robust data, constant distances, and a prediction; graduated Gauss-Newton.
+    """Fit the 3D joints of one frame to the joints of K sensors, constant bone lengths and a prediction, by graduated
+    Gauss-Newton.
 
-    Minimises 1/2 sum_kj w_kj d c^2 log(1 + |s_kj - x_j|^2 / c^2) + 1/2 sum_b b_b (|x_i - x_j| - l_b)^2 + 1/2 sum_j p_j
-    |x_j - predicted_j|^2.
+    It minimises 1/2 sum_kj w_kj d c^2 log(1 + |s_kj - x_j|^2 / c^2) + 1/2 sum_b b_b (|x_i - x_j| - l_b)^2 + 1/2 sum_j
+    p_j |x_j - predicted_j|^2.
 
-    points (K, J, 3) m, weights (K, J) 0 = missing.
-    predicted (J, 3).
-    prior_weight (J,) 1/m^2.
-    bones (B, 2), lengths (B,) m (0 = unknown), bone_weight (B,) 1/m^2; data_weight d 1/m^2; scale c m, multiplied by
-        coarse, coarse / 2, ... down to 1.
-    x (J, 3): start and result.
-    share (K, J): the sensors' part in each joint.
-    variance (J,) m^2 per axis, of the quadratic at the result.
+    points: (K, J, 3) m, joints s of the sensors.
+    weights: (K, J) w, 0 = missing.
+    predicted: (J, 3) m.
+    prior_weight: (J,) p, 1/m^2.
+    bones: (B, 2) joints i, j of each bone.
+    lengths: (B,) l, m (0 = unknown).
+    bone_weight: (B,) b, 1/m^2.
+    data_weight: d, 1/m^2.
+    scale: c, m, multiplied by coarse, coarse / 2, ... down to 1.
+    iterations: number of steps.
+    x: (J, 3) m, start; gets the result.
+    share: (K, J) gets the share of each sensor in each joint.
+    variance: (J,) gets m^2 per axis, of the quadratic at the result.
     """
     sensors, joints = weights.shape
     n = 3 * joints
@@ -90,15 +96,23 @@ def fit_frame(
 
 @kernel
 def judge_claims(off, apart, alike, weights, order, variance, own, elsewhere, jitter, limit, systematic, wrong):
-    """Remaining uncertainty of joints fused from those of sensors, seen with probability weights (K, J).
+    """Compute the remaining uncertainty of fused joints from the disagreement of the sensors.
 
-    Either the first sensor in order (K, J) is right, and those that follow are right or guess; or it guesses and the
-    next one is right, ...; or all guess. How far they are apart (K, K, J) m^2 tells which. What a sensor sees is off by
-    sd own (J,) m per axis, of which two sensors share alike (K, K), and by `jitter`; a guess by `elsewhere`.
+    off: (K, J, 3) m, from the fused joints to the sensors'.
+    apart: (K, K, J) m^2, squared distances between the sensors' joints.
+    alike: (K, K) share of the error sd `own` that two sensors have in common.
+    weights: (K, J) probability that a sensor sees the joint.
+    order: (K, J) sensors by falling weight.
+    variance: (J,) m^2 per axis, of the fused joints themselves.
+    own: (J,) m per axis, sd of the error of a joint that a sensor sees.
+    elsewhere: m per axis, sd of a guessed joint.
+    jitter: m per axis, sd of the noise between frames.
+    limit: m, least size of a large error.
+    systematic: (J,) gets m^2 per axis, the variance about the fused joints over all cases.
+    wrong: (J,) gets the probability of an error above limit.
 
-    off (K, J, 3) m: from the fused joints to the sensors'.
-    variance (J,) m^2 per axis: what the fused ones have of their own. Written are systematic (J,) m^2 per axis, the
-        variance about them of all these cases, and wrong (J,), how likely they are off by more than limit m.
+    The cases are: the first sensor in the order is right, and those after it are right or guess; or it guesses and the
+    next one is right, ...; or all guess. The distances between the sensors' joints weigh the cases.
     """
     centre = np.empty(3)
     for j in range(own.shape[0]):
@@ -134,13 +148,15 @@ def judge_claims(off, apart, alike, weights, order, variance, own, elsewhere, ji
 
 @kernel
 def _normal(squared, variance):
-    """Density of a normal distribution in three dimensions at a squared distance, but for a factor."""
+    """Compute the density of a 3D normal distribution at a squared distance, up to a constant factor."""
     return math.exp(-squared / (2 * variance)) / variance**1.5
 
 
 @kernel
 def _beyond(off, sd, limit):
-    """How likely a point of sd per axis about a centre at distance off lies further than limit away."""
+    """Compute the probability that a point of sd per axis, about a centre at distance off, lies farther than limit
+    away.
+    """
     off = max(off, 1e-6)
     near, far = (limit - off) / sd, (limit + off) / sd
     inside = (math.erf(near / math.sqrt(2)) + math.erf(far / math.sqrt(2))) / 2

@@ -1,5 +1,6 @@
-"""Where in a stored picture is something that is not the room? A look at every fourth pixel of the working size, before
-any of it is shrunk and undistorted: the person is a small part of most pictures.
+"""Find the part of a stored picture that differs from the empty room, before any of it is shrunk and undistorted.
+
+Only every fourth pixel of the working size is read, because the person is a small part of most pictures.
 """
 
 from __future__ import annotations
@@ -16,32 +17,38 @@ from hypose.compute.picture_to_mask import BackgroundLevels, Box, mean_outside
 from hypose.geometry import Image
 
 STEP = 4
-"""px of the working size between the pixels looked at"""
+"""px of the working size between the pixels that are read."""
 MARGIN = 24
-"""px of the working size around what was found"""
+"""px of the working size around the differing pixels."""
 AMONG = 3
-"""a pixel counts when so many of the nine around it, itself included, are not the room: noise is alone"""
+"""A pixel counts where so many of the nine around it, itself included, differ from the room: noise is isolated."""
 
 
 class Glance(NamedTuple):
-    """What the pixels looked at should be. low, high (m, n, 4) u1: the grey levels that are still the room there, or
-    one pixel of the working size next to it, for a sharp edge in the room lies elsewhere in every 2 x 2 pixels; the
-    fourth number says nothing."""
+    """Grey levels of the empty room at the pixels that are read.
+
+    low, high: (m, n, 4) uint8, range of the room there and one pixel of the working size around it, because a sharp
+        edge lies elsewhere in every 2 x 2 pixels; the fourth number is unused.
+    """
 
     low: Image
     high: Image
 
 
 def glance_at(room: BackgroundLevels) -> Glance:
-    """Return the pixels of a room that are looked at."""
+    """Extract the pixels that are read from the background levels of a room."""
     around = np.ones((3, 3), np.uint8)
     low, high = cv2.erode(room.low, around), cv2.dilate(room.high, around)
     return Glance(*(np.pad(a[::STEP, ::STEP], ((0, 0), (0, 0), (0, 1))) for a in (low, high)))
 
 
 def stored_pixels(stored: tuple[int, int], map_x: ArrayLike, map_y: ArrayLike) -> NDArray[np.int32]:
-    """Return (m, n) number of the pixel of a stored picture (width, height), up and left of where each pixel looked at
-    lies, from the maps (h, w) of `picture_to_mask.make_lens`; -1 where that is outside the picture."""
+    """Compute which pixel of a stored picture to read for each pixel of the grid.
+
+    stored: (width, height) of the stored picture.
+    map_x, map_y: (h, w) maps of `picture_to_mask.make_lens`.
+    Returns: (m, n) number of the stored pixel up and left of the place; -1 outside the picture.
+    """
     mx, my = (np.asarray(m, dtype=np.float64) for m in (map_x, map_y))
     h, w = mx.shape
     x = np.floor((mx[::STEP, ::STEP] + 0.5) * stored[0] / w - 0.5)
@@ -52,8 +59,14 @@ def stored_pixels(stored: tuple[int, int], map_x: ArrayLike, map_y: ArrayLike) -
 
 
 def differing_box(image: Image, at: NDArray[np.int32], glance: Glance, size: tuple[int, int]) -> Box | None:
-    """Return the box (y0, y1, x0, x1) of the working size (width, height) that holds the foreground in a stored picture
-    (H, W, 3), with a margin; None when there is nothing. at: of `stored_pixels`."""
+    """Find the box of the working size that holds the foreground of a stored picture, with a margin.
+
+    image: (H, W, 3) stored picture.
+    at: of `stored_pixels`.
+    glance: of `glance_at`.
+    size: (width, height) of the working size.
+    Returns: (y0, y1, x0, x1), px; None where nothing differs.
+    """
     found = np.zeros(4, np.int64)
     _differing_box(plain(image, np.uint8), at, *glance, AMONG, found)
     y0, y1, x0, x1 = found.tolist()
@@ -68,7 +81,7 @@ def differing_box(image: Image, at: NDArray[np.int32], glance: Glance, size: tup
 
 
 def warm_up() -> None:
-    """Compile (or load from disk) the kernel."""
+    """Compile (or load from the cache) the kernel."""
     picture, (x, y) = np.zeros((24, 30, 3), np.uint8), np.meshgrid(np.arange(15.0), np.arange(12.0))
     low = np.zeros((12, 15, 3), np.uint8)
     room = BackgroundLevels(low, low, low.astype(np.float32), False, 0.5, 0.9, 100.0)
@@ -77,11 +90,14 @@ def warm_up() -> None:
 
 @kernel
 def _differing_box(image, at, low, high, among, box):
-    """Fills box (4,): y0, y1, x0, x1 of the pixels looked at, at (m, n) i4, that differ in company; zeros without any.
+    """Find the box of the read pixels that differ from the room in company.
 
-    One differs where the mean of the 2 x 2 pixels of image (H, W, 3) u1 from pixel number `at` on lies in some colour
-    outside low..high (m, n, 4) u1, and `at` is not negative; and does so in company where `among` of the nine around
-    it, itself included, differ."""
+    image: (H, W, 3) u1.
+    at: (m, n) i4, number of the first of the 2 x 2 pixels to read; negative: none.
+    low, high: (m, n, 4) u1, range of the mean of these pixels in the room.
+    among: number of the nine pixels around one, itself included, that must differ.
+    box: (4,) gets y0, y1, x0, x1 in read pixels; zeros without any.
+    """
     m, n = at.shape
     picture, least, most, below = image.reshape(-1), low.reshape(-1), high.reshape(-1), 3 * image.shape[1]
     found = np.zeros((m + 2, n + 2), np.uint8)

@@ -1,4 +1,4 @@
-"""Joint frames, world twists, skinning, and how sure joint centres are."""
+"""Compute joint frames, world twists, skinned vertices, and covariances of joint centres."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from hypose.geometry import Array
 
 @kernel
 def rotation_matrix(x, y, z, rotation):
-    """Rodrigues' formula: the rotation (3, 3) of the rotation vector (x, y, z)."""
+    """Compute the rotation (3, 3) of the rotation vector (x, y, z) by Rodrigues' formula."""
     a, b, _, t2 = _rodrigues(x, y, z)
     _turning(x, y, z, t2, a, b, rotation)
 
 
 @kernel
 def so3_exp_and_jacobian(x, y, z, rotation, jacobian):
-    """The same, and the left Jacobian (3, 3) of the rotation vector."""
+    """Compute the rotation (3, 3) of the rotation vector (x, y, z), and its left Jacobian (3, 3)."""
     a, b, c, t2 = _rodrigues(x, y, z)
     _turning(x, y, z, t2, a, b, rotation)
     _turning(x, y, z, t2, b, c, jacobian)
@@ -29,7 +29,7 @@ def so3_exp_and_jacobian(x, y, z, rotation, jacobian):
 
 @kernel
 def _rodrigues(x, y, z):
-    """sin t / t, (1 - cos t) / t^2, (t - sin t) / t^3 and t^2 of a rotation vector of length t."""
+    """Return sin t / t, (1 - cos t) / t^2, (t - sin t) / t^3 and t^2 for a rotation vector of length t."""
     t2 = x * x + y * y + z * z
     t = math.sqrt(t2)
     if t < 1e-3:  # series: the error of the next term is below 1e-15
@@ -41,7 +41,9 @@ def _rodrigues(x, y, z):
 
 @kernel
 def _turning(x, y, z, t2, p, s, m):
-    """m (3, 3) = 1 + p V + s V^2, V the matrix of the cross product with (x, y, z), whose squared length is t2."""
+    """Compute m (3, 3) = 1 + p V + s V^2, V the matrix of the cross product with (x, y, z), whose
+    squared length is t2.
+    """
     m[0, 0] = 1 + s * (x * x - t2)
     m[1, 1] = 1 + s * (y * y - t2)
     m[2, 2] = 1 + s * (z * z - t2)
@@ -55,7 +57,7 @@ def _turning(x, y, z, t2, p, s, m):
 
 @kernel
 def multiply(a, b, out):
-    """out = a @ b for (3, 3); out must be another array."""
+    """Compute out = a @ b for (3, 3); out must be another array."""
     for i in range(3):
         for j in range(3):
             out[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
@@ -63,10 +65,11 @@ def multiply(a, b, out):
 
 @kernel
 def joint_frames(q, tree, rotations, centres, twists):
-    """Frames and twists of one pose q (D,), all about the root's position: rotations (J, 3, 3).
+    """Compute frames and twists of one pose q (D,), relative to the root's position.
 
-    centres (J, 3) minus q[0:3].
-    twists (D, 6) = (w, v), a point x (minus q[0:3]) moves with w x x + v per unit of the dof.
+    rotations: (J, 3, 3) gets the rotations.
+    centres: (J, 3) gets the centres minus q[0:3].
+    twists: (D, 6) gets (w, v): a point x (minus q[0:3]) moves with w x x + v per unit of the dof.
     """
     local = np.empty((3, 3))
     jacobian = np.empty((3, 3))
@@ -125,7 +128,7 @@ def joint_frames(q, tree, rotations, centres, twists):
 
 @kernel
 def _forward_kinematics(poses, tree, rotations, centres):
-    """Batch of joint frames: poses (N, D) -> rotations (N, J, 3, 3), centres (N, J, 3) in the world."""
+    """Compute the joint frames of poses (N, D): rotations (N, J, 3, 3), centres (N, J, 3) in the world."""
     twists = np.empty((poses.shape[1], 6))
     for n in range(poses.shape[0]):
         joint_frames(poses[n], tree, rotations[n], centres[n], twists)
@@ -136,7 +139,7 @@ def _forward_kinematics(poses, tree, rotations, centres):
 
 @kernel
 def skin_batch(rotations, centres, tree, mesh, out):
-    """Linear blend skinning in float64: (N, J, 3, 3), (N, J, 3) -> out (N, V, 3)."""
+    """Skin the mesh in float64 by linear blend skinning: (N, J, 3, 3), (N, J, 3) -> out (N, V, 3)."""
     for n in range(rotations.shape[0]):
         for v in range(mesh.vertices.shape[0]):
             px = py = pz = 0.0
@@ -156,8 +159,11 @@ def skin_batch(rotations, centres, tree, mesh, out):
 
 @kernel
 def bone_map(rotation, centre, joint, out):
-    """out (12,) f4, row by row (3, 4): what carries a vertex of the resting body with a joint, from where that is at
-    rest (3,) to its frame: rotation (3, 3), centre (3,)."""
+    """Compute the map out (12,) f4, row by row (3, 4), that carries a vertex of the resting body with a joint.
+
+    rotation, centre: frame of the joint, (3, 3) and (3,).
+    joint: (3,) its centre at rest.
+    """
     for i in range(3):
         x, y, z = rotation[i, 0], rotation[i, 1], rotation[i, 2]
         out[4 * i] = x
@@ -168,7 +174,7 @@ def bone_map(rotation, centre, joint, out):
 
 @kernel
 def skin_vertices(maps, mesh, chosen, out):
-    """Linear blend skinning in float32 of the chosen vertices alone, by the maps (J, 12) of `bone_map`."""
+    """Skin the chosen vertices in float32 by linear blend skinning, with the maps (J, 12) of `bone_map`."""
     b = np.empty(12, np.float32)
     for n in range(chosen.shape[0]):
         v = chosen[n]
@@ -189,7 +195,7 @@ def skin_vertices(maps, mesh, chosen, out):
 
 @kernel
 def skin_about_root(rotations, centres, tree, mesh, out):
-    """Linear blend skinning of one pose in float32 about the root's position (float32 is then good to 1e-4 mm)."""
+    """Skin one pose in float32 relative to the root's position, where float32 is accurate to 1e-4 mm."""
     n_joints = rotations.shape[0]
     maps = np.empty((n_joints, 12), np.float32)
     for j in range(n_joints):
@@ -199,7 +205,7 @@ def skin_about_root(rotations, centres, tree, mesh, out):
 
 @kernel
 def camera_about_root(projection, q, out):
-    """Projection (3, 4) f8 for points in the world -> out (3, 4) f4 for points minus q[0:3]."""
+    """Convert a projection (3, 4) f8 of world points to out (3, 4) f4 for points minus q[0:3]."""
     for r in range(3):
         for c in range(3):
             out[r, c] = projection[r, c]
@@ -208,8 +214,9 @@ def camera_about_root(projection, q, out):
 
 @kernel
 def _joint_jacobians(q, tree, out):
-    """out (J, 3, D), zero before: derivatives of the joint centres, the root's rotation as a small turn in the
-    world."""
+    """Compute the derivatives of the joint centres, the root's rotation as a small turn in the world, into out (J, 3,
+    D), zero before.
+    """
     n_dof, n_joints = q.shape[0], tree.parents.shape[0]
     rotations, centres, twists = np.empty((n_joints, 3, 3)), np.empty((n_joints, 3)), np.empty((n_dof, 6))
     joint_frames(q, tree, rotations, centres, twists)
@@ -229,7 +236,7 @@ def _joint_jacobians(q, tree, out):
 
 
 def forward_kinematics(poses: ArrayLike, tree: TreeArrays) -> tuple[Array, Array]:
-    """Poses (N, D) -> rotations world_from_joint (N, J, 3, 3) and joint centres (N, J, 3) m."""
+    """Compute the rotations world_from_joint (N, J, 3, 3) and joint centres (N, J, 3) m of poses (N, D)."""
     q = plain(poses, np.float64)
     n, j = len(q), len(tree.parents)
     rotations, centres = np.empty((n, j, 3, 3)), np.empty((n, j, 3))
@@ -238,7 +245,7 @@ def forward_kinematics(poses: ArrayLike, tree: TreeArrays) -> tuple[Array, Array
 
 
 def skin(rotations: ArrayLike, centres: ArrayLike, tree: TreeArrays, mesh: MeshArrays) -> Array:
-    """Linear blend skinning: rotations (N, J, 3, 3), centres (N, J, 3) -> vertices (N, V, 3) m."""
+    """Compute vertices (N, V, 3) m by linear blend skinning, from rotations (N, J, 3, 3) and centres (N, J, 3) m."""
     r, c = plain(rotations, np.float64), plain(centres, np.float64)
     out = np.empty((len(r), len(mesh.vertices), 3))
     skin_batch(r, c, tidy(tree), tidy(mesh), out)
@@ -246,8 +253,9 @@ def skin(rotations: ArrayLike, centres: ArrayLike, tree: TreeArrays, mesh: MeshA
 
 
 def joint_jacobians(pose: ArrayLike, tree: TreeArrays) -> Array:
-    """Return (J, 3, D) derivatives of the joint centres by a pose (D,), the root's rotation as a small turn in the
-    world."""
+    """Compute the derivatives (J, 3, D) of the joint centres by a pose (D,), the root's rotation as a small turn in the
+    world.
+    """
     q = plain(pose, np.float64)
     out = np.zeros((len(tree.parents), 3, len(q)))
     _joint_jacobians(q, tidy(tree), out)
@@ -255,10 +263,11 @@ def joint_jacobians(pose: ArrayLike, tree: TreeArrays) -> Array:
 
 
 def joint_covariances(pose: ArrayLike, tree: TreeArrays, information: Array, ridge: float = 1e-9) -> Array:
-    """Return (J, 3, 3) m^2: covariances of the joint centres when the pose (D,) has the covariance (information +
-    ridge)^-1: G C G^T with G the Jacobian of the centre.
+    """Compute the covariances (J, 3, 3) m^2 of the joint centres: G C G^T with G the Jacobian of the centre.
 
-    ridge: relative to the diagonal of the information, which counts as 1 at least, and makes it positive definite.
+    pose: (D,).
+    information: (D, D) inverse covariance of the pose; C is the inverse of (information + ridge).
+    ridge: relative to the diagonal of the information, which counts as 1 at least; makes it positive definite.
     """
     jacobian = joint_jacobians(pose, tree)
     flat = jacobian.reshape(-1, jacobian.shape[2])

@@ -1,6 +1,7 @@
-"""The mesh as the block-wise silhouette scorer reads it (only the faces asked for, weights without the zeros), and its
-scratch memory, kept by each thread: memory that is made for every call has its pages touched for the first time, which
-takes as long as scoring a dozen poses.
+"""Mesh layout of the block-wise silhouette scorer (only the wanted faces, weights without zeros), and its scratch
+memory per thread.
+
+Why the scratch memory is kept: touching the pages of new memory in every call takes as long as scoring a dozen poses.
 """
 
 from __future__ import annotations
@@ -16,24 +17,26 @@ from hypose.compute.coverage import LANES, row_stride
 
 
 class LaneMesh(NamedTuple):
-    """A mesh, or some faces of one, for scorer.py."""
+    """Mesh, or some faces of one, for scorer.py.
+
+    vertices: (V, 3) m, only those of the faces.
+    faces: (F, 3).
+    edges: (E, 4) vertices a, b, the faces left and right; F where the face is not among the wanted ones.
+    start: (V + 1,) first influence of each vertex in joint and weight.
+    joint: (K,) joints of the influences.
+    weight: (K,) weights of the influences.
+    needed: (J,) joints that move these vertices, and those above them.
+    one_sided: whether only front faces are drawn, also where the near plane opens the mesh.
+    """
 
     vertices: NDArray[np.float32]
-    """(V, 3) m, only those of the faces."""
     faces: NDArray[np.int32]
-    """(F, 3)"""
     edges: NDArray[np.int32]
-    """(E, 4): vertices a, b, the faces left and right; F where the face is not among those asked for."""
     start: NDArray[np.int64]
-    """(V + 1,) first influence of each vertex in joint and weight."""
     joint: NDArray[np.int32]
-    """(K,)"""
     weight: NDArray[np.float32]
-    """(K,)"""
     needed: NDArray[np.bool_]
-    """(J,) the joints that move these vertices, and those above them"""
     one_sided: bool
-    """Only front faces are drawn, also where the near plane opens the mesh."""
 
 
 class _Plan(NamedTuple):
@@ -50,8 +53,10 @@ _KEPT = 24  # two bodies with ten layers of parts each
 
 
 def prepare_lanes(mesh: MeshArrays, tree: TreeArrays, faces: NDArray[np.bool_] | None) -> LaneMesh:
-    """Return the mesh, or its faces where faces (F,) is True. What depends on topology and weights is kept for the next
-    call; vertices are read again."""
+    """Convert a mesh, or its faces where faces (F,) is True, for the scorer.
+
+    Values that depend on topology and weights are kept for the next call; vertices are read again.
+    """
     wanted = None if faces is None else faces.tobytes()
     with _lock:
         for k, plan in enumerate(_plans):
@@ -108,18 +113,20 @@ def _with_ancestors(joints: NDArray[np.int32], parents: NDArray[np.int64]) -> ND
 
 
 class MovingParts(NamedTuple):
-    """What of a mesh, or of the faces asked for, moves when some joints turn."""
+    """Parts of a mesh, or of its wanted faces, that move when some joints turn.
+
+    moved: (F,) faces with a corner carried by such a joint or by one below it.
+    standing: (F,) the other faces.
+    corners: (K, 3) corners of the standing faces.
+    turning: (J,) such joints, and those below them.
+    vertices: (M,) corners of the moved faces.
+    """
 
     moved: NDArray[np.bool_]
-    """(F,) the faces with a corner that hangs on such a joint or on one below it"""
     standing: NDArray[np.bool_]
-    """(F,) the others"""
     corners: NDArray[np.int32]
-    """(K, 3) the others"""
     turning: NDArray[np.bool_]
-    """(J,) such joints, and those below them"""
     vertices: NDArray[np.int64]
-    """(M,) the corners of the faces that move"""
 
 
 _moving: list[tuple[NDArray[np.int32], bytes, MovingParts]] = []
@@ -128,7 +135,7 @@ _moving: list[tuple[NDArray[np.int32], bytes, MovingParts]] = []
 def moving_parts(
     mesh: MeshArrays, tree: TreeArrays, moving: NDArray[np.bool_], faces: NDArray[np.bool_] | None
 ) -> MovingParts:
-    """Return the parts when the joints `moving` (J,) turn, of the faces (F,) asked for; kept for the next call."""
+    """Find the parts of the wanted faces (F,) that move when the joints `moving` (J,) turn; kept for the next call."""
     wanted = moving.tobytes() + (b"" if faces is None else faces.tobytes())
     with _lock:
         for index_of, key, parts in _moving:
@@ -154,7 +161,9 @@ _OWN = threading.local()
 
 
 def lane_scratch(mesh: LaneMesh, image: tuple[int, int]) -> tuple[Any, ...]:
-    """This thread's scratch for a mesh and images of (rows, columns), as `scorer._silhouette_xor` unpacks it."""
+    """Return this thread's scratch arrays for a mesh and images of (rows, columns), as `scorer._silhouette_xor` unpacks
+    them.
+    """
     known: dict[tuple[int, ...], tuple[Any, ...]] = _OWN.__dict__.setdefault("scratch", {})
     key = (len(mesh.needed), len(mesh.vertices), len(mesh.faces), len(mesh.edges), *image)
     if key not in known:
@@ -165,8 +174,9 @@ def lane_scratch(mesh: LaneMesh, image: tuple[int, int]) -> tuple[Any, ...]:
 
 
 def _make(j: int, v: int, f: int, e: int, rows: int, columns: int) -> tuple[Any, ...]:
-    """Of LANES poses at a time: 12 arrays of placing and projecting, 8 of drawing; the difference
-    image is zero between calls."""
+    """Make the scratch arrays of LANES poses: 12 for placing and projecting, 8 for drawing; the difference image is
+    zero between calls.
+    """
     f4, i4, lanes = np.float32, np.int32, LANES
     return (
         *(np.empty((j + 1, 9, lanes)), np.empty((j, 3, lanes)), np.empty((3, lanes)), np.empty((9, lanes))),
@@ -174,7 +184,7 @@ def _make(j: int, v: int, f: int, e: int, rows: int, columns: int) -> tuple[Any,
         *(np.empty((v, lanes), f4), np.empty((12, lanes), f4), np.empty((5, lanes), f4)),
         *(np.zeros((5, lanes), f4), np.zeros((lanes, 4), np.int64)),
         *(np.empty(f + 1, np.uint16), np.empty(e + 1, i4), np.empty((4, lanes), f4), np.empty(lanes, i4)),
-        # an outline crosses a column some 5 times each way; memory that is not touched costs nothing
+        # an outline crosses a column about 5 times each way; memory that is not touched costs nothing
         *(np.empty((2 * lanes, 16 * columns + 1024), i4), np.zeros(2 * lanes, np.int64)),
         # a window begins at a multiple of 8
         *(np.zeros((rows + 1) * row_stride(columns + 8) + 8, np.int8), np.zeros(2, np.int64)),

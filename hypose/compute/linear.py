@@ -1,4 +1,4 @@
-"""Linear algebra of least squares: rows to normal equations, unknowns eliminated from them, and coupled frames."""
+"""Linear algebra of least squares: normal equations of rows, elimination of unknowns, and coupled frames."""
 
 from __future__ import annotations
 
@@ -12,13 +12,16 @@ from hypose.compute.compiled import kernel
 from hypose.geometry import Array
 
 _DAMPING_SHARE = 1e-12
-"""Share of its diagonal (of 1 at least) that is added to a group of unknowns, of which nothing may be known"""
+"""Share of its diagonal (of 1 at least) that is added to a group of unknowns, which may be undetermined."""
 
 
 @kernel
 def _weighted_squares(jacobian, weight, residual, hessian, gradient):
-    """hessian (D, D) += J^T w J, gradient (D,) += J^T w r of rows jacobian (R, D), weight (R,), residual (R,): in a
-    fixed order, which those of threaded libraries are not."""
+    """Add J^T w J to hessian (D, D) and J^T w r to gradient (D,), in a fixed order of the sums (threaded libraries have
+    none).
+
+    jacobian, weight, residual: (R, D), (R,) and (R,) of the rows.
+    """
     rows, n = jacobian.shape
     whole = rows - rows % 4
     for r in range(0, whole, 4):  # four at once: the matrix is read and written a quarter as often
@@ -44,7 +47,7 @@ def _weighted_squares(jacobian, weight, residual, hessian, gradient):
 
 
 def weighted_squares(jacobian: ArrayLike, weight: ArrayLike, residual: ArrayLike) -> tuple[Array, Array]:
-    """J^T w J (D, D) and J^T w r (D,) of rows: jacobian (R, D), weight (R,), residual (R,)."""
+    """Compute J^T w J (D, D) and J^T w r (D,) of rows: jacobian (R, D), weight (R,), residual (R,)."""
     j, w, r = (plain(x, np.float64) for x in (jacobian, weight, residual))
     hessian, gradient = np.zeros((j.shape[1], j.shape[1])), np.zeros(j.shape[1])
     _weighted_squares(j, w, r, hessian, gradient)
@@ -53,8 +56,12 @@ def weighted_squares(jacobian: ArrayLike, weight: ArrayLike, residual: ArrayLike
 
 @dataclass(frozen=True)
 class SharedEquations:
-    """Normal equations of S unknowns that all share (a body's shape, cameras) and N groups of n (a frame's pose, a
-    point) that meet no other group: hessian (S, S), gradient (S,), own (N, n, n), own_gradient (N, n), cross (N, n, S).
+    """Normal equations of S unknowns shared by all (a body's shape, cameras) and N groups of n unknowns (a frame's
+    pose, a point) that are not coupled to each other.
+
+    hessian, gradient: (S, S) and (S,) of the shared unknowns.
+    own, own_gradient: (N, n, n) and (N, n) of the groups.
+    cross: (N, n, S) between groups and shared unknowns.
     """
 
     hessian: Array
@@ -64,8 +71,9 @@ class SharedEquations:
     cross: Array
 
     def reduced(self, damping: float = 0.0) -> Reduced:
-        """Return the groups eliminated (Schur complement); damping is relative to the diagonal (at least 1).
+        """Eliminate the groups (Schur complement).
 
+        damping: relative to the diagonal (at least 1).
         Source: Triggs et al. 2000, "Bundle adjustment - a modern synthesis", section 6.1.
         """
         own = self.own.copy()
@@ -82,8 +90,13 @@ class SharedEquations:
 
 @dataclass(frozen=True)
 class Reduced:
-    """The reduced system of the shared unknowns, hessian (S, S) and gradient (S,), and the groups' solution: factor
-    (N, n, n) L of their matrices, and L^-1 of their gradient (N, n) and of cross (N, n, S)."""
+    """Reduced system of the S shared unknowns, and the factored groups.
+
+    hessian, gradient: (S, S) and (S,).
+    factor: (N, n, n) Cholesky factors L of the groups' matrices.
+    own_gradient: (N, n) L^-1 times the groups' gradients.
+    cross: (N, n, S) L^-1 times the coupling.
+    """
 
     hessian: Array
     gradient: Array
@@ -92,7 +105,9 @@ class Reduced:
     cross: Array
 
     def step(self, free: NDArray[np.bool_] | None = None) -> Array | None:
-        """Return (S,) the shared unknowns' step, 0 for those that are not free (S,); None when nothing holds them."""
+        """Solve for the step (S,) of the shared unknowns, 0 for those that are not free (S,); None where they are
+        undetermined.
+        """
         use = np.ones(len(self.gradient), np.bool_) if free is None else free
         hessian = self.hessian[np.ix_(use, use)]
         if not (hessian.diagonal() > 0).all():
@@ -106,17 +121,19 @@ class Reduced:
         return x
 
     def own_steps(self, shared: Array) -> Array:
-        """Return (N, n) the groups' steps when the shared unknowns step by `shared` (S,)."""
+        """Compute the steps (N, n) of the groups for a step `shared` (S,) of the shared unknowns."""
         pull = self.own_gradient + np.einsum("kns,s->kn", self.cross, shared)
         return np.linalg.solve(np.swapaxes(self.factor, 1, 2), -pull[..., None])[..., 0]
 
 
 def solve_coupled(own: ArrayLike, bands: ArrayLike, right: ArrayLike) -> Array | None:
-    """x (T, D) with M x = right (T, D), in time linear in T; None when M is not positive definite.
+    """Solve M x = right for T coupled frames, in time linear in T.
 
-    own (T, D, D): the frames' symmetric blocks.
-    bands (3, T, D): diagonal weights of every frame with itself and with the frames one and two later (what would reach
-        beyond the last frame is ignored).
+    own: (T, D, D) symmetric blocks of the frames.
+    bands: (3, T, D) diagonal weights of every frame with itself and with the frames one and two later (those beyond the
+        last frame are ignored).
+    right: (T, D).
+    Returns: x (T, D); None where M is not positive definite.
     """
     b = np.asarray(right, dtype=np.float64)
     found = _eliminated(np.asarray(own, dtype=np.float64), np.asarray(bands, dtype=np.float64))
@@ -134,10 +151,11 @@ def solve_coupled(own: ArrayLike, bands: ArrayLike, right: ArrayLike) -> Array |
 
 
 def frame_covariances(own: ArrayLike, bands: ArrayLike) -> Array | None:
-    """Return (T, D, D) the diagonal blocks of the inverse of the same matrix; None when it is not positive definite.
+    """Compute the diagonal blocks (T, D, D) of the inverse of the matrix of `solve_coupled`.
 
-    When own holds each frame's information and bands couple them, these are the covariances of the frames: one of which
-    nothing is known is known through its neighbours alone, the less the farther those are.
+    Returns: None where it is not positive definite. Where `own` is each frame's information and `bands` couple the
+        frames, these are the covariances of the frames; a frame without information is determined by its neighbours
+        only, and less the farther they are.
     """
     o = np.asarray(own, dtype=np.float64)
     found = _eliminated(o, np.asarray(bands, dtype=np.float64))
@@ -153,11 +171,13 @@ def frame_covariances(own: ArrayLike, bands: ArrayLike) -> Array | None:
 
 
 def _eliminated(own: Array, bands: Array) -> tuple[list[Array], Array] | None:
-    """Of pairs of frames: the inverse of the rest of their block (2 D, 2 D) after all before them are eliminated,
-    and what joins them to the next pair (P, 2 D, 2 D); None: not positive definite.
+    """Eliminate pairs of frames one after the other.
 
-    Pairs, because a frame is coupled to the next two: so the matrix is block-tridiagonal. Blocks of this size are
-    inverted by one thread; banded solvers use several, which takes a hundred times as long on a busy machine."""
+    Returns: the inverse of each pair's remaining block (2 D, 2 D), and the coupling to the next pair (P, 2 D, 2 D);
+        None where not positive definite.
+    Why pairs: a frame is coupled to the next two, so that the matrix of pairs is block-tridiagonal. Blocks of this size
+    are inverted by one thread; banded solvers use several, which takes a hundred times as long on a busy machine.
+    """
     blocks, joins = _in_pairs(own, bands)
     inverses = list[Array]()
     for p, block in enumerate(blocks):
@@ -177,13 +197,15 @@ def _is_positive(matrix: Array) -> bool:
 
 
 def _product(a: Array, b: Array) -> Array:
-    """a @ b of square matrices, in halves that are small enough for BLAS to use one thread."""
+    """Compute a @ b of square matrices, in halves that are small enough for BLAS to use one thread."""
     return (np.ascontiguousarray(a).reshape(2, -1, len(a)) @ b).reshape(a.shape)
 
 
 def _in_pairs(own: Array, bands: Array) -> tuple[Array, Array]:
-    """Blocks (P, 2 D, 2 D) of two frames each, and what joins one to the next (P, 2 D, 2 D): of an odd number of frames
-    the last one has a neighbour that is joined to nothing."""
+    """Build blocks (P, 2 D, 2 D) of two frames each, and the coupling of each pair to the next (P, 2 D, 2 D).
+
+    Of an odd number of frames the last one gets a partner that is coupled to nothing.
+    """
     t, d = own.shape[:2]
     pairs, on = (t + 1) // 2, np.arange(d)
     weights = np.zeros((3, 2 * pairs, d))

@@ -1,5 +1,5 @@
-"""Signed distance of masks: a chamfer transform inside the box that matters, in whole numbers, the same on every
-processor; and masks by half pixels smaller.
+"""Compute the signed distance of masks by a chamfer transform in whole numbers, the same on every processor; shrink
+masks by half pixels.
 """
 
 from __future__ import annotations
@@ -15,23 +15,29 @@ from hypose.compute.simd import at_most, cast, lane, load, ramp, shuffle, splat,
 f4 = np.float32
 i2 = np.int16
 STRAIGHT, DIAGONAL, KNIGHT = 5, 7, 11
-"""Steps to the next pixel, across a corner and by a knight's move, in fifths of a pixel (Borgefors, G. (1986). Distance
-transformations in digital images. CVGIP 34: within 2 % of Euclid)."""
+"""Lengths of the steps to the next pixel, across a corner and by a knight's move, in fifths of a pixel.
+
+Source: Borgefors, G. (1986). Distance transformations in digital images. CVGIP 34 (within 2 % of Euclid).
+"""
 _FARTHEST = 16000
-"""fifths of a pixel, 3200 px: larger distances count as that far"""
+"""Fifths of a pixel (3200 px); larger distances count as this."""
 
 
 STEPS = 32
-"""Numbers of int16 that are compared at once along a row"""
+"""Number of int16 values of a row that are compared at once."""
 _backwards = shuffle(range(STEPS - 1, -1, -1))
 _on_1, _on_2, _on_4, _on_8, _on_16 = (shuffle(range(STEPS - k, 2 * STEPS - k)) for k in (1, 2, 4, 8, 16))
-"""(x, y): the lanes of y moved on by so many, the last ones of x before them"""
+"""Functions (x, y) that shift the lanes of y by so many, with the last lanes of x before them."""
 
 
 @kernel
 def nearest_from(line, step, far, right):
-    """Of line (n,) i2, the n // STEPS * STEPS numbers at its left end, or its right one, become the least of line[k] +
-    step |i - k| over all k on that side, and i itself; `far`, and as much, may lie beyond. All fits into 16 bits."""
+    """Compute the distance transform along a row, in one direction and in vector lanes.
+
+    line: (n,) i2; the n // STEPS * STEPS numbers at its left end (or right end, where `right`) get the least of line[k]
+        + step |i - k| over all k on that side, and themselves.
+    far: value beyond the end. All numbers fit into 16 bits.
+    """
     n, step, beyond = line.shape[0], i2(step), splat(i2(far), STEPS)
     carry, away = i2(far), (cast(ramp(STEPS), i2) + i2(1)) * step
     for first in range(0, n // STEPS * STEPS, STEPS):
@@ -50,8 +56,9 @@ def nearest_from(line, step, far, right):
 
 @kernel
 def _by_other_rows(line, near, far):
-    """Shortens the distances of a row (w,) i2 by way of the next one and of the one after (w + 4,), which begin two
-    pixels to the left; by itself it vectorises."""
+    """Shorten the distances of a row (w,) i2 by steps from the next row and the one after (w + 4,), which begin two
+    pixels to the left.
+    """
     w = line.shape[0]
     for x in range(w):
         d = min(line[x], i2(near[x + 2] + i2(STRAIGHT)))
@@ -65,7 +72,7 @@ def _by_other_rows(line, near, far):
 
 @kernel
 def _along(line, first, last):
-    """Shortens the distances first..last of a row (w,) i2 by way of its pixels on the left."""
+    """Shorten the distances first..last of a row (w,) i2 by steps from its pixels on the left."""
     d = line[first - 1] if first > 0 else i2(_FARTHEST)
     for x in range(first, last):
         d = min(line[x], i2(d + i2(STRAIGHT)))
@@ -74,8 +81,10 @@ def _along(line, first, last):
 
 @kernel
 def _distances(mask, target, out):
-    """out (h, w + 4) i2, from column 2 on = distance of each pixel of the mask (h, w) to the nearest that is (target 1)
-    or is not (0) set, in fifths of a pixel; _FARTHEST where there is none."""
+    """Compute the distance of each pixel of the mask (h, w) to the nearest pixel that is (target 1) or is not (0) set.
+
+    out: (h, w + 4) i2, gets fifths of a pixel from column 2 on; _FARTHEST where there is none.
+    """
     h, w = mask.shape
     beyond = np.full(w + 4, _FARTHEST, np.int16)
     for y in range(h):
@@ -95,9 +104,12 @@ def _distances(mask, target, out):
 
 @kernel
 def _signed_distance(box, x0, y0, own_x, own_y, own_w, own_h, out):
-    """out (h, w) f4 = signed distance px to the edge of a mask, from the box (bh, bw) u1 of it at (x0, y0); all of the
-    mask, and a rim of background where there is one, lies in the box of (own_w, own_h) at (own_x, own_y) in that box.
-    Beyond the box rows and columns to it are added."""
+    """Compute the signed distance to the edge of a mask, px, into out (h, w) f4.
+
+    box: (bh, bw) u1, part of the mask at (x0, y0). Outside of it, rows and columns to the box are added.
+    own_x, own_y, own_w, own_h: rectangle in the box that holds all of the mask, and a rim of background where there is
+        one.
+    """
     h, w = out.shape
     bh, bw = box.shape
     outside = np.empty((bh, bw + 4), np.int16)
@@ -131,8 +143,10 @@ def _signed_distance(box, x0, y0, own_x, own_y, own_w, own_h, out):
 
 @kernel
 def _shrink_mask(mask, halves, out):
-    """out (2 h / halves, 2 w / halves) u1 of mask (h, w): 1 where at least half of the pixel's area is set, in quarters
-    of a pixel, of which each has halves x halves."""
+    """Shrink a mask (h, w) to out (2 h / halves, 2 w / halves) u1: 1 where at least half of the pixel's area is set.
+
+    Areas are counted in quarters of a pixel, of which each new pixel has halves x halves.
+    """
     whole, middle = halves // 2, halves & 1
     sums = np.empty(mask.shape[1], np.uint16)
     for r in range(out.shape[0]):
@@ -164,14 +178,16 @@ def _shrink_mask(mask, halves, out):
 
 
 def signed_distance(masks: ArrayLike, sizes: ArrayLike, margin: int | None = None) -> NDArray[np.float32]:
-    """Signed distance to the edge of each mask, px, negative inside; 0 between the last inside and first outside pixel.
+    """Compute the signed distance to the edge of each mask, px, negative inside.
 
-    masks (C, h, w) uint8, non-zero = person.
-    sizes (C, 2) own width and height of each view. Returns (C, h, w) float32, zero in the padding.
-    margin: px around the mask inside which the distance is a true one (default: a sixth of the mask's larger side, at
-        least 32); further out the rows and columns to that box are added, a continuous upper bound. An empty (full)
-        mask gives the image's diagonal (minus it) everywhere. Distances are those of a 5 x 5 chamfer mask (within 2 %
-        of Euclid).
+    masks: (C, h, w) uint8, non-zero = person.
+    sizes: (C, 2) width and height of each view.
+    margin: px around the mask within which the distance is exact; None: a sixth of the mask's larger side, at least 32.
+        Farther out the rows and columns to that box are added: a continuous upper bound.
+    Returns: (C, h, w) float32, zero in the padding. The zero lies between the last inside and the first outside pixel.
+        An empty (full) mask gives the image's diagonal (minus it) everywhere.
+
+    Distances are those of a 5 x 5 chamfer mask (within 2 % of Euclid).
     """
     m = np.asarray(masks)
     m = m if m.dtype == np.uint8 else (m != 0).view(np.uint8)
@@ -196,8 +212,12 @@ def signed_distance(masks: ArrayLike, sizes: ArrayLike, margin: int | None = Non
 
 
 def shrink_mask(mask: NDArray[np.uint8], halves: int) -> NDArray[np.uint8]:
-    """Return (2 h / halves, 2 w / halves) of a mask (h, w), non-zero = person, whose sides are multiples of halves: of
-    each block of halves x halves pixels 2 x 2 are made, set where at least half of their area is."""
+    """Shrink a mask: of each block of halves x halves pixels, 2 x 2 are made, set where at least half of their area is
+    set.
+
+    mask: (h, w), non-zero = person; both sides are multiples of halves.
+    Returns: (2 h / halves, 2 w / halves).
+    """
     h, w = mask.shape
     out = np.empty((2 * (h // halves), 2 * (w // halves)), np.uint8)
     _shrink_mask(np.ascontiguousarray(mask), halves, out)

@@ -1,9 +1,9 @@
 """Masks as bits, cleaned, and as runs of pixels.
 
 Bits (words, h) u8 hold 64 pixels of a row in a word, lowest bit first, zero beyond the mask's width; the words of a
-column lie side by side, so that work on all rows takes vectors of them. A box (4,) is y0, y1, x0, x1, half
-open, px. Spans (n, 4) say what belongs to a structuring element: rows first..last about a pixel, and in each the
-columns left..right, all inclusive.
+column lie next to each other, so that work on all rows is vectorised. A box (4,) is y0, y1, x0, x1, half open, px.
+Spans (n, 4) describe a structuring element: rows first..last relative to a pixel, and in each the columns left..right,
+all inclusive.
 """
 
 from __future__ import annotations
@@ -21,14 +21,19 @@ from hypose.compute.simd import lowest_bit, popcount
 from hypose.geometry import Mask
 
 Bits = NDArray[np.uint64]
-"""(words, h) of a mask (h, w): 64 pixels of a row in a word, lowest bit first, zero beyond the width"""
+"""(words, h) of a mask (h, w): 64 pixels of a row in a word, lowest bit first, zero beyond the width."""
 
 
 class Cleaning(NamedTuple):
-    """How a mask is cleaned: opened by a square of open_px and closed by a disc of close_px (0, 1: not at all), holes
-    of at most hole_px filled (background connected over edges only), then only the biggest region kept (connected over
-    corners too) and those of at least keep_share times its area (1: none) whose boxes are not farther from its box than
-    keep_gap times the longer side of that."""
+    """Settings of how a mask is cleaned, in this order.
+
+    open_px: side of the square of the opening (0, 1: none).
+    close_px: diameter of the disc of the closing (0, 1: none).
+    hole_px: holes up to this area are filled (background connected over edges only).
+    keep_share: besides the largest region (connected over corners too), regions of at least this share of its area are
+        kept (1: none).
+    keep_gap: largest distance of the box of such a region from the box of the largest, in longer sides of that.
+    """
 
     open_px: int = 0
     close_px: int = 0
@@ -38,8 +43,13 @@ class Cleaning(NamedTuple):
 
 
 class MaskRuns(NamedTuple):
-    """A mask (h, w) = shape as the runs of its rows, in about a thousand bytes (see `draw`): the box around it
-    (zeros when it is empty) and its area in px are known."""
+    """Mask as the runs of its rows, in about a thousand bytes.
+
+    code: the runs (see `draw`).
+    shape: (h, w) of the mask.
+    box: y0, y1, x0, x1 around the mask (zeros where it is empty).
+    area: px.
+    """
 
     code: NDArray[np.uint8]
     shape: tuple[int, int]
@@ -48,25 +58,31 @@ class MaskRuns(NamedTuple):
 
 
 def no_bits(h: int, w: int) -> Bits:
-    """Of an empty mask (h, w)."""
+    """Make the bits of an empty mask (h, w)."""
     return np.zeros(((w + 63) // 64, h), np.uint64)
 
 
 def bits_of(mask: Mask) -> Bits:
-    """Of a mask (h, w), non-zero = set."""
+    """Convert a mask (h, w), non-zero = set, to bits."""
     bits = no_bits(*mask.shape)
     _bits_of(plain(mask, np.uint8), bits)
     return bits
 
 
 def mask_of(bits: Bits, width: int) -> Mask:
-    """Return the mask (h, width) of bits, 0 and 1."""
+    """Convert bits to a mask (h, width) of 0 and 1."""
     rows = np.ascontiguousarray(bits.T).view(np.uint8)
     return np.unpackbits(rows, axis=1, count=width, bitorder="little")
 
 
 def clean(bits: Bits, shape: tuple[int, int], how: Cleaning) -> MaskRuns:
-    """Return the mask (h, w) = shape of bits (which are changed), cleaned, as runs."""
+    """Clean a mask.
+
+    bits: of the mask; they are changed.
+    shape: (h, w) of the mask.
+    how: settings.
+    Returns: the cleaned mask as runs.
+    """
     about = np.zeros(5, np.int64)
     spans = square_spans(how.open_px), disc_spans(how.close_px)
     rules = how.close_px + 1, int(how.hole_px), float(how.keep_share), float(min(how.keep_gap, 1e9))
@@ -76,12 +92,16 @@ def clean(bits: Bits, shape: tuple[int, int], how: Cleaning) -> MaskRuns:
 
 
 def runs_of(mask: Mask) -> MaskRuns:
-    """Of a mask (h, w), non-zero = set, as it is."""
+    """Convert a mask (h, w), non-zero = set, to runs without cleaning it."""
     return clean(bits_of(mask), (mask.shape[0], mask.shape[1]), Cleaning())
 
 
 def draw(runs: MaskRuns, out: Mask | None = None, corner: tuple[int, int] = (0, 0)) -> Mask:
-    """Return the mask (h, w) again; or set where it is in out, whose first pixel is the corner (y, x) of the mask."""
+    """Draw runs as a mask.
+
+    runs: of the mask.
+    out: picture in which pixels are set, whose first pixel is the corner (y, x) of the mask; None: a new mask (h, w).
+    """
     made = np.zeros(runs.shape, np.uint8) if out is None else out
     y0, y1, x0, _ = runs.box
     _draw(runs.code, y0, y1, x0, made, *corner)
@@ -90,23 +110,25 @@ def draw(runs: MaskRuns, out: Mask | None = None, corner: tuple[int, int] = (0, 
 
 @lru_cache(maxsize=256)
 def square_spans(size: int) -> NDArray[np.int64]:
-    """Return (n, 4) spans of a square; none for a size below 2, which changes nothing."""
+    """Make the spans (n, 4) of a square; none for a size below 2, which changes nothing."""
     return _spans(np.ones((size, size), np.uint8))
 
 
 @lru_cache(maxsize=256)
 def disc_spans(size: int) -> NDArray[np.int64]:
-    """Return the same of OpenCV's disc."""
+    """Make the spans (n, 4) of OpenCV's disc; none for a size below 2."""
     return _spans(disc(size)) if size > 1 else _spans(np.ones((size, size), np.uint8))
 
 
 def disc(size: int) -> Mask:
-    """Return (size, size) OpenCV's disc, 1 where it is."""
+    """Return OpenCV's disc (size, size), 1 inside."""
     return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)), dtype=np.uint8)
 
 
 def _spans(element: Mask) -> NDArray[np.int64]:
-    """Return rows of an element with the same columns are one span; OpenCV's middle of n is n // 2."""
+    """Convert an element to spans: successive rows with the same columns are one span; its centre is n // 2, as in
+    OpenCV.
+    """
     size, spans = len(element), list[list[int]]()
     for y, row in enumerate(element if size > 1 else ()):
         x = np.flatnonzero(row) - size // 2
@@ -118,7 +140,7 @@ def _spans(element: Mask) -> NDArray[np.int64]:
 
 
 def warm_up() -> None:
-    """Compile (or load from disk) every kernel of this module on a toy mask."""
+    """Compile (or load from the cache) every kernel of this module on a toy mask."""
     mask = np.ones((4, 5), np.uint8)
     draw(clean(bits_of(mask), (4, 5), Cleaning(3, 3, 1, 0.5, 1.0)))
 
@@ -129,7 +151,9 @@ ALL = u8(0xFFFFFFFFFFFFFFFF)
 
 @kernel(inline=True)
 def word_of(eights, k):
-    """Word k of a row of zeros and ones, a byte each, eight to a number of eights (8 words,) u8."""
+    """Return word k of a row of zeros and ones, one per byte, given as eight bytes per number in eights
+    (8 words,) u8.
+    """
     word = u8(0)
     for i in range(8):  # the lowest bits of eight bytes, times this, become the highest byte
         word |= ((eights[8 * k + i] * u8(0x0102040810204080)) >> u8(56)) << u8(8 * i)
@@ -138,7 +162,7 @@ def word_of(eights, k):
 
 @kernel
 def _bits_of(mask, bits):
-    """bits (words, h) u8 of a mask (h, w) u1, non-zero = set."""
+    """Write bits (words, h) u8 of a mask (h, w) u1, non-zero = set."""
     h, w = mask.shape
     padded = np.zeros(64 * bits.shape[0], np.uint8)
     eights = padded.view(np.uint64)
@@ -152,7 +176,7 @@ def _bits_of(mask, bits):
 
 @kernel
 def _within(box, k):
-    """The bits of word k that lie in the box's columns."""
+    """Return the bits of word k that lie in the box's columns."""
     low, high = max(box[2] - 64 * k, 0), min(box[3] - 64 * k, 64)
     if low >= high:
         return u8(0)
@@ -161,7 +185,7 @@ def _within(box, k):
 
 @kernel
 def close_to(bits, box):
-    """Clears what lies in the box's rows and not in its columns."""
+    """Clear the pixels in the box's rows outside its columns."""
     for k in range(bits.shape[0]):
         inside, column = _within(box, k), bits[k, box[0] : box[1]]
         for i in range(column.shape[0]):
@@ -170,8 +194,11 @@ def close_to(bits, box):
 
 @kernel
 def grown(bits, spans, box, flip, out):
-    """out = bits, grown by the spans, in the box, out of which nothing comes. flip: 0, or ALL: the unset pixels grow,
-    and out is the rest."""
+    """Dilate bits by the spans, within a box.
+
+    flip: 0; or ALL: the unset pixels are dilated, and out gets the rest (erosion).
+    out: gets the result in the box.
+    """
     begin, words, n = box[2] >> 6, ((box[3] + 63) >> 6) - (box[2] >> 6), box[1] - box[0]
     union = np.zeros((words + 2, n), np.uint64)  # of the rows of a span; a word more on both sides
     for k in range(words):
@@ -204,8 +231,9 @@ def grown(bits, spans, box, flip, out):
 
 @kernel
 def opened(bits, spans, box, out):
-    """out = bits in the box, eroded and dilated by the spans; beyond the box all is set to erode, and nothing to
-    dilate."""
+    """Open bits in the box by the spans, into out; beyond the box everything counts as set for the erosion, as unset
+    for the dilation.
+    """
     less = np.zeros_like(bits)
     grown(bits, spans, box, ALL, less)
     grown(less, spans, box, u8(0), out)
@@ -213,7 +241,7 @@ def opened(bits, spans, box, out):
 
 @kernel
 def _closed(bits, spans, box, out):
-    """The same, dilated first."""
+    """Close bits in the box by the spans, into out."""
     more = np.zeros_like(bits)
     grown(bits, spans, box, u8(0), more)
     grown(more, spans, box, ALL, out)
@@ -221,7 +249,7 @@ def _closed(bits, spans, box, out):
 
 @kernel
 def _bounds(bits, box):
-    """Fills the box around the set pixels; returns whether there are any."""
+    """Fill the box around the set pixels; return whether there are any."""
     words, h = bits.shape
     rows, columns = np.zeros(h, np.uint64), np.zeros((words, 1), np.uint64)
     for k in range(words):
@@ -246,7 +274,7 @@ def _bounds(bits, box):
 
 @kernel
 def _next(bits, y, x, end, flip):
-    """The first column from x on whose bit is set in row y of bits ^ flip; `end` when there is none before."""
+    """Find the first column from x on whose bit is set in row y of bits ^ flip; `end` where there is none before."""
     if x >= end:
         return end
     k = x >> 6
@@ -261,7 +289,7 @@ def _next(bits, y, x, end, flip):
 
 @kernel
 def _fill(bits, y, x0, x1):
-    """Sets the bits x0..x1 of a row."""
+    """Set the bits x0..x1 of a row."""
     for k in range(x0 >> 6, (x1 + 63) >> 6):
         low, high = max(x0 - 64 * k, 0), min(x1 - 64 * k, 64)
         bits[k, y] |= (ALL << u8(low)) & (ALL >> u8(64 - high))
@@ -277,11 +305,12 @@ def _root(parent, i):
 
 @kernel
 def _label(bits, box, flip, reach, runs, parent):
-    """Runs of the pixels set in bits ^ flip in the box, joined to regions (reach 1: also over corners); returns their
-    number.
+    """Find the runs of the pixels set in bits ^ flip in the box, and join them to regions.
 
-    runs (n, 3): row, start, end.
-    parent (n,): the first run of the region.
+    reach: 1: regions are connected over corners too; 0: over edges only.
+    runs: (n, 3) gets row, start, end.
+    parent: (n,) gets the first run of the region.
+    Returns: number of runs.
     """
     n = 0
     before = 0  # first run of the row above
@@ -309,7 +338,7 @@ def _label(bits, box, flip, reach, runs, parent):
 
 @kernel
 def _most_runs(bits, box):
-    """Returns how many runs of set or of unset pixels the box can hold."""
+    """Compute how many runs of set or of unset pixels the box can hold."""
     total = box[1] - box[0]
     for k in range(bits.shape[0]):
         for y in range(box[0], box[1]):
@@ -320,7 +349,7 @@ def _most_runs(bits, box):
 
 @kernel
 def _fill_holes(bits, box, most, runs, parent):
-    """Sets the regions of at most so many pixels that are not set in the box (over edges only)."""
+    """Set the regions of unset pixels in the box of at most `most` pixels, connected over edges only."""
     n = _label(bits, box, ALL, 0, runs, parent)
     area = np.zeros(n, np.int64)
     for i in range(n):
@@ -332,7 +361,11 @@ def _fill_holes(bits, box, most, runs, parent):
 
 @kernel
 def _regions_near(n, runs, parent, keep_share, keep_gap, kept, about):
-    """kept (n,): whether a run belongs to the biggest region or one near it; about (5,): their box and area."""
+    """Choose the largest region and those near it.
+
+    kept: (n,) gets whether a run belongs to one of them.
+    about: (5,) gets their box and area.
+    """
     area, box = np.zeros(n, np.int64), np.empty((n, 4), np.int64)
     main = 0
     for i in range(n):
@@ -367,7 +400,7 @@ def _regions_near(n, runs, parent, keep_share, keep_gap, kept, about):
 
 @kernel
 def _put(code, at, value):
-    """Writes a number >= 0, seven bits to a byte, the lowest first; returns where to go on."""
+    """Write a number >= 0, seven bits per byte, the lowest first; return the next index."""
     while value > 127:
         code[at] = (value & 127) | 128
         value >>= 7
@@ -383,7 +416,7 @@ def _put_step(code, at, step):
 
 @kernel
 def _write(n, runs, kept, about, code):
-    """code (u1) of the runs that are kept, as `_draw` reads it; returns its length."""
+    """Write the code (u1) of the kept runs, as `_draw` reads it; return its length."""
     before, now = np.zeros(n + 1, np.int64), np.zeros(n + 1, np.int64)  # starts of the runs in a row
     ends, ends_now = np.zeros(n + 1, np.int64), np.zeros(n + 1, np.int64)
     at, i, known = 0, 0, 0
@@ -413,9 +446,14 @@ def _write(n, runs, kept, about, code):
 
 @kernel
 def _clean(bits, width, opening, closing, margin, hole_px, keep_share, keep_gap, about):
-    """Opens and closes bits (words, h) of a mask (h, width), which are changed, by spans, fills its holes, keeps the
-    biggest region and what lies near it; margin: of the box in which that is done, px. Returns the code of its runs,
-    and fills about (5,): the box around them and their area. See mask_runs.clean."""
+    """Clean the bits (words, h) of a mask (h, width), which are changed: open, close, fill holes, keep the largest
+    region and those near it; see `clean`.
+
+    opening, closing: spans.
+    margin: px around the mask within which this is done.
+    about: (5,) gets the box around the kept regions and their area.
+    Returns: code of the runs.
+    """
     box = np.zeros(4, np.int64)
     if not _bounds(bits, box):
         about[:] = 0
@@ -446,7 +484,7 @@ def _clean(bits, width, opening, closing, margin, hole_px, keep_share, keep_gap,
 
 @kernel
 def _get(code, at):
-    """A number that `_put` wrote, and where to go on."""
+    """Read a number that `_put` wrote; return it and the next index."""
     value, shift = 0, 0
     while code[at] > 127:
         value |= (np.int64(code[at]) & 127) << shift
@@ -457,12 +495,15 @@ def _get(code, at):
 
 @kernel
 def _draw(code, y0, y1, x0, out, top, left):
-    """Sets out (h, w) u1, whose first pixel is (top, left) of the mask, where the runs of a code are, which begins with
-    row y0 and column x0; what lies outside of it is left out.
+    """Set the pixels of out (h, w) u1, whose first pixel is (top, left) of the mask, where the runs of a code are.
 
-    The code is, for each row up to y1, the number of its runs, and for each of them how far its start and its end are
-    from those of the run of that number in the row before, or, where that has fewer, its start from the end before and
-    its length. Numbers have seven bits to a byte, the lowest first; those with a sign have it in their lowest bit."""
+    y0, x0: row and column with which the code begins.
+
+    The code is, for each row up to y1, the number of its runs, and for each of them the differences of its start and
+    its end from those of the run of the same number in the row before; where that row has fewer runs, the difference of
+    its start from the end before, and its length. Numbers have seven bits per byte, the lowest first; signed numbers
+    have the sign in their lowest bit.
+    """
     h, w = out.shape
     most = 1
     starts, ends = np.zeros(most, np.int64), np.zeros(most, np.int64)

@@ -1,6 +1,6 @@
-"""Monocular tracking: preparing flat arrays, searching for poses, scoring samples.
+"""Monocular tracking: prepare flat arrays, search for poses, score samples.
 
-Definitions of the terms: mono_rows.py; what they are for: hypose.tracking.monocular.
+The terms are defined in mono_rows.py; their use is in hypose.tracking.monocular.
 """
 
 from __future__ import annotations
@@ -47,7 +47,13 @@ MOST_NODES, MOST_INNER = 3000, 3000
 def model(
     tree: TreeArrays, mesh: MeshArrays, moves: NDArray[np.bool_], active: ArrayLike, projection: Array
 ) -> MonoModel:
-    """What the active dof (A,) move of a body whose moves (D, J) tell which joints each dof carries."""
+    """Make the model of the estimated degrees of freedom of a body.
+
+    tree, mesh: of the body.
+    moves: (D, J) which joints each dof carries.
+    active: (A,) indices of the estimated dof.
+    projection: (3, 4) pinhole.
+    """
     dofs = np.array(active, dtype=np.int64)
     slot = np.full(len(tree.axes), -1, dtype=np.int64)
     slot[dofs] = np.arange(len(dofs))
@@ -67,7 +73,7 @@ def model(
 
 
 def workspace(m: MonoModel, height: int, width: int) -> MonoWorkspace:
-    """Scratch memory for pictures of (height, width); one per thread."""
+    """Make scratch memory for pictures of (height, width); one per thread."""
     f4, i4 = np.float32, np.int32
     v, f, j, d = len(m.mesh.vertices), len(m.mesh.faces), len(m.tree.parents), len(m.tree.axes)
     rows = 2 * MOST_NODES + 2 * MOST_INNER
@@ -94,13 +100,14 @@ def workspace(m: MonoModel, height: int, width: int) -> MonoWorkspace:
 
 
 class MonoSolution(NamedTuple):
-    """A pose (D,) at a minimum.
+    """Pose at a minimum of the cost.
 
-    cost of everything.
+    pose: (D,).
+    cost: full cost.
     evidence: cost without flow, by which hypotheses are ranked.
-    gradient (A,) of the cost.
-    hessian (A, A) of evidence, flow and rest posture.
-    counts as in MonoWorkspace.
+    gradient: (A,) of the full cost.
+    hessian: (A, A) of evidence, flow and rest posture.
+    counts: as in MonoWorkspace.
     """
 
     pose: Array
@@ -114,7 +121,16 @@ class MonoSolution(NamedTuple):
 def newton_descent(
     start: ArrayLike, before: ArrayLike, problem: MonoProblem, coarse: int, iterations: int, ws: MonoWorkspace
 ) -> MonoSolution:
-    """Damped Newton from pose start (D,); inner nodes come from pose before (D,). Releases the GIL."""
+    """Search for the pose of least cost by damped Newton steps; releases the GIL.
+
+    start: (D,) pose.
+    before: (D,) pose in the previous picture, from which the inner nodes of the flow come.
+    problem: evidence and priors.
+    coarse, iterations: number of iterations with the coarse and with the fine scale of the edges.
+    ws: scratch memory.
+    Returns: the solution.
+    Raises: SolverError where the cost at the start is not finite.
+    """
     q, a = np.array(start, dtype=np.float64), len(problem.model.active)
     hessian, gradient, info = np.empty((a, a)), np.empty(a), np.zeros(3)
     ok = _search(q, plain(before, np.float64), problem, int(coarse), int(iterations), ws, hessian, gradient, info)
@@ -126,7 +142,10 @@ def newton_descent(
 
 
 def score(poses: ArrayLike, problem: MonoProblem, ws: MonoWorkspace) -> Array:
-    """Return costs (N,) without flow at poses (N, D). Releases the GIL."""
+    """Compute the costs (N,) of poses (N, D) without flow; releases the GIL.
+
+    problem, ws: evidence and priors, and scratch memory.
+    """
     q = plain(poses, np.float64)
     costs = np.empty(len(q))
     _score(q, problem, ws, costs)
@@ -135,8 +154,13 @@ def score(poses: ArrayLike, problem: MonoProblem, ws: MonoWorkspace) -> Array:
 
 @kernel
 def image_cost(q, problem, sigma, n_flow, want, ws, hessian, gradient):
-    """Cost of all evidence at pose q (D,) with edges of scale sigma px and n_flow inner nodes (0: without flow); the
-    derivatives over the active dof overwrite hessian (A, A) and gradient (A,) when wanted."""
+    """Compute the cost of all evidence at pose q (D,).
+
+    sigma: scale of the edges, px.
+    n_flow: number of inner nodes (0: without flow).
+    want: whether to compute derivatives.
+    hessian, gradient: (A, A) and (A,) get the derivatives by the active dof.
+    """
     model, a = problem.model, gradient.shape[0]
     for i in range(a):
         gradient[i] = 0.0
@@ -175,7 +199,9 @@ def image_cost(q, problem, sigma, n_flow, want, ws, hessian, gradient):
 
 @kernel
 def prior_cost(q, priors, active, hessian, gradient):
-    """The prediction's and the rest posture's quadratics; hessian and gradient get theirs added."""
+    """Compute the quadratics of the prediction and of the rest posture; their derivatives are added to hessian and
+    gradient.
+    """
     cost = 0.0
     for i in range(priors.centre.shape[0]):
         for k in range(active.shape[0]):
@@ -190,27 +216,29 @@ def prior_cost(q, priors, active, hessian, gradient):
 
 @kernel
 def full_cost(q, problem, sigma, n_flow, ws, hessian, gradient):
-    """Evidence and priors: equations (6) and (10).
+    """Compute the cost of evidence and priors: equations (6) and (10) of Sminchisescu & Triggs 2001.
 
-    Deviation: the evidence is not divided by N nu; masks, 2D points, interpenetration and the floor join it."""
+    Deviation: the evidence is not divided by N nu; masks, 2D points, interpenetration and the floor are added.
+    """
     cost = image_cost(q, problem, sigma, n_flow, True, ws, hessian, gradient)
     return cost + prior_cost(q, problem.priors, problem.model.active, hessian, gradient)
 
 
 @kernel
 def rank_cost(q, problem, ws, hessian, gradient):
-    """What hypotheses are ranked by: all but flow, whose targets differ between hypotheses (section 4.2). The matrices
-    are scratch.
+    """Compute the cost by which hypotheses are ranked: all but flow, whose targets differ between hypotheses.
 
-    Deviation: printed is the edge term alone; priors, interpenetration and, where they are given, masks, 2D points and
-    the floor are ranked by as well."""
+    hessian, gradient: scratch.
+    Source: Sminchisescu & Triggs 2001, section 4.2. Deviation: the printed cost is the edge term alone; here priors,
+        interpenetration and, where given, masks, 2D points and the floor are included.
+    """
     cost = image_cost(q, problem, problem.edges.sigma, 0, False, ws, hessian, gradient)
     return cost + prior_cost(q, problem.priors, problem.model.active, hessian, gradient)
 
 
 @kernel
 def expected_gain(hessian, gradient, step, scale):
-    """Decrease of the quadratic model along scale * step."""
+    """Compute the decrease of the quadratic model along scale * step."""
     slope, bend = 0.0, 0.0
     for i in range(step.shape[0]):
         s = 0.0
@@ -223,13 +251,18 @@ def expected_gain(hessian, gradient, step, scale):
 
 @kernel
 def _descend(q, problem, sigma, n_flow, iterations, ws, hessian, gradient):
-    """Damped Newton within the limits from pose q (D,), which is overwritten, as hessian and gradient are; returns the
-    cost.
+    """Descend by damped Newton within the limits from pose q (D,), which is overwritten; return the cost.
 
-    Equation (11), (H + lambda W) step = -g, W the diagonal of H (at least 1), with an active set of limits (section
-    4.1). A step is cut to the trusted reach (1: priors.longest); one that does not lower the cost is tried again,
-    shorter and with more damping, at most four times. The _search ends when no step promises to lower the cost by
-    _GAIN."""
+    sigma: scale of the edges, px.
+    n_flow: number of inner nodes.
+    iterations: largest number of steps.
+    hessian, gradient: get the derivatives at the result.
+    Source: Sminchisescu & Triggs 2001, equation (11): (H + lambda W) step = -g, W the diagonal of H (at least 1), with
+        an active set of limits (section 4.1).
+
+    A step is cut to the trusted reach (1: priors.longest). A step that does not lower the cost is tried again, shorter
+    and with more damping, at most four times. The descent ends when no step is expected to lower the cost by _GAIN.
+    """
     priors, active = problem.priors, problem.model.active
     n, dof = active.shape[0], q.shape[0]
     new_hessian, new_gradient = np.empty((n, n)), np.empty(n)
@@ -274,12 +307,14 @@ def _descend(q, problem, sigma, n_flow, iterations, ws, hessian, gradient):
 
 @kernel
 def _search(q, before, problem, coarse, iterations, ws, hessian, gradient, info):
-    """One hypothesis in one frame: inner nodes from the pose `before` (D,) in the previous picture, then a coarse and a
-    fine descent from q (D,), which is overwritten.
+    """Search one hypothesis in one frame: a coarse and a fine descent from q (D,), which is overwritten.
 
-    hessian (A, A) is that of the evidence and the rest posture at the result, without the prediction.
-    gradient (A,) of all.
-    info (3,): full cost, cost without flow, number of inner nodes. False when the cost is not finite.
+    before: (D,) pose in the previous picture, from which the inner nodes come.
+    coarse, iterations: number of iterations of the two descents.
+    hessian: (A, A) gets that of the evidence and the rest posture at the result, without the prediction.
+    gradient: (A,) gets that of the full cost.
+    info: (3,) gets full cost, cost without flow, number of inner nodes.
+    Returns: False where the cost is not finite.
     """
     model, priors = problem.model, problem.priors
     for k in range(model.active.shape[0]):
@@ -307,7 +342,7 @@ def _search(q, before, problem, coarse, iterations, ws, hessian, gradient, info)
 
 @kernel
 def _score(poses, problem, ws, costs):
-    """Costs (N,) without flow at poses (N, D): how samples are ranked."""
+    """Compute the costs (N,) of poses (N, D) without flow, by which samples are ranked."""
     a = problem.model.active.shape[0]
     hessian, gradient = np.empty((a, a)), np.empty(a)
     if poses.shape[0] > 0:
@@ -317,8 +352,9 @@ def _score(poses, problem, ws, costs):
 
 
 def warm_up(tree: TreeArrays, mesh: MeshArrays, pose: Array, projection: Array) -> None:
-    """Compile (or load from disk) every kernel of monocular tracking on a toy body at pose (D,) before a pinhole (3, 4)
-    of 32 x 32 px."""
+    """Compile (or load from the cache) every kernel of monocular tracking on a toy body at pose (D,), before a pinhole
+    (3, 4) of 32 x 32 px.
+    """
     d, j = len(pose), len(tree.parents)
     still = np.zeros((32, 32, 2), np.float32)
     field, error = still, np.zeros((32, 32), np.float32)
@@ -341,4 +377,4 @@ def warm_up(tree: TreeArrays, mesh: MeshArrays, pose: Array, projection: Array) 
 
 
 _GAIN = 0.02
-"""a _search ends when no step promises to lower the cost by more"""
+"""A descent ends when no step is expected to lower the cost by more."""

@@ -1,4 +1,6 @@
-"""What of a body a camera sees: projected vertices, z-buffer, contour nodes, inner nodes with their flow (kernels)."""
+"""Compute what a camera sees of a body: projected vertices, z-buffer, contour nodes, inner nodes with their flow
+(kernels).
+"""
 
 from __future__ import annotations
 
@@ -12,19 +14,22 @@ from hypose.compute.zbuffer import draw_nearest
 
 f4 = np.float32
 NEAR = f4(0.1)
-"""m: faces with a corner nearer than this are not drawn"""
+"""m; faces with a corner nearer than this are not drawn."""
 _EMPTY = f4(1e9)
 _HIDDEN, BEYOND, ROUND = 0.03, 0.03, 0.12
-"""m of depth at a contour node: it is occluded when its outer side lies _HIDDEN behind something, or its inner side
-ROUND (a trunk's own surface rises by 6 cm within the two pixels); it is a contour when the surface on its outer side
-lies BEYOND it"""
+"""m of depth at a contour node. _HIDDEN: the node is occluded where its outer side lies so far behind another surface;
+ROUND: or its inner side so far (a trunk's own surface rises by 6 cm within the two pixels). BEYOND: it is a contour
+where the surface on its outer side lies so far behind it.
+"""
 INNER, OUTER = 1.5, 1.7
-"""px from the contour at which these two are looked up"""
+"""px from the contour at which the depths of its inner and outer side are read."""
 
 
 @kernel
 def pose_mesh(q, model, ws):
-    """Joint frames, vertices about the root, and their pixels and depths; which faces are seen from outside."""
+    """Compute the joint frames, the vertices about the root, their pixels and depths, and which faces are seen from
+    outside.
+    """
     joint_frames(q, model.tree, ws.rotations, ws.centres, ws.twists)
     skin_about_root(ws.rotations, ws.centres, model.tree, model.mesh, ws.vertices)
     p = np.empty((3, 4), np.float32)
@@ -48,13 +53,13 @@ def pose_mesh(q, model, ws):
 
 @kernel(inline=True)
 def _depth(nearest):
-    """m of an inverse depth; _EMPTY where nothing is."""
+    """Convert an inverse depth to m; _EMPTY where nothing is."""
     return f4(1) / nearest if nearest > f4(0) else _EMPTY
 
 
 @kernel
 def fill_depth(model, ws):
-    """The z-buffer around the moving parts: still parts as they were drawn before, moving parts drawn now."""
+    """Draw the z-buffer around the moving parts: still parts as drawn before, moving parts new."""
     h, w = ws.depth.shape
     x0, x1, y0, y1 = f4(1e6), f4(-1e6), f4(1e6), f4(-1e6)
     uvz, faces = ws.uvz, model.mesh.faces
@@ -77,7 +82,7 @@ def fill_depth(model, ws):
 
 @kernel
 def draw_still(q, model, ws):
-    """Before a search: the parts that no estimated dof moves, as seen at pose q (D,)."""
+    """Draw the parts that no estimated dof moves, as seen at pose q (D,), before a search."""
     for y in range(ws.still.shape[0]):
         for x in range(ws.still.shape[1]):
             ws.still[y, x] = f4(0)
@@ -89,12 +94,13 @@ def draw_still(q, model, ws):
 
 @kernel
 def contour_nodes(model, spacing, ws):
-    """Nodes on the occluding contour of the moving parts, `spacing` px apart: fills ws.node_ends and ws.nodes and
-    returns their number.
+    """Place nodes on the occluding contour of the moving parts, `spacing` px apart, into ws.node_ends and ws.nodes;
+    return their number.
 
-    A node lies on a mesh edge between a face seen from outside and one that is not. It is seen when nothing lies before
-    it and its outer side shows something well behind it (the background: outer); else it is occluded (kept, seen = 0),
-    or no contour (left out)."""
+    A node lies on a mesh edge between a face seen from outside and one that is not. It is seen where nothing lies in
+    front of it and its outer side shows a surface well behind it (the background: outer). Else it is occluded (kept,
+    seen = 0), or not a contour (omitted).
+    """
     mesh, uvz, depth, nodes = model.mesh, ws.uvz, ws.depth, ws.nodes
     h, w = depth.shape
     n = 0
@@ -148,7 +154,7 @@ def contour_nodes(model, spacing, ws):
 
 @kernel
 def bilinear(image, x, y):
-    """image (h, w) at a pixel (x, y) well inside it."""
+    """Interpolate an image (h, w) bilinearly at a pixel (x, y) well inside it."""
     i, j = int(x), int(y)
     a, b = x - i, y - j
     return (image[j, i] * (1 - a) + image[j, i + 1] * a) * (1 - b) + (
@@ -158,10 +164,12 @@ def bilinear(image, x, y):
 
 @kernel
 def inner_nodes(model, flow, ws):
-    """Inner nodes of the previous pose (its mesh and z-buffer are in ws) on a grid of flow.spacing px, with the place
-    where flow has carried them: fills ws.flow_faces and ws.flow_nodes and returns their number.
+    """Place nodes on the surface of the previous pose, and find where the flow has carried them; return their number.
 
-    Left out are nodes that are hidden or near a jump in depth, still parts, and outliers of the flow."""
+    The mesh and z-buffer of the previous pose are in ws. Nodes lie on a grid of flow.spacing px; ws.flow_faces and
+    ws.flow_nodes get them. Hidden nodes, those near a jump in depth or on still parts, and outliers of the flow are
+    omitted.
+    """
     h, w = ws.depth.shape
     fh, fw = flow.error.shape
     if fh < 2 or fw < 2:

@@ -1,10 +1,10 @@
-"""Rows of monocular evidence (kernels): edges, a mask, flow, 2D points, spheres, the floor; and their sums.
+"""Rows of monocular evidence (edges, mask, flow, 2D points, spheres, floor), and their sums (kernels).
 
-A row is a point of the body (a blend of up to three vertices), a direction in space along which the cost is
-differentiated, and the first and second derivative of the cost along it. Rows of all cues wait in one table and are
-summed in one call: J^T first and J^T second J, with the exact derivative of linear blend skinning. The chain of joints
-is walked by wrenches: a vertex v carried by joint j adds w (x_j cross d, d) to j, sums run up the tree, and the
-derivative along a dof is its twist times the sum at its joint.
+A row is a point of the body (a blend of up to three vertices), a direction in space, and the first and second
+derivative of the cost along it. Rows of all cues are collected in one table and summed in one call: J^T first and J^T
+second J, with the exact derivative of linear blend skinning. The chain of joints is handled by wrenches: a vertex v
+carried by joint j adds w (x_j cross d, d) to j, sums run up the tree, and the derivative by a dof is its twist times
+the sum at its joint.
 """
 
 from __future__ import annotations
@@ -23,13 +23,16 @@ from hypose.compute.mono_terms import GAUSSIAN, LORENTZIAN
 
 f4 = np.float32
 _SHARE = 0.1
-"""least second derivative along a residual, as a share of that without rho''"""
+"""Least second derivative along a residual, as a share of that without rho''."""
 
 
 @kernel
 def robust(form, s, sigma2):
-    """rho(s) and its first and second derivative for height 1: equations (2) and (3) of Sminchisescu & Triggs 2001,
-    and s / sigma^2 for the Gaussian."""
+    """Compute rho(s) and its first and second derivative for height 1: equations (2) and (3) of Sminchisescu & Triggs
+    2001, and s / sigma^2 for the Gaussian.
+
+    form: GAUSSIAN, LORENTZIAN or LECLERC.
+    """
     t, gain = s / sigma2, 1 / sigma2
     if form == GAUSSIAN:
         value, first, second = quadratic(t, gain)
@@ -42,8 +45,11 @@ def robust(form, s, sigma2):
 
 @kernel
 def curvature(first, second, s, second_order):
-    """Second derivative of rho(s) / 2 along the residual, rho' + 2 rho'' s of equation (9), kept positive: far from
-    the peak it is negative and a Newton step would climb."""
+    """Compute the second derivative of rho(s) / 2 along the residual, rho' + 2 rho'' s of equation (9) of
+    Sminchisescu & Triggs 2001, kept positive.
+
+    Why: far from the peak it is negative, and a Newton step would climb.
+    """
     if not second_order:
         return first
     return max(along(first, second, s), _SHARE * first)
@@ -51,7 +57,9 @@ def curvature(first, second, s, second_order):
 
 @kernel
 def sum_vertex_rows(n, model, ws, hessian, gradient):
-    """hessian (A, A), gradient (A,) += n rows of ws; of the hessian either [i, k] or [k, i] gets a pair's sum."""
+    """Add n rows of ws to hessian (A, A) and gradient (A,); of the hessian either [i, k] or [k, i] gets
+    a pair's sum.
+    """
     tree, mesh, slot = model.tree, model.mesh, model.slot
     joints, rotations, centres, twists = tree.joints, ws.rotations, ws.centres, ws.twists
     vertices, index, weight, carriers = mesh.vertices, mesh.skin_index, mesh.skin_weight, mesh.skin_count
@@ -83,8 +91,12 @@ def sum_vertex_rows(n, model, ws, hessian, gradient):
 
 @kernel
 def climb(tree, slot, twists, wrench, marked, columns, entries):
-    """Wrenches at marked joints -> the m non-zero entries of a row over the active dof; wrench and marks are cleared.
-    Returns m."""
+    """Convert wrenches at marked joints to the non-zero entries of a row over the active dof; wrenches and marks are
+    cleared.
+
+    columns, entries: get the dof and the values.
+    Returns: number of entries.
+    """
     parents, start, count = tree.parents, tree.dof_start, tree.dof_count
     m = 0
     for j in range(parents.shape[0] - 1, -1, -1):
@@ -113,7 +125,7 @@ def climb(tree, slot, twists, wrench, marked, columns, entries):
 
 @kernel
 def spread(m, columns, entries, first, second, hessian, gradient):
-    """gradient += first J, hessian += second J^T J for a row of m entries."""
+    """Add a row of m entries: gradient += first J, hessian += second J^T J."""
     for i in range(m):
         e = entries[i]
         gradient[columns[i]] += first * e
@@ -125,8 +137,10 @@ def spread(m, columns, entries, first, second, hessian, gradient):
 
 @kernel
 def mark_terms(q, model, marks, second_order, ws, hessian, gradient):
-    """2D points: cost 1/2 weight nu rho(|residual|^2) with nu = sigma^2, so that it is a squared residual in standard
-    deviations near zero; a point behind the camera costs what 1000 px cost."""
+    """Compute the cost of 2D points: 1/2 weight nu rho(|residual|^2) with nu = sigma^2.
+
+    Near zero it is a squared residual in standard deviations. A point behind the camera costs as much as at 1000 px.
+    """
     p = model.projection
     columns, entries = np.empty(gradient.shape[0], np.int64), np.empty(gradient.shape[0])
     tree = model.tree
@@ -177,7 +191,7 @@ def mark_terms(q, model, marks, second_order, ws, hessian, gradient):
 
 @kernel
 def sphere_terms(model, spheres, ws, hessian, gradient):
-    """Interpenetration: 1/2 weight (apart - distance)^2 for pairs of spheres that are too near."""
+    """Compute the cost of interpenetration: 1/2 weight (apart - distance)^2 for pairs of spheres that are too near."""
     tree = model.tree
     columns, entries = np.empty(gradient.shape[0], np.int64), np.empty(gradient.shape[0])
     at = np.empty((spheres.joint.shape[0], 3))
@@ -215,8 +229,11 @@ def sphere_terms(model, spheres, ws, hessian, gradient):
 
 @kernel
 def floor_terms(q, model, floor, second_order, ws, hessian, gradient):
-    """The lowest point of the soles stands on the floor, and none lies under it: cost as of a 2D point (a Lorentzian
-    with its tail from 2 sd on, so that a jump costs little more than a step)."""
+    """Compute the cost of the floor: the lowest point of the soles stands on it, and no point lies under it.
+
+    The loss is that of a 2D point: a Lorentzian with its tail from 2 sd on, so that a jump costs little more than a
+    step.
+    """
     if not floor.weight > 0:
         return 0.0
     columns, entries = np.empty(gradient.shape[0], np.int64), np.empty(gradient.shape[0])
@@ -245,12 +262,12 @@ def floor_terms(q, model, floor, second_order, ws, hessian, gradient):
 
 
 MOST_EDGES = 16
-"""most edges kept in one node's window"""
+"""Largest number of edges kept in the window of one node."""
 
 
 @kernel
 def image_row(p, ws, r, u, v, depth, nx, ny, first, second):
-    """Direction and derivatives of row r: along (nx, ny) in the image, for a point seen at (u, v)."""
+    """Write direction and derivatives of row r: along (nx, ny) in the image, for a point seen at (u, v)."""
     values = ws.row_values[r]
     iz = 1 / depth
     values[3] = (nx * (p[0, 0] - u * p[2, 0]) + ny * (p[1, 0] - v * p[2, 0])) * iz
@@ -261,7 +278,7 @@ def image_row(p, ws, r, u, v, depth, nx, ny, first, second):
 
 @kernel
 def contour_row(p, ws, r, i, nx, ny, first, second):
-    """Row r of contour node i along (nx, ny)."""
+    """Write row r of contour node i along (nx, ny)."""
     node = ws.nodes[i]
     a, b, t = ws.node_ends[i, 0], ws.node_ends[i, 1], node[0]
     ws.row_vertices[r, 0], ws.row_vertices[r, 1], ws.row_vertices[r, 2] = a, b, -1
@@ -272,8 +289,12 @@ def contour_row(p, ws, r, i, nx, ny, first, second):
 
 @kernel
 def line_search(field, x, y, nx, ny, window, threshold, energy, offset, strength):
-    """All edges in the window along the normal: local maxima of the gradient's component along it, with sub-pixel
-    offset and strength (at most 1). Returns their number. energy (2 window + 1,) is scratch."""
+    """Find all edges in the window along the normal: local maxima of the gradient's component along it.
+
+    offset, strength: get their sub-pixel offset and strength (at most 1).
+    energy: (2 window + 1,), scratch.
+    Returns: number of edges.
+    """
     h, w = field.shape[0], field.shape[1]
     for k in range(2 * window + 1):
         u, v = x + (k - window) * nx, y + (k - window) * ny
@@ -298,15 +319,18 @@ def line_search(field, x, y, nx, ny, window, threshold, energy, offset, strength
 
 @kernel
 def edge_terms(n_nodes, problem, sigma, want, ws, n_rows):
-    """Cost of the contour nodes: equation (7), first sum, over all edges of each node's window; appends rows when
-    derivatives are wanted. Returns cost and rows.
+    """Compute the cost of the contour nodes, over all edges of each node's window: equation (7) of
+    Sminchisescu & Triggs 2001, first sum.
 
-    Deviation: a node's edges share the weight 1, less when they are weak in sum; the rest counts as unassigned, at
-    the cost of the window's end. Deviation: an occluded node costs k nu / 2, so that k is its share of what a node
-    costs that finds no edge. Deviation: a node stands for its length of contour, and the sum is not divided by N nu of
-    equation (6), so that it is a log-likelihood to which priors can be added. Deviation: back-facing nodes cost
-    nothing, because their share of a closed surface hardly changes. Deviation: every node is credited with the expected
-    cost of a place without a body, else limbs would hide."""
+    want: whether to append rows.
+    Returns: cost and number of rows.
+    Deviations: a node's edges share the weight 1, less where they are weak in sum; the rest counts as unassigned, at
+    the cost of the window's end. An occluded node costs k nu / 2, so that k is its share of the cost of a node without
+    an edge. A node stands for its length of contour, and the sum is not divided by N nu of equation (6), so that it is
+    a log-likelihood to which priors can be added. Back-facing nodes cost nothing, because their share of a closed
+    surface hardly changes. The expected cost of a place without a body is subtracted for every node, because otherwise
+    limbs would hide.
+    """
     edges, p = problem.edges, problem.model.projection
     window, sigma2 = edges.window, sigma * sigma
     energy, offset, strength = np.empty(2 * window + 1), np.empty(MOST_EDGES), np.empty(MOST_EDGES)
@@ -346,8 +370,11 @@ def edge_terms(n_nodes, problem, sigma, want, ws, n_rows):
 
 @kernel
 def flow_terms(q, n_flow, problem, want, ws, n_rows):
-    """Cost of inner nodes against where flow has carried them: equation (7), second sum; outliers of the flow weigh
-    0."""
+    """Compute the cost of the distances of inner nodes from where the flow has carried them: equation (7) of
+    Sminchisescu & Triggs 2001, second sum.
+
+    Outliers of the flow have weight 0.
+    """
     flow, p, second_order = problem.flow, problem.model.projection, problem.second_order
     sigma2 = flow.sigma * flow.sigma
     x, cost = ws.vertices, 0.0
@@ -389,8 +416,11 @@ def flow_terms(q, n_flow, problem, want, ws, n_rows):
 
 @kernel
 def mask_terms(n_nodes, problem, want, ws, n_rows):
-    """Cost of the outer contour against a silhouette: nodes against the distance to the mask's edge, and points of the
-    mask's outline against the nearest node (along its normal), so that neither a small nor a large body wins."""
+    """Compute the cost of the outer contour against a silhouette, in both directions.
+
+    Nodes are compared with the distance to the mask's edge, and points of the mask's outline with the nearest node
+    (along its normal), so that neither a small nor a large body is preferred.
+    """
     mask, p = problem.mask, problem.model.projection
     h, w = mask.distance.shape
     if h < 3 or w < 3 or not mask.height > 0:

@@ -1,4 +1,4 @@
-"""Which part of a body is in front in each pixel of the views, and how well the colours there are those of the part."""
+"""Find which part of a body is in front in each pixel of the views, and how well the colours there fit the part."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from hypose.compute.zbuffer import draw_faces, draw_nearest, inverse_depth
 from hypose.geometry import Array
 
 _LIMB = 32
-"""Labels of one limb; there are at most so many parts."""
+"""Number of labels per limb, and largest number of parts."""
 _ENOUGH = 1500
-"""Pixels of a person that tell as much as all."""
+"""Number of pixels of a person that suffice instead of all."""
 _STRONG = 3.0
-"""Times of what colours usually change within a person that is a strong edge."""
+"""A strong edge is a change of colour of so many times the usual change within a person."""
 
 
 def shown_parts(
@@ -30,8 +30,14 @@ def shown_parts(
     projection: ArrayLike,
     shape: tuple[int, int],
 ) -> tuple[NDArray[np.uint8], tuple[slice, slice]]:
-    """Return (h, w) = shape: 1 + the part (F,) of the face in front, 0 where there is no body; and the rows and columns
-    that the body is in. vertices (V, 3) m, projection (3, 4)."""
+    """Draw which part of a body is in front in each pixel of a view.
+
+    vertices: (V, 3) m.
+    faces, part: (F, 3), and (F,) part of each.
+    projection: (3, 4).
+    shape: (h, w) of the view.
+    Returns: (h, w) 1 + the part, 0 where there is no body; and the rows and columns that contain the body.
+    """
     out, (uv, z, reach) = np.zeros(shape, np.uint8), projected(vertices, projection)
     x0, y0 = (int(np.clip(np.ceil(reach[k, 0]), 0, shape[1 - k])) for k in range(2))
     x1, y1 = (int(np.clip(np.floor(reach[k, 1]) + 1, n, shape[1 - k])) for k, n in enumerate((x0, y0)))
@@ -43,13 +49,18 @@ def shown_parts(
 
 
 def _step(area: float) -> int:
-    """Of a mask of this area every so many-th row and column is looked at."""
+    """Return the step between the rows and columns that are read of a mask of this area."""
     return max(1, round(math.sqrt(area / _ENOUGH)))
 
 
 def rim_edges(masks: PreparedMasks, edges: NDArray[np.uint8] | None) -> tuple[NDArray[np.float32], ...]:
-    """For `colour_sums`: per view (2, h, w), at the pixels that it looks at, by how much the colours change more than
-    within the mask on average, in times of what they usually change, at most 1. edges (C, 2, h, w); None: zeros."""
+    """Compute the strength of colour edges for `colour_sums`.
+
+    masks: of the frame.
+    edges: (C, 2, h, w) changes of colour; None: zeros.
+    Returns: per view (2, h, w), at the pixels that `colour_sums` reads: the change of colour in multiples of the usual
+        change within the mask, at most 1, minus its mean over the mask.
+    """
     out = list[NDArray[np.float32]]()
     for c, (w, h) in enumerate(masks.sizes.tolist()):
         step = _step(masks.areas[c])
@@ -75,10 +86,19 @@ def colour_sums(
     limb: NDArray[np.uint8] | None = None,
     edges: tuple[NDArray[np.float32], ...] | None = None,
 ) -> tuple[Array, Array]:
-    """Return (N, C): the sum of table (C, P, K), by part and colour, over the pixels of each view's mask in which a
-    body with vertices (N, V, 3) m shows a part (F,); codes (C, h, w): the colours. And (N, C): the sum of edges
-    (`rim_edges`) along the rims of limbs (F,) before others. 0 in views that are not usable. Of large masks every
-    second pixel or so stands for those around it."""
+    """Sum over each view how well the colours fit posed bodies, and how strong the edges along their limbs are.
+
+    vertices: (N, V, 3) m.
+    faces, part: (F, 3), and (F,) part of each.
+    masks: of the frame.
+    codes: (C, h, w) colour of each pixel.
+    table: (C, P, K) value by part and colour.
+    limb: (F,) limb of each face; None: one limb.
+    edges: of `rim_edges`; None: zeros.
+    Returns: (N, C) sums of the table over the pixels of the mask in which the body shows a part; (N, C) sums of the
+        edges along the rims of limbs in front of others. 0 in views that are not usable. Of large masks only every
+        second pixel or so is read.
+    """
     v = plain(vertices, np.float64)
     out, rims = np.zeros((2, len(masks.usable), len(v)))
     use, f = np.flatnonzero(masks.usable), plain(faces, np.int32)
@@ -103,14 +123,18 @@ def colour_sums(
 
 
 GAP = 0.04
-"""m: who lies so far before another has a rim."""
+"""m; a limb so far in front of another has a rim."""
 
 
 @kernel
 def _colour_sums(uv, inverse, faces, part, mask, codes, table, edges, out, rims):
-    """out (N,): sum of table (P, K), by part and colour, over the pixels of the mask (h, w) that show a part of bodies
-    with vertices at uv (N, 2, V) px and inverse (N, V) 1/m; rims (N,): sum of edges (2, h, w) where one limb begins
-    before another. part (F,): _LIMB times the limb, and the part."""
+    """Compute the sums of `colour_sums` for one view.
+
+    uv, inverse: (N, 2, V) px and (N, V) 1/m of the vertices.
+    part: (F,) _LIMB times the limb, plus the part.
+    mask, codes: (h, w). table: (P, K). edges: (2, h, w).
+    out, rims: (N,) get the sums.
+    """
     h, w = mask.shape
     nearest, face, every = np.empty((h, w), np.float32), np.empty((h, w), np.int32), np.arange(faces.shape[0])
     for n in range(uv.shape[0]):

@@ -1,5 +1,5 @@
-"""Which parts of a body a picture shows, small and fast: every pixel knows all the parts that cover it, as bits
-(mask_runs.py); and connected pieces of masks (OpenCV).
+"""Find which parts of a body a picture shows: every pixel has a bit for each part that covers it (mask_runs.py); and
+connected pieces of masks (OpenCV).
 """
 
 from __future__ import annotations
@@ -21,11 +21,13 @@ _NONE = np.zeros((0, 0), np.uint8)
 
 
 class PartView(NamedTuple):
-    """A body's parts against one mask, in pixels.
+    """Parts of a body compared with one mask, in pixels.
 
-    area, exposed (covered by no other part) and outside (of the mask, less its rim) of each part (P,).
-    bare (N,): pixels of the mask without body within a radius of each point.
-    bits (W, h): where it is drawn.
+    area: (P,) pixels of each part.
+    exposed: (P,) pixels covered by no other part.
+    outside: (P,) pixels outside the mask, without its rim.
+    bare: (N,) pixels of the mask without body within a radius of each point.
+    bits: (W, h) where the body is drawn.
     """
 
     area: NDArray[np.int64]
@@ -36,8 +38,11 @@ class PartView(NamedTuple):
 
 
 def projected(points_world: ArrayLike, projection: ArrayLike) -> tuple[Array, Array, Array]:
-    """Return (N, 2) px, NaN behind the camera, (N,) m along its axis, and (2, 2) px, the least and the most across and
-    down, infinite where nothing is before it, of points (N, 3) m through a projection (3, 4)."""
+    """Project points (N, 3) m with a projection (3, 4).
+
+    Returns: (N, 2) px, NaN behind the camera; (N,) m along the optical axis; (2, 2) px, smallest and largest u and v,
+        infinite where nothing is in front of the camera.
+    """
     points = plain(points_world, np.float64)
     uv, z, reach = np.empty((len(points), 2)), np.empty(len(points)), np.empty((2, 2))
     _place(points, plain(projection, np.float64), uv, z, reach)
@@ -53,10 +58,14 @@ def draw_parts(
     shape: tuple[int, ...],
     closed: bool = False,
 ) -> Bits:
-    """Return (n_parts, W, h) bits of what faces (F, 3) of the part (F,) cover of a picture of shape (h, w).
+    """Draw which pixels the faces of each part cover.
 
-    uv (V, 2) px, z (V,) m.
-    closed: the faces of a part have no holes, so those that turn to the camera cover what all of them cover.
+    uv, z: (V, 2) px and (V,) m of the vertices.
+    faces, part: (F, 3), and (F,) part of each.
+    n_parts: number of parts.
+    shape: (h, w) of the picture.
+    closed: the faces of a part have no holes, so that those facing the camera cover what all of them cover.
+    Returns: (n_parts, W, h) bits.
     """
     h, w = shape
     bits = np.zeros((n_parts, -(-w // 64), h), np.uint64)
@@ -67,10 +76,11 @@ def draw_parts(
 def covered(
     uv: ArrayLike, z: ArrayLike, faces: NDArray[np.int32], shape: tuple[int, ...], closed: bool = False
 ) -> NDArray[np.uint8]:
-    """Return (h, w) = shape: 1 where faces (F, 3) of any orientation cover a pixel's centre, else 0.
+    """Draw a mask (h, w) = shape: 1 where faces of any orientation cover a pixel's centre.
 
-    uv (V, 2) px, z (V,) m.
-    closed: as of `draw_parts`.
+    uv, z: (V, 2) px and (V,) m of the vertices.
+    faces: (F, 3).
+    closed: as in `draw_parts`.
     """
     f = plain(faces, np.int32)
     return mask_of(draw_parts(uv, z, f, np.zeros(len(f), np.uint8), 1, shape, closed)[0], shape[1])
@@ -85,14 +95,15 @@ def parts_against_mask(
     radius: ArrayLike,
     hidden: NDArray[np.uint8] | None = None,
 ) -> PartView:
-    """Parts of a body against every step-th row and column of a mask in a box of it, packed as `prepare_masks` does (H,
-    B).
+    """Compare the parts of a body with a mask, at every step-th row and column of a box.
 
-    drawn (P, W, h): each part in that small picture, as `draw_parts` gives it; it is used up.
-    box: columns, rows, half open, of the mask.
-    points (N, 2) px, radius (N,) px of the small picture: around which bare mask is counted.
-    hidden (H, B): what says nothing: it is neither bare nor outside, and nothing is exposed there. Rims of one pixel
-        count neither as bare nor as outside, nor do parts thinner than three pixels.
+    bits: (H, B) mask, packed as by `prepare_masks`.
+    drawn: (P, W, h) each part in that small picture, of `draw_parts`; it is overwritten.
+    box: columns and rows of the mask, half open.
+    step: between the rows and columns that are read.
+    points, radius: (N, 2) and (N,) px of the small picture: around these, bare mask is counted.
+    hidden: (H, B) ignored pixels: they are neither bare nor outside, and nothing is exposed there.
+    Returns: the counts. Rims of one pixel and pieces thinner than three pixels count neither as bare nor as outside.
     """
     x0, x1, y0, _ = box
     uv, r, width = plain(points, np.float64), plain(radius, np.float64), -(-(x1 - x0) // step)
@@ -105,9 +116,15 @@ def parts_against_mask(
 def touched_area(
     bits: NDArray[np.uint8], others: NDArray[np.uint8], size: tuple[int, int], step: int, at: NDArray[np.float64]
 ) -> tuple[int, int]:
-    """Pixels of the pieces, corners connect, that points touch, and of the largest of the others, of every step-th row
-    and column of the pixels set in both of two masks of size (width, height), packed as `prepare_masks` does (H, B). at
-    (N, 2) px of the masks; what lies outside them touches nothing."""
+    """Measure the connected pieces of the overlap of two masks.
+
+    bits, others: (H, B) masks, packed as by `prepare_masks`.
+    size: (width, height) of the masks.
+    step: between the rows and columns that are read.
+    at: (N, 2) px of the masks; points outside touch nothing.
+    Returns: pixels of the pieces (connected over corners too) that the points touch, and of the largest of the other
+        pieces.
+    """
     w, h = size
     both = np.unpackbits(bits & others, axis=1, count=w, bitorder="little")[:h:step, ::step]
     _, labels, stats, _ = cv2.connectedComponentsWithStats(np.ascontiguousarray(both), connectivity=8)
@@ -123,10 +140,10 @@ def touched_area(
 
 @kernel
 def _place(points, projection, uv, z, reach):
-    """Pixels uv (N, 2), NaN behind the camera, and z (N,) m along the axis of it, of points (N, 3) m.
+    """Project points (N, 3) m with a projection (3, 4).
 
-    projection (3, 4).
-    reach (2, 2): the least and the most of u and of v, infinite without any.
+    uv, z: (N, 2) px, NaN behind the camera, and (N,) m along its axis.
+    reach: (2, 2) gets the smallest and largest u and v, infinite without any.
     """
     p = projection
     for k in range(2):
@@ -145,7 +162,9 @@ def _place(points, projection, uv, z, reach):
 
 @kernel
 def _draw_parts(uv, z, faces, part, closed, width, height, bits):
-    """bits (P, W, 8 h) u1: of what the faces of each part cover, 64 columns of a row in eight bytes."""
+    """Draw the pixels that the faces of each part cover, into bits (P, W, 8 h) u1: 64 columns of a row
+    in eight bytes.
+    """
     stride, unread = row_stride(width), np.zeros(2, np.int64)
     difference = np.zeros((bits.shape[0], height + 1, stride), np.int8)
     cover_faces(uv, z, faces, part, closed, width, height, difference)
@@ -156,8 +175,9 @@ def _draw_parts(uv, z, faces, part, closed, width, height, bits):
 
 @kernel
 def _thin(packed, top, left, step, width, out):
-    """Every step-th pixel of a mask, eight to a byte (H, B), from row top and column left on, as bits out (W, h); what
-    lies beyond the width means nothing."""
+    """Take every step-th pixel of a packed mask (H, B) from row top and column left on, as bits out (W, h); bits beyond
+    the width are undefined.
+    """
     words, h = out.shape
     size, shift = packed.shape[1], u8(left & 7)
     for k in range(words):
@@ -180,13 +200,15 @@ def _thin(packed, top, left, step, width, out):
 
 @kernel
 def _against_mask(mask, hidden, top, left, step, width, square, parts, points, radius, counts, bare):
-    """Counts of `parts.PartView`: of parts (P, W, h) drawn where every step-th pixel of a packed mask (H, B), from row
-    top and column left on, is a pixel.
+    """Count the pixels of `PartView` for parts (P, W, h), drawn at every step-th pixel of a packed mask (H, B) from row
+    top and column left on.
 
-    hidden (H, B), (0, 0): none.
+    hidden: (H, B) ignored pixels, (0, 0): none.
     square: spans of 3 x 3 pixels.
-    points (N, 2) and radius (N,) in those pixels.
-    counts (3, P): area, exposed and outside. parts[0] holds all of them afterwards.
+    points, radius: (N, 2) and (N,) in the drawn pixels.
+    counts: (3, P) gets area, exposed and outside.
+    bare: (N,) gets the bare pixels.
+    parts: parts[0] holds all parts afterwards.
     """
     n, words, h = parts.shape
     room, box = np.zeros((5, words, h), np.uint64), np.zeros(4, np.int64)

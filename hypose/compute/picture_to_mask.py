@@ -1,9 +1,9 @@
-"""From a decoded picture to its foreground: shrink and undistort, difference from the room with the shadow cone.
+"""Convert a decoded picture to its foreground: shrink and undistort it, and compare it with the room, shadows excluded.
 
-Images are BGR uint8, a box is (y0, y1, x0, x1), half open, px. The functions release the GIL and keep no state, so each
-camera can have its own thread. The inner steps are explicit vectors, because the compiler does not see that the three
-colours of a pixel lie side by side; every lane computes the same bits: whole numbers, and floating point that is never
-fused. There pictures are flat, (3 n,) u1: blue, green and red of one pixel after the other.
+Images are BGR uint8; a box is (y0, y1, x0, x1), half open, px. The functions release the GIL and keep no state, so that
+each camera can have its own thread. The inner steps are explicit vectors, because the compiler does not recognise that
+the three colours of a pixel lie next to each other. Every lane computes the same bits: whole numbers, and floating
+point that is never fused. There pictures are flat, (3 n,) u1: blue, green and red of one pixel after the other.
 """
 
 from __future__ import annotations
@@ -24,22 +24,23 @@ from hypose.geometry import Image
 f4, u1, i2, u2, i4, u4, u8 = np.float32, np.uint8, np.int16, np.uint16, np.int32, np.uint32, np.uint64
 Box = tuple[int, int, int, int]
 _LANES = 16
-"""Pixels that the kernels compare at once"""
+"""Number of pixels that the kernels compare at once."""
 
 
 class Undistortion(NamedTuple):
-    """How stored pictures of one camera become undistorted ones (h, w) of the working size.
+    """Tables that convert stored pictures of one camera to undistorted ones (h, w) of the working size.
 
-    stored: (width, height) of the stored pictures. First they are shrunk by area: working row y is the sum over k of
-        row_weights[y, k] (h, L) u2 times stored row rows[y] + k, and columns likewise after, with column_weights (w, K)
-        i4.
-    rounding (5,): half and shift of rows, factor, half and shift of columns.
-    corner (h, w): number of the pixel up and left of the undistorted one in the shrunk picture, in rows with one pixel
-        of black on the left and two on the right (one above, two below).
-    part (h, w) u2: further right, and 32 times further down, in 32nds of a pixel.
-    row_reach (h, 2), column_reach (w, 2): first and last shrunk row (column) that the corners of an undistorted row
-        (column) lie in.
-    straight: the shrunk picture is the undistorted one.
+    stored: (width, height) of the stored pictures, which are first shrunk by area.
+    columns, column_weights: (w,) and (w, K) int32: working column x is the sum over k of column_weights[x, k] times
+        stored column columns[x] + k, after the rows.
+    rows, row_weights: (h,) and (h, L) uint16, the same of rows.
+    rounding: (5,) half and shift of rows; factor, half and shift of columns.
+    corner: (h, w) number of the pixel up and left of the undistorted one in the shrunk picture, which has one column of
+        black on the left and two on the right (rows: one above, two below).
+    part: (h, w) uint16, offset to the right, and 32 times the offset down, in 32nds of a pixel.
+    row_reach, column_reach: (h, 2) and (w, 2): first and last shrunk row (column) in which the corners of an
+        undistorted row (column) lie.
+    straight: whether the shrunk picture is the undistorted one.
     """
 
     stored: tuple[int, int]
@@ -58,17 +59,17 @@ class Undistortion(NamedTuple):
 _FX, _FY = np.meshgrid(np.arange(32), np.arange(32))
 _SHARES = np.stack([(32 - _FX) * (32 - _FY), _FX * (32 - _FY), (32 - _FX) * _FY, _FX * _FY], -1).reshape(-1, 4)
 _SHARES = _SHARES.astype(np.uint16)
-"""(1024, 4): of a pixel, the one on its right, and the two below, in 1024ths, by Undistortion.part"""
+"""(1024, 4) shares of a pixel, the one on its right, and the two below, in 1024ths, by Undistortion.part."""
 
 
 class BackgroundLevels(NamedTuple):
-    """What the empty room looks like.
+    """Colours of the empty room.
 
-    low, high (h, w, 3) u1, the grey levels that are still the room.
-    mean (h, w, 3) f4, for the shadow test.
-    shadow: whether that is made.
+    low, high: (h, w, 3) uint8, range of the grey levels of the room.
+    mean: (h, w, 3) float32, for the shadow test.
+    shadow: whether the shadow test is made.
     darkest, lightest: brightness of a shadow relative to the lit room.
-    chroma: squared colour distance a shadow may have, grey levels.
+    chroma: largest squared colour distance of a shadow, grey levels^2.
     """
 
     low: Image
@@ -81,10 +82,11 @@ class BackgroundLevels(NamedTuple):
 
 
 def make_lens(stored: tuple[int, int], map_x: ArrayLike, map_y: ArrayLike) -> Undistortion:
-    """Make the undistortion of stored pictures (width, height) from maps (h, w) in pixels of the working size.
+    """Make the undistortion of stored pictures (width, height).
 
-    map_x, map_y: place of each undistorted pixel in a picture shrunk to that size, as for cv2.remap.
-    InputError when a picture would be enlarged."""
+    map_x, map_y: (h, w) place of each undistorted pixel in a picture shrunk to the working size, as for cv2.remap.
+    Raises: InputError where a picture would be enlarged, or the working size is too small.
+    """
     mx, my = np.asarray(map_x), np.asarray(map_y)
     h, w = mx.shape
     if stored[0] < w or stored[1] < h:
@@ -116,7 +118,7 @@ def make_lens(stored: tuple[int, int], map_x: ArrayLike, map_y: ArrayLike) -> Un
 
 
 def _parts(at: NDArray[np.floating], most: int) -> NDArray[np.int32]:
-    """32nds of pixels; unseen places lie beyond the picture."""
+    """Convert places to 32nds of pixels; unseen places lie outside the picture."""
     return np.clip(np.nan_to_num(np.rint(32 * at), nan=-32), -32, most).astype(np.int32)
 
 
@@ -125,7 +127,7 @@ def _reach(at: NDArray[np.int32], axis: int) -> NDArray[np.int64]:
 
 
 def _averages(source: int, target: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """First source pixel and weights (sum 256) of each of `target` boxes."""
+    """Compute the first source pixel and the weights (sum 256) of each of `target` boxes."""
     step = source / target
     begin, end = np.arange(target)[:, None] * step, (np.arange(target)[:, None] + 1) * step
     first = np.floor(begin[:, 0] + 1e-9).astype(np.int64)
@@ -137,8 +139,14 @@ def _averages(source: int, target: int) -> tuple[NDArray[np.int64], NDArray[np.i
 
 
 def shrink_undistort(image: Image, lens: Undistortion, box: Box | None = None, out: Image | None = None) -> Image:
-    """Stored picture (H, W, 3) -> undistorted (h, w, 3) of the working size, black where the camera does not see, and
-    outside `box` (default: everywhere) undefined. out: of `new_picture`, to be used for it."""
+    """Shrink and undistort a stored picture (H, W, 3).
+
+    lens: of the camera.
+    box: part of the working size to compute; None: all.
+    out: memory of `new_picture` to be used; None: new memory.
+    Returns: (h, w, 3) of the working size, black where the camera does not see, undefined outside the box.
+    Raises: InputError where the picture has another size.
+    """
     h, w = lens.corner.shape
     if image.shape != (lens.stored[1], lens.stored[0], 3) or image.dtype != np.uint8:
         raise InputError(f"A picture of {image.shape[1::-1]} px was given where {lens.stored} px are stored.")
@@ -161,7 +169,9 @@ def shrink_undistort(image: Image, lens: Undistortion, box: Box | None = None, o
 
 
 def new_picture(h: int, w: int) -> Image:
-    """Memory for a picture (h, w, 3), in memory (its base) that is a byte longer: pixels are written as four bytes."""
+    """Allocate a picture (h, w, 3) whose memory (its base) is one byte longer, because pixels are written as four
+    bytes.
+    """
     return np.empty(3 * h * w + 1, np.uint8)[: 3 * h * w].reshape(h, w, 3)
 
 
@@ -169,8 +179,11 @@ _OWN = threading.local()
 
 
 def _scratch(h: int, w: int) -> NDArray[np.uint8]:
-    """This thread's memory for a shrunk picture, its rim black: new memory of this size costs as much as the shrinking.
-    Two bytes longer, for pixels are read as eight bytes in twos."""
+    """Return this thread's memory for a shrunk picture with a black rim, two bytes longer because pixels are read in
+    pairs as eight bytes.
+
+    Why kept: new memory of this size costs as much as the shrinking.
+    """
     known = getattr(_OWN, "small", None)
     if known is None or known[0] != (h, w):
         known = _OWN.small = (h, w), np.zeros(3 * h * w + 2, np.uint8)
@@ -178,7 +191,7 @@ def _scratch(h: int, w: int) -> NDArray[np.uint8]:
 
 
 def _needed(lens: Undistortion, box: Box | None) -> Box:
-    """A part of the shrunk picture that holds all that undistorted pixels in the box are made of."""
+    """Compute the part of the shrunk picture from which the undistorted pixels in the box are made."""
     h, w = lens.corner.shape
     if box is None:
         return 0, h, 0, w
@@ -192,9 +205,14 @@ def _needed(lens: Undistortion, box: Box | None) -> Box:
 
 
 def not_the_room(image: Image, room: BackgroundLevels, box: Box | None = None) -> Bits:
-    """Bits (mask_runs.bits_of) of the person in an undistorted picture (h, w, 3), in the box (default: everywhere):
-    pixels of neither the room nor its shadow, the same colour but darker. A shadow is an area: single pixels along the
-    edge of dark clothing before a bright wall are mixed colours, so shadows are opened 3 x 3."""
+    """Segment the person in an undistorted picture: pixels that are neither the room nor its shadow.
+
+    image: (h, w, 3).
+    room: colours of the empty room.
+    box: part of the picture; None: all.
+    Returns: bits, as of `mask_runs.bits_of`. A shadow has the same colour but is darker, and is an area: single pixels
+        along the edge of dark clothing before a bright wall are mixed colours, so that shadows are opened by 3 x 3.
+    """
     h, w = image.shape[:2]
     y0, y1, x0, x1 = box or (0, h, 0, w)
     limits = (np.float32(room.darkest), np.float32(room.lightest), np.float32(room.chroma))
@@ -204,8 +222,13 @@ def not_the_room(image: Image, room: BackgroundLevels, box: Box | None = None) -
 
 
 def order_statistic(stack: NDArray[np.uint8], hidden: NDArray[np.bool_] | None, rank: NDArray[np.int64]) -> Image:
-    """Of stack (N, P, 3) u1, per pixel and channel the value with `rank` (P,) values below it in order (0: the
-    smallest), over the frames that are not hidden (N, P): (P, 3) u1; 255 where the rank is not below their number."""
+    """Compute per pixel and channel the value of a given rank over the frames.
+
+    stack: (N, P, 3) uint8.
+    hidden: (N, P) frames that do not count, or None.
+    rank: (P,) number of smaller values (0: the smallest).
+    Returns: (P, 3) uint8; 255 where the rank is not below the number of frames.
+    """
     p = stack.shape[1]
     out = np.empty((p, 3), np.uint8)
     seen = np.zeros((0, p), np.bool_) if hidden is None else plain(hidden, np.bool_)
@@ -214,13 +237,13 @@ def order_statistic(stack: NDArray[np.uint8], hidden: NDArray[np.bool_] | None, 
 
 
 def warm_up_masks() -> None:
-    """Compile (or load from disk) what masks from files need on a toy mask."""
+    """Compile (or load from the cache) the kernels that masks from files need, on a toy picture."""
     picture, (x, y) = np.zeros((24, 30, 3), np.uint8), np.meshgrid(np.arange(15.0), np.arange(12.0))
     shrink_undistort(picture, make_lens((30, 24), x, y))
 
 
 def warm_up() -> None:
-    """Compile (or load from disk) every kernel of this module on a toy picture."""
+    """Compile (or load from the cache) every kernel of this module on a toy picture."""
     picture, (x, y) = np.zeros((24, 30, 3), np.uint8), np.meshgrid(np.arange(15.0), np.arange(12.0))
     for lens in (make_lens((30, 24), x, y), make_lens((30, 24), x + 0.3, y)):
         small = shrink_undistort(picture, lens)
@@ -232,8 +255,10 @@ def warm_up() -> None:
 
 @kernel
 def _shrink(image, columns, column_weights, rows, row_weights, rounding, y0, y1, x0, x1, out, begin, stride):
-    """Area average of image (H, W, 3) u1 for y0 <= y < y1, x0 <= x < x1: pixel (y, x) is three bytes of out (u1) from
-    begin + stride y + 3 x on. See Undistortion; the byte after each row becomes 0."""
+    """Shrink image (H, W, 3) u1 by area average for y0 <= y < y1, x0 <= x < x1; tables as in `Undistortion`.
+
+    out: u1, pixel (y, x) is written to three bytes from begin + stride y + 3 x on; the byte after each row becomes 0.
+    """
     taps, lines = column_weights.shape[1], row_weights.shape[1]
     first, last = columns[x0], columns[x1 - 1] + taps
     width, line = 3 * (last - first), 3 * image.shape[1]
@@ -256,8 +281,12 @@ def _shrink(image, columns, column_weights, rows, row_weights, rounding, y0, y1,
 
 @kernel
 def _remap(small, corner, part, shares, y0, y1, x0, x1, out):
-    """out (3 h w + 1,) u1, pixels in the box = those of the flat picture small (h + 3, w + 3) u1 at corner (h, w) and
-    next to it, with shares[part (h, w)] (K, 4) in 1024ths."""
+    """Undistort the pixels in the box, into out (3 h w + 1,) u1.
+
+    small: flat picture (h + 3, w + 3) u1.
+    corner: (h, w) number of the first pixel.
+    shares: (K, 4) in 1024ths, of this pixel and its neighbours, chosen by part (h, w).
+    """
     w = corner.shape[1]
     corners, parts, four, step = corner.reshape(-1), part.reshape(-1), shares.reshape(-1), 3 * (w + 3)
     for y in range(y0, y1):
@@ -267,13 +296,17 @@ def _remap(small, corner, part, shares, y0, y1, x0, x1, out):
 
 @kernel
 def _differ(image, low, high, mean, shadow, darkest, lightest, chroma, y0, y1, x0, x1, block, bits):
-    """bits (words, h) u8, zero before: the pixels in the box where image (h, w, 3) u1 is not the room, and not in its
-    shadow either. See picture_to_mask.not_the_room; block: the spans of 3 x 3 pixels. It has GROUP pixels at least."""
+    """Mark the pixels in the box where image (h, w, 3) u1 is not the room and not in its shadow; see `not_the_room`.
+
+    block: spans of 3 x 3 pixels.
+    bits: (words, h) u8, zero before.
+    The picture has GROUP pixels at least.
+    """
     h, w = image.shape[:2]
     picture, least, most, room = image.reshape(-1), low.reshape(-1), high.reshape(-1), mean.reshape(-1)
     last = h * w - GROUP
     for y in range(y0, y1):
-        for x in range(x0 // GROUP * GROUP, x1, GROUP):  # and what comes after the row, if anything
+        for x in range(x0 // GROUP * GROUP, x1, GROUP):  # and the pixels after the row, if any
             n = y * w + x
             at = min(n, last)
             bits[x >> 6, y] |= (outside(picture, least, most, 3 * at) >> u8(n - at)) << u8(x & 63)
@@ -304,9 +337,10 @@ def _differ(image, low, high, mean, shadow, darkest, lightest, chroma, y0, y1, x
 
 @kernel
 def _order_statistic(stack, hidden, rank, out):
-    """out (P, 3) u1 of stack (N, P, 3) u1: see picture_to_mask.order_statistic; hidden (N or 0, P) bool, rank (P,) u2.
+    """Compute out (P, 3) u1 of stack (N, P, 3) u1, hidden (N or 0, P) bool, rank (P,) u2; see `order_statistic`.
 
-    The value is found bit by bit: how many are smaller than it would be with this bit? All in vector lanes."""
+    The value is found bit by bit, by counting the values smaller than it would be with this bit; in vector lanes.
+    """
     n, pixels = stack.shape[0], stack.shape[1]
     block = 128
     guess, found, below = np.empty(3 * block, np.uint8), np.empty(3 * block, np.uint8), np.empty(3 * block, np.uint16)
@@ -343,22 +377,25 @@ def _order_statistic(stack, hidden, rank, out):
 
 
 STRIP = 32
-"""Bytes of rows that are added at once"""
+"""Number of bytes of rows that are added at once."""
 GROUP = 16
-"""Pixels that are compared at once"""
+"""Number of pixels that are compared at once."""
 
 _BYTES = 3 * GROUP
 _blue, _green, _red = (shuffle(range(c, _BYTES, 3)) for c in range(3))
 _by_colour = shuffle((0, 3, 1, 4, 2, 5, 6, 7))
-"""of two pixels and two more bytes: blue of both, green of both, red of both"""
+"""Reorder two pixels and two more bytes: blue of both, green of both, red of both."""
 _repeated, _even, _odd = shuffle((0, 1) * 4), shuffle(range(0, 8, 2)), shuffle(range(1, 8, 2))
 _next = shuffle((1, 2, 3, 3))
 
 
 @kernel
 def weighted_rows(picture, at, stride, weights, first, lines, half, shift, width, sums):
-    """sums (u2) [i], i < width, which is at least STRIP: the sum over k < lines of weights[first + k] (u2) times
-    picture (u1) [at + k stride + i], plus half, shifted down; all in 16 bits."""
+    """Compute sums (u2) [i], i < width: over k < lines, weights[first + k] (u2) times picture (u1) [at + k stride + i],
+    plus half, shifted down; all in 16 bits.
+
+    width: at least STRIP.
+    """
     for i in range(0, width, STRIP):
         here = min(i, width - STRIP)
         total = splat(u2(half), STRIP)
@@ -369,12 +406,15 @@ def weighted_rows(picture, at, stride, weights, first, lines, half, shift, width
 
 @kernel
 def weighted_row(sums, columns, start, weights, taps, scale, half, shift, x0, x1, out, to):
-    """Pixels x0 <= x < x1 into out (u1), three bytes each from `to` on: the sum over k < taps of weights[x, k] (i4)
-    times the pixel columns[x] - start + k of sums (u2), times scale, plus half, shifted down; all in 32 bits. The byte
-    after the last pixel becomes 0, and one element of sums beyond the last pixel is read."""
+    """Compute pixels x0 <= x < x1, and write them to out (u1), three bytes each from `to` on.
+
+    A pixel is the sum over k < taps of weights[x, k] (i4) times the pixel columns[x] - start + k of sums (u2), times
+    scale, plus half, shifted down; all in 32 bits. The byte after the last pixel becomes 0, and one element of sums
+    beyond the last pixel is read.
+    """
     for x in range(x0, x1):
         at = (columns[x] - start) * 3
-        total = splat(u4(0), 4)  # blue, green, red, and what comes after
+        total = splat(u4(0), 4)  # blue, green, red, and the next byte
         for k in range(taps):
             total = total + cast(load(sums, at + 3 * k, 4), u4) * weights[x * taps + k]
         value = cast((total * scale + half) >> shift, u1)
@@ -383,9 +423,12 @@ def weighted_row(sums, columns, start, weights, taps, scale, half, shift, x0, x1
 
 @kernel
 def blended_row(picture, step, corner, part, shares, first, count, out, to):
-    """`count` pixels into out (u1), three bytes each from `to` on. The n-th, from n = first on: of the pixels of
-    picture (u1) at number corner[n] (i4), right of it, below (step bytes on) and right of that, shares[part[n]] (K, 4)
-    u2 in 1024ths. One byte after the last pixel is written, and two beyond the pixels are read."""
+    """Blend `count` pixels, and write them to out (u1), three bytes each from `to` on.
+
+    Pixel n, from n = first on, is made of the pixel of picture (u1) at number corner[n] (i4), of those right of it,
+    below (step bytes on) and right of that, with shares[part[n]] (K, 4) u2 in 1024ths. One byte after the last pixel is
+    written, and two beyond the pixels are read.
+    """
     for k in range(count):
         at, share = 3 * np.int64(corner[first + k]), 4 * np.int64(part[first + k])
         total = _blended_pair(picture, at, shares, share) + _blended_pair(picture, at + step, shares, share + 2)
@@ -394,7 +437,9 @@ def blended_row(picture, step, corner, part, shares, first, count, out, to):
 
 @kernel
 def _blended_pair(picture, at, shares, share):
-    """Of a pixel and the one on its right; in whole numbers of 16 bits, which processors multiply and add at once."""
+    """Blend a pixel and the one on its right; in whole numbers of 16 bits, which processors multiply and
+    add at once.
+    """
     value, weight = load(picture, at, 8), load(shares, share, 2)
     value, weight = cast(_by_colour(value, value), i2), cast(_repeated(weight, weight), i2)
     product = cast(value, i4) * cast(weight, i4)
@@ -403,7 +448,9 @@ def _blended_pair(picture, at, shares, share):
 
 @kernel
 def outside(picture, low, high, at):
-    """Bit k < GROUP of the result: the k-th pixel from byte `at` on lies in some colour outside low..high (u1)."""
+    """Test GROUP pixels from byte `at` on: bit k of the result is set where pixel k lies in some colour outside
+    low..high (u1).
+    """
     value = load(picture, at, _BYTES)
     other = (value < load(low, at, _BYTES)) | (value > load(high, at, _BYTES))
     some = where(other, splat(u1(255), _BYTES), splat(u1(0), _BYTES))  # bytes are shuffled faster than bits
@@ -412,9 +459,13 @@ def outside(picture, low, high, at):
 
 @kernel
 def darker(picture, room, at, darkest, lightest, chroma):
-    """Bit k < GROUP of the result: the k-th pixel from byte `at` on shows the room (f4, as pictures), darker:
-    s times its colour, s = colour . room / room . room between darkest and lightest, with a rest whose square is below
-    chroma. Of a black room the product with itself is 1."""
+    """Test GROUP pixels from byte `at` on: bit k of the result is set where pixel k shows the room in shadow.
+
+    room: f4, flat as pictures.
+
+    The colour is s times the room's colour, s = colour . room / room . room between darkest and lightest, with a rest
+    whose square is below chroma. For a black room the product room . room counts as 1.
+    """
     colour, mean = load(picture, at, _BYTES), load(room, at, _BYTES)
     x, y, z = _blue(mean, mean), _green(mean, mean), _red(mean, mean)
     b, g, r = cast(_blue(colour, colour), f4), cast(_green(colour, colour), f4), cast(_red(colour, colour), f4)
@@ -425,8 +476,11 @@ def darker(picture, room, at, darkest, lightest, chroma):
 
 @kernel
 def mean_outside(picture, at, below, low, high, bound):
-    """Whether the mean of the 2 x 2 pixels of picture at byte `at` (the lower ones `below` bytes on) lies in some
-    colour outside low..high (u1) at byte bound, of which four are read."""
+    """Test whether the mean of 2 x 2 pixels lies in some colour outside low..high (u1) at byte bound (four bytes are
+    read).
+
+    at, below: byte of the first pixel, and bytes to the lower ones.
+    """
     upper, lower = _two_pixels(picture, at), _two_pixels(picture, at + below)
     value = (upper + lower + u2(2)) >> 2
     other = (value < cast(load(low, bound, 4), u2)) | (value > cast(load(high, bound, 4), u2))
@@ -435,6 +489,6 @@ def mean_outside(picture, at, below, low, high, bound):
 
 @kernel
 def _two_pixels(picture, at):
-    """The sum of a pixel and the one on its right; a fourth number is rubbish."""
-    right = load(picture, at + 2, 4)  # reads no byte beyond it
+    """Add a pixel and the one on its right; a fourth number is undefined."""
+    right = load(picture, at + 2, 4)  # reads no byte after these pixels
     return cast(load(picture, at, 4), u2) + cast(_next(right, right), u2)

@@ -1,8 +1,8 @@
-"""The part of a body that stands still while a limb is searched, drawn once for all poses; and limbs as a few points
-against masks: which of many poses of a limb lie where the rest of the body explains nothing.
+"""Draw the part of a body that stands still while a limb is searched, once for all poses; and score limbs as a few
+points against masks: which of many poses lie where the rest of the body does not explain the mask.
 
-The layers of front faces over a pixel add up over the faces of the body, so the body's silhouette is the union of the
-silhouettes of its parts, each drawn by its own front faces.
+The number of front faces over a pixel is a sum over the faces of the body, so that the silhouette of the body is the
+union of the silhouettes of its parts, each drawn by its own front faces.
 """
 
 from __future__ import annotations
@@ -35,8 +35,13 @@ f4 = np.float32
 
 @kernel
 def draw_standing(pose, tree, mesh, faces, standing, prepared, boxes, bits, counts):
-    """Silhouettes of the faces (K, 3) of the mesh at a pose (D,), inside boxes (C, 4): bits (C, h, B), counts (C, 2)
-    model and intersection pixels, both zero before; standing (F,) tells the same faces among all."""
+    """Draw the silhouettes of some faces of the mesh at a pose (D,), inside boxes (C, 4).
+
+    faces: (K, 3) the faces.
+    standing: (F,) the same faces among all.
+    bits: (C, h, B), zero before, gets the silhouettes.
+    counts: (C, 2), zero before, gets model and intersection pixels.
+    """
     n_joints, n_vertices, n_edges = tree.parents.shape[0], mesh.vertices.shape[0], mesh.edges.shape[0]
     rotations, centres = np.empty((n_joints, 3, 3)), np.empty((n_joints, 3))
     twists = np.empty((pose.shape[0], 6))
@@ -69,7 +74,7 @@ def draw_standing(pose, tree, mesh, faces, standing, prepared, boxes, bits, coun
             continue
         width, height, aside = x1 - x0, y1 - y0, x0 & 7
         stride = row_stride(aside + width)
-        # no larger: pages of memory touched first cost most
+        # no larger than needed: touching new pages of memory costs most
         begun = np.zeros((height + 1) * stride + aside, np.int8)
         difference = begun[aside:].reshape(height + 1, stride)
         if near:
@@ -83,13 +88,15 @@ def draw_standing(pose, tree, mesh, faces, standing, prepared, boxes, bits, coun
 
 
 _BLOCK = 128
-"""poses that are looked at together, in vector lanes"""
+"""Number of poses that are computed together, in vector lanes."""
 
 
 @kernel
 def pixels(m, x, y, z, n, width, height, line, place):
-    """place (n,) i4: line x row + column of the pixels in which points x, y, z (n,) lie under a projection m (3, 4); -1
-    outside the image, and nearer than 0.05 m."""
+    """Compute the pixels of n points x, y, z (n,) under a projection m (3, 4), into place (n,) i4: line x row + column.
+
+    It is -1 outside the image, and nearer than 0.05 m.
+    """
     m00, m01, m02, m03 = m[0, 0], m[0, 1], m[0, 2], m[0, 3]
     m10, m11, m12, m13 = m[1, 0], m[1, 1], m[1, 2], m[1, 3]
     m20, m21, m22, m23 = m[2, 0], m[2, 1], m[2, 2], m[2, 3]
@@ -98,7 +105,7 @@ def pixels(m, x, y, z, n, width, height, line, place):
         depth = m20 * x[i] + m21 * y[i] + m22 * z[i] + m23
         u = (m00 * x[i] + m01 * y[i] + m02 * z[i] + m03) / depth + 0.5
         v = (m10 * x[i] + m11 * y[i] + m12 * z[i] + m13) / depth + 0.5
-        u = u if depth >= 0.05 else -1.0  # one choice after the other is what the compiler makes vectors of
+        u = u if depth >= 0.05 else -1.0  # single choices one after the other can be vectorised
         u = u if u < w else -1.0
         u = u if v >= 0 else -1.0
         u = u if v < h else -1.0
@@ -109,8 +116,12 @@ def pixels(m, x, y, z, n, width, height, line, place):
 
 @kernel
 def _score_points(points, weights, rotation, centre, prepared, bits, cutoff, out):
-    """out (N,): scores of points (N, P, 3) of weights (P,), seen from a joint with rotation (3, 3) and centre (3,); see
-    reach.py. The last points are looked at first: ends of limbs tell most."""
+    """Score points (N, P, 3) of weights (P,), given in the frame of a joint, into out (N,); see `score_points`.
+
+    rotation, centre: frame of the joint, (3, 3) and (3,).
+
+    The last points are scored first, because ends of limbs are the most informative.
+    """
     views = prepared.projections.shape[0]
     m = np.empty((views, 3, 4))
     seen = 0
@@ -141,10 +152,10 @@ def _score_points(points, weights, rotation, centre, prepared, bits, cutoff, out
             n = 0
             for i in range(n_alive):
                 alive[n] = alive[i]
-                n += not total[alive[i]] - left > cutoff  # else the rest cannot make up for it
+                n += not total[alive[i]] - left > cutoff  # else the remaining points cannot make up for it
             n_alive = n
             left -= weights[p] * seen
-            worth_of[0], worth_of[1] = weights[p], -weights[p]  # no mask; a mask alone; what stands, or nothing
+            worth_of[0], worth_of[1] = weights[p], -weights[p]  # no mask; a mask alone; a standing part, or nothing
             for i in range(n_alive):
                 point = points[first + alive[i], p]
                 x[i], y[i], z[i] = point[0], point[1], point[2]
@@ -167,8 +178,9 @@ def _score_points(points, weights, rotation, centre, prepared, bits, cutoff, out
 def standing(
     pose: ArrayLike, tree: TreeArrays, mesh: MeshArrays, prepared: PreparedMasks, moving: ArrayLike
 ) -> Standing:
-    """Return the silhouettes at a pose (D,) of what the joints `moving` (J,) bool, and those below them, do not
-    move."""
+    """Draw the silhouettes of the parts of a body at a pose (D,) that the joints `moving` (J,) bool, and those below
+    them, do not move.
+    """
     q, turning = plain(pose, np.float64), plain(moving, np.bool_)
     parts = lane_mesh.moving_parts(mesh, tree, turning, None)
     bits, counts = np.zeros_like(prepared.bits), np.zeros((len(prepared.masks), 2), dtype=np.int64)
@@ -179,15 +191,20 @@ def standing(
 
 
 def whole_images(prepared: PreparedMasks) -> NDArray[np.int64]:
-    """Return (C, 4) the boxes x0, x1, y0, y1 of whole views."""
+    """Return the boxes x0, x1, y0, y1 (C, 4) of whole views."""
     boxes = np.zeros((len(prepared.sizes), 4), dtype=np.int64)
     boxes[:, 1::2] = prepared.sizes
     return boxes
 
 
 def hide(prepared: PreparedMasks, bits: NDArray[np.uint8], counts: NDArray[np.int64]) -> None:
-    """Adds the pixels that say nothing to what stands (bits (C, h, B), counts (C, 2)), in place: they are drawn, so
-    that nothing else counts there, and count themselves for nothing."""
+    """Add the ignored pixels of the masks to the silhouettes of the standing parts, in place.
+
+    prepared: masks of the frame; ignored pixels give no information.
+    bits, counts: (C, h, B) and (C, 2) of the standing parts.
+
+    The pixels are drawn, so that nothing else counts there, and count for nothing themselves.
+    """
     if prepared.hidden.size:
         counts[:, 0] -= np.bitwise_count(bits & prepared.hidden).sum((1, 2), dtype=np.int64)
         np.bitwise_or(bits, prepared.hidden, out=bits)
@@ -202,10 +219,18 @@ def score_points(
     rest: Standing,
     cutoff: float = np.inf,
 ) -> Array:
-    """Return (N,) how badly points (N, P, 3) m lie, as a joint sees them that is turned by rotation (3, 3) and lies at
-    centre (3,), world: the sum over usable views and points of weights (P,), plus where there is no mask, minus in the
-    mask where the standing rest of the body is not; 0 on the rest, outside the image, and nearer than 0.05 m. Above the
-    cutoff a score says no more than that it lies above it."""
+    """Score how badly points of a limb lie on the masks, given in the frame of a joint.
+
+    points: (N, P, 3) m.
+    weights: (P,).
+    rotation, centre: frame of the joint in the world, (3, 3) and (3,) m.
+    prepared: masks of the frame.
+    rest: drawing of the standing parts.
+    cutoff: scores above it are not computed to the end.
+    Returns: (N,) sums over usable views and points of the weight: plus where there is no mask, minus in the mask where
+        the standing parts are not; 0 on the standing parts, outside the image, and nearer than 0.05 m. Above the cutoff
+        a score only means that it lies above it.
+    """
     p, w = plain(points, np.float64), plain(weights, np.float64)
     r, c = plain(rotation, np.float64), plain(centre, np.float64)
     out, masks, limit = np.empty(len(p)), tidy(prepared), float(cutoff)

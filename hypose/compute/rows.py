@@ -1,13 +1,13 @@
-"""Rows of evidence summed per joint, and rows of key points and points.
+"""Sum rows of evidence per joint, and compute the rows of key points and 3D points.
 
-Every cue is a set of rows (point p, g = d residual / d point, residual r, weight w, joint j). A row's derivative along
-dof d is S_d . x with the dof's twist S_d and the row's wrench x = (p x g, g), everything about the root's position; so
-w x x^T (21 numbers) and w r x (6) are added to joint j, and no row as wide as the pose ever exists. solver.py folds the
-sums up the tree.
-A skinned point is a blend of joints: its row goes to each joint, times the skinning weight. The gradient takes all of
-them to turn the blended point, where each joint turns an image of its own: over a body's vertices it is off by 0.2 %
-(rms). The second-order sum drops cross terms between the joints of one point and keeps w_j instead of w_j^2, which only
-damps.
+Every cue is a set of rows (point p, g = d residual / d point, residual r, weight w, joint j). A row's derivative by dof
+d is S_d . x with the dof's twist S_d and the row's wrench x = (p x g, g), everything relative to the root's position.
+So w x x^T (21 numbers) and w r x (6) are added to joint j, and no row as wide as the pose is ever stored. solver.py
+folds the sums up the tree.
+A skinned point is a blend of joints: its row goes to each joint, times the skinning weight. The gradient assumes that
+all of them turn the blended point, where each joint turns an image of its own: over a body's vertices it is off by 0.2
+% (rms). The second-order sum drops cross terms between the joints of one point and keeps w_j instead of w_j^2, which
+only adds damping.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from hypose.compute.simd import lane, load, shuffle, splat
 
 f4, u4 = np.float32, np.uint32
 BORDER = 3
-"""px along the image border where outlines are cut off by the image and are no evidence"""
+"""px along the image border where outlines are cut off by the image and are no evidence."""
 
 
 @kernel
 def add_row(hessian, gradient, j, w, r, px, py, pz, gx, gy, gz):
-    """hessian (J, 21), gradient (J, 6) += the wrench of one row on joint j."""
+    """Add the wrench of one row on joint j to hessian (J, 21) and gradient (J, 6)."""
     a = py * gz - pz * gy, pz * gx - px * gz, px * gy - py * gx, gx, gy, gz
     c, g, k = hessian[j], gradient[j], 0
     for x in range(6):
@@ -43,8 +43,10 @@ def add_row(hessian, gradient, j, w, r, px, py, pz, gx, gy, gz):
 
 @kernel
 def sum_rows(n, rows, joints, lanes, place, hessian, gradient):
-    """hessian (J, 21), gradient (J, 6) += n contour rows, all of a joint at once in vector lanes, which is
-    faster than adding each to its joint; lanes (9, M), with M of 27 at least, and place (J + 1,) are scratch."""
+    """Add n contour rows to hessian (J, 21) and gradient (J, 6), all rows of a joint at once in vector lanes.
+
+    lanes, place: (9, M), with M of 27 at least, and (J + 1,), scratch.
+    """
     n_joints = hessian.shape[0]
     for j in range(n_joints + 1):
         place[j] = 0
@@ -82,7 +84,11 @@ def sum_rows(n, rows, joints, lanes, place, hessian, gradient):
 
 @kernel
 def _wrenches(work, p):
-    """work (9 x LANES,) f4: x, y, z of the ends of an edge, place on it, gradient along u and v; become wrenches."""
+    """Compute wrenches of LANES points.
+
+    work: (9 x LANES,) f4: x, y, z of the ends of an edge, place on it, gradient along u and v; gets the wrenches.
+    p: (3, 4) camera.
+    """
     p00, p01, p02, p03 = p[0, 0], p[0, 1], p[0, 2], p[0, 3]
     p10, p11, p12, p13 = p[1, 0], p[1, 1], p[1, 2], p[1, 3]
     p20, p21, p22, p23 = p[2, 0], p[2, 1], p[2, 2], p[2, 3]
@@ -107,12 +113,13 @@ def _wrenches(work, p):
 
 @kernel
 def form_rows(first, last, ends, found, work, n_rows, vertices, mesh, p, rows, joints):
-    """Appends the rows of found points first to last, all of one view with the camera p (3, 4) f4, to rows (M, 8) =
-    wrench, weight, residual, and joints (M,), from row n_rows on, one for each joint that moves the point; returns the
-    number of rows then.
+    """Append the rows of found points first to last, all of one view, one row for each joint that moves the point.
 
     ends, found: as in contours.contour_rows.
-    work (9 x LANES,) f4: scratch.
+    p: (3, 4) f4, camera of the view.
+    work: (9 x LANES,) f4, scratch.
+    rows, joints: (M, 8) = wrench, weight, residual, and (M,); written from row n_rows on.
+    Returns: number of rows.
     """
     skin_index, skin_weight, skin_count = mesh.skin_index, mesh.skin_weight, mesh.skin_count
     for block in range(first, last, LANES):
@@ -132,7 +139,7 @@ def form_rows(first, last, ends, found, work, n_rows, vertices, mesh, p, rows, j
                 rows[n_rows, 6] = s * skin_weight[a, k] * w
                 n_rows += 1
             for k in range(skin_count[b]):
-                at = begin  # the ends of an edge mostly hang on the same joints
+                at = begin  # the ends of an edge are mostly carried by the same joints
                 while at < n_rows and joints[at] != skin_index[b, k]:
                     at += 1
                 if at == n_rows:
@@ -150,9 +157,11 @@ def form_rows(first, last, ends, found, work, n_rows, vertices, mesh, p, rows, j
 
 @kernel
 def keypoint_rows(q, keypoints, rotations, centres, hessian, gradient, count):
-    """Rows of 2D key points; returns the cost, 1/2 w 4 log(1 + e^2 / 4) with e = distance / scale (Cauchy, 2 sd).
+    """Add the rows of 2D key points; return the cost, 1/2 w 4 log(1 + e^2 / 4) with e = distance / scale (Cauchy, 2
+    sd).
 
-    A key point behind its camera costs a constant 1/2 w 4 log(1 + 10^6) and pulls nowhere."""
+    A key point behind its camera costs a constant 1/2 w 4 log(1 + 10^6) and has no derivative.
+    """
     cost = 0.0
     i2 = 1.0 / (keypoints.scale * keypoints.scale)
     for m in range(keypoints.joint.shape[0]):
@@ -189,7 +198,7 @@ def keypoint_rows(q, keypoints, rotations, centres, hessian, gradient, count):
 
 @kernel
 def point_rows(q, points, rotations, centres, hessian, gradient, count):
-    """Rows of 3D points; returns the cost, 1/2 w 4 log(1 + e^2 / 4) with e = distance / scale (Cauchy, 2 sd)."""
+    """Add the rows of 3D points; return the cost, 1/2 w 4 log(1 + e^2 / 4) with e = distance / scale (Cauchy, 2 sd)."""
     cost = 0.0
     d = np.empty(3)
     for m in range(points.joint.shape[0]):
@@ -215,7 +224,7 @@ def point_rows(q, points, rotations, centres, hessian, gradient, count):
 
 @kernel
 def _mark_edge(above, row, below, before, after, marked):
-    """marked (n,) u1: 1 where row (n,) is negative and some neighbour positive; by itself it vectorises."""
+    """Mark in marked (n,) u1 where row (n,) is negative and a neighbour positive; the loop vectorises."""
     for i in range(row.shape[0]):
         most = before[i]
         most = after[i] if after[i] > most else most
@@ -226,9 +235,12 @@ def _mark_edge(above, row, below, before, after, marked):
 
 @kernel
 def _outline_points(sdf, width, height, out):
-    """Up to K points on the zero line of sdf (h, w), evenly taken in row order, BORDER px of the image border left
-    out: inside pixels with an outside neighbour, moved by -sdf along its gradient. Fills out (K, 2) (repeating when
-    there are fewer) and returns how many outline pixels there are."""
+    """Find up to K points on the zero line of sdf (h, w), evenly in row order, BORDER px from the image border.
+
+    They are inside pixels with an outside neighbour, moved by -sdf along its gradient.
+    out: (K, 2) gets them (repeated where there are fewer).
+    Returns: number of outline pixels.
+    """
     found = np.empty(width * height, np.int32)  # memory that is not touched costs nothing
     n = 0
     words = (width + 7) // 8
@@ -238,7 +250,7 @@ def _outline_points(sdf, width, height, out):
     for y in range(BORDER, height - BORDER):
         above, row, below = sdf[y - 1, 1 : most + 1], sdf[y, 1 : most + 1], sdf[y + 1, 1 : most + 1]
         before, after = sdf[y, :most], sdf[y, 2 : most + 2]
-        _mark_edge(above, row, below, before, after, inner)  # what follows looks at the few pixels that count
+        _mark_edge(above, row, below, before, after, inner)  # below only the marked pixels are visited
         for word in range(words):
             if flags[word] == 0:
                 continue
@@ -266,8 +278,11 @@ _low, _high = shuffle(range(4)), shuffle(range(4, 8))
 
 @kernel
 def wrench_sums(lanes, row, first, last, sums):
-    """sums (27,) of the columns first..last, a multiple of EIGHT, of lanes (9, row) f8: wrench (6), weight w,
-    residual, scratch. In the order x y: w x . y for y = 0..x, then w x . residual, for x = 0..5."""
+    """Sum the products of columns first..last, a multiple of EIGHT, of lanes (9, row) f8: wrench (6), weight w,
+    residual, scratch.
+
+    sums: (27,) gets, for x = 0..5: w x . y for y = 0..x, then w x . residual.
+    """
     s = sums  # in three loops of nine, whose sums share loaded values
     s[0], s[1], s[2], s[3], s[4], s[5], s[6], s[7], s[8] = _among(lanes, row, first, last, 0)
     s[12], s[13], s[17], s[18], s[19], s[23], s[24], s[25], s[26] = _among(lanes, row, first, last, 3)
@@ -276,7 +291,9 @@ def wrench_sums(lanes, row, first, last, sums):
 
 @kernel
 def _among(lanes, row, first, last, x):
-    """The sums of three parts from x on with each other and with the residual, in that order."""
+    """Sum the products of three parts of the wrenches, from x on, with each other and with the residual,
+    in that order.
+    """
     zero = splat(0.0, EIGHT)
     aa, ar, ba, bb, br, ca, cb, cc, cr = zero, zero, zero, zero, zero, zero, zero, zero, zero
     for k in range(first, last, EIGHT):
@@ -290,7 +307,7 @@ def _among(lanes, row, first, last, x):
 
 @kernel
 def _between(lanes, row, first, last):
-    """The sums of the last three parts with the first three, one after the other."""
+    """Sum the products of the last three parts of the wrenches with the first three."""
     zero = splat(0.0, EIGHT)
     ax, ay, az, bx, by, bz, cx, cy, cz = zero, zero, zero, zero, zero, zero, zero, zero, zero
     for k in range(first, last, EIGHT):
@@ -305,22 +322,25 @@ def _between(lanes, row, first, last):
 
 @kernel
 def _parts(lanes, row, x, k):
-    """Three parts of the wrenches, from x on, of EIGHT columns."""
+    """Load three parts of the wrenches, from x on, of EIGHT columns."""
     return load(lanes, x * row + k, EIGHT), load(lanes, (x + 1) * row + k, EIGHT), load(lanes, (x + 2) * row + k, EIGHT)
 
 
 @kernel
 def _added(value):
-    """The partial sums as one, in the order of `dot`."""
+    """Add the partial sums of a vector, in a fixed order."""
     four = _low(value, value) + _high(value, value)
     return (lane(four, 0) + lane(four, 1)) + (lane(four, 2) + lane(four, 3))
 
 
 def outline_points(sdf: NDArray[np.float32], size: tuple[int, int], k: int) -> tuple[NDArray[np.float32], int]:
-    """Up to k points on the zero line of a signed distance (h, w), in the size = (width, height) it really has.
+    """Find up to k points on the zero line of a signed distance.
 
-    Returns (k, 2) float32 px (repeated when the outline has fewer pixels, -1e6 when it has none) and the number of
-    outline pixels. Three pixels along the image border are left out: there the image cuts the person, not an outline.
+    sdf: (h, w) signed distance, px.
+    size: (width, height) of the view in it.
+    k: number of points.
+    Returns: (k, 2) float32 px (repeated where the outline has fewer pixels, -1e6 where it has none), and the number of
+        outline pixels. Three pixels along the image border are omitted, because there the image cuts the person off.
     """
     out = np.empty((k, 2), dtype=np.float32)
     n = _outline_points(plain(sdf, np.float32), int(size[0]), int(size[1]), out)

@@ -1,10 +1,11 @@
-"""Silhouettes of many poses against the masks of a frame, LANES poses at a time, by contour winding differences.
+"""Compare silhouettes of many poses with the masks of a frame, LANES poses at a time, by contour winding differences.
 
 The drawing is that of coverage.py: each contour edge writes the indices of the pixels where it crosses columns to one
 of two lists per pose (up or down), the lists are added into an int8 image, and one pass of running sums compares STRIP
 columns at a time with the mask's packed bits. Poses that reach the near plane, and bodies so near that their lists are
 full, are drawn face by face.
-Before any of it is drawn a limb cannot explain more of a mask than the uncovered pixels in its window.
+Before a limb is drawn, its cost has a lower bound: it cannot explain more of a mask than the uncovered pixels in its
+window.
 """
 
 from __future__ import annotations
@@ -41,7 +42,9 @@ f4 = np.float32
 
 @kernel
 def turn_lanes(frame, axis, e, out):
-    """out = frame @ exp of the rotation vectors axis (3, LANES), in every lane; frame, out, scratch e: (9, LANES)."""
+    """Compute out = frame @ exp of the rotation vectors axis (3, LANES), in every lane; frame, out, scratch e: (9,
+    LANES).
+    """
     for k in range(LANES):
         x, y, z = axis[0, k], axis[1, k], axis[2, k]
         t2 = x * x + y * y + z * z
@@ -70,7 +73,7 @@ def turn_lanes(frame, axis, e, out):
 
 @kernel
 def copy_lanes(a, out):
-    """out = a, (9, LANES): a loop compiles much faster than a slice."""
+    """Copy out = a, (9, LANES); a loop compiles much faster than a slice."""
     for i in range(9):
         for k in range(LANES):
             out[i, k] = a[i, k]
@@ -78,9 +81,14 @@ def copy_lanes(a, out):
 
 @kernel
 def bone_maps(poses, first, tree, needed, frames, centres, axis, scratch, maps):
-    """Maps (J, 12, LANES) f4 of the needed joints from the model at rest to the world about each pose's root, rows of
-    (3, 4), for the poses from first on (the last one repeated); kinematics in float64: frames (J + 1, 9, LANES),
-    centres (J, 3, LANES)."""
+    """Compute the maps of the needed joints from the model at rest to the world about each pose's root, for LANES poses
+    from first on (the last one repeated).
+
+    needed: (J,) joints to compute.
+    frames, centres: (J + 1, 9, LANES) and (J, 3, LANES), kinematics in float64.
+    axis, scratch: scratch.
+    maps: (J, 12, LANES) f4 gets the rows of the (3, 4) maps.
+    """
     last = poses.shape[0] - 1
     spare = frames[tree.parents.shape[0]]
     for j in range(tree.parents.shape[0]):
@@ -133,8 +141,12 @@ def bone_maps(poses, first, tree, needed, frames, centres, axis, scratch, maps):
 
 @kernel
 def skin_vertex(maps, joint, weight, first, end, x, y, z, out, vertex):
-    """Linear blend skinning of one vertex x, y, z (f4) in all lanes: influences first..end of joint (i4), weight (f4);
-    maps (J, 12, LANES) f4 rows of the (3, 4) maps; into row vertex of out (V, 3, LANES) f4."""
+    """Skin one vertex x, y, z (f4) in all lanes by linear blend skinning.
+
+    maps: (J, 12, LANES) f4, rows of the (3, 4) maps.
+    joint, weight: influences first..end (i4, f4).
+    out: (V, 3, LANES) f4, row `vertex` gets the result.
+    """
     a, b, c = splat(f4(0), LANES), splat(f4(0), LANES), splat(f4(0), LANES)
     for k in range(first, end):
         w, at = weight[k], joint[k] * (12 * LANES)
@@ -156,8 +168,10 @@ def _add_row(maps, at, x, y, z, w, total):
 
 @kernel
 def skin_lanes(poses, first, tree, mesh, turning, frames, centres, axis, scratch, maps, points):
-    """points (V, 3, LANES) f4: the mesh about each pose's root; turning (J,): the joints that are not where they were
-    the last time, the other arguments as for `bone_maps`."""
+    """Skin the mesh about each pose's root, into points (V, 3, LANES) f4.
+
+    turning: (J,) joints that have moved since the last call; the other arguments are as for `bone_maps`.
+    """
     bone_maps(poses, first, tree, turning, frames, centres, axis, scratch, maps)
     for i in range(points.shape[0]):
         x, y, z = mesh.vertices[i, 0], mesh.vertices[i, 1], mesh.vertices[i, 2]
@@ -166,7 +180,7 @@ def skin_lanes(poses, first, tree, mesh, turning, frames, centres, axis, scratch
 
 @kernel
 def camera_lanes(projection, poses, first, p):
-    """Projection (3, 4) f8 for points in the world -> p (12, LANES) f4 for points about each pose's root."""
+    """Convert a projection (3, 4) f8 of world points to p (12, LANES) f4 for points about each pose's root."""
     last = poses.shape[0] - 1
     for r in range(3):
         for k in range(LANES):
@@ -180,13 +194,12 @@ def camera_lanes(projection, poses, first, p):
 
 @kernel
 def lane_windows(bounds, box, lanes, window, origin):
-    """The image window of each lane: what of its silhouette's bounds lies in the box (x0, x1, y0, y1).
+    """Compute the image window of each lane: the part of its silhouette's bounds in the box (x0, x1, y0, y1).
 
-    window (5, LANES) f4: origin x, y, first and end column, rows.
-    origin (LANES, 4) i8: x, y, columns, rows. Windows begin at a multiple of 8 columns, where the mask's bits begin a
-        byte.
-
-    Returns two masks of lanes: those to draw and those that reach the near plane (their window is the whole box).
+    window: (5, LANES) f4 gets origin x, y, first and end column, rows.
+    origin: (LANES, 4) i8 gets x, y, columns, rows. Windows begin at a multiple of 8 columns, where the mask's bits
+        begin a byte.
+    Returns: two masks of lanes: those to draw, and those that reach the near plane (their window is the whole box).
     """
     some, near = np.uint32(0), np.uint32(0)
     for k in range(lanes):
@@ -209,7 +222,7 @@ def lane_windows(bounds, box, lanes, window, origin):
 
 @kernel
 def draw_safely(mesh, points, p, lane, one_sided, x0, y0, width, height, difference):
-    """Draws one lane face by face, for what the lists cannot hold."""
+    """Draw one lane face by face, where the lists cannot hold it."""
     vertices, camera = np.empty((points.shape[0], 3), np.float32), np.empty((3, 4), np.float32)
     for i in range(points.shape[0]):
         for c in range(3):
@@ -238,14 +251,14 @@ def _silhouette_xor(
     scratch,
     out,
 ):
-    """Blocks first..last (of LANES poses) of out (N, C, 3) = (xor, model, intersection) pixels inside boxes (C, 4), of
-    the views that are usable (C,).
+    """Compare blocks first..last (of LANES poses) with the masks, inside boxes (C, 4), in the views that are usable
+    (C,).
 
-    moved_joints (J,): joints that must be placed for the first block, turning (J,): those that are elsewhere in the
-        others.
-    drawn (C, h, B) packed as the masks, drawn_counts (C, 2) model, intersection: pixels that belong to the body in
-        every pose.
-    scratch: of lane_scratch.py, for this mesh and these images.
+    moved_joints, turning: (J,) joints to compute for the first block, and for the others.
+    drawn: (C, h, B) packed like the masks, pixels that belong to the body in every pose.
+    drawn_counts: (C, 2) model and intersection pixels of these.
+    scratch: of lane_mesh.lane_scratch, for this mesh and these images.
+    out: (N, C, 3) gets (xor, model, intersection) pixels.
     """
     views, image_rows, _ = prepared.masks.shape
     frames, centres, axis, turn, maps, points, u, v, p, bounds, window, origin = scratch[:12]
@@ -292,15 +305,17 @@ def _silhouette_xor(
 
 
 CELL = 8
-"""rows that are counted together, and columns: those of a byte"""
+"""Number of rows that are counted together, and of columns: those of a byte."""
 
 u1 = np.uint8
 
 
 @kernel
 def uncovered(prepared, drawn, cells):
-    """cells (C, R + 1, B + 1) i4, zero: sums over the cells above and to the left of the masks' pixels that are not
-    drawn (C, h, B), both packed."""
+    """Sum the pixels of the masks that are not drawn (C, h, B), both packed, over the cells above and to the left.
+
+    cells: (C, R + 1, B + 1) i4, zero before, gets the sums.
+    """
     for c in range(prepared.bits.shape[0]):
         if not prepared.usable[c]:
             continue
@@ -321,8 +336,11 @@ def uncovered(prepared, drawn, cells):
 
 @kernel
 def least_energies(poses, first, last, tree, mesh, turning, prepared, boxes, drawn_counts, cells, scratch, out):
-    """Blocks first..last (of LANES poses) of out (N, C): no view costs less; cells as `uncovered` makes them, the other
-    arguments as for `_silhouette_xor`, which has placed the joints that are not turning."""
+    """Compute lower bounds of the cost, of blocks first..last (of LANES poses), into out (N, C).
+
+    cells: of `uncovered`. The other arguments are as for `_silhouette_xor`, which has computed the joints that do not
+        turn.
+    """
     frames, centres, axis, turn, maps, points, u, v, p, bounds, window, origin = scratch[:12]
     for block in range(first, last):
         begin = block * LANES
@@ -346,11 +364,13 @@ def least_energies(poses, first, last, tree, mesh, turning, prepared, boxes, dra
 
 @kernel
 def view_that_tells(cells, norm, left):
-    """Return the index of the view, among `left`, with the largest share of mask that is not drawn yet; -1 if none.
+    """Find the view, among `left`, with the largest share of mask that is not drawn yet.
 
-    cells (C, R + 1, B + 1): pixels of the mask that are not drawn, summed by `uncovered`.
-    norm (C,): divisor of each view's pixel count.
-    left (C,) bool: views that are still open."""
+    cells: (C, R + 1, B + 1) pixels of the mask that are not drawn, summed by `uncovered`.
+    norm: (C,) divisor of each view's pixel count.
+    left: (C,) bool, views that are still open.
+    Returns: index of the view; -1 where there is none.
+    """
     best, found = -1.0, -1
     for c in range(norm.shape[0]):
         if left[c] and cells[c, -1, -1] / norm[c] > best:
@@ -362,9 +382,13 @@ def view_that_tells(cells, norm, left):
 def _limb_energies(
     poses, slack, more, tree, mesh, turning, prepared, boxes, drawn, drawn_counts, cells, scratch, counts, decided
 ):
-    """counts (N, C, 3), zero, as of _silhouette_xor, and decided (N,), False: whether they are those of all views, as
-    of the first poses and of all that cost at most `slack` times as much as the first one, and `more`. cells: zero;
-    other arguments as for _silhouette_xor."""
+    """Compare poses of a limb with the masks, one view after the other, and drop poses that are certainly too costly.
+
+    slack, more: a pose is dropped when it costs more than `slack` times the first one, plus `more`.
+    cells: zero before. The other arguments are as for `_silhouette_xor`.
+    counts: (N, C, 3), zero before, gets the counts of `_silhouette_xor`.
+    decided: (N,), False before, gets whether the counts are those of all views.
+    """
     n, views, n_dof = poses.shape[0], prepared.bits.shape[0], poses.shape[1]
     norm, left, limit, view = prepared.norm, prepared.usable.copy(), more + 1e-9 * abs(more), -1
     alive, n_alive = np.arange(n), min(n, LANES)  # the first block is as much work as the first pose alone
@@ -426,19 +450,21 @@ def silhouette_xor(
     moving: ArrayLike | None = None,
     rest: Standing | None = None,
 ) -> NDArray[np.int64]:
-    """Silhouettes of the mesh at poses (N, D) against the frame's masks: (N, C, 3) = (xor, model, intersection) pixels.
+    """Compare silhouettes of the mesh at poses (N, D) with the frame's masks.
 
-    boxes (C, 4) = x0, x1, y0, y1 (half open, px) restricts the counting; default: each view's whole image.
-    faces (F,) bool: only these triangles of the mesh, as seen from outside (body parts, where a hierarchical search has
-        not placed the rest yet).
-    moving (J,) bool: only these joints turn, everything else stands as in the last pose, and what they do not move is
-        drawn once.
-    rest: that drawing, where `reach.standing` has made it (then without boxes and faces). Views that are not usable
-        give zeros.
+    prepared: masks of the frame.
+    boxes: (C, 4) = x0, x1, y0, y1 (half open, px) within which pixels are counted; None: each view's whole image.
+    threads: number of threads; None: the default.
+    faces: (F,) bool: only these triangles of the mesh, as seen from outside (body parts, where a hierarchical search
+        has not placed the rest yet).
+    moving: (J,) bool: only these joints turn; everything else stands as in the last pose, and is drawn once.
+    rest: that drawing, made by `reach.standing` (then without boxes and faces).
+    Returns: (N, C, 3) = (xor, model, intersection) pixels; zeros in views that are not usable.
+    Raises: SolverError for poses that are not finite.
 
-    The same counts for any number of threads, and for a pose alone or among others. Exact up to 1-2 pixels of a
-    silhouette whose edge passes through a pixel's centre. Parts nearer than 0.05 m to a camera's plane, or behind it,
-    are cut off. A SolverError for poses that are not finite.
+    The counts are the same for any number of threads, and for a pose alone or among others. They are exact up to 1-2
+    pixels of a silhouette whose edge passes through a pixel's centre. Parts nearer than 0.05 m to a camera's plane, or
+    behind it, are cut off.
     """
     q = _finite(poses)
     n, c = len(q), len(prepared.masks)
@@ -496,11 +522,16 @@ def limb_energies(
     slack: float = 1.0,
     more: float = 0.0,
 ) -> Array:
-    """Return (N,) energies (eq. 2.8) of poses (N, D) in which only the joints `moving` (J,) turn; infinite where they
-    are certainly above `slack` times the energy of the first pose, and `more`. moving, rest: as for `silhouette_xor`.
+    """Compute the silhouette energies (eq. 2.8) of poses (N, D) in which only the joints `moving` (J,) turn.
 
-    Most poses of a limb are worse than the one that it is in, and a view or two tell: a limb cannot explain more of a
-    mask than what lies uncovered in its window. The others have the energies that `silhouette_xor` gives them.
+    prepared: masks of the frame.
+    rest: drawing of the standing parts; None: it is made.
+    slack, more: poses whose energy is certainly above `slack` times that of the first pose, plus `more`, are not
+        computed to the end.
+    Returns: (N,) energies; infinite for such poses.
+
+    Why: most poses of a limb are worse than its current one, and one or two views show it, because a limb cannot
+    explain more of a mask than what lies uncovered in its window. The others have the energies of `silhouette_xor`.
     """
     use = prepared.usable
     q, turning = _finite(poses), plain(moving, np.bool_)

@@ -1,6 +1,6 @@
-"""Rows of a body's outline against a mask's, both ways, where the body's sizes or the cameras are unknown too.
+"""Rows of a body's outline against a mask's, in both directions, where the body's sizes or the cameras are unknown too.
 
-The pose solver never makes its rows (rows.py); here they are given out, since their derivatives are by more than a
+The pose solver never stores its rows (rows.py); here they are returned, because their derivatives are by more than a
 pose.
 """
 
@@ -19,11 +19,13 @@ from hypose.compute.rows import BORDER
 from hypose.geometry import Array
 
 _REFERENCE_PX, _HEIGHT_PX, _OUTLINE = 6.0, 260.0, 130
-"""Rows of weight 1 lie so far apart on a person so tall; and so many points of the mask's outline."""
+"""_REFERENCE_PX: distance, px, of rows of weight 1 on a person of _HEIGHT_PX. _OUTLINE: reference number of points of
+the mask's outline.
+"""
 _FARTHEST = 0.25
-"""of the person's height: what lies farther off is another outline"""
+"""Share of the person's height beyond which an outline is another one."""
 _USUAL = 1024
-"""rows of a view, for which there is room at first"""
+"""Number of rows of a view for which there is room at first."""
 _NEAR_M = 0.05
 
 
@@ -39,17 +41,20 @@ def outline_rows(
     spacing_px: float,
     least_cosine: float,
 ) -> tuple[NDArray[np.int64], Array] | None:
-    """Return rows of one view: the body's outline in the mask's distances, and the mask's to the body's nearest. ends
-    (R, 2): vertices a, b; values (R, 6): along, so that the row's point is (1 - along) a + along b, residual px, its
-    gradient (3) by the point, px/m, and weight, rows per reference row.
+    """Compute the rows of one view: the body's outline in the mask's distances, and the mask's outline to the body's
+    nearest.
 
-    vertices (V, 3) m of a closed mesh with faces (F, 3) and edges (E, 4).
-    projection (3, 4).
-    size (2,): width, height px.
-    sdf (h, w) px, negative inside, and outline (K, 2) px of the mask; height_px of the person.
-    spacing_px: of the first kind of rows. Rows whose outlines have normals with a cosine below least_cosine are left
-        out; None when the body is not in the view. Which points are the outline, and which is nearest, is held fixed in
-        the derivatives.
+    vertices, faces, edges: (V, 3) m, (F, 3) and (E, 4) of a closed mesh.
+    projection: (3, 4).
+    size: (2,) width, height, px.
+    sdf, outline: (h, w) signed distance, px, negative inside, and (K, 2) px of the mask.
+    height_px: height of the person, px.
+    spacing_px: of the rows along the body's outline, px.
+    least_cosine: rows whose outlines have normals with a smaller cosine are omitted.
+    Returns: ends (R, 2): vertices a, b; values (R, 6): along, so that the row's point is (1 - along) a + along b;
+        residual, px; its gradient (3) by the point, px/m; weight. None where the body is not in the view.
+
+    Which points are the outline, and which is nearest, is held fixed in the derivatives.
     """
     reference = max(_REFERENCE_PX / _HEIGHT_PX * height_px, 1.0)
     lengths = np.array([reference, _FARTHEST * height_px, _OUTLINE / max(len(outline), 1)])
@@ -69,21 +74,23 @@ def outline_rows(
 
 
 def warm_up(mesh: MeshArrays) -> None:
-    """The kernel once, on a toy."""
+    """Compile (or load from the cache) the kernel on a toy."""
     picture, outline = np.zeros((8, 8), np.float32), np.zeros((1, 2), np.float32)
     outline_rows(mesh.vertices + 1.0, mesh.faces, mesh.edges, np.eye(3, 4), [8, 8], picture, outline, 8.0, 4.0, 0.5)
 
 
 _OUT = 1.2
-"""px from the outline to where the body must have ended"""
+"""px from the outline to where the body must have ended."""
 _FLAT = 0.3
-"""slope of a distance from which on it has no direction: where two outlines meet"""
+"""Slope of a distance below which it has no direction: where two outlines meet."""
 _FEWEST = 8
 
 
 @kernel
 def bilinear(image, x, y, out):
-    """out (4,) = value and gradient of an image (h, w) at a point inside it, and the largest of the four pixels."""
+    """Interpolate an image (h, w) at a point inside it; out (4,) gets value, gradient, and the largest of the four
+    pixels.
+    """
     i = min(max(int(math.floor(x)), 0), image.shape[1] - 2)
     j = min(max(int(math.floor(y)), 0), image.shape[0] - 2)
     fx, fy = x - i, y - j
@@ -97,15 +104,15 @@ def bilinear(image, x, y, out):
 
 @kernel
 def _outline_rows(vertices, uv, faces, edges, p, own, sdf, marks, spacing, least_cosine, lengths, ends, rows):
-    """Two-way rows of one view into ends (M, 2) and rows (M, 6) = place on the edge, residual, gradient, weight.
+    """Compute the two-way rows of one view into ends (M, 2) and rows (M, 6) = place on the edge, residual, gradient,
+    weight.
 
-    uv (V, 2) px of the vertices.
-    own (h, w): the body's silhouette.
-    marks (K, 2): the mask's outline.
-    lengths (3,): px between the reference's rows, px that an outline may lie off, and what a reverse row weighs.
-
-    Returns how many there are; -1: the body is not in the view; less: M must be at least that many, and nothing was
-    written.
+    uv: (V, 2) px of the vertices.
+    own: (h, w) the body's silhouette.
+    marks: (K, 2) the mask's outline.
+    lengths: (3,): px between the rows of the reference, px by which an outline may be off, and weight of a reverse row.
+    Returns: number of rows; -1: the body is not in the view; another negative number -n: M must be at least n, and
+        nothing was written.
     """
     front = np.empty(faces.shape[0], np.uint8)
     for f in range(faces.shape[0]):
@@ -131,7 +138,7 @@ def _outline_rows(vertices, uv, faces, edges, p, own, sdf, marks, spacing, least
     if n_samples + marks.shape[0] > ends.shape[0]:
         return -n_samples - marks.shape[0]
     height, width = own.shape
-    # the body's outline that is to be seen: edge, place on it, arc length, point, outward normal
+    # the visible outline of the body: edge, place on it, arc length, point, outward normal
     of, rim = np.empty(n_samples, np.int64), np.empty((n_samples, 6))
     n_rim = 0
     for e in range(n_edges):
@@ -165,7 +172,7 @@ def _outline_rows(vertices, uv, faces, edges, p, own, sdf, marks, spacing, least
             row = rows[n]
             row[0], row[1], row[2], row[3], row[5] = line[0], look[0], look[1], look[2], line[1] / reference
             n += 1
-    for m in range(marks.shape[0]):  # reverse: the mask's outline to the body's nearest that looks the same way
+    for m in range(marks.shape[0]):  # reverse: the mask's outline to the body's nearest with a similar normal
         x, y = float(marks[m, 0]), float(marks[m, 1])
         if not (x > -1e5 and y > -1e5):
             continue

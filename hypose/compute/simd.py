@@ -1,8 +1,8 @@
-"""Short vectors in kernels, with Python's operators: all lanes at once, by LLVM's vectors, so for any processor
-(AVX-512, AVX2, SSE, NEON). For loops that LLVM does not vectorise by itself.
+"""Short vectors in kernels, with Python's operators on all lanes at once, as LLVM vectors for any processor (AVX-512,
+AVX2, SSE, NEON). They are used in loops that LLVM does not vectorise itself.
 
-The second operand of an operator may be a number. Nothing is fused but in `times_plus`. Indices are flat, of contiguous
-arrays, and are not checked.
+The second operand of an operator may be a number. Nothing is fused except in `times_plus`. Indices are flat, of
+contiguous arrays, and are not checked.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _I32, _I64 = ir.IntType(32), ir.IntType(64)
 
 
 class Vec(types.Type):
-    """n numbers of a type."""
+    """Numba type of a vector of n numbers."""
 
     def __init__(self, dtype: Any, n: int) -> None:
         self.dtype, self.n = dtype, n
@@ -46,7 +46,7 @@ def _is_signed(kind: Vec) -> bool:
 
 
 def _in_all_lanes(builder: Any, value: Any, n: int) -> Any:
-    """Return a number as a vector; a vector as it is."""
+    """Return a number as a vector; a vector unchanged."""
     if isinstance(value.type, ir.VectorType):
         return value
     kind = ir.VectorType(value.type, n)
@@ -125,7 +125,7 @@ def _chosen(name: str) -> Any:
 
 
 at_least, at_most = _chosen(">"), _chosen("<")
-"""(x, limit): the larger, or smaller, in each lane; not a number gives the limit."""
+"""(x, limit): the larger (smaller) value in each lane; NaN gives the limit."""
 
 
 def _place(context: Any, builder: Any, kind: Any, array: Any, index: Any, n: int) -> tuple[Any, int]:
@@ -136,7 +136,7 @@ def _place(context: Any, builder: Any, kind: Any, array: Any, index: Any, n: int
 
 @intrinsic(prefer_literal=True)
 def load(typingctx: Any, array, index, n):
-    """The n (a constant) elements of an array from an index on."""
+    """Load n (a constant) elements of an array from an index on."""
 
     def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         place, size = _place(context, builder, sig.args[0], args[0], args[1], sig.return_type.n)
@@ -147,7 +147,7 @@ def load(typingctx: Any, array, index, n):
 
 @intrinsic
 def store(typingctx: Any, array, index, value):
-    """Put a vector into an array, from an index on."""
+    """Store a vector into an array, from an index on."""
 
     def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         place, size = _place(context, builder, sig.args[0], args[0], args[1], sig.args[2].n)
@@ -159,27 +159,27 @@ def store(typingctx: Any, array, index, value):
 
 @intrinsic(prefer_literal=True)
 def splat(typingctx: Any, number, n):
-    """The number in n (a constant) lanes."""
+    """Make a vector of a number in n (a constant) lanes."""
     dtype = types.unliteral(number)
     return Vec(dtype, n.literal_value)(dtype, n), lambda c, b, sig, args: _in_all_lanes(b, args[0], sig.return_type.n)
 
 
 @intrinsic(prefer_literal=True)
 def ramp(typingctx: Any, n):
-    """0, 1, ... n - 1 (a constant) as int32."""
+    """Make the vector 0, 1, ... n - 1 (n a constant) of int32."""
     kind = Vec(types.int32, n.literal_value)
     return kind(n), lambda *_: ir.Constant(ir.VectorType(_I32, kind.n), list(range(kind.n)))
 
 
 @intrinsic
 def where(typingctx: Any, mask, yes, no):
-    """In each lane `yes` where the mask is true, else `no`."""
+    """Choose in each lane `yes` where the mask is true, else `no`."""
     return yes(mask, yes, no), lambda c, b, sig, args: b.select(*args)
 
 
 @intrinsic
 def bits(typingctx: Any, mask):
-    """Truth values as one unsigned integer, first lane lowest."""
+    """Pack truth values into one unsigned integer, first lane lowest."""
     kind = types.Integer.from_bitwidth(max(mask.n, 8), signed=False)
 
     def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -190,13 +190,13 @@ def bits(typingctx: Any, mask):
 
 @intrinsic
 def lane(typingctx: Any, x, k):
-    """The k-th number."""
+    """Return the k-th number of a vector."""
     return x.dtype(x, types.int64), lambda c, b, sig, args: b.extract_element(args[0], b.trunc(args[1], _I32))
 
 
 @intrinsic
 def cast(typingctx: Any, x, dtype):
-    """As numbers of another type (numpy's); floating point is cut off to whole numbers, and must fit."""
+    """Convert to numbers of another type (numpy's); floating point is truncated to whole numbers, and must fit."""
     kind = Vec(dtype.dtype, x.n)
 
     def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -213,7 +213,7 @@ def cast(typingctx: Any, x, dtype):
 
 
 def shuffle(order: Sequence[int]) -> Any:
-    """Return a function (x, y) -> vector of these lanes of x and, counted on, of y."""
+    """Make a function (x, y) that returns a vector of these lanes of x and, counted on, of y."""
 
     def shuffled(typingctx: Any, x, y):
         lanes = ir.Constant(ir.VectorType(_I32, len(order)), list(order))
@@ -232,13 +232,13 @@ def _call(builder: Any, name: str, args: Sequence[Any]) -> Any:
 
 @intrinsic
 def ceil(typingctx: Any, x):
-    """Rounded up (float32)."""
+    """Round up (float32)."""
     return x(x), lambda c, b, sig, args: _call(b, "ceil", args)
 
 
 @intrinsic
 def times_plus(typingctx: Any, x, y, z):
-    """x * y + z (float32), fused where the processor can; y may be a number."""
+    """Compute x * y + z (float32), fused where the processor can; y may be a number."""
 
     def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         return _call(builder, "fmuladd", [_in_all_lanes(builder, a, x.n) for a in args])
@@ -248,24 +248,24 @@ def times_plus(typingctx: Any, x, y, z):
 
 @intrinsic
 def popcount(typingctx: Any, word):
-    """How many bits of a word (u8) are set."""
+    """Count the bits of a word (u8) that are set."""
     return types.int64(types.uint64), lambda c, b, sig, args: b.ctpop(args[0])
 
 
 @intrinsic
 def lowest_bit(typingctx: Any, word):
-    """Number of the lowest bit that is set in an unsigned integer; of 0 how many bits it has."""
+    """Return the number of the lowest set bit of an unsigned integer; for 0 its number of bits."""
     return types.int64(word), lambda c, b, sig, args: b.zext(b.cttz(args[0], ir.IntType(1)(0)), _I64)
 
 
 @intrinsic
 def as_word(typingctx: Any, x):
-    """Eight bytes as one integer (u8)."""
+    """Reinterpret eight bytes as one integer (u8)."""
     return types.uint64(x), lambda c, b, sig, args: b.bitcast(args[0], _I64)
 
 
 @intrinsic
 def as_bytes(typingctx: Any, word):
-    """An integer (u8) as eight bytes."""
+    """Reinterpret an integer (u8) as eight bytes."""
     kind = Vec(types.uint8, 8)
     return kind(types.uint64), lambda c, b, sig, args: b.bitcast(args[0], c.get_value_type(kind))

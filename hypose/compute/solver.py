@@ -1,4 +1,4 @@
-"""The bounded damped Gauss-Newton step on an articulated body, and the whole solve of one frame."""
+"""Solve the pose of one frame by bounded damped Gauss-Newton on an articulated body."""
 
 from __future__ import annotations
 
@@ -28,16 +28,19 @@ from hypose.errors import SolverError
 from hypose.geometry import Array
 
 _LARGEST_TURN = 0.35
-"""rad: steps that turn a joint further are shortened"""
+"""rad; steps that turn a joint further are shortened."""
 ACCEPT = 1.002
-"""a step may raise the cost by this factor: contour costs jump when the outline changes"""
+"""A step may raise the cost by this factor, because contour costs jump when the outline changes."""
 _ROWS, _VIEWS, _FORMED = 0, 1, 2
 
 
 @kernel
 def fold(tree, twists, wrench_hessian, wrench_gradient, hessian, gradient):
-    """Sums per joint -> gradient (D,) and Gauss-Newton matrix (D, D): sums are folded from child to parent, then
-    H_de = S_d . B_j S_e for each dof d of joint j and each dof e of j and its ancestors."""
+    """Convert sums per joint to gradient (D,) and Gauss-Newton matrix (D, D).
+
+    Sums are folded from child to parent; then H_de = S_d . B_j S_e for each dof d of joint j and each dof e of j and
+    its ancestors.
+    """
     n_joints, n_dof = tree.parents.shape[0], twists.shape[0]
     block = np.empty((n_joints, 6, 6))
     pull = np.empty((n_joints, 6))
@@ -83,8 +86,12 @@ def fold(tree, twists, wrench_hessian, wrench_gradient, hessian, gradient):
 
 @kernel
 def bounded_step_kernel(hessian, gradient, q, lower, upper, damping, step):
-    """Minimum of 1/2 s'(H + damping D)s + g's subject to lower <= q + s <= upper, by an active set that only grows
-    (at most six rounds; then what still sticks out is cut off). False when the matrix is not finite and positive."""
+    """Minimise 1/2 s'(H + damping D)s + g's subject to lower <= q + s <= upper, into step.
+
+    Returns: False where the matrix is not finite and positive.
+
+    An active set that only grows is used (at most six rounds; then values still outside are clipped).
+    """
     n_dof = q.shape[0]
     free = np.empty(n_dof, np.int64)
     fixed = np.zeros(n_dof, np.uint8)
@@ -133,8 +140,11 @@ def bounded_step_kernel(hessian, gradient, q, lower, upper, damping, step):
 def bounded_step(
     hessian: ArrayLike, gradient: ArrayLike, at: ArrayLike, lower: ArrayLike, upper: ArrayLike, damping: float
 ) -> Array | None:
-    """Return the step (D,) from `at` that minimises 1/2 s' (H + damping max(diag H, 1)) s + g' s within lower <= at + s
-    <= upper; None when the matrix is not positive definite."""
+    """Compute the step (D,) from `at` that minimises 1/2 s' (H + damping max(diag H, 1)) s + g' s within lower <= at +
+    s <= upper.
+
+    Returns: None where the matrix is not positive definite.
+    """
     h, g, q, low, high = (plain(x, np.float64) for x in (hessian, gradient, at, lower, upper))
     step = np.empty(len(q))
     try:
@@ -145,7 +155,7 @@ def bounded_step(
 
 @kernel
 def form_found(found_of, mesh, ws):
-    """Makes rows of all that was found and is no row yet; found_of: see cost_at."""
+    """Make rows of all found contour points that have none yet; found_of: see cost_at."""
     cameras, first, state = found_of
     for c in range(state[_FORMED], state[_VIEWS]):
         n_rows, n_points = state[_ROWS], first[c + 1] - first[c]
@@ -161,13 +171,12 @@ def form_found(found_of, mesh, ws):
 
 @kernel
 def cost_at(q, tree, mesh, contours, scale, keypoints, points, depth, priors, ws, found_of, counts):
-    """Cost at pose q (D,).
+    """Compute the cost at pose q (D,).
 
-    counts (C + 3, 2): forward and reverse rows of each view, then the key points, the points, and those of depth.
-    depth: None is compiled by itself, without what only depth needs.
-
-    found_of: what waits in the workspace for `normal_equations`: cameras (C + VIEWS, 3, 4) f4 about the root, first (C
-        + 1,) point found of each view, and state (3,): rows, views looked at, views whose rows are made.
+    depth: None is compiled separately, without the code for depth.
+    counts: (C + 3, 2) gets forward and reverse rows of each view, then the key points, the points, and those of depth.
+    found_of: gets what waits in the workspace for `normal_equations`: cameras (C + VIEWS, 3, 4) f4 about the root,
+        first (C + 1,) found point of each view, and state (3,): rows, views computed, views whose rows are made.
     """
     cameras, first, state = found_of
     joint_frames(q, tree, ws.rotations, ws.centres, ws.twists)
@@ -217,7 +226,7 @@ def cost_at(q, tree, mesh, contours, scale, keypoints, points, depth, priors, ws
 
 @kernel
 def normal_equations(q, found_of, tree, mesh, priors, ws, hessian, gradient):
-    """hessian (D, D) and gradient (D,), overwritten, of the cost that `cost_at` has just found at q."""
+    """Compute hessian (D, D) and gradient (D,), overwritten, of the cost that `cost_at` has just computed at q."""
     form_found(found_of, mesh, ws)
     rows = found_of[2][_ROWS]
     sum_rows(rows, ws.rows, ws.row_joints, ws.lanes, ws.place, ws.wrench_hessian, ws.wrench_gradient)
@@ -232,13 +241,17 @@ def normal_equations(q, found_of, tree, mesh, priors, ws, hessian, gradient):
 
 @kernel
 def _solve(q, tree, mesh, contours, keypoints, points, depth, priors, settings, ws, hessian, gradient, counts, info):
-    """Bounded Levenberg-Marquardt from pose q (D,) within its bounds, which is overwritten; hessian and gradient are
-    those at the result. Without iterations: what the cost is at q, coarse where coarse ones were asked for.
+    """Solve by bounded Levenberg-Marquardt from pose q (D,) within its bounds; q is overwritten, hessian and gradient
+    get those at the result.
 
-    info (4,), zero: cost, iterations, evaluations, converged (1 when the last step was below the tolerance); the cost
-    alone where it is not finite at the start. The first coarse_iterations use the coarse contour scale. A step that
-    raises the cost is retried with 6 times the damping, `tries` times in all; near the end the cost jitters with the
-    outline, so a rejected step below the tolerance stops."""
+    Without iterations: compute the cost at q, the coarse one where coarse iterations were asked for.
+    info: (4,), zero before, gets cost, iterations, evaluations, converged (1 where the last step was below the
+        tolerance); the cost alone where it is not finite at the start.
+
+    The first coarse_iterations use the coarse contour scale. A step that raises the cost is retried with 6 times the
+    damping, `tries` times in all. Near the end the cost jitters with the outline, so that a rejected step below the
+    tolerance stops.
+    """
     n = q.shape[0]
     step, trial = np.empty(n), np.empty(n)
     new_counts, n_views = np.empty_like(counts), contours.sdf.shape[0]
@@ -306,11 +319,11 @@ def _solve(q, tree, mesh, contours, keypoints, points, depth, priors, settings, 
 
 
 MOST_FOUND = 3072
-"""contour rows of one view, at most: the body's outline has up to 2032, a mask's up to 1000"""
+"""Largest number of contour rows of one view: the body's outline has up to 2032, a mask's up to 1000."""
 
 
 def workspace(tree: TreeArrays, mesh: MeshArrays, height: int, width: int) -> Workspace:
-    """Scratch memory for `solve` and `evaluate` on images up to (height, width); one per thread."""
+    """Make scratch memory for `solve` and `evaluate` on images up to (height, width); one per thread."""
     v, f, e, j, d = len(mesh.vertices), len(mesh.faces), len(mesh.edges), len(tree.parents), len(tree.axes)
     f4, i4 = np.float32, np.int32
     line = int(row_stride(width))
@@ -343,21 +356,20 @@ def workspace(tree: TreeArrays, mesh: MeshArrays, height: int, width: int) -> Wo
         np.empty((5, 2 * MOST_FOUND), f4),
         np.empty((rows, 8)),
         np.empty(rows, i4),
-        np.empty((9, rows + 24)),  # else all of a row would fall on the same few places of the cache
+        np.empty((9, rows + 24)),  # padding: else all of a row would fall on few sets of the processor's cache
         np.empty(j + 1, np.int64),
     )
 
 
 class Evaluation(NamedTuple):
-    """Hold the cost at one pose and its derivatives.
+    """Cost at one pose and its derivatives.
 
     cost: half the weighted sum of robust squared residuals.
-    gradient (D,): gradient of the cost.
-    hessian (D, D): Gauss-Newton approximation of the Hessian.
-    counts (C + 3, 2): number of residual rows per cue; one more line is appended where further terms are used.
-        Lines 0 to C - 1, views: forward and reverse contour rows.
-        Line C, 2D key points, and line C + 1, 3D points: rows, 0.
-        Line C + 2, depth: rows of surface points, rows of body in front of the measured surface.
+    gradient: (D,) of the cost.
+    hessian: (D, D) Gauss-Newton approximation.
+    counts: (C + 3, 2) number of rows per cue. Lines 0 to C - 1, views: forward and reverse contour rows. Line C, 2D key
+        points, and line C + 1, 3D points: rows, 0. Line C + 2, depth: rows of surface points, rows of body in front of
+        the measured surface. One more line where further terms are used.
     """
 
     cost: float
@@ -376,13 +388,25 @@ def evaluate(
     *,
     coarse: bool = False,
 ) -> Evaluation:
-    """Return cost and derivatives of all evidence at one pose (D,)."""
+    """Compute cost and derivatives of all evidence at one pose (D,).
+
+    cues, priors: evidence and priors of the frame.
+    ws: scratch memory.
+    coarse: whether to use the coarse scale of the contours.
+    """
     evidence = tree, mesh, *cues, priors
     return _solved(np.array(pose, dtype=np.float64), evidence, SolveLimits(0, int(coarse), 0.0, 0.0, 0), ws)[0]
 
 
 class Solution(NamedTuple):
-    """A solved pose (D,) and what `Evaluation` says there."""
+    """Solved pose.
+
+    pose: (D,).
+    evaluation: cost and derivatives at the pose.
+    iterations: number of iterations.
+    evaluations: number of evaluations of the cost.
+    converged: whether the last step was below the tolerance.
+    """
 
     pose: Array
     evaluation: Evaluation
@@ -400,8 +424,15 @@ def solve(
     settings: SolveLimits,
     ws: Workspace,
 ) -> Solution:
-    """Bounded damped Gauss-Newton from pose start (D,). Releases the GIL."""
-    q = np.minimum(np.maximum(np.asarray(start, dtype=np.float64), priors.lower), priors.upper)  # sooner than np.clip
+    """Solve the pose of one frame by bounded damped Gauss-Newton; releases the GIL.
+
+    start: (D,) pose.
+    cues, priors: evidence and priors of the frame.
+    settings: of the solve.
+    ws: scratch memory.
+    Raises: SolverError where the cost at the start is not finite.
+    """
+    q = np.minimum(np.maximum(np.asarray(start, dtype=np.float64), priors.lower), priors.upper)  # faster than np.clip
     evaluation, info = _solved(q, (tree, mesh, *cues, priors), settings, ws)
     if info[2] == 0:
         raise SolverError(
@@ -411,7 +442,7 @@ def solve(
 
 
 def _solved(q: Array, evidence: tuple[Any, ...], settings: SolveLimits, ws: Workspace) -> tuple[Evaluation, Array]:
-    """What the solver finds from pose q, which it moves, and its info (4,)."""
+    """Run the solver from pose q, which it changes; return the evaluation and its info (4,)."""
     d = len(q)
     gradient, hessian, info = np.zeros(d), np.zeros((d, d)), np.zeros(4)
     counts = np.zeros((len(evidence[2].sdf) + 3, 2), dtype=np.int64)

@@ -1,4 +1,4 @@
-"""Threads: how many a call may use, and how work is spread over them."""
+"""Number of threads of a call, and distribution of work over them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _Result = TypeVar("_Result")
 
 
 def default_threads() -> int:
-    """Threads a call may use by default: NUMBA_NUM_THREADS when set, else the cores of this process."""
+    """Return the default number of threads: NUMBA_NUM_THREADS where set, else the number of cores of this process."""
     wanted = os.environ.get("NUMBA_NUM_THREADS", "")
     if wanted.isdigit() and int(wanted) > 0:
         return int(wanted)
@@ -27,10 +27,12 @@ def _pool(threads: int, process: int) -> ThreadPoolExecutor:
 
 
 def over_chunks(work: Callable[[int, int], None], n: int, threads: int | None, smallest: int = 1) -> None:
-    """Call work(start, stop) on contiguous chunks of range(n), one per thread (work must release the GIL).
+    """Call work(start, stop) on contiguous chunks of range(n), in several threads (work must release the GIL).
 
-    Python threads around serial kernels instead of numba's own parallel loops: nothing is compiled twice, there is no
-    process-wide thread count, and numba's default layer may not be entered from two Python threads at once.
+    threads: number of threads; None: the default.
+    smallest: least size of a chunk.
+    Why Python threads around serial kernels instead of numba's parallel loops: nothing is compiled twice, there is no
+    process-wide number of threads, and numba's default layer must not be entered from two Python threads at once.
     """
     most = n // max(smallest, 1)
     count = min(threads if threads is not None else default_threads(), most) if most > 1 else 1
@@ -50,7 +52,7 @@ def over_chunks(work: Callable[[int, int], None], n: int, threads: int | None, s
     waiting = [_pool(count - 1, os.getpid()).submit(take) for _ in range(count - 1)]
     try:
         take()
-    finally:  # whatever happened, no thread may go on working on the caller's arrays
+    finally:  # also after an error no thread may continue to work on the caller's arrays
         begun = [future for future in waiting if not future.cancel()]
         wait(begun)
     for future in begun:
@@ -58,8 +60,10 @@ def over_chunks(work: Callable[[int, int], None], n: int, threads: int | None, s
 
 
 def in_background(work: Callable[[], _Result]) -> Callable[[], _Result]:
-    """Begin a call in parallel to the caller's own work, where there is a thread for it; the returned function waits
-    for its result, or computes it when no thread has begun."""
+    """Start a call in parallel to the caller's own work, where a thread is free.
+
+    Returns: function that waits for the result, or computes it where no thread has started.
+    """
     threads = default_threads()
     if threads < 2:
         return work

@@ -1,4 +1,4 @@
-"""Which bone a vertex sees through the inside of its mesh."""
+"""Find which bone a vertex sees through the inside of its mesh."""
 
 from __future__ import annotations
 
@@ -13,16 +13,19 @@ from hypose.compute.compiled import kernel
 def nearest_visible(
     vertices: ArrayLike, faces: ArrayLike, normals: ArrayLike, closest: ArrayLike, distance: ArrayLike
 ) -> NDArray[np.bool_]:
-    """Return (V, B): segment b is the nearest one that vertex v sees, or as near as that.
+    """Find the nearest line segments (bones) that each vertex sees through the inside of the mesh.
 
-    vertices (V, 3), faces (F, 3), outward unit normals (V, 3).
-    closest (V, B, 3): the point of segment b nearest to vertex v, distance (V, B) to it. Seen: no face that does not
-        contain the vertex lies between the two, and the way does not start outwards: where a hand is pressed into a
-        thigh, the thigh's skin has the hand's bone before it without a face between. Rows of a vertex that sees none
-        are False.
+    vertices, faces, normals: (V, 3), (F, 3), and (V, 3) outward unit normals.
+    closest: (V, B, 3) point of segment b nearest to vertex v.
+    distance: (V, B) to that point.
+    Returns: (V, B) True where segment b is the nearest one that vertex v sees, or as near as that; all False for a
+        vertex that sees none.
 
-    Source: the visibility test of Baran & Popovic 2007, section 4; deviation: a ray test instead of a distance field,
-    and the nearest of the visible bones instead of the nearest bone if it is visible.
+    A segment is seen where no face without the vertex lies between the two, and the way does not start outwards. Why
+    the second condition: where a hand is pressed into a thigh, no face lies between the thigh's skin and the hand's
+    bone.
+    Source: the visibility test of Baran & Popovic 2007, section 4. Deviation: a ray test instead of a distance field,
+        and the nearest of the visible bones instead of the nearest bone if it is visible.
     """
     v, n, c, d = (np.ascontiguousarray(a, dtype=np.float64) for a in (vertices, normals, closest, distance))
     f = np.ascontiguousarray(faces, dtype=np.int64)
@@ -38,7 +41,7 @@ OUTWARD = 0.0  # largest cosine between the way to a bone and the outward normal
 
 @kernel
 def _face_spheres(vertices, faces, centre, radius):
-    """Centre (F, 3) and radius (F,) of a sphere around each face."""
+    """Compute the centre (F, 3) and radius (F,) of a sphere around each face."""
     for f in range(len(faces)):
         largest = 0.0
         for k in range(3):
@@ -53,7 +56,7 @@ def _face_spheres(vertices, faces, centre, radius):
 
 @kernel
 def _blocked(origin, way, own, vertices, faces, centre, radius):
-    """Whether a face that does not contain the vertex `own` lies across the path origin + t way, 0 < t < 1."""
+    """Return whether a face that does not contain the vertex `own` lies across the path origin + t way, 0 < t < 1."""
     ox, oy, oz = origin[0], origin[1], origin[2]
     dx, dy, dz = way[0], way[1], way[2]
     length2 = dx * dx + dy * dy + dz * dz
@@ -95,7 +98,7 @@ def _blocked(origin, way, own, vertices, faces, centre, radius):
 
 @kernel
 def _nearest_visible(vertices, faces, normals, closest, distance, near):
-    """Marks in near (V, B) the nearest visible segments of each vertex, ties included; see visibility.py."""
+    """Mark in near (V, B) the nearest visible segments of each vertex, ties included; see `nearest_visible`."""
     centre, radius = np.empty((len(faces), 3)), np.empty(len(faces))
     _face_spheres(vertices, faces, centre, radius)
     origin, way = np.empty(3), np.empty(3)

@@ -1,7 +1,7 @@
-"""Compiling before it is needed: every kernel of a part of the room is called once, on a toy body before a toy camera.
+"""Compile kernels before they are needed: every kernel of a group is called once, on a toy body before a toy camera.
 
-What the cache does not have is compiled in several processes at once, since numba compiles one kernel at a time in
-each; they leave it in the cache.
+Kernels that are not in the cache are compiled in several processes at once, because numba compiles one kernel at a time
+in each process; they leave the result in the cache.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ from hypose.compute.scorer import limb_energies, silhouette_xor
 from hypose.compute.solver import solve, workspace
 from hypose.compute.threads import default_threads
 
-# imports what this process would, nothing of the folder that it happens to stand in
+# it imports the same modules as this process, and nothing from the folder in which it runs
 _PROGRAM = (
     "import sys; sys.path[:] = sys.argv[1].split('\\n'); "
     "from hypose.compute.warming import run_for_another; run_for_another()"
@@ -56,7 +56,7 @@ _PROGRAM = (
 
 
 def _toy() -> tuple[TreeArrays, MeshArrays, np.ndarray, np.ndarray]:
-    """A body of one ball joint and a tetrahedron, its pose (6,), and a pinhole (1, 3, 4) that sees it."""
+    """Make a body of one ball joint and a tetrahedron, its pose (6,), and a pinhole (1, 3, 4) that sees it."""
     tree = TreeArrays(
         np.array([-1, 0]),
         np.array([BALL, FIXED]),
@@ -118,7 +118,7 @@ def _parts() -> None:
 
 
 def _evidence(depth: DepthArrays | None = None) -> tuple[np.ndarray, tuple[Any, ...], Any]:
-    """Return a pose, and all other arguments of the solver."""
+    """Make a pose, and all other arguments of the solver."""
     tree, mesh, q, projection = _toy()
     mask, sizes = _mask()
     sdf = np.zeros(mask.shape, dtype=np.float32)
@@ -138,7 +138,7 @@ def _solver() -> None:
 
 
 def _depth() -> None:
-    """The solver, of no sensor."""
+    """Call the solver with depth of no sensor."""
     none, first, sizes = np.zeros((0, 3)), np.zeros(1, np.int64), np.zeros((0, 2), np.int64)
     maps, ring = np.zeros((0, 1, 1), np.float32), np.zeros((0, 3), np.int32)
     surface = none, none, np.zeros(0), first, none, maps, sizes, np.zeros((0, 3, 4))
@@ -160,15 +160,17 @@ KERNEL_GROUPS: dict[str, tuple[Callable[[], None], ...]] = {
     "monocular": (_monocular,),
     "depth": (_depth,),
 }
-"""By name, what takes longest of following in masks first. solver: poses from contours, key points and points; scorer:
-silhouettes of many poses; outlines: outlines of masks, and a body's parts against them; shape: rows that a body is
-fitted to outlines with; pictures: masks from pictures; monocular: one camera; depth: poses from depth as well."""
+"""Groups of kernels by name, the one that takes longest in mask tracking first. solver: poses from contours, key points
+and points. scorer: silhouettes of many poses. outlines: outlines of masks, and a body's parts against them. shape: rows
+by which a body is fitted to outlines. pictures: masks from pictures. monocular: one camera. depth: poses from depth as
+well.
+"""
 
 
 def _run(parts: Iterable[str]) -> None:
-    """Call all kernels of these parts in this process, and note the state of the cache then."""
+    """Call all kernels of these groups in this process, and mark the groups as ready in the cache."""
     was = gc.isenabled()
-    gc.disable()  # a compiler makes many objects that live, which would be looked at again and again
+    gc.disable()  # a compiler makes many long-lived objects, which the collector would visit again and again
     try:
         for part in parts:
             for call in KERNEL_GROUPS[part]:
@@ -183,23 +185,24 @@ def _run(parts: Iterable[str]) -> None:
 
 
 TRACKING_KERNELS = ("solver", "scorer", "outlines", "shape", "pictures")
-"""The parts of the room that following a person in silhouettes needs."""
+"""Groups of kernels that mask tracking needs."""
 
 
 def warm_up(*names: str, load: bool = True, progress: Callable[[int, int], None] | None = None) -> float:
-    """Compile groups of kernels (names in KERNEL_GROUPS; default: TRACKING_KERNELS), in one process per core where
-    that is worth it; return the seconds it took.
+    """Compile groups of kernels, in one process per core where that is worth it; return the seconds that it took.
 
-    The first time on a machine this takes some tens of seconds; afterwards the compiled code is on disk. load: have it
-    in this process as well when it was on disk; without, kernels are read when they are first called. progress: is
-    told how many of the groups that have to be compiled are done, when there are any.
+    names: of KERNEL_GROUPS; none: TRACKING_KERNELS.
+    load: whether to load kernels that are in the cache into this process too; else they are loaded at their first call.
+    progress: called with how many of the groups that have to be compiled are done, when there are any.
+
+    The first time on a machine this takes some tens of seconds; afterwards the compiled code is in the cache.
     """
     start = time.perf_counter()
     parts = [part for part in KERNEL_GROUPS if part in (names or TRACKING_KERNELS)]
     missing = [part for part in parts if not _is_ready(part)]
     report = progress if progress is not None and missing else lambda done, total: None
     report(0, len(missing))
-    # in a program that Python is embedded in or frozen into, sys.executable is that program
+    # where Python is embedded in a program or frozen, sys.executable is that program
     if len(missing) > 1 and _can_keep() and Path(sys.executable or "").name.lower().startswith("python"):
         began: list[subprocess.Popen[bytes]] = []
         with ThreadPoolExecutor(default_threads()) as pool:
@@ -216,18 +219,18 @@ def warm_up(*names: str, load: bool = True, progress: Callable[[int, int], None]
 
 
 def kept(*names: str) -> bool:
-    """Return whether all kernels of these parts of the room are on disk, for later starts."""
+    """Return whether all kernels of these groups are in the cache, for later starts."""
     return all(map(_is_ready, names))
 
 
 def _is_ready(part: str) -> bool:
-    """Return whether all kernels of a part are in the cache: a file says so, by being there."""
+    """Return whether all kernels of a group are in the cache, by the existence of its mark."""
     mark = _mark(part)
     return mark is not None and os.path.exists(mark)
 
 
 def _can_keep() -> bool:
-    """Return whether this process will find what others compile."""
+    """Return whether this process will find what other processes compile."""
     mark = _mark("")
     if mark is None:
         return False
@@ -250,7 +253,7 @@ def _digest_of_room() -> str:
 
 
 def _in_another_process(part: str, began: list[subprocess.Popen[bytes]]) -> None:
-    """Compile a part there; where that fails this process compiles it."""
+    """Compile a group in another process; where that fails, this process compiles it later."""
     with (
         contextlib.suppress(OSError),
         subprocess.Popen(
@@ -267,7 +270,9 @@ def _in_another_process(part: str, began: list[subprocess.Popen[bytes]]) -> None
 
 
 def run_for_another() -> None:
-    """The program of such a process, which ends with its input, and so with the process that began it."""
+    """Compile the groups on the command line (program of the other process), and end when the input ends, that is with
+    the process that started it.
+    """
 
     def watch() -> None:
         sys.stdin.read()

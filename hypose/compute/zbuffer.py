@@ -1,7 +1,7 @@
-"""The z-buffer: triangles into pictures of which each pixel keeps the nearest, and values read from such pictures.
+"""Draw triangles with a z-buffer: each pixel keeps the nearest; and interpolate vertex values at the drawn pixels.
 
 A pixel belongs to a triangle when its centre lies inside; pixel centres are at integer coordinates. The compared value
-is the inverse of the depth along the optical axis (1/m, 0 where nothing is), which is a plane over the picture.
+is the inverse of the depth along the optical axis (1/m, 0 where nothing is), which is linear over the picture.
 """
 
 from __future__ import annotations
@@ -21,12 +21,14 @@ NEAR = 0.05
 
 @kernel
 def draw_nearest(u, v, inverse, faces, chosen, cull, nearest, face):
-    """Draw the chosen faces (N,) of faces (F, 3) into nearest (h, w) f4, where they lie before the present ones, and
-    their numbers into face (h, w) i4; None: numbers are not wanted.
+    """Draw the chosen faces (N,) of faces (F, 3), where they lie in front of the present content.
 
-    u, v (V,) px.
-    inverse (V,) 1/m, 0: faces with this corner are left out.
-    cull: so are those seen from inside (the corners of the others run clockwise in a picture whose y points down).
+    u, v: (V,) px.
+    inverse: (V,) 1/m, 0: faces with this corner are omitted.
+    cull: whether to omit faces seen from inside (the corners of the others run clockwise in a picture whose y points
+        down).
+    nearest: (h, w) f4, gets the inverse depth.
+    face: (h, w) i4, gets the numbers of the faces, or None.
     """
     h, w = nearest.shape
     for n in range(chosen.shape[0]):
@@ -75,7 +77,7 @@ def draw_nearest(u, v, inverse, faces, chosen, cull, nearest, face):
 
 @kernel
 def _weights(u, v, inverse, faces, face, nearest, bary):
-    """bary (h, w, 2): perspective-correct weights of the second and third corner of the faces drawn."""
+    """Compute the perspective-correct weights bary (h, w, 2) of the second and third corner of the drawn faces."""
     for y in range(face.shape[0]):
         for x in range(face.shape[1]):
             f = face[y, x]
@@ -87,7 +89,7 @@ def _weights(u, v, inverse, faces, face, nearest, bary):
 
 
 def inverse_depth(z: ArrayLike, near: float = NEAR) -> NDArray[np.float64]:
-    """Return (V,) 1/m of depths (V,) m, 0 where they are below near m (or NaN)."""
+    """Compute 1/m of depths (V,) m, 0 where they are below near m (or NaN)."""
     depth = np.asarray(z, dtype=np.float64)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(depth > near, 1 / depth, 0.0)
@@ -102,7 +104,10 @@ def draw_faces(
     *,
     cull: bool = False,
 ) -> None:
-    """Draw all faces (F, 3) of vertices at uv (V, 2) px into nearest (h, w), in place; see `draw_nearest`."""
+    """Draw all faces (F, 3) of vertices at uv (V, 2) px, with inverse depths (V,) 1/m, into nearest (h, w), in place.
+
+    nearest, face, cull: as in `draw_nearest`.
+    """
     u, v = (plain(x, np.float64) for x in np.asarray(uv, dtype=np.float64).T)
     f = plain(faces, np.int32)
     draw_nearest(u, v, inverse, f, np.arange(len(f)), cull, nearest, face)
@@ -113,13 +118,12 @@ def rasterize(
 ) -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.float32]]:
     """Draw triangles with a z-buffer.
 
-    uv (V, 2) px and z (V,) m: projected vertices and their depth along the optical axis.
-    faces (F, 3), counter-clockwise from outside.
-    size (width, height).
-    cull: leave out faces seen from inside.
-
-    Returns depth (h, w) m (inf where empty), face_id (h, w) (-1 where empty) and bary (h, w, 2): perspective-correct
-    weights of the face's second and third corner. A triangle that reaches nearer than NEAR is left out.
+    uv, z: (V, 2) px and (V,) m, projected vertices and their depth along the optical axis.
+    faces: (F, 3), counter-clockwise from outside.
+    size: (width, height).
+    cull: whether to omit faces seen from inside.
+    Returns: depth (h, w) m (inf where empty), face_id (h, w) (-1 where empty), and bary (h, w, 2): perspective-correct
+        weights of the face's second and third corner. A triangle that reaches nearer than NEAR is omitted.
     """
     w, h = size
     nearest, face = np.zeros((h, w), f4), np.full((h, w), -1, np.int32)
@@ -134,7 +138,12 @@ def rasterize(
 def interpolate(
     face: NDArray[np.int32], bary: NDArray[np.float32], faces: NDArray[np.int32], values: ArrayLike
 ) -> NDArray[np.float32]:
-    """Vertex values (V, K) at N drawn pixels: face (N,) >= 0 and bary (N, 2) of `rasterize` -> (N, K)."""
+    """Interpolate vertex values (V, K) at N drawn pixels.
+
+    face, bary: (N,) >= 0 and (N, 2) of `rasterize`.
+    faces: (F, 3).
+    Returns: (N, K).
+    """
     v, corners = np.asarray(values, dtype=f4), faces[face]
     first, second = bary[:, :1], bary[:, 1:]
     return (1 - first - second) * v[corners[:, 0]] + first * v[corners[:, 1]] + second * v[corners[:, 2]]

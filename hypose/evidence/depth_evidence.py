@@ -8,7 +8,7 @@ Lovell 2012 (growing at grazing angles).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import cv2
@@ -76,6 +76,10 @@ class Depth:
             )
         if self.usable.shape != (len(self.rig),):
             raise InputError(f"Depth needs one usable per view, {len(self.rig)}, got {self.usable.shape}.")
+
+    def unseen(self) -> Depth:
+        """Return the maps with no usable view."""
+        return replace(self, usable=np.zeros_like(self.usable))
 
     @cached_property
     def boxes(self) -> list[tuple[int, int, int, int]]:

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Iterable
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hypose.cameras.camera import Camera, CameraRig
-from hypose.errors import InputError
+from hypose.errors import EvidenceError, InputError
 from hypose.evidence.depth_evidence import Depth
 from hypose.geometry import Array
 
+if TYPE_CHECKING:
+    from hypose.body.body import Body
+
+_Piece = TypeVar("_Piece")
 NOT_TRACKED, INFERRED, TRACKED = 0, 1, 2
 """States of a joint as sensors report them."""
 MISSING_MARK = -9999.0
@@ -52,6 +57,11 @@ class Silhouettes:
     ahead: Any = field(default=None, init=False, compare=False, repr=False)
     """what hypose.evidence.prefetch keeps of these very masks, so that it is made once; a copy begins without"""
 
+    def unseen(self) -> Silhouettes:
+        """Return the masks with no usable view, where no person is expected."""
+        reasons = tuple(r or f"{n}: no person is expected" for n, r in zip(self.rig.names, self.reasons, strict=True))
+        return replace(self, usable=np.zeros_like(self.usable), reasons=reasons, ignored=None, expected=None)
+
     @cached_property
     def areas(self) -> NDArray[np.int64]:
         """(C,) foreground pixels."""
@@ -63,6 +73,18 @@ class Silhouettes:
         if self.ignored is None:
             return np.zeros(len(self.masks), dtype=np.bool_)
         return np.array([view.any() for view in self.ignored], dtype=np.bool_)
+
+    @property
+    def visible_share(self) -> Array:
+        """(C,) how much of the person each view shows that others do not hide; 0 where the view is not usable."""
+        out = np.ones(len(self.rig))
+        if self.ignored is not None and self.expected is not None:
+            for c in np.flatnonzero(self.shared):
+                y0, y1, x0, x1 = self.expected.boxes[c]
+                own = self.masks[c, y0:y1, x0:x1]
+                open_ = own & (1 - self.ignored[c, y0:y1, x0:x1])
+                out[c] = min(1.0, np.count_nonzero(open_) / max(int(self.expected.areas[c]), 1))
+        return np.where(self.usable, out, 0.0)
 
     @property
     def informative(self) -> NDArray[np.uint8]:
@@ -81,6 +103,10 @@ class Keypoints:
     points: Array
     names: tuple[str, ...]
     rig: CameraRig
+
+    def unseen(self) -> Keypoints:
+        """Return the key points with none seen."""
+        return replace(self, points=np.zeros_like(self.points))
 
 
 @dataclass(frozen=True)
@@ -189,9 +215,18 @@ class Colours:
     edges: NDArray[np.uint8] | None = None
 
 
+class Piece(Protocol):
+    """What a frame carries of one more cue, as it was measured: a file that defines it is all that a new cue needs."""
+
+    def prepared(self, body: Body) -> Any:  # noqa: ANN401 (an Evidence, whose module imports this one)
+        """Prepare it for a search and for solves of a body."""
+        ...
+
+
 @dataclass(frozen=True)
 class Frame:
-    """One instant. time: s, index: frame number; the pieces are None when this frame has no such evidence."""
+    """One instant. time: s, index: frame number; the pieces are None when this frame has no such evidence; more: pieces
+    of further cues, such as `hypose.evidence.limb_maps.LimbMaps`."""
 
     time: float
     index: int
@@ -202,3 +237,41 @@ class Frame:
     picture: Picture | None = None
     colours: Colours | None = None
     depth: Depth | None = None
+    more: tuple[Piece, ...] = ()
+
+    @property
+    def pieces(self) -> dict[str, Any]:
+        """What the frame carries, by the name of the field."""
+        return {f.name: piece for f in fields(self)[2:-1] if (piece := getattr(self, f.name)) is not None}
+
+    def of(self, kind: type[_Piece]) -> list[_Piece]:
+        """List the pieces of a kind: one, or none."""
+        return [piece for piece in (*self.pieces.values(), *self.more) if isinstance(piece, kind)]
+
+    def the(self, kind: type[_Piece]) -> _Piece:
+        """Return the piece of a kind; an EvidenceError where the frame carries none."""
+        for piece in self.of(kind):
+            return piece
+        raise EvidenceError(
+            f"Frame {self.index} carries no {kind.__name__}; choose an evidence that the recording has."
+        )
+
+    def unseen(self) -> Frame:
+        """Return the frame of a person who is not there: no mask, key point or depth map of it is usable."""
+        seen = ("silhouettes", "keypoints", "depth")
+        return replace(self, **{name: piece.unseen() for name, piece in self.pieces.items() if name in seen})
+
+    @property
+    def visible_share(self) -> Array:
+        """(C,) how much of the person each mask shows that others do not hide; (0,) without masks."""
+        return np.zeros(0) if self.silhouettes is None else self.silhouettes.visible_share
+
+    @property
+    def fewest_views(self) -> int:
+        """How many views must show a person to tell where it stands: a depth camera does so alone, others do not."""
+        return 2 if self.depth is None else 1
+
+
+def pieces_of(frames: Iterable[Frame], kind: type[_Piece]) -> list[_Piece]:
+    """List the pieces of a kind that frames carry, in order."""
+    return [piece for frame in frames for piece in frame.of(kind)]

@@ -18,7 +18,7 @@ from scipy import ndimage
 
 from hypose.cameras.camera import CameraRig
 from hypose.errors import EvidenceError
-from hypose.evidence.frame import Silhouettes
+from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.hull import Hull, common_view_bounds, visual_hull
 from hypose.evidence.shared_masks import DrawnShape, Other, without
 from hypose.geometry import Array
@@ -45,6 +45,11 @@ _WIDENED = 0.01
 _NEAR_CAMERA = 0.2
 _RIM = 12
 """cells around the hull's plan, so that its density falls to nothing inside it"""
+
+
+def fewest_views(frame: Frame) -> int:
+    """How many views of a frame must show a person whom no other explains; a depth camera tells alone where it is."""
+    return FEWEST_VIEWS if frame.depth is None else 1
 
 
 @dataclass(frozen=True)

@@ -124,7 +124,7 @@ def cues_of(body: Body, evidence: Sequence[Term]) -> tuple[Cues, tuple[RowTerm, 
     once: dict[type[Term], Term] = {}
     for term in evidence:
         if isinstance(term, ContourTerm | KeypointTerm | DepthTerm) and once.setdefault(type(term), term) is not term:
-            raise InputError(f"A frame has one {type(term).__name__} of all its views; join the two.")
+            raise InputError(f"A frame has one {type(term).__name__} of all its views; combine the two.")
     contours, keypoints, depth = (once.get(kind) for kind in (ContourTerm, KeypointTerm, DepthTerm))
     places = [term.arrays(body) for term in evidence if isinstance(term, PointTerm)]
     rows = tuple(term for term in evidence if isinstance(term, RowTerm))
@@ -291,8 +291,12 @@ def prior_arrays(priors: Sequence[Quadratic], dof: int) -> tuple[Array, Array]:
 
 
 def with_rows(known: Evaluation, pose: Array, body: Body, rows: Sequence[RowTerm]) -> Evaluation:
-    """Add the cost and derivatives of row terms at a pose (D,) to an evaluation, and the number of their points.
+    """Add the cost and derivatives of row terms to an evaluation.
 
+    known: evaluation of the other evidence at the pose.
+    pose: (D,).
+    rows: the row terms.
+    Returns: the new evaluation; its counts get one more line with the number of points.
     Raises: InputError where residuals have the wrong shape.
     """
     (rotations, centres), twists, moves = (
@@ -341,7 +345,7 @@ class FrameProblem(Problem[Array, Evaluation]):
         return e.cost, lambda: e
 
     def propose(self, state: Array, equations: Evaluation, damping: float) -> tuple[Array, float] | None:
-        """Compute the bounded step, in which no joint turns further than LARGEST_TURN."""
+        """Compute the bounded step from a state, in which no joint turns further than LARGEST_TURN; see `Problem`."""
         step = bounded_step(equations.hessian, equations.gradient, state, self.lower, self.upper, damping)
         if step is None:
             return None

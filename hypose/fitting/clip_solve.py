@@ -48,6 +48,9 @@ class Gaussian(Term):
 def default_acceleration(dof: int, strength: float = 1.0) -> Array:
     """Return weights (D,) on squared second differences per frame, by which 1 rad and 1/300 m per frame^2 cost the
     same.
+
+    dof: number D of degrees of freedom.
+    strength: factor of all weights.
     """
     return strength * np.r_[np.full(3, 300.0), np.ones(dof - 3)] ** 2
 

@@ -144,12 +144,16 @@ class SharedProblem(Problem[tuple[Shared, Array], SharedEquations], Generic[Shar
 
     @abstractmethod
     def moved(self, state: tuple[Shared, Array], step: Array, own: Array) -> tuple[tuple[Shared, Array], float]:
-        """Return the state after steps of the shared unknowns (S,) and of the groups (N, n), and how far it moved."""
+        """Return the state after a step, and how far it moved.
+
+        step: (S,) of the shared unknowns.
+        own: (N, n) of the groups.
+        """
 
     def propose(
         self, state: tuple[Shared, Array], equations: SharedEquations, damping: float
     ) -> tuple[tuple[Shared, Array], float] | None:
-        """Eliminate the groups, and compute the step."""
+        """Eliminate the groups, and compute the step from a state; see `Problem`."""
         reduced = equations.reduced(damping)
         step = reduced.step(self.free)
         if step is None:

@@ -219,7 +219,7 @@ class _Sensor:
     """State that the aligner keeps of one sensor.
 
     newest: time of the latest report, on the sensor's clock.
-    until, since: times of the sensor's clock between which it was silent the last time.
+    until, since: start and end of its last silence, on the sensor's clock.
     """
 
     def __init__(self, name: str, s: AlignSettings) -> None:
@@ -254,7 +254,7 @@ class _Sensor:
         same_clock = self.newest < time and ahead <= s.clock.agree and now - self.arrival < s.clock.window
         if same_clock and time - self.newest <= s.timeout:
             return
-        if not same_clock:  # else the delay of a late line would pass for the clock's offset
+        if not same_clock:  # else the delay of a late line would become the clock's offset
             self.clock, self.newest, self.jumps = SensorClock(s.clock), -math.inf, 0
             self.until = self.since = -math.inf
         self.tracks.clear()
@@ -271,7 +271,9 @@ class _Sensor:
 
 
 class Aligner:
-    """Brings the reports of all sensors to the output instants n / rate after the first report.
+    """Buffer that brings the reports of all sensors to the output instants n / rate after the first report.
+
+    settings: of the output instants.
 
     Call `push` for every report and `poll` at the time `due()` or more often. A frame is made as soon as every living
     sensor has reported from its instant or later, and at the latest `wait` after its instant: late sensors are
@@ -330,7 +332,7 @@ class Aligner:
             self._forget(it)
             if len(it.tracks) >= s.most_people:
                 raise InputError(
-                    f"The sensor {sensor} reports more than {s.most_people} persons; the rest is left out."
+                    f"The sensor {sensor} reports more than {s.most_people} persons; the others are ignored."
                 )
             track = it.tracks[person] = _Track()
         fresh = track.add(time, *body)
@@ -372,7 +374,7 @@ class Aligner:
         if len(self._sensors) >= s.most_sensors:
             dead = [x for x in self._sensors.values() if now - x.arrival > 10 * s.timeout]
             if not dead:
-                raise InputError(f"There are {s.most_sensors} sensors already; {name} is left out.")
+                raise InputError(f"There are {s.most_sensors} sensors already; {name} is ignored.")
             del self._sensors[min(dead, key=lambda x: x.arrival).name]
         self._sensors[name] = _Sensor(name, s)
         return self._sensors[name]

@@ -62,7 +62,7 @@ class SensorClock:
         """
         s, difference = self._settings, arrival - sensor_time
         if self._smallest and abs(difference - self.offset) > s.jump:
-            # the persons of one frame are one witness: a backlog of late frames must not pass for a jump
+            # all persons of one frame count once: a backlog of late frames must not look like a jump
             if sensor_time == self._suspect_time and self._suspects:
                 return None
             self._suspect_time = sensor_time

@@ -36,7 +36,8 @@ _INFERRED_M = 0.15
 
 @dataclass(frozen=True)
 class ConfidenceSettings:
-    """Settings of the measures F, D and A. The defaults are the paper's.
+    """Settings of the measures F (inverse fluidity), D (depth error) and A (unnatural posture) of a sensor's joint. The
+    defaults are the paper's.
 
     window: number of frames over which F is computed.
     use_f, use_d, use_a: whether each measure is used; else it is 0.
@@ -113,13 +114,15 @@ def confidence_step(
     times: Array,
     settings: ConfidenceSettings,
 ) -> tuple[ConfidenceState, Array]:
-    """Compute the three measures of one frame, before normalisation.
+    """Compute the measures inverse fluidity F, depth error D and unnatural posture A of one frame, before
+    normalisation.
 
     memory: of the frames before.
     positions: (K, 15, 3) m in the sensors' frames.
     state: (K, 15) joint states.
     depth: (K, 15) m, depth map at the joints' pixels, 0 = hole; None: no depth maps.
     times: (K,) s of the reports.
+    settings: of the measures.
     Returns: the new memory, and (3, K, 15) = F (m/s, eq. 5), D (m), A (0..1). The speed of a joint that was missing, or
         of a report without a new time, counts as 0.
     """
@@ -153,7 +156,7 @@ def confidence_step(
 
 
 def depth_error(z: Array, depth: Array, held: Array, settings: ConfidenceSettings) -> tuple[Array, Array]:
-    """Compute D = |z of the joint - depth map at its pixel| (section 2.3.2).
+    """Compute the depth error D = |z of the joint - depth map at its pixel| (section 2.3.2).
 
     z: (K, 15) m, depths of the joints.
     depth: (K, 15) m, depth map at their pixels, 0 = hole.
@@ -170,7 +173,8 @@ def depth_error(z: Array, depth: Array, held: Array, settings: ConfidenceSetting
 
 
 def unnatural(positions: ArrayLike) -> Array:
-    """Compute A = 1 - P(angle) of eq. 6 for elbows and knees, with P a normal distribution of mean pi/2 and sd pi/6.
+    """Compute the unnatural posture A = 1 - P(angle) of elbows and knees, with P a normal distribution of mean pi/2 and
+    sd pi/6 (eq. 6).
 
     positions: (..., 15, 3) m.
     Returns: (..., 15): 0 for all other joints, 1 where a neighbour is missing.
@@ -238,7 +242,8 @@ LOW, MEDIUM, HIGH = "low", "medium", "high"
 
 @dataclass(frozen=True)
 class NoiseRules:
-    """Fuzzy rules that map normalised F, D and A to a noise; inputs and output lie in [0, 1].
+    """Fuzzy rules that map normalised inverse fluidity, depth error and unnatural posture of a joint to a noise; inputs
+    and output lie in [0, 1].
 
     low_centre, high_centre: centres of the sigmoids "low" and "high".
     slope: of both sigmoids.
@@ -290,7 +295,7 @@ class NoiseRules:
     def aggregate(self, f: ArrayLike, d: ArrayLike, a: ArrayLike) -> Array:
         """Combine the rules' scaled output sets by the algebraic sum.
 
-        f, d, a: (...) normalised measures.
+        f, d, a: (...) normalised inverse fluidity, depth error and unnatural posture.
         Returns: (..., points) membership of the output at points evenly spaced over [0, 1].
         """
         strength = self.firing(f, d, a)
@@ -303,7 +308,7 @@ class NoiseRules:
     def noise(self, f: ArrayLike, d: ArrayLike, a: ArrayLike) -> Array:
         """Compute the noise lambda in (0, 1): the centroid of the aggregated output set, 0.5 where no rule fires.
 
-        f, d, a: (...) normalised measures.
+        f, d, a: (...) normalised inverse fluidity, depth error and unnatural posture.
         Returns: (...) noise.
         Deviation: the centres and slopes of the sigmoids are chosen, because the paper does not give them.
         """

@@ -101,8 +101,10 @@ def remaining_uncertainty(
 def seen_joints(positions: Array, states: NDArray[np.uint8], eyes: Array, left: Array, lengths: Array) -> Array:
     """Compute the probability (K, 15) that each sensor sees each joint instead of guessing it, 0 where it reports none.
 
-    Arguments as in `remaining_uncertainty`. A joint is doubted where the body hides it from the sensor, where the
-    sensor sees the back, where its state is inferred, and where its bone has an unusual length.
+    positions, states, eyes, left, lengths: as in `remaining_uncertainty`.
+
+    A joint is doubted where the body hides it from the sensor, where the sensor sees the back, where its state is
+    inferred, and where its bone has an unusual length.
     """
     to = eyes - positions[:, jt.TORSO]
     up = positions[:, jt.NECK] - (positions[:, jt.LEFT_HIP] + positions[:, jt.RIGHT_HIP]) / 2
@@ -253,7 +255,7 @@ def fit_step(
     eyes: (K, 3) m, positions of the sensors, NaN where unknown.
     Returns: the new memory and the fused skeleton.
     """
-    # a joint of a sensor that is not registered has a state but no place
+    # a joint of a sensor that is not registered has a state but no position
     states = np.where(np.isfinite(positions[..., 0]), states, 0).astype(np.uint8)
     side, swapped = state.side, np.zeros(len(positions), dtype=np.bool_)
     if settings.unswap:

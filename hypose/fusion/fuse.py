@@ -354,7 +354,7 @@ def _check_alike(
     if frame.joint_names != joint_names:
         raise InputError(
             f"{where} has {len(frame.joint_names)} joints ({frame.joint_names[0]}, ...) instead of {len(joint_names)}; "
-            "map sensors of different joint sets to the common ones first (fusion.register.combine)."
+            "map sensors of different joint sets to the common ones first (fusion.register.common_joints)."
         )
 
 

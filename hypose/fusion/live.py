@@ -22,7 +22,12 @@ from hypose.geometry import Array
 
 @dataclass(frozen=True)
 class LiveSettings:
-    """Settings of alignment, identities and fit."""
+    """Settings of the live fusion.
+
+    align: of clocks, rates and output instants.
+    people: of identities and sensor positions.
+    fit: of the articulated fit of one skeleton.
+    """
 
     align: AlignSettings = field(default_factory=AlignSettings)
     people: PeopleSettings = field(default_factory=PeopleSettings)
@@ -66,7 +71,9 @@ class LiveFrame:
 
 
 class LiveFuser:
-    """Fuses the skeletons of several people from several sensors while they arrive.
+    """Live fusion of the skeletons of several people from several sensors.
+
+    settings: of alignment, identities and fit.
 
     Call `push` for every report as it arrives, and `poll` at the time `due()` or more often. All times are s of one
     monotonic host clock.

@@ -139,7 +139,7 @@ class _Link:
 
 
 class PeopleTracker:
-    """Tracks persons over several sensors; call `update` for every instant in order.
+    """Tracker of persons over several sensors; call `update` for every instant in order.
 
     settings: of the matching.
     transforms: common_from_sensor (4, 4) by sensor name, of sensors whose position is known; these are not estimated.
@@ -236,7 +236,7 @@ class PeopleTracker:
                     matched += 1
                     free[c] = -1
         left = [i for i in free if i >= 0]
-        # persons that others see, but none where this sensor says: it has been moved
+        # others see persons, but none where this sensor puts them: it was moved
         others = any(m != name for p in self._people for m in p.members) or any(
             now - p.time < s.linger and p.last.keys() - {name} for p in self._people
         )
@@ -374,9 +374,10 @@ class PeopleTracker:
 
 
 def is_swapped(joints: Array, like: Array) -> bool:
-    """Return whether joints (15, 3) are nearer to another skeleton (same frame) after exchanging left and right.
+    """Return whether joints are nearer to another skeleton after exchanging left and right, because the sensor sees the
+    back.
 
-    This happens where a sensor sees the back and takes it for the front.
+    joints, like: (15, 3) m of both skeletons, in the same frame.
     """
     a, b = joints - like, joints[MIRROR] - like
     plain, mirrored = float(np.vdot(a, a)), float(np.vdot(b, b))
@@ -429,7 +430,7 @@ def find_place(
         few = slice(None, None, max(1, len(theirs) // _LOOK))
         n = len(theirs[few][: 2 * _LOOK])
         looked[0, i, :n], looked[1, i, :n] = theirs[few][:n], ours[few][:n]
-    # also with its sides exchanged; an honest sensor is the rule, so those must fit clearly better
+    # also with its sides exchanged; correct sides are the rule, so exchanged ones must fit clearly better
     sources = np.concatenate([looked[0], looked[0][:, :, MIRROR]]).reshape(2 * len(pairs), -1, 3)
     targets = np.concatenate([looked[1], looked[1]]).reshape(2 * len(pairs), -1, 3)
     motions, distance = _plain_fits(sources, targets)
@@ -487,7 +488,7 @@ def trunk_centre(joints: Array) -> Array | None:
     known = np.isfinite(trunk[:, 0])
     if int(known.sum()) < 3:
         return None
-    # each joint missing would move a plain mean by some centimetres, which the gate takes
+    # each missing joint shifts the plain mean by some centimetres, which is less than the gate
     return trunk[known].mean(0)
 
 

@@ -46,8 +46,8 @@ class SwarmSettings:
     count: number of candidates per joint.
     radius_m: radius of the ball in which they start, m.
     h_m: length scale of the energy, m.
-    power: the weights of the energy are lambda^-power.
-    pressure: the shares of the wheel are E^pressure (fitness scaling).
+    power: the weights of the energy are lambda^-power, with the noise lambda of a joint.
+    pressure: the shares of the wheel are E^pressure, with the energy E (fitness scaling).
     immigrants: number of new candidates per sensor and frame (within count).
     jitter_m: sd of a random step per frame, m.
     universal: whether to use Baker's universal sampling instead of independent draws.
@@ -55,7 +55,7 @@ class SwarmSettings:
         mean of the candidates after the wheel.
     restart_every: number of frames between restarts (0 = never).
     restart_turn: rad that the person turns between restarts (0 = never).
-    confidence: settings of the measures F, D and A.
+    confidence: settings of the measures of which the noise is made.
     rules: fuzzy rules of the noise.
     """
 
@@ -97,7 +97,7 @@ class SwarmFrame:
 
     positions: (K, J, 3) m registered, NaN where missing.
     moved: (K, J, 3) m, change since each joint was last seen (0 where missing).
-    weights: (K, J) = lambda^-power, 0 where missing.
+    weights: (K, J) = lambda^-power with the noise lambda of each joint, 0 where missing.
     settings: of the swarm.
     """
 
@@ -129,12 +129,13 @@ def ride(h: Hypotheses, frame: SwarmFrame, rng: np.random.Generator, /) -> Hypot
 
 
 def energy(h: Hypotheses, frame: SwarmFrame, /) -> Array:
-    """Compute the log-weights pressure * log E of the candidates, E = sum_k lambda_k^-power exp(-|s_k - p| / h) (eq.
+    """Compute the log-weights of the candidates p: pressure * log E, E = sum_k lambda_k^-power exp(-|s_k - p| / h) (eq.
     7).
 
+    h: the candidates; frame: joint positions s_k and noise lambda_k of the sensors k.
     Returns: (J, N); 0 for all candidates of a joint that none of them can explain in this frame, so that its population
         stays.
-    Deviations: a length scale h, which is printed without one; a term below 0.001 of its weight counts as 0.
+    Deviations: a length scale h (`h_m`), which is printed without one; a term below 0.001 of its weight counts as 0.
     """
     weights, scale = frame.weights.T[:, None], frame.settings.h_m
     away = np.linalg.norm(h.values[:, :, None] - np.swapaxes(frame.positions, 0, 1)[:, None], axis=-1)
@@ -238,7 +239,7 @@ class SwarmEstimate:
 
 
 def start_swarm(sensors: int, joints: int = 15) -> SwarmState:
-    """Make the memory of the swarm before the first frame."""
+    """Make the memory of the swarm for a number of sensors and joints, before the first frame."""
     return SwarmState(None, np.full((sensors, joints, 3), np.nan), 0, 0.0, 0)
 
 
@@ -249,8 +250,9 @@ def swarm_step(
 
     state: memory of the frames before.
     positions: (K, J, 3) m registered, NaN where missing.
-    noise: (K, J) lambda of each joint.
+    noise: (K, J) noise lambda of each joint, 0..1.
     heading: of the person, rad.
+    settings: of the swarm.
     seed: the result depends on (seed, number of the frame) only.
     Returns: the new memory and the estimate; NaN for joints that no sensor has seen yet.
     """

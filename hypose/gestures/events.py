@@ -136,6 +136,9 @@ def precision_recall(scores: Array, correct: NDArray[np.bool_], positives: int) 
 
 
 def average_precision(scores: Array, correct: NDArray[np.bool_], positives: int) -> float:
-    """Compute the average precision: the mean precision at each correct detection, where missed gestures count 0."""
+    """Compute the average precision: the mean precision at each correct detection, where missed gestures count 0.
+
+    scores, correct, positives: as in `precision_recall`.
+    """
     precision, recall = precision_recall(scores, correct, positives)
     return float((precision * np.diff(recall, prepend=0.0)).sum())

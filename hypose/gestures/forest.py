@@ -122,7 +122,7 @@ def new_arrays(settings: ForestSettings, classes: int, rng: np.random.Generator)
     Raises: InputError where the number of classes is not 2 to MAX_CLASSES.
     """
     if not 2 <= classes <= MAX_CLASSES:
-        raise InputError(f"A forest tells {classes} classes; it must be 2 to {MAX_CLASSES}, the background included.")
+        raise InputError(f"A forest has {classes} classes; it must have 2 to {MAX_CLASSES}, the background included.")
     nt, n, s, t = settings.trees, min(64, settings.most_nodes), min(8, settings.most_slots), settings.candidates
     return GrowingArrays(
         np.zeros((nt, n, 5), np.int16),

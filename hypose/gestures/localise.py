@@ -145,10 +145,14 @@ def densities(
     settings: LocaliseSettings,
     scratch: Scratch,
 ) -> list[Density]:
-    """Compute the density of every gesture's votes in one picture alone; `settle` then finds the places."""
+    """Compute the density of every gesture's votes in one picture alone; `settle` then finds the places.
+
+    depth, lens, forest_list, scratch: as in `localise`.
+    Raises: InputError where the forests do not fit each other.
+    """
     s = settings.at(lens)
     if not forest_list:
-        raise InputError("There is no forest to look with; train a gesture first.")
+        raise InputError("There is no forest to search with; train a gesture first.")
     reach = forest_list[0].settings.reach_mm
     if any(f.settings.reach_mm != reach for f in forest_list):
         raise InputError("The forests have different reaches; train them with the same reach_mm.")
@@ -156,7 +160,7 @@ def densities(
         raise InputError("A forest of several gestures is used alone; give one forest per gesture, or that one.")
     if len(forest_list) > forest_votes.MOST_FORESTS:
         raise InputError(
-            f"{len(forest_list)} forests are too many to look with; give at most {forest_votes.MOST_FORESTS}."
+            f"{len(forest_list)} forests are too many for one search; give at most {forest_votes.MOST_FORESTS}."
         )
     picture = scratch.picture = pad(depth, lens, reach, s.plan.near_mm, scratch.picture)
     if len(forest_list) > 1 or forest_list[0].classes == 2:
@@ -174,6 +178,9 @@ def settle(
 ) -> list[Localisation]:
     """Find the best place of every gesture from the densities of one picture and the memory of the last ones (eq. 3.4).
 
+    maps: density of each gesture, of `densities`.
+    depth, lens, scratch: as in `localise`.
+    Returns: one place per gesture.
     Deviation: alpha is 1 (no memory) unless it is set; `hypose gesture` sets the printed 0.8.
     """
     s, out = settings.at(lens), []

@@ -31,7 +31,8 @@ def check_gesture_name(name: str) -> None:
     """
     if not 1 <= len(name) <= 64 or not all(c.isalnum() or c in "_-" for c in name) or name.startswith("-"):
         raise InputError(
-            f"{name[:80]!r} is no name for a gesture; use up to 64 letters, digits, - and _, and no - in front."
+            f"{name[:80]!r} is not a valid name of a gesture; use up to 64 letters, digits, - and _, and no - at the "
+            "start."
         )
 
 
@@ -138,9 +139,9 @@ def _description(arrays: Mapping[str, NDArray]) -> dict[str, Any]:
     try:
         value = json.loads(str(text))
     except (ValueError, RecursionError):
-        raise ValueError("its description is no JSON") from None
+        raise ValueError("its description is not JSON") from None
     if not isinstance(value, dict) or value.get("format") != _FORMAT:
-        raise ValueError("it is no gesture model")
+        raise ValueError("it is not a gesture model")
     if value.get("version") != VERSION:
         raise ValueError(f"it is of version {value.get('version')}, this hypose reads version {VERSION}")
     return value
@@ -149,7 +150,7 @@ def _description(arrays: Mapping[str, NDArray]) -> dict[str, Any]:
 def _made(kind: type, value: Any) -> Any:
     known = {f.name for f in fields(kind)}
     if not isinstance(value, dict) or not set(value) <= known:
-        raise ValueError(f"its {kind.__name__} is not understood")
+        raise ValueError(f"its {kind.__name__} is not valid")
     for v in value.values():
         if v is not None and not isinstance(v, bool | int | float):
             raise ValueError(f"its {kind.__name__} holds {v!r}")
@@ -163,7 +164,7 @@ def _array(arrays: Mapping[str, NDArray], name: str) -> NDArray:
     dtype, dimensions = _KINDS[name]
     a = arrays.get(name)
     if a is None or a.dtype != np.dtype(dtype) or a.ndim != dimensions:
-        raise ValueError(f"its {name} is missing or of another kind")
+        raise ValueError(f"its {name} is missing or of another type")
     return np.require(a, np.dtype(dtype).newbyteorder("="), ["C", "W", "A"])
 
 
@@ -182,7 +183,7 @@ def _check_trees(a: Mapping[str, NDArray], s: ForestSettings) -> None:
     if (inner & (number >= size[:, None])).any() or (left < -1).any():
         raise ValueError("a node lies outside its tree")
     if (inner & ((left <= number) | (left + 1 >= size[:, None]))).any():
-        raise ValueError("a node's children do not lie behind it in its tree")
+        raise ValueError("a node's children do not come after it in its tree")
     if np.abs(test[..., :4].astype(np.int32)).max(initial=0) > s.reach_mm:
         raise ValueError("a test reaches farther than reach_mm")
 
@@ -210,20 +211,20 @@ def _check_growing(a: Mapping[str, NDArray], s: ForestSettings) -> None:
         used = a["slot"][t, : a["size"][t]]
         both = np.concatenate([free, used[used >= 0]])
         if not 0 <= a["n_free"][t] <= slots or sorted(both.tolist()) != list(range(slots)):
-            raise ValueError("its slots are not all accounted for")
+            raise ValueError("its slots are inconsistent")
 
 
 def _learner(value: Any, forest: GrowingForest) -> Learner:
     if not isinstance(value, dict):
-        raise ValueError("it has no state of learning")
+        raise ValueError("it has no training state")
     settings, strength = _made(LearnSettings, value.get("settings")), value.get("strength")
     if not isinstance(strength, dict) or not all(
         k.isdigit() and isinstance(v, int | float) and np.isfinite(v) for k, v in strength.items()
     ):
-        raise ValueError("its strengths are not understood")
+        raise ValueError("its strengths are not valid")
     rng = np.random.default_rng()
     try:
         rng.bit_generator.state = value["random"]
     except (TypeError, ValueError, KeyError, OverflowError):
-        raise ValueError("its random numbers are not understood") from None
+        raise ValueError("its random numbers are not valid") from None
     return Learner(forest, rng, settings, {int(k): float(v) for k, v in strength.items()})

@@ -75,7 +75,7 @@ class Example:
 
 @dataclass
 class PixelSampler:
-    """Sampler that draws pixels of frames by its random generator."""
+    """Sampler that draws pixels of frames with the generator `rng`, in numbers and distances of the settings."""
 
     rng: np.random.Generator
     settings: LearnSettings
@@ -129,7 +129,7 @@ class PixelSampler:
         return rows[ok][:n], columns[ok][:n]
 
     def surface(self, depth: DepthImage, x: float, y: float) -> float | None:
-        """Measure the depth (mm) of the surface at a pixel; None where it is outside the range of the scan."""
+        """Measure the depth (mm) of the surface at pixel (x, y); None where it is outside the range of the scan."""
         surface, plan = surface_depth(depth, x, y), self.settings.look.plan
         return surface if surface is not None and plan.near_mm <= surface <= plan.far_mm else None
 
@@ -220,6 +220,8 @@ class Learner:
     def reject(self, depth: DepthImage, lens: DepthLens, *, mine: bool = True) -> Taught:
         """Learn a frame in which no gesture is shown.
 
+        depth: (h, w) uint16 mm, 0 = hole.
+        lens: of the depth camera.
         mine: True: hard negatives at every maximum and a few random ones; False: random ones only.
         Returns: what was learned.
         Deviations: a few random negatives accompany the hard ones; the number of hard ones is proportional to the

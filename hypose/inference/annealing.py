@@ -53,6 +53,7 @@ def solve_annealing_rate(energies: ArrayLike, target: float, iterations: int = 5
 
     energies: (*B, N) costs of the hypotheses.
     target: wanted survival rate, 0..1.
+    iterations: number of bisections.
     Returns: (*B,) exponents, always finite. Where the target is above the reachable rates: 0. Where it is below them: a
         beta at which only the hypotheses tied at the minimum survive. Where all energies are equal: 1, because every
         beta does the same.

@@ -24,7 +24,7 @@ _IntArray = NDArray[np.int32]
 BEFORE = "before"
 """Name of the column with the state (D,) that each hypothesis had one step ago."""
 FOUND_BY = "by "
-"""Roles that begin so say which search found a hypothesis: "by limb search"."""
+"""Prefix of the role that names the search by which a hypothesis was found, such as `by limb search`."""
 
 
 def _none() -> _IntArray:
@@ -124,14 +124,16 @@ class Hypotheses:
         """
         names = self.role_names if role in self.role_names else (*self.role_names, role)
         if len(names) > 31:
-            raise ValueError(f"a set of hypotheses knows at most 31 roles, '{role}' is one more")
+            raise ValueError(f"a set of hypotheses has at most 31 roles, '{role}' would be one more")
         chosen = np.zeros(self.role.shape, np.bool_)
         chosen[np.asarray(members)] = True
         bit = np.int32(1 << names.index(role))
         return self._with(role=np.where(chosen, self.role | bit, self.role & ~bit), role_names=names)
 
     def found_by(self, member: int) -> str:
-        """Return the role that says which search found a hypothesis of one population; empty when it has none."""
+        """Return the role that names the search by which a hypothesis of one population was found; empty where it has
+        none.
+        """
         return next((r for r in self.role_names if r.startswith(FOUND_BY) and self.has(r)[member]), "")
 
     @property

@@ -70,7 +70,7 @@ class HeavyTail:
             raise ValueError(f"a heavy tail needs a share in [0, 1] and a factor >= 0, got {self.share}, {self.factor}")
 
     def gain(self, count: int, dimension: int) -> FloatArray:
-        """Return the factors (N, D) of the steps of all hypotheses in all coordinates."""
+        """Return the factors (N, D) of the steps, for N = count hypotheses and D = dimension coordinates."""
         gain = np.ones((count, dimension))
         gain[np.ix_(every(self.share, count), _mask(self.coordinates, dimension))] = self.factor
         return gain
@@ -243,6 +243,8 @@ def layered_sigma(sigma: ArrayLike, partitions: Sequence[ArrayLike], nu: float, 
 def first_layer(partitions: Sequence[ArrayLike], dimension: int) -> NDArray[np.intp]:
     """Find the first layer whose partition holds each coordinate.
 
+    partitions: coordinates (indices or a (D,) bool mask) of each layer.
+    dimension: number D of coordinates.
     Returns: (D,) numbers of layers; len(partitions) for coordinates in no partition.
     """
     first = np.full(dimension, len(partitions), dtype=np.intp)
@@ -292,7 +294,7 @@ def semidefinite_cholesky(covariance: ArrayLike) -> FloatArray:
 def every(share: float, count: int) -> NDArray[np.intp]:
     """Choose a share of `count` rows, spread evenly.
 
-    Returns: indices of the chosen rows; whether a row is chosen does not depend on `count`.
+    Returns: indices of the chosen rows. Whether a row is chosen is the same for every `count`.
     """
     return np.flatnonzero(np.diff(np.floor(np.arange(count + 1) * share)) > 0)
 

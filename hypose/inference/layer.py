@@ -169,7 +169,7 @@ class Recipe:
         if self.particles < 1:
             raise ValueError(f"recipe '{self.name}' needs at least one particle, got {self.particles}")
         if self.rivals < 0:
-            raise ValueError(f"recipe '{self.name}' cannot hand on {self.rivals} rivals; 0 is none")
+            raise ValueError(f"recipe '{self.name}' needs a number of rivals of 0 or more, got {self.rivals}")
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,8 @@ from typing import Any
 
 from hypose.errors import InputError, visible
 
-_MOST_BYTES = 100  # in UTF-8; parts added around a name (a frame's number, an ending) fits into 255, too
-# separators and what Windows forbids, the ends it drops, and beginnings that hide a file or make it an option
+_MOST_BYTES = 100  # in UTF-8; with added parts (a frame's number, an ending) a name still fits into 255
+# separators, characters that Windows forbids, ends that it drops, beginnings that hide a file or look like an option
 _FORBIDDEN = re.compile(r'[\x00-\x1f\x7f-\x9f\\/:*?"<>|\u2028-\u202e\u2066-\u2069\ud800-\udfff]')
 _ENDS = re.compile(r"^[\s.\-~]+|[\s.]+$")
 _RESERVED = re.compile(r"(con|prn|aux|nul|conin\$|conout\$|com[0-9¹²³]|lpt[0-9¹²³])(\..*)?", re.IGNORECASE | re.DOTALL)
@@ -37,7 +37,7 @@ def file_name(text: str) -> str:
     """
     plain = _ENDS.sub("", _FORBIDDEN.sub("_", text))
     if plain == text and text and len(text.encode()) <= _MOST_BYTES and not _RESERVED.fullmatch(text):
-        if not _MADE.fullmatch(text):  # else it could be the name that another text gets
+        if not _MADE.fullmatch(text):  # otherwise it could equal the name made of another text
             return text
     short = plain.encode()[:_MOST_BYTES].decode(errors="ignore") or "_"
     mark = hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()[:10]

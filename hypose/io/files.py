@@ -33,7 +33,7 @@ MAX_JSON_BYTES = 4 * 2**20
 MAX_TOML_BYTES = 5_000_000
 FULL = (errno.ENOSPC, errno.EDQUOT)
 """Error numbers of the operating system for a full disk."""
-# another program's FIFO or terminal must not hold us up
+# do not wait for a FIFO or terminal
 _READ = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0)
 _NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0)
 
@@ -260,7 +260,7 @@ def _onto_disk(path: Path) -> None:
     try:
         os.fsync(number)
     except OSError as error:
-        if error.errno not in (errno.EINVAL, errno.ENOTSUP):  # of a file system without
+        if error.errno not in (errno.EINVAL, errno.ENOTSUP):  # a file system that cannot do it
             raise
     finally:
         os.close(number)
@@ -307,7 +307,7 @@ def cannot_write(path: Path, error: OSError) -> str:
             free = ""
         return (
             f"{path} cannot be written because the disk is full{free}; what was written before is intact: "
-            "free some space and run the same command again, with --resume where it knows that."
+            "free some space and run the same command again, with --resume where it has that option."
         )
     return (
         f"{path} cannot be written ({reason_of(error)}); what was written before is intact: choose a folder that you "
@@ -366,7 +366,7 @@ class RecordingFolder:
 
 
 # ---- text in -------------------------------------------------------------------------------------------------------
-# Text from outside, line by line and within bounds, plain or gzipped.
+# Text of any source, line by line and of limited size, plain or gzipped.
 
 
 _CHUNK = 1 << 20
@@ -424,7 +424,7 @@ def _decoded(line: bytes, path: str | Path, kind: str, limit: int) -> str:
 
 
 # ---- claims --------------------------------------------------------------------------------------------------------
-# A folder that one run writes to: looked at before the work, and held against other runs while it goes on.
+# Lock of an output folder: tested before the work, and held against other runs until its end.
 
 
 LOCK = ".hypose-lock"
@@ -450,7 +450,7 @@ def claimed(folder: str | Path, option: str = "--out") -> Iterator[None]:
     finally:
         if held is not None:
             with contextlib.suppress(OSError):
-                (path / LOCK).unlink()  # before it is let go of, so that no process locks a file that is gone
+                (path / LOCK).unlink()  # before the lock is released, so that no process locks a deleted file
             os.close(held)
 
 

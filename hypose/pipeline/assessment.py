@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.motion import Motion
+from hypose.calibration.findings import INFO, INVALID, REVIEW, Finding
 from hypose.pipeline.frame_anomalies import in_words
+from hypose.pipeline.input_checks import sentences
 from hypose.pipeline.settings import SETTINGS
 from hypose.tracking.contacts import runs
 from hypose.tracking.error_features import AROUND_S
@@ -28,37 +30,46 @@ _ALONE = ("neck", "head")
 
 @dataclass(frozen=True)
 class Assessment:
-    """word: GOOD, LOOK or UNTRUSTED; because: sentences; frames: to look at, of a good result those of low confidence;
-    remarks: sentences on what else is there."""
+    """Judgement of a result.
+
+    word: GOOD, LOOK or UNTRUSTED
+    findings: what it rests on
+    frames: to look at; of a good result those of low confidence
+    """
 
     word: str
-    because: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
     frames: tuple[range, ...] = ()
-    remarks: tuple[str, ...] = ()
+
+    @property
+    def because(self) -> tuple[str, ...]:
+        """Sentences on what makes the result invalid, and then on what has to be reviewed."""
+        return (*sentences(self.findings, INVALID), *sentences(self.findings, REVIEW))
 
     @property
     def sentence(self) -> str:
-        """In one paragraph."""
-        return " ".join((self._judgement, *self.remarks))
+        """The judgement in one paragraph."""
+        return " ".join((self._judgement, *sentences(self.findings, INFO)))
 
     @property
     def _judgement(self) -> str:
+        because = " ".join(self.because)
         if self.word == UNTRUSTED:
-            return "Not to be trusted, because: " + " ".join(_ended(b) for b in self.because)
+            return f"Not to be trusted, because: {because}"
         if self.word == LOOK:
-            return f"Look at {in_words(self.frames)}: " + " ".join(_ended(b) for b in self.because)
+            return f"Look at {in_words(self.frames)}: {because}"
         if self.frames:
-            return f"Good but for {in_words(self.frames)}: " + " ".join(_ended(b) for b in self.because)
+            return f"Good but for {in_words(self.frames)}: {because}"
         return "Good: nothing in the evidence speaks against it."
 
     def document(self) -> dict[str, Any]:
-        """As JSON values."""
+        """Return the assessment as JSON values."""
         return {
             "assessment": self.word,
             "because": list(self.because),
             "frames": [[r.start, r.stop] for r in self.frames],
             "sentence": self.sentence,
-            **({"remarks": list(self.remarks)} if self.remarks else {}),
+            "findings": [f.document() for f in self.findings],
         }
 
     def with_joints(self, motion: Motion) -> dict[str, Any]:
@@ -70,60 +81,59 @@ class Assessment:
 
     @staticmethod
     def of_document(kept: Mapping[str, Any]) -> Assessment:
-        """What `document` gave."""
+        """Read what `document` gave."""
         frames = tuple(range(int(a), int(b)) for a, b in kept["frames"])
-        remarks = tuple(str(b) for b in kept.get("remarks", ()))
-        return Assessment(str(kept["assessment"]), tuple(str(b) for b in kept["because"]), frames, remarks)
+        return Assessment(str(kept["assessment"]), tuple(map(Finding.of_document, kept["findings"])), frames)
 
 
-def not_shown(joints: Sequence[str]) -> str:
-    """A sentence on joints that the set of key points has no point of."""
+def not_shown(joints: Sequence[str]) -> Finding:
+    """Say which joints have no key point of their own."""
     which = ", ".join(j.replace("_", " ") for j in joints)
-    return f"Note: the key points have none for {which}; where these are follows from the rest of the body."
+    text = f"Note: the key points have none for {which}; where these are follows from the rest of the body"
+    return Finding("not shown", (), text, severity=INFO)
 
 
-def other_people_note(more: int, where: str, command: str) -> str:
-    """A sentence on so many other people in the masks, or the key points, and the command that tracks them."""
+def other_people_note(more: int, where: str, command: str) -> Finding:
+    """Say how many other people are in the masks, or the key points, and which command tracks them."""
     who = "another person is" if more == 1 else f"{more} other people are"
-    return f"Note: {who} in the {where} and left out; {command} tracks everybody."
+    text = f"Note: {who} in the {where} and left out; {command} tracks everybody"
+    return Finding("other people", (), text, size=more, severity=INFO)
 
 
 def assess(
     motion: Motion,
-    faults: Sequence[str] = (),
-    looks: Sequence[str] = (),
+    findings: Sequence[Finding] = (),
     cure: str | None = None,
     most_lost: float = SETTINGS.verdict_lost_share,
 ) -> Assessment:
     """Assess a motion as good, to be reviewed, or not to be trusted.
 
-    faults: reasons why the whole motion is not to be trusted, sentences
-    looks: reasons to review the whole motion, sentences
+    findings: on the whole motion, of the checks before and the passes
     cure: next step when too many joints are likely wrong
     most_lost: share of frames without the person above which the motion is not to be trusted
     """
-    because = list(faults)
-    gone = motion.lost | motion.extrapolated
+    found, gone = list(findings), motion.lost | motion.extrapolated
+    looks = any(f.severity == REVIEW for f in findings)
     if gone.mean() > most_lost:
-        because.append(f"the person was not found in {100 * gone.mean():.0f} % of the frames")
+        text = f"the person was not found in {100 * gone.mean():.0f} % of the frames"
+        found.append(Finding("lost", (), text, size=float(gone.mean())))
     low_confidence = motion.low_confidence_joints
     if low_confidence is not None and motion.error_probability is not None and (~gone).any():
-        because += _too_doubtful(
-            motion, low_confidence, ~gone, 0.0 if looks else SETTINGS.verdict_limb_p, cure or _cure(motion)
-        )
-    if because:
-        return Assessment(UNTRUSTED, (*because, *looks))
+        least = 0.0 if looks else SETTINGS.verdict_limb_p
+        found += _too_doubtful(motion, low_confidence, ~gone, least, cure or _cure(motion))
+    if any(f.severity == INVALID for f in found):
+        return Assessment(UNTRUSTED, tuple(found))
     frames = np.zeros(len(motion), dtype=bool) if motion.low_confidence is None else motion.low_confidence.astype(bool)
     least = max(2, round(SETTINGS.verdict_few_s * motion.frame_rate))
-    found = runs(frames)
-    stretches = tuple(r for r in found if len(r) >= least and _worth_a_look(motion, low_confidence, r))
+    marked = tuple(runs(frames))
+    stretches = tuple(r for r in marked if len(r) >= least and _worth_a_look(motion, low_confidence, r))
     if frames.mean() > SETTINGS.verdict_limb_share:
-        stretches = tuple(found)
-    if stretches:
-        return Assessment(LOOK, (*looks, _what(motion, low_confidence, stretches)), stretches)
-    if looks:
-        return Assessment(LOOK, tuple(looks), (range(len(motion)),))
-    return Assessment(GOOD, (_what(motion, low_confidence, found),), tuple(found)) if found else Assessment(GOOD)
+        stretches = marked
+    if looks and not stretches:
+        return Assessment(LOOK, tuple(found), (range(len(motion)),))
+    if shown := stretches or marked:
+        found.append(_what(motion, low_confidence, shown))
+    return Assessment(LOOK if stretches else GOOD, tuple(found), shown)
 
 
 def _worth_a_look(motion: Motion, low_confidence: NDArray[np.bool_] | None, stretch: range) -> bool:
@@ -136,8 +146,8 @@ def _worth_a_look(motion: Motion, low_confidence: NDArray[np.bool_] | None, stre
 
 def _too_doubtful(
     motion: Motion, low_confidence: NDArray[np.bool_], seen: NDArray[np.bool_], least: float, cure: str
-) -> list[str]:
-    """Sentences on joints that are too doubtful in the frames in which the person is seen; least: how likely a limb
+) -> list[Finding]:
+    """Findings on joints that are too doubtful in the frames in which the person is seen; least: how likely a limb
     must be wrong for it; cure: of `assess`."""
     assert motion.error_probability is not None
     names = motion.skeleton.joint_names
@@ -145,7 +155,8 @@ def _too_doubtful(
     if share > SETTINGS.verdict_wrong_share:
         worst = [names[j].replace("_", " ") for j in np.argsort(-often)[:4] if often[j] > 0.2]
         what = f", above all {', '.join(worst)}" if worst else ""
-        return [f"the evidence speaks against the body in {100 * share:.0f} % of the joints{what}: {cure}"]
+        text = f"the evidence speaks against the body in {100 * share:.0f} % of the joints{what}: {cure}"
+        return [Finding("wrong joints", (), text, size=share)]
     likely = np.where(low_confidence, motion.error_probability, 0.0)[seen].sum(0) / np.maximum(
         low_confidence[seen].sum(0), 1
     )
@@ -154,7 +165,8 @@ def _too_doubtful(
     bad = np.array([j for j in found if names[j] not in _ALONE], dtype=np.int64)
     if len(bad):
         which = ", ".join(names[j].replace("_", " ") for j in bad)
-        return [f"{which} cannot be told from the evidence in {100 * often[bad].max():.0f} % of the frames"]
+        text = f"{which} cannot be told from the evidence in {100 * often[bad].max():.0f} % of the frames"
+        return [Finding("wrong limb", (), text, size=float(often[bad].max()))]
     return []
 
 
@@ -165,12 +177,10 @@ def _cure(motion: Motion) -> str:
     return f"compare the overlay with the images, and give {more}, --start with the first pose, or other {other}"
 
 
-def _what(motion: Motion, low_confidence: NDArray[np.bool_] | None, stretches: Sequence[range]) -> str:
+def _what(motion: Motion, low_confidence: NDArray[np.bool_] | None, stretches: Sequence[range]) -> Finding:
+    """Name the joints of low confidence in some frames."""
     at = np.concatenate([np.arange(r.start, r.stop) for r in stretches])
     often = np.zeros(len(motion.skeleton.joint_names)) if low_confidence is None else low_confidence[at].mean(0)
     which = [motion.skeleton.joint_names[j].replace("_", " ") for j in np.argsort(-often)[:4] if often[j] > 0.2]
-    return f"{', '.join(which)} may be wrong there" if which else "see the notes for what was seen there"
-
-
-def _ended(text: str) -> str:
-    return text if text.endswith((".", ":")) else f"{text}."
+    text = f"{', '.join(which)} may be wrong there" if which else "see the notes for what was seen there"
+    return Finding("low confidence", (), text, size=len(at), severity=REVIEW)

@@ -11,7 +11,7 @@ import numpy as np
 from hypose.body.body import Body
 from hypose.body.default_body import human
 from hypose.errors import EvidenceError, HyposeError, InputError
-from hypose.evidence.frame import Frame, Keypoints
+from hypose.evidence.frame import Frame, Keypoints, pieces_of
 from hypose.evidence.keypoints import triangulate_keypoints
 from hypose.fitting import SolveSettings, fit_pose
 from hypose.geometry import Array
@@ -116,10 +116,10 @@ def _by_points(
     template: Body, frame_at: _FrameAt, sampled: np.ndarray, n_frames: int, options: SubjectOptions
 ) -> TrackedSubject:
     """The subject by key points, which also say where it stands; a body that is known stays as it is."""
-    seen = [f for f in (frame_at(int(i)) for i in sampled) if f.keypoints is not None]
+    seen = [f for f in map(frame_at, sampled.tolist()) for _ in f.of(Keypoints)]
     if not seen:
         raise EvidenceError("No frame has key points to start from; use the start 'hull'.")
-    keypoints = [f.keypoints for f in seen if f.keypoints is not None]
+    keypoints = pieces_of(seen, Keypoints)
     body, poses, notes = template, None, [GIVEN]
     if not options.known:
         points, _, _ = triangulate_keypoints(keypoints, worse=view_factors(keypoints))
@@ -150,7 +150,7 @@ def first_start(body: Body, model: KeypointModel, frame_at: _FrameAt, last: int)
 
     It is looked for in the frame whose views agree best, for in a single frame nothing tells that a detector has
     exchanged the sides in half of the views, and is followed back from there."""
-    frames = [(i, k) for i in range(last) if (k := frame_at(i).keypoints) is not None]
+    frames = [(i, k) for i in range(last) for k in frame_at(i).of(Keypoints)]
     error: EvidenceError | None = None
     for n in _agreeing([k for _, k in frames], model):
         keypoints = frames[n][1]

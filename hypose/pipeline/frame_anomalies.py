@@ -18,6 +18,7 @@ from scipy.ndimage import binary_closing, binary_opening, median_filter
 from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.body.skeleton import Skeleton
+from hypose.calibration.findings import INVALID, REVIEW, Finding
 from hypose.compute.parts import projected, touched_area
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.evidence.prefetch import prepared_masks
@@ -26,7 +27,6 @@ from hypose.pipeline.settings import SETTINGS
 from hypose.tracking.contacts import runs
 from hypose.tracking.covariance_calibration import beyond_usual
 from hypose.tracking.joint_features import audit_frame, more_than_body
-from hypose.tracking.several import visible_share
 from hypose.tracking.tracker import FrameEstimate, Tracker
 
 
@@ -76,7 +76,7 @@ def view_statistics(
         return np.zeros((0, 3), np.float32)
     out = np.full((len(silhouettes.masks), 3), np.nan, np.float32)
     seen = (
-        visible_share(frame)[: len(estimate.overlap)] >= SETTINGS.doubts_shown
+        frame.visible_share[: len(estimate.overlap)] >= SETTINGS.doubts_shown
     )  # an arm's breadth among others is not significant
     out[: len(estimate.overlap), 0] = np.where(seen, estimate.overlap, np.nan)
     change = mask_change(frame, last) if change is None else change
@@ -295,27 +295,33 @@ def in_words(found: Sequence[range]) -> str:
     return f"frame{'s' if sum(map(len, found)) > 1 else ''} {', '.join(shown)}{more}"
 
 
-def against_the_clip(audit: ArrayLike, n_views: ArrayLike, evidence: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Sentences on why the clip is not to be trusted, and on why it is worth a look; audit (T, J, A), n_views (T,).
-    Nothing with key points, which say where limbs are, and which view is wrong, whatever masks show."""
-    wrong, look = list[str](), list[str]()
+def against_the_clip(audit: ArrayLike, n_views: ArrayLike, evidence: str) -> tuple[Finding, ...]:
+    """Find what speaks against a clip as a whole.
+
+    audit: (T, J, A) features of the error model
+    n_views: (T,)
+    evidence: of the clip; with key points, which say where limbs are and which view is wrong, nothing is found
+    """
     if evidence != "silhouettes":
-        return (), ()
-    beyond = beyond_usual(audit, evidence)
+        return ()
+    found, beyond = list[Finding](), beyond_usual(audit, evidence)
     if beyond > SETTINGS.contradiction_look_apart_m:
-        said = (
+        text = (
             f"the views contradict each other by {1e3 * beyond:.0f} mm from beginning to end, so the calibration, the "
             "synchronisation or the body is wrong: run hypose check"
         )
-        (wrong if beyond > SETTINGS.contradiction_wrong_apart_m else look).append(said)
-    if more_than_body(audit, n_views) > SETTINGS.contradiction_look_more_m2:
-        look.append(
+        severity = INVALID if beyond > SETTINGS.contradiction_wrong_apart_m else REVIEW
+        found.append(Finding("views disagree", (), text, size=beyond, severity=severity))
+    if (more := more_than_body(audit, n_views)) > SETTINGS.contradiction_look_more_m2:
+        text = (
             "the masks show more than the body from beginning to end (a chair, wide clothes, a bag, another person?), "
             "and limbs may have been put there: compare the overlay with the images"
         )
-    if len(look) > 1:  # things in the masks do not set views apart; late or wrong cameras do both (seeds 600 to 617)
-        wrong, look = look, []
-    return tuple(wrong), tuple(look)
+        found.append(Finding("larger masks", (), text, size=more, severity=REVIEW))
+    if all(f.severity == REVIEW for f in found) and len(found) > 1:
+        # things in the masks do not set views apart; late or wrong cameras do both (seeds 600 to 617)
+        return tuple(replace(f, severity=INVALID) for f in found)
+    return tuple(found)
 
 
 def unexplained_share(now: Silhouettes, before: Silhouettes, skeleton: Skeleton, joints: Array) -> NDArray[np.float32]:

@@ -26,7 +26,7 @@ from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import EvidenceError, HyposeError, InputError
 from hypose.evidence.depth_evidence import Depth, SurfacePoints
 from hypose.evidence.depth_floor import camera_on_floor
-from hypose.evidence.frame import Frame
+from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.geometry import Array, se3_inverse
 from hypose.io.file_names import file_name, text_of
@@ -263,9 +263,9 @@ def _clip(recording: Recording) -> list[Frame]:
     found, areas = list[Frame](), list[int]()
     with FrameStream(recording) as frames:
         for frame in frames:
-            assert frame.silhouettes is not None
-            area = int(frame.silhouettes.areas[0]) if frame.silhouettes.usable[0] else 0
-            if found or area > SETTINGS.placing_least_share * frame.silhouettes.masks[0].size:
+            masks = frame.the(Silhouettes)
+            area = int(masks.areas[0]) if masks.usable[0] else 0
+            if found or area > SETTINGS.placing_least_share * masks.masks[0].size:
                 found.append(frame)
                 areas.append(area)
             if len(found) == SETTINGS.placing_looked_at:
@@ -408,18 +408,17 @@ def _pairs(times: Sequence[Array], seconds: Array, frame_rate: float) -> list[li
 
 def _surface(frame: Frame) -> SurfacePoints:
     """What a sensor's frame shows, in the sensor's own frame."""
-    assert frame.depth is not None
-    return in_camera(frame.depth.surface, frame.depth.rig[0].camera_from_world)
+    depth = frame.the(Depth)
+    return in_camera(depth.surface, depth.rig[0].camera_from_world)
 
 
 def _together(clips: Sequence[Sequence[Frame]], row: Sequence[int], rig: CameraRig) -> Frame:
     """One frame of all sensors."""
-    own = [clip[k].depth for clip, k in zip(clips, row, strict=True)]
+    own = [clip[k].the(Depth) for clip, k in zip(clips, row, strict=True)]
     sizes = rig.sizes
     h, w = int(sizes[:, 1].max()), int(sizes[:, 0].max())
     maps, masks = np.zeros((len(rig), h, w), np.float32), []
     for c, depth in enumerate(own):
-        assert depth is not None
         width, height = sizes[c]
         maps[c, :height, :width] = depth.maps[0, :height, :width]
         masks.append(depth.person[0, :height, :width])

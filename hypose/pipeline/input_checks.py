@@ -18,11 +18,12 @@ from hypose.calibration.diagnose_masks import focal_by_masks, focal_by_points, f
 from hypose.calibration.diagnose_person import height_findings, up_by_cameras, wrong_set, wrong_way_up
 from hypose.calibration.diagnose_points import best_trial, disagreement, gross_finding, late_views, timing_findings
 from hypose.calibration.diagnostics import gross_silhouettes
-from hypose.calibration.findings import REFUTED_PLACES, Finding, Limits, depth_findings
+from hypose.calibration.findings import INVALID, REFUTED_PLACES, Finding, Limits, depth_findings
 from hypose.calibration.sync_motion import mask_tracks
 from hypose.cameras.camera import PARALLEL, triangulate, widest_angle
 from hypose.errors import EvidenceError, HyposeError
-from hypose.evidence.frame import Frame, Keypoints, Silhouettes
+from hypose.evidence.depth_evidence import Depth
+from hypose.evidence.frame import Frame, Keypoints, Silhouettes, pieces_of
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.track_loop import FrameList, FrameSource
 from hypose.tracking.subject import shape_from_keypoints
@@ -35,13 +36,13 @@ def check_inputs(
     from `evidence`; height of the person, m, when known. Nothing of one camera."""
     rows, frames = _rows(len(source)), _some(source)
     doubted: Sequence[Keypoints] | None = getattr(source, "doubted", None)  # those that did not fit are the question
-    points = [f.keypoints for f in frames if f.keypoints is not None]
+    points = pieces_of(frames, Keypoints)
     if doubted is not None:
         points = [doubted[i] for i in rows.tolist() if i < len(doubted)]
-    shown = [f.silhouettes for f in frames if f.silhouettes is not None] if evidence != "keypoints" else []
+    shown = pieces_of(frames, Silhouettes) if evidence != "keypoints" else []
     masks = [s for s in shown if s.ignored is None]  # half of a person tells nothing of cameras
     limits = Limits()
-    by_depth = depth_findings([f.depth for f in frames if f.depth is not None])
+    by_depth = depth_findings(pieces_of(frames, Depth))
     found: list[Finding] = []
     if evidence != "silhouettes" and points and len(points[0].rig) > 1:
         found += _by_points(points, height, limits)
@@ -58,7 +59,7 @@ def check_depth_inputs(source: FrameSource) -> tuple[Finding, ...]:
     with contextlib.suppress(HyposeError):
         if source.frame(0).depth is None:  # frames from all over videos take long to read
             return ()
-    return depth_findings([f.depth for f in _some(source) if f.depth is not None])
+    return depth_findings(pieces_of(_some(source), Depth))
 
 
 def _some(source: FrameSource) -> list[Frame]:
@@ -84,9 +85,9 @@ def places_refuted(found: Sequence[Finding]) -> bool:
     return any(f.fault and f.kind in REFUTED_PLACES for f in found)
 
 
-def sentences(found: Sequence[Finding], *, fault: bool = True) -> tuple[str, ...]:
-    """The faults among the findings, each with its next step; or else what only has to be looked at."""
-    return tuple(f.sentence for f in found if f.fault == fault)
+def sentences(found: Sequence[Finding], severity: str = INVALID) -> tuple[str, ...]:
+    """List the findings of a severity as sentences, each with its next step."""
+    return tuple(f.sentence for f in found if f.severity == severity)
 
 
 def _in_step(keypoints: Sequence[Keypoints | None], frame_rate: float, o: Limits) -> Iterator[Finding]:

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from hypose.body.body import Body
 from hypose.calibration.depth_registration import in_camera, place_error, refine_registration
+from hypose.calibration.findings import REVIEW, Finding
 from hypose.evidence.depth_evidence import Depth, SurfacePoints
-from hypose.evidence.frame import Frame
+from hypose.evidence.frame import Frame, Silhouettes
 from hypose.fitting.articulated import SolveSettings
 from hypose.geometry import Array
 from hypose.pipeline.one_camera import FrameSource
@@ -56,8 +57,8 @@ class PlacedSource:
 
 def moved_sensors(
     source: FrameSource, body: Body, poses: Array, iou: Array, frame_rate: float
-) -> tuple[tuple[Places, ...], tuple[str, ...]]:
-    """Where depth cameras stand that are not where the source says, and sentences on it; nothing where all are, or with
+) -> tuple[tuple[Places, ...], tuple[Finding, ...]]:
+    """Where depth cameras stand that are not where the source says, and findings on it; nothing where all are, or with
     fewer than two. poses (T, D), as tracked; iou (T,): how well each agrees with what was seen, NaN: it does not
     tell."""
     depth = source.frame(0).depth
@@ -85,7 +86,7 @@ def moved_sensors(
     if count >= 2 * least and _off(first, last, poses[count // 2]):
         change = _changes(source, body, poses, first, last)
     stretches = [s for s in (range(change), range(change, count)) if len(s) >= least]
-    found, said = list[Places](), list[str]()
+    found, said = list[Places](), list[Finding]()
     before = reported
     for stretch in stretches:
         now = places(stretch)
@@ -93,10 +94,11 @@ def moved_sensors(
         for c, (degrees, metres) in off.items():
             when = "" if len(stretches) < 2 else f" from frame {stretch.start} to {stretch.stop - 1}"
             off_by = f"{1e3 * metres:.0f} mm off and turned by {degrees:.1f} degrees{when}"
-            said.append(
+            text = (
                 f"{depth.rig.names[c]} stood {off_by}, by the person before all depth cameras: its place was found "
-                "anew for this run, and is to be corrected in the calibration"
+                "again for this run, and is to be corrected in the calibration"
             )
+            said.append(Finding("moved", (depth.rig.names[c],), text, size=metres, severity=REVIEW))
         now = np.where(np.isin(np.arange(len(reported)), list(off))[:, None, None], now, reported)
         if not np.array_equal(now, before):
             found.append(Places(stretch.start if len(found) or stretch.start >= least else 0, now))
@@ -110,8 +112,7 @@ def _cameras(depth: Depth) -> Array:
 
 def placed(frame: Frame, camera_from_world: Array) -> Frame:
     """The frame of cameras that stand there, (C, 4, 4)."""
-    depth, silhouettes = frame.depth, frame.silhouettes
-    assert depth is not None and silhouettes is not None
+    depth, silhouettes = frame.the(Depth), frame.the(Silhouettes)
     cameras = (replace(c, camera_from_world=e) for c, e in zip(depth.rig, camera_from_world, strict=True))
     rig = type(depth.rig)(tuple(cameras))
     return replace(frame, silhouettes=replace(silhouettes, rig=rig), depth=replace(depth, rig=rig))
@@ -132,23 +133,22 @@ def _refined(
     source: FrameSource, body: Body, poses: Array, frames: NDArray[np.intp], reported: Array, iterations: int
 ) -> Array:
     """The cameras' places (C, 4, 4) by some frames and the poses (F, D) in them."""
-    depths = [source.frame(int(t)).depth for t in frames]
-    usable = np.stack([np.zeros(len(reported), np.bool_) if d is None else d.usable for d in depths])
-    views = np.flatnonzero(usable.any(0))
-    seen = [[_surface(d, int(c), reported[c]) for d in depths] for c in views]
+    depths = [source.frame(int(t)).of(Depth) for t in frames]
+    views = np.flatnonzero(np.any([np.zeros(len(reported), np.bool_), *(d.usable for own in depths for d in own)], 0))
+    seen = [[_surface(own, int(c), reported[c]) for own in depths] for c in views]
     out = reported.copy()
     out[views] = refine_registration(body, poses, seen, reported[views], iterations).camera_from_world
     return out
 
 
-def _surface(depth: Depth | None, view: int, camera_from_world: Array) -> SurfacePoints:
-    """What one camera of a frame shows, in its own frame."""
-    if depth is None:
-        none = np.zeros((0, 3))
-        return SurfacePoints(none, none, np.zeros(0), np.zeros(2, np.int64))
-    s = depth.surface
-    own = slice(int(s.first[view]), int(s.first[view + 1]))
-    alone = SurfacePoints(s.points[own], s.normals[own], s.sd[own], np.array([0, own.stop - own.start]))
+def _surface(depths: Sequence[Depth], view: int, camera_from_world: Array) -> SurfacePoints:
+    """Select the points that one camera of a frame shows, and turn them into the camera's own frame. depths: the depth
+    maps of the frame, one or none."""
+    none = np.zeros((0, 3))
+    alone = SurfacePoints(none, none, np.zeros(0), np.zeros(2, np.int64))
+    for s in (depth.surface for depth in depths):
+        own = slice(int(s.first[view]), int(s.first[view + 1]))
+        alone = SurfacePoints(s.points[own], s.normals[own], s.sd[own], np.array([0, own.stop - own.start]))
     return in_camera(alone, camera_from_world)
 
 
@@ -157,7 +157,7 @@ def _changes(source: FrameSource, body: Body, poses: Array, first: Array, last: 
     gain = np.zeros(len(poses))
     for t, pose in enumerate(poses):
         frame = source.frame(t)
-        if frame.depth is None or frame.depth.usable.sum() < 2:
+        if all(depth.usable.sum() < 2 for depth in frame.of(Depth)):
             continue
         costs = [
             refine(body, pose[None], prepare(placed(frame, places), body, pose), _LONG_SOLVE)[0].cost

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from hypose.body.body import Body
 from hypose.body.default_body import JOINT_NAMES, human
 from hypose.body.motion import Modes, Motion
+from hypose.calibration.findings import REVIEW, Finding
 from hypose.cameras.camera import Camera, CameraRig, triangulate
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.body_parts import detect_ends, end_colors
@@ -500,24 +501,27 @@ def image_deviation(body: Body, poses: Array, frames: Iterable[Frame]) -> Array:
     return out
 
 
-def against_the_picture(share: Array) -> tuple[str, ...]:
-    """Sentences that make a motion not to be trusted, by the shares (T,) of `image_deviation`."""
+def against_the_picture(share: Array) -> tuple[Finding, ...]:
+    """Find that a motion is not to be trusted, by the shares (T,) of `image_deviation`."""
     if not np.isfinite(share).any() or np.nanmean(share) <= SETTINGS.picture_deviation:
         return ()
     where = in_words(runs(np.nan_to_num(share) > SETTINGS.picture_deviation))
-    return (
+    text = (
         f"{100 * np.nanmean(share):.0f} % of what the picture shows of the person lies elsewhere than on the body, "
         f"above all in {where}: look at the overlay, and whether key points and camera are those of this video; begin "
-        "elsewhere with --frames, or give --start with clicked joints",
+        "elsewhere with --frames, or give --start with clicked joints"
     )
+    return (Finding("picture", (), text, size=float(np.nanmean(share))),)
 
 
-def doubt_of_depth(modes: Modes) -> str:
-    """A sentence for the assessment on what no picture contradicts."""
-    return (
-        f"one camera does not measure depth, which is known to +-{1e3 * float(np.nanmedian(modes.depth_sd)):.0f} mm (1 "
-        "sd, median) as far as the lens and the person's size are right: see the notes"
+def doubt_of_depth(modes: Modes) -> Finding:
+    """Say how well depth is known, which no picture contradicts."""
+    sd = 1e3 * float(np.nanmedian(modes.depth_sd))
+    text = (
+        f"one camera does not measure depth, which is known to +-{sd:.0f} mm (1 sd, median) as far as the lens and the "
+        "person's size are right: see the notes"
     )
+    return Finding("depth", (), text, size=sd, severity=REVIEW)
 
 
 def _far(body: Body, pose: Array, keypoints: Keypoints) -> float:

@@ -17,9 +17,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from hypose.calibration.findings import INFO, Finding
 from hypose.cameras.camera import CameraRig
 from hypose.errors import InputError
-from hypose.evidence.frame import Silhouettes
+from hypose.evidence.frame import Silhouettes, pieces_of
 from hypose.evidence.keypoints import keypoint_names
 from hypose.io.motions.results import ResultsFolder, save_motion
 from hypose.io.recordings.frames import FrameSettings, FrameStream
@@ -142,7 +143,7 @@ def frames_to_examine(recording: Recording, progress: StageProgress | None = Non
         (one if several else all_people).close()
         return (all_people, True) if several else (one, False)
     rows = np.unique(np.linspace(0, len(all_people) - 1, SETTINGS.several_looks).astype(int)).tolist()
-    masks = [s for i in rows if (s := all_people.frame(i).silhouettes) is not None]
+    masks = pieces_of((all_people.frame(i) for i in rows), Silhouettes)
     several = several_apart(masks)
     if not several and several_apart(
         masks, SETTINGS.several_now_and_then
@@ -214,15 +215,12 @@ def track_one_of(
     one = found.people[0]
     more = found.others
     said = (other_people_note(more, "masks", command),) if more and not places_refuted(run.looked) else ()
-    said = (*said, *(f"Note: {n}." for n in said_of_places(wanted, 1 + more)))
-    faults = one.result.faults
+    notes = said_of_places(wanted, 1 + more)
+    found_so = [*one.result.findings, *said, *(Finding("places", (), f"Note: {n}", severity=INFO) for n in notes)]
     if wanted and wanted[0].place is not None and one.name != wanted[0].name:
-        faults = (
-            *faults,
-            f"{wanted[0].not_found}; the result is that of somebody else instead: correct place and time of the "
-            "[[person]] in recording.toml",
-        )
-    out = replace(one.result, faults=faults, remarks=said, complete=found.complete)
+        text = f"{wanted[0].not_found}; the result is that of another person"
+        found_so.append(Finding("other person", (), text, "correct place and time of the [[person]] in recording.toml"))
+    out = replace(one.result, findings=tuple(found_so), complete=found.complete)
     if results is not None:
         save_motion(out.motion, results.motion)
         if found.complete:

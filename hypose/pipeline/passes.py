@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from hypose.body.body import Body
 from hypose.body.motion import Modes, Motion
+from hypose.calibration.findings import INVALID, REVIEW, Finding
 from hypose.errors import EvidenceError, HyposeError
 from hypose.evidence.cues import OwnEvidence
 from hypose.evidence.frame import Frame, Keypoints
@@ -96,9 +97,7 @@ class ClipState:
     covariance: (T, D, D) of the poses
     modes: poses that one camera allows
     notes: sentences for the user
-    faults: reasons why the motion is not to be trusted
-    looks: reasons to review it
-    remarks: on other people
+    findings: reasons why the motion is not to be trusted or to be reviewed, and remarks
     places: of depth cameras that stand elsewhere
     trace: what the passes moved
     """
@@ -125,9 +124,7 @@ class ClipState:
     covariance: Array | None = None
     modes: Modes | None = None
     notes: tuple[str, ...] = ()
-    faults: tuple[str, ...] = ()
-    looks: tuple[str, ...] = ()
-    remarks: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
     places: tuple[Places, ...] = ()
     trace: tuple[Change, ...] = ()
 
@@ -166,10 +163,9 @@ class ClipState:
         """Read frames of the clip once more, forwards or backwards."""
         return tracked_frames(self.source, numbers, self.with_tracker.recipe.needs, self.who)
 
-    def judged_so(self, found: Sequence[input_checks.Finding]) -> ClipState:
-        """Add findings to the faults and to the reasons for a review."""
-        faults, looks = input_checks.sentences(found), input_checks.sentences(found, fault=False)
-        return replace(self, faults=(*self.faults, *faults), looks=(*self.looks, *looks))
+    def with_findings(self, *found: Finding) -> ClipState:
+        """Add findings."""
+        return replace(self, findings=(*self.findings, *found))
 
 
 Pass = Callable[[ClipState], ClipState]
@@ -199,7 +195,7 @@ def check_evidence(clip: ClipState) -> ClipState:
     more = 0 if input_checks.places_refuted(found) else getattr(clip.source, "others", 0)
     others = (other_people_note(more, "key points", "--people all"),) if more else ()
     clip.progress("look", 1, 1)
-    return replace(clip.judged_so(found), remarks=(*clip.remarks, *others))
+    return clip.with_findings(*found, *others)
 
 
 def find_person(clip: ClipState) -> ClipState:
@@ -210,7 +206,10 @@ def find_person(clip: ClipState) -> ClipState:
         except HyposeError as error:
             masks = clip.options.looks_at == "silhouettes" and isinstance(error, EvidenceError)
             guessed = getattr(clip.source, "guessed_rooms", "") if masks else ""
-            why = [*([guessed] if guessed else []), *clip.faults]  # masks of no person speak against cameras, too
+            why = [
+                *([guessed] if guessed else []),
+                *input_checks.sentences(clip.findings),
+            ]  # masks of no person speak against cameras, too
             if not why:
                 raise
             raise type(error)(f"{' '.join(why)} That may be why: {error}") from error
@@ -313,7 +312,7 @@ def _solve_keypoints(clip: ClipState) -> ClipState:
         audit=audit,
         covariance=solved.covariance,
         notes=(*clip.notes, *solved.notes, *doubts),
-        remarks=(*clip.remarks, *([not_shown(never)] if never else [])),
+        findings=(*clip.findings, *([not_shown(never)] if never else [])),
         trace=(*clip.trace, *list_changes("smooth", subject.body.skeleton.joint_names, apart, REASONS["smooth"])),
     )
 
@@ -359,7 +358,7 @@ def place_sensors(clip: ClipState) -> ClipState:
     places, moved = moved_sensors(clip.source, clip.who.body, poses, 1 - costs, clip.frame_rate)
     if not places:
         return clip
-    clip = replace(clip, source=PlacedSource(clip.source, places), places=places, looks=(*clip.looks, *moved))
+    clip = replace(clip, source=PlacedSource(clip.source, places), places=places, findings=(*clip.findings, *moved))
     if places[0].since == 0 and not clip.given:  # the body was found before cameras that stood elsewhere
         clip = replace(clip, subject=_subject(clip, None))
         clip = replace(clip, notes=clip.who.notes, tracker=_tracker(clip))
@@ -373,7 +372,7 @@ def check_height(clip: ClipState) -> ClipState:
         return clip
     estimates = clip.tracked.estimates
     if o.height is None and clip.body is None:
-        clip = clip.judged_so(input_checks.of_measured(subject.body.stature))
+        clip = clip.with_findings(*input_checks.of_measured(subject.body.stature))
     asked = o.height if clip.body is None else clip.body.stature
     if asked is None or clip.method is not None or not clip.complete or o.looks_at == "keypoints":
         return clip
@@ -382,10 +381,8 @@ def check_height(clip: ClipState) -> ClipState:
     off = 0.0 if reported is None else abs(reported / asked - 1)
     if reported is None or off <= SETTINGS.subject_height_doubt:
         return clip
-    sentence = (height_sentence(reported, asked),)
-    if off > SETTINGS.subject_height_wrong:
-        return replace(clip, faults=(*clip.faults, *sentence))
-    return replace(clip, looks=(*clip.looks, *sentence))
+    severity = INVALID if off > SETTINGS.subject_height_wrong else REVIEW
+    return clip.with_findings(Finding("height", (), height_sentence(reported, asked), size=off, severity=severity))
 
 
 # ---- after tracking ----------------------------------------------------------------------------------------
@@ -489,8 +486,8 @@ def judge_joints(clip: ClipState) -> ClipState:
         depth, points = False, [clip.source.frame(i).keypoints for i in range(len(clip.source))]
     assert clip.audit is not None
     motion = _with_errors(clip, "depth" if depth else None, points)
-    wrong, looks = against_the_clip(clip.audit, motion.n_views, evidence_of(clip.audit))
-    return replace(clip, motion=motion, faults=(*clip.faults, *wrong), looks=(*clip.looks, *looks))
+    found = against_the_clip(clip.audit, motion.n_views, evidence_of(clip.audit))
+    return replace(clip, motion=motion).with_findings(*found)
 
 
 def _assess_picture(clip: ClipState) -> ClipState:
@@ -501,8 +498,8 @@ def _assess_picture(clip: ClipState) -> ClipState:
     low_confidence = deviation > SETTINGS.picture_deviation_frame
     before = motion.low_confidence
     motion = replace(motion, low_confidence=low_confidence if before is None else before | low_confidence)
-    faults, looks = (*clip.faults, *against_the_picture(deviation)), (*clip.looks, doubt_of_depth(clip.modes))
-    return replace(clip, motion=motion, faults=faults, looks=looks)
+    found = *against_the_picture(deviation), doubt_of_depth(clip.modes)
+    return replace(clip, motion=motion).with_findings(*found)
 
 
 def _with_errors(clip: ClipState, known: str | None, points: Sequence[Keypoints | None] | None) -> Motion:

@@ -19,9 +19,9 @@ from hypose.body.default_body import human
 from hypose.calibration.findings import Finding
 from hypose.errors import EvidenceError, HyposeError, InputError
 from hypose.evidence import depth_people
-from hypose.evidence.frame import Frame, Keypoints
+from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.evidence.hull import common_view_bounds
-from hypose.evidence.hull_people import FEWEST_VIEWS, HullPerson
+from hypose.evidence.hull_people import HullPerson, fewest_views
 from hypose.evidence.prefetch import pack_once
 from hypose.geometry import Array
 from hypose.io.motions.results import ResultsFolder, provenance_identity, save_motion
@@ -63,7 +63,7 @@ from hypose.pipeline.tracked_people import (
     seen_by_themselves,
 )
 from hypose.tracking.contacts import runs
-from hypose.tracking.several import Member, no_person_in, step_together, visible_share
+from hypose.tracking.several import Member, step_together
 from hypose.tracking.tracker import Tracker
 
 
@@ -375,9 +375,8 @@ class PeopleRun:
     def _step(self, people: list[Followed], frame: Frame, before: Frame | None, t: int) -> None:
         points = None if self._points is None else [self._points_of(p, people, t) for p in people]
         members, estimates, seen = step_together([p.member for p in people], frame, points)
-        if frame.silhouettes is not None:
-            pack_once(frame.silhouettes)
-        least = 2 if frame.depth is None else 1  # a depth camera alone shows where a person is
+        for masks in frame.of(Silhouettes):
+            pack_once(masks)
         change = mask_change(frame, before)  # of the whole masks: the ignored part changes by itself
         looked = [
             looked_at(m.tracker, estimate, own, None if before is None else as_now(own, before), change)
@@ -391,10 +390,10 @@ class PeopleRun:
                 since = len(p.present) - p.gone + 1
                 p.present[since:] = [False] * len(p.present[since:])
                 p.hidden[since:] = [False] * len(p.hidden[since:])
-            p.member, shown = member, visible_share(own)
+            p.member, shown = member, own.visible_share
             p.estimates.append(estimate)
             p.present.append(there)
-            p.hidden.append(bool(there and len(shown) and (shown > SETTINGS.rough_hidden).sum() < least))
+            p.hidden.append(bool(there and len(shown) and (shown > SETTINGS.rough_hidden).sum() < frame.fewest_views))
         if t % self._look_every == 0:
             for p, q, since in update_appearance(people, seen):
                 swap_identities(p, q, since)
@@ -410,11 +409,9 @@ class PeopleRun:
         """Look for people in the parts of the masks that no tracked body explains; those seen at the last look too are
         tracked from now on. Returns of each new person (4,): where they stand, how often no body could be fitted, and
         the frame from which that is tried again; before: of the last look."""
-        silhouettes = frame.silhouettes
-        if silhouettes is None:
-            return []
-        known = explained_by(people, silhouettes)
-        if not birth_candidates(known, silhouettes, FEWEST_VIEWS if frame.depth is None else 1):
+        masks = frame.of(Silhouettes)
+        known = [other for s in masks for other in explained_by(people, s)]
+        if not any(birth_candidates(known, s, fewest_views(frame)) for s in masks):
             return []
         found = not_parts(depth_people.people_seen(frame, known, floor=self.floor), people)
         coming = list[Array]()
@@ -460,7 +457,7 @@ class PeopleRun:
             new = self._fitted(name or free_name(taken, self.wanted), paths, mine[0], numbers)
         except HyposeError:
             return False
-        empty, done = no_person_in(frame), len(people[0].estimates)
+        empty, done = frame.unseen(), len(people[0].estimates)
         blank = looked_at(new.member.tracker, new.member.tracker.step(new.member.state, empty)[1], empty, None)
         new.estimates = [replace(blank, lost=True) for _ in range(done)]
         new.present, new.hidden = [False] * done, [False] * done
@@ -479,7 +476,7 @@ class PeopleRun:
         clip = ClipState(source, self.frame_rate, self.options, results=p.results, record=self.record)
         known = {"subject": p.subject, "tracker": p.member.tracker, "tracked": tracked, "notes": p.subject.notes}
         clip = replace(clip, **known, shared_masks=shared, progress=self.progress)
-        out = finish(clip.judged_so(self.looked))
+        out = finish(clip.with_findings(*self.looked))
         motion, notes = replace(out.motion, lost=out.motion.lost | ~present), [*out.notes, *p.said]
         if hidden.any():
             motion = replace(

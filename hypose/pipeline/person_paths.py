@@ -12,8 +12,8 @@ from hypose.body.motion import Motion
 from hypose.cameras.camera import CameraRig
 from hypose.errors import HyposeError
 from hypose.evidence.depth_people import people_seen
-from hypose.evidence.frame import Frame, Keypoints
-from hypose.evidence.hull_people import HullPerson
+from hypose.evidence.frame import Frame, Keypoints, Silhouettes
+from hypose.evidence.hull_people import HullPerson, fewest_views
 from hypose.evidence.person_tracks import PersonTrack
 from hypose.evidence.shared_masks import Other
 from hypose.geometry import Array
@@ -116,8 +116,8 @@ def count_people(frame_at: Callable[[int], Frame], total: int, looks: int = 5) -
     for t in np.unique(np.linspace(0, total - 1, min(total, looks)).astype(int)).tolist():
         with contextlib.suppress(HyposeError):
             frame = frame_at(t)
-            views = 0 if frame.silhouettes is None else int(frame.silhouettes.usable.sum())
-            if views >= 3 or (views and frame.depth is not None):
+            views = [int(masks.usable.sum()) for masks in frame.of(Silhouettes)]
+            if any(count >= fewest_views(frame) for count in views):
                 found.append(_apart([p for p in people_seen(frame) if p.tall]))
     return int(np.median(found)) if found else 0
 

@@ -107,7 +107,7 @@ def observe_recording(recording: Recording, most: int = 100, progress: _Progress
                 progress("masks", i, len(stream))
                 frame = stream.frame(i)
                 silhouettes.append(frame.silhouettes)
-                depths += [frame.depth] if frame.depth is not None else []
+                depths += frame.of(Depth)
             progress("masks", len(stream), len(stream))
         if person is not None and (together or person.one.several):
             silhouettes = [
@@ -311,13 +311,11 @@ def _by_body(
             model = None
     if disturb is not None:
         poses = body.skeleton.clamp(disturb(body, poses))
-    kept = [i for i, f in enumerate(frames) if np.isfinite(poses[i]).all() and f.silhouettes is not None]
-    if not kept:
+    seen_at = [(i, s) for i, f in enumerate(frames) if np.isfinite(poses[i]).all() for s in f.of(Silhouettes)]
+    if not seen_at:
         raise EvidenceError("No frame has both silhouettes and a pose to refine the calibration with.")
-    evidence = list[list[Term]]()
-    for i in kept:
-        silhouettes = frames[i].silhouettes
-        assert silhouettes is not None
+    kept, evidence = [i for i, _ in seen_at], list[list[Term]]()
+    for i, silhouettes in seen_at:
         evidence.append([contour_term(silhouettes)] if silhouettes.usable.any() else [])
         if method == "both" and keypoints is not None and model is not None:
             seen = keypoints[int(used[i])]

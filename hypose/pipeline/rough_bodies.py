@@ -21,7 +21,7 @@ from hypose.errors import HyposeError
 from hypose.evidence import depth_people
 from hypose.evidence.cues import surface_evidence
 from hypose.evidence.depth_people import own_frame
-from hypose.evidence.frame import Frame
+from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.hull_people import HullPerson
 from hypose.evidence.shared_masks import SOLVED_WIDENING, Other
 from hypose.fitting.articulated import SolveSettings
@@ -35,7 +35,7 @@ from hypose.pipeline.tracked_people import Followed, Wanted
 from hypose.tracking.costs import mean_overlap
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.refinement import refine
-from hypose.tracking.several import no_person_in, shape_of, step_together, visible_share
+from hypose.tracking.several import shape_of, step_together
 from hypose.tracking.shape_refinement import Known, refine_shape
 from hypose.tracking.start_search import Start
 from hypose.tracking.tracker import FrameEstimate
@@ -72,7 +72,7 @@ def frame_of_person(
         return frame
     here = paths[who].found.get(number)
     if here is None:
-        return no_person_in(frame)
+        return frame.unseen()
     others = [
         other
         for k, p in enumerate(paths)
@@ -90,7 +90,7 @@ def _hiding(rough: RoughTrack | None, hull: HullPerson | None, number: int, rig:
 
 def least_hidden(own: Mapping[int, Frame]) -> list[int]:
     """In which of the frames a person is seen well, by all views but one; those least hidden, when they are few."""
-    return seen_well({t: visible_share(frame) for t, frame in own.items()})
+    return seen_well({t: frame.visible_share for t, frame in own.items()})
 
 
 def seen_well(shares: Mapping[int, NDArray[np.float64]]) -> list[int]:
@@ -182,13 +182,12 @@ def fitted_again(
             members, estimates, seen = step_together(members, frame_at(t))
             for k, (estimate, own) in enumerate(zip(estimates, seen, strict=True)):
                 if not estimate.lost and np.isfinite(estimate.cost):
-                    ways[-1][k][t] = estimate, visible_share(own)
+                    ways[-1][k][t] = estimate, own.visible_share
     found = [_put_right(there, back, numbers) for there, back in zip(*ways, strict=True)]
 
     def own_at(who: int, t: int) -> Frame:
         frame = frame_at(t)
-        assert frame.silhouettes is not None
-        rig = frame.silhouettes.rig
+        rig = frame.the(Silhouettes).rig
         shapes = {k: shape_of(p.subject.body, found[k][t][0].pose, rig) for k, p in enumerate(people) if t in found[k]}
         return own_frame(frame, shapes[who], [Other(s, SOLVED_WIDENING) for k, s in shapes.items() if k != who])
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from hypose.body.body import Body
 from hypose.body.motion import Modes, Motion
+from hypose.calibration.findings import Finding
 from hypose.errors import InputError
 from hypose.evidence.cues import OwnEvidence
 from hypose.geometry import Array
@@ -40,16 +41,14 @@ class TrackResult:
     modes: Modes | None = None
     one_by_one: Array | None = None
     audit: NDArray[np.float32] | None = None
-    faults: tuple[str, ...] = ()
-    looks: tuple[str, ...] = ()
-    remarks: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
     places: tuple[Places, ...] = ()
     unsure: Array | None = None
 
     @property
     def assessment(self) -> Assessment:
         """Whether the motion is to be trusted, in words."""
-        return replace(assess(self.motion, self.faults, self.looks), remarks=self.remarks)
+        return assess(self.motion, self.findings)
 
     @staticmethod
     def of(clip: ClipState) -> TrackResult:
@@ -63,9 +62,7 @@ class TrackResult:
             clip.modes,
             clip.one_by_one,
             clip.audit,
-            clip.faults,
-            clip.looks,
-            clip.remarks,
+            clip.findings,
             clip.places,
             clip.who.unsure,
         )
@@ -121,5 +118,5 @@ def run_passes(clip: ClipState, passes: Sequence[Pass]) -> TrackResult:
         if clip.tracked is None:
             raise
         tracked = replace(clip.tracked, complete=False)
-        clip = keep_motion(to_motion(replace(clip, tracked=tracked, faults=(), looks=())))
+        clip = keep_motion(to_motion(replace(clip, tracked=tracked, findings=())))
     return TrackResult.of(clip)

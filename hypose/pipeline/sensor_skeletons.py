@@ -19,6 +19,7 @@ from hypose.body.body import Body
 from hypose.body.default_body import human
 from hypose.body.motion import Motion
 from hypose.calibration.diagnose_person import UNIT_ERRORS
+from hypose.calibration.findings import INVALID, REVIEW, Finding
 from hypose.errors import InputError
 from hypose.evidence.frame import TRACKED, Frame, SensorJoints
 from hypose.evidence.terms import PointTerm
@@ -233,9 +234,8 @@ def assess_fused(
     motion: Motion, clip: Sequence[SensorJoints], registration: Registration, names: Sequence[str]
 ) -> Assessment:
     """Of one person's fused motion; clip: what the sensors, with these names, reported of them at its times."""
-    because, looks = list(_of_size(motion)), list[str]()
-    late = list(_of_clocks(motion.times, clip, registration.reference, names))
-    because += late
+    late = [Finding("clock", (), t) for t in _of_clocks(motion.times, clip, registration.reference, names)]
+    found = [*(Finding("unit", (), text) for text in _of_size(motion)), *late]
     for name, apart in zip(names, registration.residual.tolist(), strict=True):
         if apart > SETTINGS.sensor_apart_look_m and not late:
             text = (
@@ -243,16 +243,18 @@ def assess_fused(
                 "than two sensors of one person do: look whether both are in metres, name left and right alike, are "
                 "not mirrored, and saw the same movement"
             )
-            (because if apart > SETTINGS.sensor_apart_m else looks).append(text)
+            severity = INVALID if apart > SETTINGS.sensor_apart_m else REVIEW
+            found.append(Finding("sensors disagree", (name,), text, size=apart, severity=severity))
     # a sensor reports whom it sees: who is away is not there to be found
     if (away := float(motion.lost.mean())) > SETTINGS.verdict_lost_share:
-        looks.append(f"no sensor saw the person in {100 * away:.0f} % of the frames")
+        text = f"no sensor saw the person in {100 * away:.0f} % of the frames"
+        found.append(Finding("away", (), text, size=away, severity=REVIEW))
     there = (
         motion
         if motion.low_confidence is None
         else replace(motion, low_confidence=motion.low_confidence & ~motion.lost)
     )
-    return assess(there, because, looks, _CURE, 1.0)
+    return assess(there, found, _CURE, 1.0)
 
 
 def _of_size(motion: Motion) -> Iterator[str]:

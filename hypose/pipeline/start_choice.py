@@ -15,7 +15,7 @@ import numpy as np
 
 from hypose.body.body import Body
 from hypose.errors import EvidenceError
-from hypose.evidence.frame import Frame, Silhouettes
+from hypose.evidence.frame import Frame, Silhouettes, pieces_of
 from hypose.evidence.prefetch import make_now
 from hypose.geometry import Array
 from hypose.inference.layer import Recovery
@@ -39,7 +39,7 @@ _UNITS = {"cm": 0.01, "mm": 0.001, "m": 1.0}
 def no_two_views(frame: Frame) -> str:
     """Why a body cannot be measured in a frame with fewer than two usable views, or none of depth cameras, and what to
     do."""
-    why = [] if frame.silhouettes is None else [r for r in frame.silhouettes.reasons if r]
+    why = [r for masks in frame.of(Silhouettes) for r in masks.reasons if r]
     first = f" ({why[0].rstrip('.')})" if why else ""
     if frame.depth is not None:
         return (
@@ -54,8 +54,9 @@ def no_two_views(frame: Frame) -> str:
 
 def check_person_size(frame: Frame) -> None:
     """An EvidenceError when the person of a frame is a giant or a dwarf, with the calibration's likely unit."""
-    height = apparent_height(frame.silhouettes) if frame.silhouettes is not None else None
-    if height is None or SETTINGS.check_smallest <= height <= SETTINGS.check_tallest:
+    heights = [tall for masks in frame.of(Silhouettes) if (tall := apparent_height(masks)) is not None]
+    height = heights[0] if heights else SETTINGS.check_smallest
+    if SETTINGS.check_smallest <= height <= SETTINGS.check_tallest:
         return
     fitting = [u for u, k in _UNITS.items() if 1.0 <= height * k <= 2.4]
     advice = (
@@ -106,11 +107,9 @@ def check_borders(frames: Sequence[Frame], height: float | None) -> tuple[str, .
     """Notes on views that cut the person off; an EvidenceError when no view ever shows the whole person and the height
     is unknown."""
     seen: dict[str, list[tuple[str, ...]]] = {}
-    for frame in frames:
-        if frame.silhouettes is None:
-            continue
-        for c in np.flatnonzero(frame.silhouettes.usable):
-            seen.setdefault(frame.silhouettes.rig.names[int(c)], []).append(cut_edges(frame.silhouettes, int(c)))
+    for masks in pieces_of(frames, Silhouettes):
+        for c in np.flatnonzero(masks.usable):
+            seen.setdefault(masks.rig.names[int(c)], []).append(cut_edges(masks, int(c)))
     notes, whole = [], 0
     for name, edges in seen.items():
         cut = [e for e in edges if e]
@@ -283,9 +282,8 @@ def _likely(found: Sequence[tuple[int, Starts]]) -> list[tuple[int, Start]]:
 
 def _by_all_frames(frames: Sequence[Frame], rate: float, tried: Sequence[tuple[int, Start]], seed: int) -> BestWays:
     """The starts by how well they explain all frames."""
-    for frame in frames:
-        if frame.silhouettes is not None:
-            make_now(frame.silhouettes)
+    for masks in pieces_of(frames, Silhouettes):
+        make_now(masks)
     ways: list[StartTrial] = []
     for k, start in tried:
         way = way_of(start, k, frames, rate, seed, min(ways, key=lambda w: w.cost, default=None))

@@ -19,7 +19,7 @@ from hypose.body.body import Body
 from hypose.body.default_body import human
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.cues import surface_evidence
-from hypose.evidence.frame import Frame
+from hypose.evidence.frame import Frame, Silhouettes, pieces_of
 from hypose.fitting.articulated import SolveSettings
 from hypose.geometry import Array
 from hypose.io.files import write_text
@@ -126,9 +126,7 @@ def estimate_subject(
     for i in indices:
         frames.append(frame_at(i))
         tick()
-    usable = [
-        f.silhouettes is not None and int(f.silhouettes.usable.sum()) >= (2 if f.depth is None else 1) for f in frames
-    ]
+    usable = [any(int(masks.usable.sum()) >= f.fewest_views for masks in f.of(Silhouettes)) for f in frames]
     seen = [f for f, ok in zip(frames, usable, strict=True) if ok]
     numbers = [i for i, ok in zip(indices, usable, strict=True) if ok]
     if not usable or not usable[0]:
@@ -245,7 +243,7 @@ def with_outlines(fitted: KeypointSubject, frames: Sequence[Frame]) -> tuple[Bod
     looked_at = solved[
         np.unique(np.linspace(0, len(solved) - 1, min(SETTINGS.subject_looked_at, len(solved))).astype(int))
     ]
-    shown = [n for n in looked_at.tolist() if frames[n].silhouettes is not None]
+    shown = [n for n in looked_at.tolist() for _ in frames[n].of(Silhouettes)]
     views = {n: prepare(frames[n], fitted.body, fitted.poses[n]) for n in shown}
     found = {n: mean_overlap(fitted.body, fitted.poses[n], views[n]) for n in shown}
     usable = [n for n in shown if found[n] > SETTINGS.subject_the_person]
@@ -326,7 +324,7 @@ def measured_height(frame_at: _FrameAt, body: Body, poses: Array, iou: Array) ->
         return None
     chosen = known[different_poses(body, poses[known], iou[known], AnthropometryOptions().frames)]
     seen = [frame_at(int(k)) for k in chosen]
-    if any(f.silhouettes is None for f in seen):
+    if len(pieces_of(seen, Silhouettes)) < len(seen):
         return None
     at, template, start = list(range(len(seen))), human(), prior_mean()
     start[0] = np.log(body.stature / template.stature)

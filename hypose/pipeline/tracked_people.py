@@ -24,7 +24,7 @@ from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.track_loop import FrameSource
 from hypose.tracking.appearance import AppearanceModel
 from hypose.tracking.contacts import runs
-from hypose.tracking.several import Member, no_person_in, shape_of
+from hypose.tracking.several import Member, shape_of
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState, estimates_from_arrays, estimates_to_arrays
 
 
@@ -65,7 +65,7 @@ class TrackedPerson:
     @property
     def assessment(self) -> Assessment:
         """Of the frames in which the person is there; frames are counted as in the recording."""
-        found = assess(while_present(self.result.motion, self.present), self.result.faults, self.result.looks)
+        found = assess(while_present(self.result.motion, self.present), self.result.findings)
         at = np.flatnonzero(self.present)
         if self.present.all() or not len(at):
             return found
@@ -284,7 +284,7 @@ class OwnFrames:
         if s is None:
             return frame
         if not self._who.present[index]:
-            return no_person_in(frame)
+            return frame.unseen()
         own = shape_of(self._who.subject.body, self._who.estimates[index].pose, s.rig)
         others = [
             Other(shape_of(p.subject.body, p.estimates[index].pose, s.rig), SOLVED_WIDENING)

@@ -212,6 +212,8 @@ def disturb_rig(rig: CameraRig, relative: float, rng: np.random.Generator) -> Ca
 def dropped_frames(n_frames: int, share: float, rng: np.random.Generator) -> NDArray[np.bool_]:
     """Draw the frames that a camera does not deliver: single frames and short runs, never the first frame.
 
+    n_frames: number T of frames.
+    share: share of the frames that is missing.
     Returns: (T,) True where there is no image.
     """
     out = np.zeros(n_frames, dtype=bool)

@@ -91,7 +91,7 @@ def turning(performance: Performance, subject: SyntheticSubject, heading: Array)
 
 
 def to_profile(frames: int, seed: int) -> Array:
-    """Make a heading (T,) rad: facing the first sensor, one profile, back, the other profile, and back.
+    """Make a heading (T,) rad over T = frames: facing the first sensor, one profile, back, the other profile, and back.
 
     seed: decides which profile is first.
     """
@@ -185,7 +185,10 @@ def depth_scene(
 ) -> DepthScene:
     """Make the scene of a subject's performance in front of depth sensors.
 
+    performance, subject: motion, and body of the person.
     sensors: name of a rig (`depth_rig`), or a rig.
+    seed: of everything random.
+    faults: of the sensors; None: the defaults.
     """
     rig = depth_rig(sensors) if isinstance(sensors, str) else sensors
     what = sensors if isinstance(sensors, str) else f"{len(rig)} sensors"

@@ -276,7 +276,7 @@ class Puppet:
         return self.carried(f"{side}_{FINGERS[finger]}_3", self.person.ends[SIDES.index(side), finger])
 
     def reach(self, side: str, goal: ArmGoal) -> None:
-        """Move a wrist to its goal as far as the arm reaches, and shape the hand.
+        """Move the wrist of a side ("left", "right") to its goal as far as the arm reaches, and shape the hand.
 
         The arm is solved by two-bone inverse kinematics; the twist between elbow and hand is spread over the forearm
         (15 and 55 %).
@@ -309,7 +309,7 @@ class Puppet:
         self.shape_hand(side, goal.hand, r_hand)
 
     def shape_hand(self, side: str, shape: HandShape, r_hand: Array) -> None:
-        """Bend the fingers of a hand whose rotation in the world is r_hand."""
+        """Bend the fingers of one hand to a shape; r_hand (3, 3) is the rotation of the hand in the world."""
         along, palm, _ = self.person.hand_axes(side)
         axis = np.cross(along, palm)
         for k, finger in enumerate(FINGERS[1:]):

@@ -92,14 +92,15 @@ class Doer:
         self.middle = 0.5 * (self.lead_shoulder + self.other_shoulder)
 
     def way(self, x: float, y: float, z: float, noise: float = 0.0) -> Array:
-        """Return a direction or offset in the world, given in the chest's frame, mirrored for left-handed people.
+        """Return the direction or offset (x, y, z), given in the chest's frame and mirrored for left-handed people, in
+        the world.
 
         noise: sd of the random variation.
         """
         return self.chest @ (np.array([x, y, z]) * self.mirror) + self.rng.normal(0, noise, 3) * self.amount
 
     def elbow(self, x: float, y: float, z: float) -> Array:
-        """Return the direction of the elbow, mirrored for left-handed people."""
+        """Return the direction (x, y, z) of the elbow, mirrored for left-handed people."""
         return np.array([x, y, z]) * self.mirror
 
     def middle_finger(self, side: str) -> Array:
@@ -239,7 +240,12 @@ _GESTURES = {
 
 
 def annotated(puppet: Puppet, name: str, leading: str) -> Array:
-    """Return the point (3,) m on the surface at which a gesture is annotated, of a person who is posed in it."""
+    """Return the point (3,) m on the surface at which a gesture is annotated.
+
+    puppet: person who is posed in the gesture.
+    name: one of GESTURES.
+    leading: side of the leading hand.
+    """
     lead, other = leading, "left" if leading == "right" else "right"
     chest = puppet.rotation("chest")
     if name == "tee":  # where the fingers of the upright hand meet the flat one
@@ -261,7 +267,8 @@ def annotated(puppet: Puppet, name: str, leading: str) -> Array:
 
 
 def movement(puppet: Puppet, rng: np.random.Generator) -> Keyframe:
-    """Make a random pose that is none of the gestures: arms hanging or anywhere in front, hands of any shape but "ok".
+    """Make a random pose of a person that is none of the gestures: arms hanging or anywhere in front, hands of any
+    shape but "ok".
 
     A quarter of the raised hands are near misses (a fist, a pointing finger, ... held up to the camera).
     """

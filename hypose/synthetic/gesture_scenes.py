@@ -106,7 +106,11 @@ def make_view(rng: np.random.Generator, distance: float) -> _View:
 
 
 def backdrop(room: GestureRoom, view: _View, lens: DepthLens = KINECT) -> NDArray[np.float32]:
-    """Render the inverse depth (480, 640) 1/m of a room without people; once is enough for a fixed camera."""
+    """Render the inverse depth (480, 640) 1/m of a room without people.
+
+    room: mesh of the room.
+    view, lens: the camera; one backdrop is enough while it stands still.
+    """
     inverse = np.zeros((PICTURE_SIZE[1], PICTURE_SIZE[0]), np.float32)
     depth_sensor.draw(view.points(room.vertices), room.faces, (lens.fx, lens.fy, lens.cx, lens.cy), inverse)
     return inverse
@@ -158,7 +162,7 @@ class Setting:
 
     @staticmethod
     def new(room: GestureRoom, view: _View) -> Setting:
-        """Make a setting and render its backdrop."""
+        """Make the setting of a room and a camera, with its backdrop rendered."""
         return Setting(room, view, backdrop(room, view))
 
 

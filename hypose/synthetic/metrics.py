@@ -32,8 +32,8 @@ EVALUATED: NDArray[np.int64] = np.array([JOINT_NAMES.index(n) for n in EVALUATED
 """Indices of the evaluated joints among the 19 joints."""
 LOST_M = 0.120
 """m; a frame whose mean error is larger counts as lost."""
-# The segment whose frame carries a joint's offset: the one that ends in the joint (an elbow's place is a
-# matter of the upper arm), the joint's own for the root. The head joint is carried by the head.
+# The segment whose frame carries a joint's offset: the one that ends in the joint (an elbow is fixed to
+# the upper arm), the joint's own for the root. The head joint is carried by the head.
 _CARRIER = np.array([j if JOINT_NAMES[j] in ("pelvis", "head") else int(PARENTS[j]) for j in range(len(JOINT_NAMES))])
 
 

@@ -1,9 +1,7 @@
 """Built-in motions: walk, jog, box, wave, cross_arms, punch, sit_down, serve, combo; no external data is needed.
 
 Walking and running follow published joint-angle curves (Winter 2009, normal gait, rounded; a slow run likewise); the
-others are key poses joined smoothly. All take the same arguments: subject; duration, s; frame_rate, Hz; rng for random
-variation of size, speed, posture and timing (None: no variation); amplitude, factor of the size of the movement; speed,
-factor of its speed. Angles are anatomical, see performance.CHANNELS.
+others are key poses joined smoothly. Angles are anatomical, see performance.CHANNELS.
 """
 
 from __future__ import annotations
@@ -111,6 +109,8 @@ def box(
 ) -> Performance:
     """Simulate shadow boxing from a guard, left foot forward: jabs and crosses about every 0.8 s, bobbing on planted
     feet.
+
+    Arguments as in `act`.
     """
     take, t = Take(rng), sample_times(duration, frame_rate)
     guard = _pose(_GUARD)
@@ -141,7 +141,10 @@ def punch(
     amplitude: float = 1.0,
     speed: float = 1.0,
 ) -> Performance:
-    """Simulate strong straight punches of the right hand from a relaxed stance, with wind-up, every 1.6 s."""
+    """Simulate strong straight punches of the right hand from a relaxed stance, with wind-up, every 1.6 s.
+
+    Arguments as in `act`.
+    """
     take, t = Take(rng), sample_times(duration, frame_rate)
     rest = _pose(_RELAXED, {"up": -0.02})
     wind = {
@@ -170,7 +173,10 @@ def wave(
     amplitude: float = 1.0,
     speed: float = 1.0,
 ) -> Performance:
-    """Simulate waving: raise the right arm, wave the forearm from side to side, lower it; again after a pause."""
+    """Simulate waving: raise the right arm, wave the forearm from side to side, lower it; again after a pause.
+
+    Arguments as in `act`.
+    """
     take, t = Take(rng), sample_times(duration, frame_rate)
     rest = _pose(_RELAXED)
     up = {"right_shoulder_flexion": 30, "right_shoulder_abduction": 92, "right_shoulder_internal": -78}
@@ -200,7 +206,10 @@ def cross_arms(
     amplitude: float = 1.0,
     speed: float = 1.0,
 ) -> Performance:
-    """Simulate folding the arms in front of the chest, holding, and letting them hang again (an IXMAS action)."""
+    """Simulate folding the arms in front of the chest, holding, and letting them hang again (an IXMAS action).
+
+    Arguments as in `act`.
+    """
     take, t = Take(rng), sample_times(duration, frame_rate)
     rest = _pose(_RELAXED)
     folded = {
@@ -227,7 +236,10 @@ def sit_down(
     amplitude: float = 1.0,
     speed: float = 1.0,
 ) -> Performance:
-    """Simulate sitting down on an invisible chair 45 cm high, and standing up again; the trunk leads the movement."""
+    """Simulate sitting down on an invisible chair 45 cm high, and standing up again; the trunk leads the movement.
+
+    Arguments as in `act`.
+    """
     take, t = Take(rng), sample_times(duration, frame_rate)
     rest = _pose(_RELAXED, {"forward": 0.02})
     half = {"up": -0.24, "forward": -0.24, "pelvis_lean": 24, "spine_lean": 22, "neck_lean": -18}
@@ -255,6 +267,8 @@ def serve(
 ) -> Performance:
     """Simulate a right-handed tennis serve without racket: toss, trophy pose with bent knees, strike, follow-through;
     every 3.2 s.
+
+    Arguments as in `act`.
     """
     take, t = Take(rng), sample_times(duration, frame_rate)
     ready = _pose(_RELAXED, {"both_shoulder_flexion": 32, "both_elbow_flexion": 55, "both_shoulder_internal": 35})
@@ -340,7 +354,10 @@ def combo(
     amplitude: float = 1.0,
     speed: float = 1.0,
 ) -> Performance:
-    """Simulate walk, jog, box and wave one after the other (HumanEva's combo also starts with walking and jogging)."""
+    """Simulate walk, jog, box and wave one after the other (HumanEva's combo also starts with walking and jogging).
+
+    Arguments as in `act`.
+    """
     parts = [(walk, 0.34), (jog, 0.24), (box, 0.22), (wave, 0.20)]
     blend, n = 0.5, round(duration * frame_rate)
     extra = blend * (len(parts) - 1) / len(parts)
@@ -362,8 +379,9 @@ def act(
     """Make a built-in motion by name.
 
     name: one of MOTIONS.
+    subject: the person.
     duration, frame_rate: s and Hz.
-    rng: for random variation; None: none.
+    rng: for random variation of size, speed, posture and timing; None: none.
     amplitude, speed: factors of the size and speed of the movement.
     Returns: the performance, about the origin.
     Raises: InputError with the list of motions for an unknown name.
@@ -402,7 +420,11 @@ class Take:
         return 0.0 if self.rng is None else float(np.clip(self.rng.normal(0, size), -2 * size, 2 * size))
 
     def drift(self, t: Array, size: float, period: float = 2.5) -> Array:
-        """Draw a smooth random curve over times t of the given sd, because people are never exactly periodic."""
+        """Draw a smooth random curve over times t (T,) s, because people are never exactly periodic.
+
+        size: sd of the curve.
+        period: mean period of its waves, s.
+        """
         if self.rng is None:
             return np.zeros_like(t)
         n = 4
@@ -493,7 +515,9 @@ def walk(
     speed: float = 1.0,
     radius: float = 0.8,
 ) -> Performance:
-    """Simulate walking on a circle of `radius` m to the left (infinite: straight on), about 1.2 m/s."""
+    """Simulate walking on a circle of `radius` m to the left (infinite: straight on), about 1.2 m/s; other arguments as
+    in `act`.
+    """
     return _around(
         perform(_gait("walk", sample_times(duration, frame_rate), rng, amplitude, speed, radius, False), subject)
     )
@@ -508,7 +532,9 @@ def jog(
     speed: float = 1.0,
     radius: float = 0.9,
 ) -> Performance:
-    """Simulate slow running on a circle of `radius` m to the left (infinite: straight on), with short flights."""
+    """Simulate slow running with short flights on a circle of `radius` m to the left (infinite: straight on); other
+    arguments as in `act`.
+    """
     return _around(
         perform(_gait("jog", sample_times(duration, frame_rate), rng, amplitude, speed, radius, True), subject)
     )

@@ -174,7 +174,8 @@ def hanging_from_rest(subject: SyntheticSubject) -> Array:
 
 
 def joint_rotations(angles: Angles) -> Array:
-    """Compute the rotations (T, 19, 3, 3) of each joint in its parent's frame, relative to the hanging pose.
+    """Compute the rotations (T, 19, 3, 3) of each joint in its parent's frame, relative to the hanging pose, from joint
+    angles.
 
     x = left, y = backward, z = up: a lean forwards is a positive turn about x, flexion of hip, shoulder and elbow a
     negative one, and left and right mirror the turns about y and z.
@@ -383,7 +384,10 @@ def heading(rotation: Array) -> float:
 def chain(name: str, parts: list[Performance], subject: SyntheticSubject, blend: float = 0.5) -> Performance:
     """Join performances one after the other, cross-faded over `blend` seconds.
 
-    Each starts where the one before ends, facing the same way; the ground contact is restored in the blends.
+    name: of the result.
+    parts: the performances, of one subject.
+    Returns: one performance. Each part starts where the one before ends, facing the same way; the ground contact is
+        restored in the blends.
     """
     out = parts[0]
     rate = out.frame_rate

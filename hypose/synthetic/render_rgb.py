@@ -242,6 +242,8 @@ def render_person(
 
     picture: (h, w, 3) float32 BGR.
     backdrop: the empty room, whose occluders hide the subject.
+    camera: with lens distortion.
+    subject, outfit: the person, and the colours of the clothes.
     vertices: (V, 3) m, world.
     samples: samples per pixel and axis.
     """
@@ -304,8 +306,10 @@ def cast_shadow(
 
 
 def shadow_mask(camera: Camera, faces: NDArray[np.int32], vertices: Array) -> NDArray[np.uint8]:
-    """Compute the mask (h, w) 0/1 of the floor that a body (V, 3) m hides from the main light, as the camera sees it
-    without the body.
+    """Compute the mask (h, w) 0/1 of the floor that a body hides from the main light, as the camera sees it without the
+    body.
+
+    faces, vertices: (F, 3) and (V, 3) m, world.
     """
     ground = vertices - LIGHT * (vertices[:, 2:] / LIGHT[2])
     ground[:, 2] = 0.0
@@ -329,7 +333,9 @@ def develop(picture: Floats, gain: Array, noise: NDArray[np.int16], rng: np.rand
 
 
 def noise_bank(size: tuple[int, int], sd: float, rng: np.random.Generator) -> NDArray[np.int16]:
-    """Draw the bank (h + 64, w + 64, 3) of Gaussian noise for `develop`, in whole grey levels."""
+    """Draw the bank (h + 64, w + 64, 3) of Gaussian noise of a standard deviation, for `develop`, in
+    whole grey levels.
+    """
     w, h = size
     return np.round(rng.normal(0, sd, (h + 64, w + 64, 3))).astype(np.int16)
 

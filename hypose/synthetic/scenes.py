@@ -63,7 +63,13 @@ def look_at(
     size: tuple[int, int],
     distortion: Array | None = None,
 ) -> Camera:
-    """Make an upright camera at `position` (3,) m that looks at `target` (3,) m."""
+    """Make an upright camera at `position` (3,) m that looks at `target` (3,) m.
+
+    name: of the camera.
+    focal_px: focal length, px.
+    size: (width, height), px.
+    distortion: (5,) of the lens, or None.
+    """
     c, t = np.asarray(position, dtype=np.float64), np.asarray(target, dtype=np.float64)
     forward = (t - c) / np.linalg.norm(t - c)
     up = np.array([0.0, 0.0, 1.0]) if abs(forward[2]) < 0.999 else np.array([0.0, 1.0, 0.0])
@@ -83,7 +89,11 @@ def circle(
     target: ArrayLike = (0.0, 0.0, 0.95),
     distortion: Array | None = None,
 ) -> list[Camera]:
-    """Make cameras cam1, cam2, ... on a circle of `radius` m about the z axis that look at `target`."""
+    """Make cameras cam1, cam2, ... on a circle of `radius` m about the z axis that look at `target` (3,) m.
+
+    azimuths_deg, heights: degrees and m, of each camera.
+    focal_px, size, distortion: as in `look_at`.
+    """
     return [
         look_at(
             f"cam{k + 1}",

@@ -110,9 +110,9 @@ def load_subjects() -> dict[str, SyntheticSubject]:
     except FileNotFoundError:
         raise InputError(
             "The synthetic subjects (hypose/assets/subjects.npz) are missing from this installation; "
-            "install hypose again, or use a procedural subject."
+            "install hypose again."
         ) from None
-    vertices = np.cumsum(data["vertices_step"], axis=0) * float(data["vertex_scale"])  # kept as what people differ by
+    vertices = np.cumsum(data["vertices_step"], axis=0) * float(data["vertex_scale"])  # stored as differences
     out = {}
     for k, name in enumerate(data["names"].tolist()):
         joints = data["joints"][k].astype(np.float64)

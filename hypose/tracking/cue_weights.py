@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.body import Body
-from hypose.evidence.frame import Frame, Keypoints
+from hypose.evidence.frame import Frame, Keypoints, Silhouettes, pieces_of
 from hypose.evidence.keypoints import lasting_m
 from hypose.fitting import SolveSettings
 from hypose.geometry import Array
@@ -54,7 +54,7 @@ def weigh_against_masks(body: Body, model: KeypointModel, frames: Sequence[Frame
     takes up a part of it; away (C,): about the body that is solved for by the outlines. The excess in most
     views, and no lasting error of the points, is the outlines' fault, a clear excess in others is that of
     the points there."""
-    both = [f for f in frames if f.keypoints is not None and f.silhouettes is not None]
+    both = [f for f in frames for _ in f.of(Keypoints) for _ in f.of(Silhouettes)]
     count = min(_FRAMES * _times(model, both), len(both))
     both = [both[int(n)] for n in np.unique(np.linspace(0, len(both) - 1, count).astype(int))]
     seen, by_points, by_masks = _solved_either_way(body, model, both)
@@ -96,7 +96,7 @@ def start_with_masks(body: Body, model: KeypointModel, frame: Frame, start: Arra
 
 def _times(model: KeypointModel, frames: Sequence[Frame]) -> int:
     """How many times as many frames are compared for so few points."""
-    seen = [np.nan_to_num(f.keypoints.points[:, model.known, 2]) > MIN_CONFIDENCE for f in frames if f.keypoints]
+    seen = [np.nan_to_num(k.points[:, model.known, 2]) > MIN_CONFIDENCE for k in pieces_of(frames, Keypoints)]
     share = float(np.mean([s.mean() for s in seen])) if seen else 1.0
     return int(np.clip(np.ceil(_SPARSE / max(share, 1e-3)), 1, _MOST_TIMES))
 
@@ -105,7 +105,7 @@ def _solved_either_way(
     body: Body, model: KeypointModel, frames: Sequence[Frame]
 ) -> tuple[list[Keypoints], Array, Array]:
     """The key points of those of the frames in which both tell the pose; poses (T, D) by points, and by outlines."""
-    seen = [f.keypoints for f in frames if f.keypoints is not None]
+    seen = pieces_of(frames, Keypoints)
     starts = triangulated_starts(body, model, seen) if seen else np.zeros((0, body.skeleton.dof))
     kept, by_points, outlines = list[Keypoints](), list[Array](), list[PreparedFrame]()
     for frame, points, start in zip(frames, seen, starts, strict=True):

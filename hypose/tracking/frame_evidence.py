@@ -137,6 +137,7 @@ def prepare(
         found += keypoint_evidence(term, with_masks(term, model) if masks and term is not None else term)
     if masks:
         found += depth_evidence(frame.depth)
+    found += [piece.prepared(body) for piece in frame.more]
     found += own_evidence(own, body, frame)
     return PreparedFrame(frame, body, prediction, tuple(found), prediction_weight, usual_iou, done)
 

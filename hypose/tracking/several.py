@@ -11,12 +11,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hypose.body.body import Body
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.depth_people import own_frame
-from hypose.evidence.frame import Frame, Keypoints
+from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.evidence.prefetch import pack_once
 from hypose.evidence.shared_masks import PREDICTED_WIDENING, SOLVED_WIDENING, BodyShape, Other
 from hypose.geometry import Array
@@ -64,16 +63,15 @@ def step_together(
     count, after = len(members), list(members)
     estimates: list[FrameEstimate | None] = [None] * count
     seen = [frame] * count
-    rig = frame.silhouettes.rig if frame.silhouettes is not None else None
     expected = [m.tracker.predicted(m.state) if m.present else m.state.pose for m in members]
-    shapes = None if rig is None else [m.shape(rig, q) for m, q in zip(members, expected, strict=True)]
+    rigs = [s.rig for s in frame.of(Silhouettes)]
+    shapes = [m.shape(rig, q) for rig in rigs for m, q in zip(members, expected, strict=True)]
     done = np.zeros(count, dtype=np.bool_)
     for i in ((frame.index + k) % max(count, 1) for k in range(count)):
         m = after[i]
         own = replace(frame, keypoints=None if keypoints is None else keypoints[i])
-        if not m.present:
-            own = no_person_in(own)
-        elif shapes is not None and frame.silhouettes is not None:
+        own = own if m.present else own.unseen()
+        for _ in rigs if m.present else ():
             nearby = [
                 Other(shapes[j], SOLVED_WIDENING if done[j] else PREDICTED_WIDENING)
                 for j in range(count)
@@ -81,41 +79,9 @@ def step_together(
             ]
             lost = m.state.lost or m.state.blind > BLIND
             own = own_frame(own, shapes[i], [*others, *nearby], anywhere=lost)
-            assert own.silhouettes is not None
-            pack_once(own.silhouettes)  # the tracker wants them, and the code that judges the result
+            pack_once(own.the(Silhouettes))  # the tracker wants them, and the code that judges the result
         state, estimate = m.tracker.step(m.state, own)
         after[i], estimates[i], seen[i], done[i] = replace(m, state=state), estimate, own, True
-        if shapes is not None and rig is not None and not done.all():
+        for rig in () if done.all() else rigs:
             shapes[i] = m.shape(rig, estimate.pose)
     return after, [e for e in estimates if e is not None], seen
-
-
-def no_person_in(frame: Frame) -> Frame:
-    """The frame without any evidence."""
-    s = frame.silhouettes
-    if s is not None:
-        none = tuple(r or f"{n}: nobody is expected" for n, r in zip(s.rig.names, s.reasons, strict=True))
-        s = replace(s, usable=np.zeros_like(s.usable), reasons=none, ignored=None, expected=None)
-    k = frame.keypoints
-    if k is not None:
-        k = replace(k, points=np.zeros_like(k.points))
-    d = frame.depth
-    if d is not None:
-        d = replace(d, usable=np.zeros_like(d.usable))
-    return replace(frame, silhouettes=s, keypoints=k, depth=d)
-
-
-def visible_share(frame: Frame) -> NDArray[np.float64]:
-    """(C,) how much of a person each view shows that others do not hide, of the frame as the person's tracker saw it; 0
-    where the view is not usable."""
-    s = frame.silhouettes
-    if s is None:
-        return np.zeros(0)
-    out = np.ones(len(s.rig))
-    if s.ignored is not None and s.expected is not None:
-        for c in np.flatnonzero(s.shared):
-            y0, y1, x0, x1 = s.expected.boxes[c]
-            own = s.masks[c, y0:y1, x0:x1]
-            open_ = own & (1 - s.ignored[c, y0:y1, x0:x1])
-            out[c] = min(1.0, np.count_nonzero(open_) / max(int(s.expected.areas[c]), 1))
-    return np.where(s.usable, out, 0.0)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import hypose as package
+from hypose.calibration.findings import Finding
 from hypose.cameras.camera import CameraRig
 from hypose.pipeline.assessment import UNTRUSTED, Assessment
 
@@ -36,7 +37,7 @@ def test_a_world_upside_down_ends_as_not_to_be_trusted(hypose, keypoint_recordin
 def test_who_goes_on_with_a_result_is_told_when_it_is_not_to_be_trusted(hypose, tracked, tmp_path):
     for name in ("motion.npz", "body.npz"):
         (tmp_path / name).write_bytes((tracked / name).read_bytes())
-    doubted = Assessment(UNTRUSTED, ("the cameras are exchanged",))
+    doubted = Assessment(UNTRUSTED, (Finding("swapped", (), "the cameras are exchanged"),))
     for kept, reported in (
         ("{", False),
         (json.dumps(Assessment("good").document()), False),

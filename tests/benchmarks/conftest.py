@@ -1,6 +1,6 @@
 import pytest
 
-from benchmarks.__main__ import bench as declared_bench
+from benchmarks.__main__ import bench as measure
 from hypose.app.cli import make_command, run_cli
 
 
@@ -10,7 +10,7 @@ def bench(capsys):
 
     def run(*arguments):
         with pytest.raises(SystemExit) as stopped:
-            run_cli([str(a) for a in arguments], make_command("benchmarks", declared_bench), "benchmarks")
+            run_cli([str(a) for a in arguments], make_command("benchmarks", measure), "benchmarks")
         printed = capsys.readouterr()
         return stopped.value.code or 0, printed.out, printed.err
 

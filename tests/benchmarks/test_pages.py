@@ -27,7 +27,7 @@ def test_the_accuracy_page_takes_its_numbers_from_kept_documents(tmp_path, monke
     kept = {"a": {"results": [{"metric": "error_mm", "case": "all", "value": 0.1234}]}}
     monkeypatch.setattr(pages, "TEMPLATE", tmp_path / "accuracy.md")
     pages.TEMPLATE.write_text("{a | error_mm | all} m, {a | error_mm | all | *100} cm")
-    assert pages.accuracy_page(kept) == "0.123 m, 12.3 cm"
+    assert pages.accuracy_page(kept) == "0.12 m, 12.3 cm"
     pages.TEMPLATE.write_text("{a | error_mm | one}")
     with pytest.raises(InputError, match="error_mm"):
         pages.accuracy_page(kept)

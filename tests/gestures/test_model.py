@@ -119,7 +119,7 @@ def test_settings_that_would_hang_or_crash_are_refused(taught, place, name, valu
 
 
 def test_names_that_could_be_paths_are_refused(taught):
-    with pytest.raises(InputError, match="no name"):
+    with pytest.raises(InputError, match="not a valid name"):
         GestureModel(("../x",), taught.forest, (None,), LocaliseSettings())
 
 

@@ -67,7 +67,7 @@ def test_a_file_of_rotations_alone_says_what_to_export(tmp_path):
     file.add_parameter("ROTATION", "LABELS", ["thigh"])
     file["data"]["rotations"] = np.tile(np.eye(4)[:, :, None, None], (1, 1, 1, 5))
     file.write(str(tmp_path / "theia.c3d"))
-    with pytest.raises(InputError, match="turns and places of segments, as Theia3D writes them, and no points"):
+    with pytest.raises(InputError, match="rotations and positions of segments, as Theia3D writes them, and no points"):
         read_c3d(tmp_path / "theia.c3d")
 
 

@@ -15,7 +15,7 @@ from hypose.pipeline.tracked_people import Followed
 from hypose.synthetic.scenes import camera_rig as named_rig
 from hypose.tracking.appearance import Appearance, AppearanceModel, appearance_in, no_appearance
 from hypose.tracking.recipes import recipe
-from hypose.tracking.several import Member, no_person_in, shape_of
+from hypose.tracking.several import Member, shape_of
 from hypose.tracking.starts import known_pose
 from hypose.tracking.tracker import Tracker, TrackerSettings
 
@@ -49,7 +49,7 @@ def followed(name, places):
     """Somebody who was at these x, m, in one frame after the other."""
     tracker = Tracker(BODY, recipe("default", BODY, frame_rate=25.0), TrackerSettings(frame_rate=25.0))
     state = tracker.start(standing(places[-1]))
-    _, estimate = tracker.step(state, no_person_in(frame_of([])))
+    _, estimate = tracker.step(state, frame_of([]).unseen())
     out = Followed(name, TrackedSubject(BODY, None, standing(places[0]), ()), Member(tracker, state))
     out.estimates = [replace(estimate, pose=standing(x)) for x in places]
     out.present, out.hidden = [True] * len(places), [False] * len(places)

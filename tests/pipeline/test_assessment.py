@@ -4,6 +4,7 @@ import numpy as np
 
 from hypose.body.default_body import human
 from hypose.body.motion import Motion, isotropic
+from hypose.calibration.findings import REVIEW, Finding
 from hypose.pipeline.assessment import GOOD, LOOK, UNTRUSTED, Assessment, assess
 
 BODY = human()
@@ -28,6 +29,10 @@ def probabilities(joints=(), rows=slice(None), value=0.6):
     return p
 
 
+def kinds(found):
+    return [f.kind for f in found.findings]
+
+
 def test_nothing_against_it_is_good():
     found = assess(motion(probabilities()))
     assert found.word == GOOD and found.frames == () and found.sentence.startswith("Good")
@@ -42,30 +47,31 @@ def test_some_frames_are_to_be_looked_at_and_the_joint_is_named():
 def test_a_body_that_the_evidence_speaks_against_is_not_to_be_trusted():
     whole = [n for n in BODY.skeleton.joint_names if n.endswith(("knee", "ankle", "wrist", "elbow", "hip"))]
     found = assess(motion(probabilities(whole)))
-    assert found.word == UNTRUSTED and "speaks against the body" in found.sentence and "knee" in found.sentence
+    assert found.word == UNTRUSTED and kinds(found) == ["wrong joints"] and "knee" in found.sentence
 
 
 def test_one_limb_that_is_never_known_and_a_person_who_is_never_there():
     found = assess(motion(probabilities(["left_wrist"])))
-    assert found.word == UNTRUSTED and "left wrist" in found.sentence
+    assert found.word == UNTRUSTED and kinds(found) == ["wrong limb"] and "left wrist" in found.sentence
     found = assess(motion(probabilities(["head"])))
-    assert found.word == LOOK and "head may be wrong" in found.sentence
+    assert found.word == LOOK and kinds(found) == ["low confidence"] and "head may be wrong" in found.sentence
     found = assess(motion(probabilities(), lost=25))
-    assert found.word == UNTRUSTED and "not found in 50 %" in found.sentence
+    assert found.word == UNTRUSTED and kinds(found) == ["lost"] and "not found in 50 %" in found.sentence
 
 
 def test_a_limb_doubtful_all_along_in_a_clip_worth_a_look_is_not_to_be_trusted():
-    looks = ("the views contradict each other by 11 mm.",)
+    looks = (Finding("views disagree", (), "the views contradict each other by 11 mm", severity=REVIEW),)
     limb = motion(probabilities(["left_wrist"], slice(0, 40), 0.25))
-    assert assess(limb).word == assess(motion(probabilities()), looks=looks).word == LOOK
-    found = assess(limb, looks=looks)
+    assert assess(limb).word == assess(motion(probabilities()), looks).word == LOOK
+    found = assess(limb, looks)
     assert found.word == UNTRUSTED and "left wrist" in found.sentence and "11 mm" in found.sentence
     few = motion(probabilities(["left_wrist"], slice(0, 20), 0.25))
-    assert assess(few, looks=looks).word == LOOK
+    assert assess(few, looks).word == LOOK
 
 
 def test_what_was_found_before_tracking_decides():
-    found = assess(motion(probabilities()), ("cam1: its images are mirrored. Next: mirror them back.",))
+    mirrored = Finding("mirrored", ("cam1",), "cam1: its images are mirrored", "mirror them back")
+    found = assess(motion(probabilities()), (mirrored,))
     assert found.word == UNTRUSTED and "mirrored" in found.sentence
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hypose.calibration.findings import Finding
+from hypose.calibration.findings import INVALID, REVIEW, Finding
 from hypose.pipeline import one_of_several
 from hypose.pipeline.one_of_several import track_one_of
 from hypose.pipeline.run import TrackResult
@@ -25,23 +25,27 @@ class Run:
 
 def found(name, monkeypatch, wanted, looked=()):
     there = np.ones(3, dtype=bool)
-    one = TrackedPerson(name, TrackResult(None, None, True, (), faults=("a fault",)), there, ~there)  # type: ignore[arg-type]
+    one = TrackedPerson(
+        name, TrackResult(None, None, True, (), findings=(Finding("fault", (), "a fault"),)), there, ~there
+    )  # type: ignore[arg-type]
     monkeypatch.setattr(one_of_several, "PeopleRun", lambda *_, **__: Run(PeopleResult((one,), True, (), 1), looked))
     return track_one_of(None, 25.0, TrackOptions(), wanted=wanted)  # type: ignore[arg-type]
 
 
 def test_who_is_found_in_place_of_the_one_at_a_place_is_not_to_be_trusted(monkeypatch):
     out = found("person-1", monkeypatch, [ANNA])
-    assert out.faults[0] == "a fault" and len(out.faults) == 2
-    assert "nobody was found who is Anna at [1, 2.5] m, 0.5 s from the first frame" in out.faults[1]
+    assert [f.kind for f in out.findings if f.fault] == ["fault", "other person"]
+    assert "nobody was found who is Anna at [1, 2.5] m, 0.5 s from the first frame" in out.findings[-1].text
 
 
 @pytest.mark.parametrize(
     ("kind", "fault", "reported"), [("mirrored", True, False), ("floor", True, True), ("blank", False, True)]
 )
 def test_nobody_else_is_told_where_cameras_make_one_person_two(monkeypatch, kind, fault, reported):
-    out = found("person-1", monkeypatch, [], (Finding(kind, (), "wrong", "correct it", 1.0, fault),))
-    assert any("another person" in text for text in out.remarks) == reported
+    out = found(
+        "person-1", monkeypatch, [], (Finding(kind, (), "wrong", "correct it", 1.0, INVALID if fault else REVIEW),)
+    )
+    assert any(f.kind == "other people" for f in out.findings) == reported
 
 
 def followed(*names):

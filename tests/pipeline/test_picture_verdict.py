@@ -53,8 +53,9 @@ def test_limbs_elsewhere_in_the_picture_are_told_with_their_frames():
     wrong[2:] = with_arms_elsewhere(wrong[2:])
     share = image_deviation(BODY, wrong, frames_of(poses()))
     assert (share[:2] == 0).all() and (share[2:] > SETTINGS.picture_deviation).all()
-    (sentence,) = against_the_picture(share)
-    assert "frames 2-9" in sentence and "overlay" in sentence and "--start" in sentence
+    (found,) = against_the_picture(share)
+    sentence = found.sentence
+    assert found.fault and "frames 2-9" in sentence and "overlay" in sentence and "--start" in sentence
 
 
 def test_another_persons_key_points_make_every_frame_doubtful():

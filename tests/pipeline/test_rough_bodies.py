@@ -9,7 +9,7 @@ from hypose.pipeline.person_paths import follow_places
 from hypose.pipeline.rough_bodies import RoughTrack, frame_of_person, rough_bodies
 from hypose.pipeline.start_choice import best_ways
 from hypose.synthetic.scenes import make_scene
-from hypose.tracking.several import shape_of, visible_share
+from hypose.tracking.several import shape_of
 from hypose.tracking.starts import known_pose
 
 FRAMES, RATE = 8, 12.5
@@ -53,7 +53,7 @@ def test_a_rough_body_hides_what_it_covers_and_hardly_more(beside):
         assert foreign[1] == 0  # nothing of the other one is taken for this one
         kept = [(m > 0)[own & ~other].sum() / (own & ~other).sum() for m in left]
         assert kept[1] > 0.9 and kept[1] > kept[0] - 0.01
-        assert (visible_share(by_body) > 0.3).all()
+        assert (by_body.visible_share > 0.3).all()
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ from hypose.pipeline.track_management import back_again, identity_switches
 from hypose.pipeline.tracked_people import Followed
 from hypose.synthetic.scenes import make_scene
 from hypose.tracking.recipes import recipe
-from hypose.tracking.several import Member, no_person_in
+from hypose.tracking.several import Member
 from hypose.tracking.starts import known_pose
 from hypose.tracking.tracker import Tracker, TrackerSettings
 
@@ -36,7 +36,7 @@ def followed(name: str, x: np.ndarray, present: np.ndarray) -> Followed:
     """Somebody who was tracked along x (T,) m, in the frames in which they were there."""
     body = human()
     tracker = Tracker(body, recipe("default", body, frame_rate=RATE), TrackerSettings(frame_rate=RATE))
-    frame = no_person_in(next(iter(make_scene("walk", seconds=0.1).mask_frames(0.2))))
+    frame = next(iter(make_scene("walk", seconds=0.1).mask_frames(0.2))).unseen()
     pose = known_pose(body, "standing")
     pose[0] = x[-1]
     member = Member(tracker, tracker.start(pose), bool(present[-1]))

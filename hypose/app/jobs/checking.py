@@ -96,17 +96,16 @@ def check_recording(recording: Recording, sheet: Path, samples: int, progress: P
         for done, row in enumerate(rows):
             progress("check", done, len(rows))
             frame = source.frame(row)
-            if frame.silhouettes is None:
-                continue
-            shown = shown or bool(frame.silhouettes.usable.any())
-            why = why or next((r.rstrip(".") for r in frame.silhouettes.reasons if r), "")
-            warnings += _mask_warnings(frame.silhouettes, frame.index)
-            if len(recording.views) == 1:
-                continue
-            found = _hull_facts(frame.silhouettes, frame.index, facts, warnings, several)
-            if found is not None:
-                heights.append(found[0])
-                ious.append(found[1])
+            for masks in frame.of(Silhouettes):
+                shown = shown or bool(masks.usable.any())
+                why = why or next((r.rstrip(".") for r in masks.reasons if r), "")
+                warnings += _mask_warnings(masks, frame.index)
+                if len(recording.views) == 1:
+                    continue
+                found = _hull_facts(masks, frame.index, facts, warnings, several)
+                if found is not None:
+                    heights.append(found[0])
+                    ious.append(found[1])
         progress("check", len(rows), len(rows))
         guessed = source.guessed_rooms
         if ious:

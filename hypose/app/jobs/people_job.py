@@ -28,6 +28,7 @@ from hypose.app.jobs.job import (
 from hypose.app.reports.overlay import colour_of, write_people_overlay
 from hypose.app.reports.summary import CONTENT_POLICY, page, require_found, summarize
 from hypose.app.studio.view_bundle import ViewResult
+from hypose.calibration.findings import REVIEW, Finding
 from hypose.errors import InputError
 from hypose.io.files import check_writable, claimed
 from hypose.io.motions.c3d import write_c3d
@@ -149,7 +150,7 @@ def run_people(job: TrackJob, people: str, progress: ProgressCall = ignore) -> O
             files += top
             remove_stale(results, [*top])
     first = shown[0]
-    assessment = Assessment(UNTRUSTED, (absent,)) if absent else worst_assessment(shown)
+    assessment = Assessment(UNTRUSTED, (Finding("absent", (), absent),)) if absent else worst_assessment(shown)
     results.write_json(ASSESSMENT_FILE, assessment.document())
     said = (*notes, *(f"{p.name}: {n}" for p in shown for n in p.result.notes))
     return Outcome(first.result.motion, first.result.body, found.complete, tuple(files), said, None, assessment)
@@ -169,9 +170,13 @@ def worst_assessment(people: Sequence[TrackedPerson]) -> Assessment:
     assessments = {p.name: p.assessment for p in people}
     order = ("good", "look", UNTRUSTED)
     word = max((v.word for v in assessments.values()), key=order.index)
-    because = [f"{name}: {v.sentence}" for name, v in assessments.items() if v.word == word and v.because]
+    found = [
+        Finding("person", (), f"{name}: {v.sentence}", severity=REVIEW)
+        for name, v in assessments.items()
+        if v.word == word and v.because
+    ]
     frames = tuple(r for v in assessments.values() if v.word == word for r in v.frames)
-    return Assessment(word, tuple(because), () if word == UNTRUSTED else frames)
+    return Assessment(word, tuple(found), () if word == UNTRUSTED else frames)
 
 
 def _written(one: TrackedPerson, results: ResultsFolder) -> list[Path]:

@@ -34,6 +34,7 @@ DESCRIPTIONS = {
     "report.html": "this report",
 }
 """What each file of a results folder is."""
+OPENSIM_FILES = ("motion.osim", "motion.mot", "motion_sd.sto", "motion.trc", "motion_markers.trc", "motion_ik.xml")
 
 
 @dataclass(frozen=True)

@@ -99,7 +99,7 @@ class RigFile:
         self._cameras, self._guessed = list[Camera](), list[str]()
 
     def where(self, name: str) -> str:
-        """Start of messages about a camera."""
+        """Format the start of messages about a camera."""
         return f"{self.path}, camera {name}"
 
     def add(
@@ -147,7 +147,7 @@ class RigFile:
         for i, a in enumerate(self._cameras):
             pose = a.camera_from_world
             same = [c.name for c in self._cameras[i + 1 :] if np.allclose(c.camera_from_world, pose)]
-            if same and not np.array_equal(pose, np.eye(4)):  # lenses alone stand at the origin
+            if same and not np.array_equal(pose, np.eye(4)):  # cameras of lens-only files are at the origin
                 self.notes.append(f"{self.path.name}: cameras {a.name} and {same[0]} stand in one place; correct one.")
         try:
             return CameraRig(tuple(rescaled(c, UNITS[unit]) for c in self._cameras)), tuple(self.notes)
@@ -178,9 +178,9 @@ def rescaled(camera: Camera, factor: float) -> Camera:
 
 
 def plain_lenses(rig: CameraRig, program: str) -> list[Array]:
-    """Get the five coefficients k1 k2 p1 p2 k3 of each camera's lens.
+    """Get the five coefficients (k1 k2 p1 p2 k3) of each camera's lens, for a program that supports no others.
 
-    program: the program whose files are written, for the error message.
+    program: name of the program, for the error message.
     Raises: CalibrationError where a lens is a fisheye or has more coefficients.
     """
     out = []
@@ -219,15 +219,16 @@ def _checked(
     if found := [fault for fault, there in faults.items() if there]:
         raise CalibrationError(f"{where}: {found[0]}.")
     distortion = np.concatenate([distortion, np.zeros(max(4 - len(distortion), 0))])
-    # Printed digits are few: the nearest exact rotation, so that inverses and products stay exact.
+    # Files have few digits: use the nearest exact rotation, so that inverses and products stay exact.
     u, _, vt = np.linalg.svd(rotation)
     return Camera(name, k, distortion, se3(u @ vt, translation), (int(w), int(h)), fisheye)
 
 
 def decomposed(projection: Array, where: str) -> tuple[Array, Array, Array]:
-    """Decompose a projection matrix (3, 4) of any scale into K, rotation and translation, without skew in K.
+    """Decompose a projection matrix (3, 4) of any scale.
 
     where: start of the error messages.
+    Returns: K (3, 3) without skew, rotation (3, 3), translation (3,).
     Raises: CalibrationError where it is not the matrix of a camera.
     Source: Hartley and Zisserman, Multiple View Geometry, 6.2.4 (RQ decomposition).
     """

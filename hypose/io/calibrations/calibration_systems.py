@@ -41,6 +41,7 @@ _NEEDS = "it is no export of calibrated video cameras; calibrate them and export
 def read_system_xml(path: Path, unit: str = "auto") -> Found:
     """Read the rig from a file of Qualisys, Vicon or Motive, which are distinguished by their content.
 
+    unit: not used, because these formats define it.
     Raises: CalibrationError where the file is not valid.
     """
     root = _parsed(path)
@@ -306,7 +307,7 @@ def read_plain_pickle(data: bytes) -> Any:
         return _plain(_ArraysOnly(io.BytesIO(data)).load())
     except ValueError:
         raise
-    except Exception as error:  # instructions that make no sense may end in any
+    except Exception as error:  # invalid instructions may raise any exception
         raise ValueError(f"it is damaged ({error})") from None
 
 
@@ -328,6 +329,7 @@ def read_opencap(path: Path, unit: str = "auto") -> Found:
 
     A folder may have the layout Videos/Cam0/cameraIntrinsicsExtrinsics.pickle.
 
+    unit: not used, because the format defines it.
     Raises: CalibrationError where a file is not valid.
     """
     files = opencap_files(path) if path.is_dir() else [path]

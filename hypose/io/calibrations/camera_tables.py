@@ -149,7 +149,7 @@ def add_cameras(rig: RigFile, tables: Mapping[str, Table]) -> None:
     placed = [name for name, pose in poses.items() if pose is not None]
     if tables and not placed:
         rig.notes.append(
-            f"{rig.path.name} says nothing about where cameras stand; they are put at the origin. These are lenses "
+            f"{rig.path.name} has no camera poses; the cameras are put at the origin. These are lenses "
             "alone: run hypose calibrate with --intrinsics and this file."
         )
     if kalibr or any("camera_pose_matrix" in t for t in tables.values()):

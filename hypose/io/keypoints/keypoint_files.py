@@ -526,7 +526,7 @@ def _alphapose_frames(document: Mapping[str, Any], where: str) -> KeypointTable:
         number = last_number(Path(name).stem)
         if number is None:
             raise InputError(f"{where}: the frame {name[:40]!r} has no number; export the results again.")
-        if isinstance(bodies := frame.get("bodies"), list):  # its form "cmu": Panoptic's words, OpenPose's 18 points
+        if isinstance(bodies := frame.get("bodies"), list):  # form "cmu": Panoptic's keys, OpenPose's 18 points
             frame = {"people": [{"pose_keypoints_2d": b.get("joints")} for b in bodies if isinstance(b, Mapping)]}
         people[number] = parse_openpose(frame, source=f"{where}, frame {name}", raw=True)
     plain = all(re.fullmatch(r"(0|[1-9]\d*)\.(jpg|png)", n) for n in document)
@@ -536,7 +536,7 @@ def _alphapose_frames(document: Mapping[str, Any], where: str) -> KeypointTable:
 # ---- keypoint folder -----------------------------------------------------------------------------------------------
 # Key points with one file per frame: OpenPose (also of Pose2Sim, RTMLib, AlphaPose), EasyMocap, Ultralytics.
 #
-# Files are read when they are asked for. Sources: OpenPose's JSON output; EasyMocap (annotator/file_utils.py);
+# Files are read when they are needed. Sources: OpenPose's JSON output; EasyMocap (annotator/file_utils.py);
 # Ultralytics (engine/results.py save_txt): `class x y w h`, then per point x y and, if the model has it, confidence,
 # then confidence and track id of the person if asked for; positions are shares of the picture, and a frame without
 # people has no file.
@@ -585,7 +585,10 @@ def read_keypoint_folder(folder: Path) -> KeypointTable:
 
 
 def numbered_files(paths: list[Path]) -> dict[int, Path]:
-    """Number files by the last number in their names, or by their order where these numbers are not unique."""
+    """Number files by the last number in their names, or by their order where these numbers are not unique.
+
+    Returns: files by frame number.
+    """
     # OpenPose's names end in _keypoints; a number of the view may stand before the frame's
     numbers = [last_number(p.stem) for p in paths]
     if None in numbers or len(set(numbers)) < len(numbers):
@@ -757,7 +760,7 @@ def _deeplabcut_h5(group: Any, where: str) -> KeypointTable:
         table = _sized(group["table"], where)
         block = next(n for n in table.dtype.names if n.startswith("values_block"))
         values, numbers = np.asarray(table[block], dtype=np.float64), table["index"]
-        raw = group.attrs["non_index_axes"]  # a pickle, of which only plain text, numbers and tuples are followed
+        raw = group.attrs["non_index_axes"]  # a pickle, of which only plain text, numbers and tuples are read
         columns = read_plain_pickle(bytes(raw))[0][1]
     else:
         values = np.asarray(_sized(group["block0_values"], where), dtype=np.float64)

@@ -47,8 +47,8 @@ from hypose.io.keypoints.keypoint_files import (
 )
 
 _ENDINGS = "a folder of OpenPose, EasyMocap or Ultralytics files, .json, .csv, .h5 or .npy"
-_OUTSIDE = 0.3  # share of points outside of the picture from which it is another picture
-_CHECKED = 80  # frames that the agreement of the views looks at
+_OUTSIDE = 0.3  # share of points outside the picture above which its size must be wrong
+_CHECKED = 80  # number of frames for the check of the views' agreement
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ def read_keypoints(path: Path) -> dict[str, KeypointTable]:
     return _read_file(path, tuple((s.st_mtime_ns, s.st_size) for s in states))
 
 
-@lru_cache(maxsize=8)  # a recording is looked at before it is worked on
+@lru_cache(maxsize=8)  # a recording is checked before it is processed
 def _read_file(path: Path, state: tuple[tuple[int, int], ...]) -> dict[str, KeypointTable]:
     read = _READERS.get(path.suffix.lower())
     if read is None:
@@ -244,11 +244,11 @@ def _reported(
         kind, how = set_of_points(alike, stated, ("BODY_25",))
     scores = sample[..., 2][sample[..., 2] > 0]
     high = float(np.quantile(scores, 0.995)) if len(scores) else 1.0
-    # RTMPose's and AlphaPose's scores are heights of maps and may exceed 1, others are percent
+    # scores of RTMPose and AlphaPose are peaks of maps and may exceed 1; others are percent
     scale = float(np.quantile(scores, 0.95)) if high > 1.05 else 1.0
     if not table.shares and len(scores):
         seen = sample[sample[..., 2] > 0][:, :2]
-        if seen.min() >= -0.5 and seen.max() <= 1.5 and np.ptp(seen) > 0.02:  # no person is a pixel small
+        if seen.min() >= -0.5 and seen.max() <= 1.5 and np.ptp(seen) > 0.02:  # no person is as small as a pixel
             table = replace(table, shares=True)
     return ViewKeypoints(path, table, kind, first, scale), how
 
@@ -318,7 +318,7 @@ def check_keypoints(
 # ---- detected keypoints --------------------------------------------------------------------------------------------
 # Key points and masks that `hypose keypoints` left in a recording's folder, and how the recording finds them.
 #
-# FOLDER/detector.json says what made them; FOLDER/VIEW/ holds one OpenPose file per frame, in pixels of the calibrated
+# FOLDER/detector.json names the detector; FOLDER/VIEW/ holds one OpenPose file per frame, in pixels of the calibrated
 # picture, numbered from the first frame of the video, and FOLDER/VIEW/masks the masks, if the detector gives any.
 
 
@@ -413,7 +413,7 @@ def with_detected(folder: Path, settings: Mapping[str, Any], notes: list[str]) -
     """
     tables = settings.get("view", [])
     if not isinstance(tables, list) or not all(isinstance(t, dict) for t in tables):
-        return settings  # which the recording's own check tells
+        return settings  # the check of the recording reports it
     if any("keypoints" in t for t in tables):
         return settings
     found = load_detected(folder / KEYPOINT_FOLDER)

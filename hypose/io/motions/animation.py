@@ -74,7 +74,7 @@ def children(skeleton: Skeleton, joint: int) -> list[int]:
 
 
 # ---- bvh -----------------------------------------------------------------------------------------------------------
-# BVH animation: the skeleton with Euler channels, centimetres, Y up (axes: see io.animation).
+# BVH animation: the skeleton with Euler channels, centimetres, Y up (axes: see the module).
 #
 # The rest pose of the file is the body's rest pose, not a T pose: the OFFSETs are its bones and all channels
 # zero is its stance, at the origin. The root has its position and rotation, every other joint three rotations Z

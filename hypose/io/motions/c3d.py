@@ -45,6 +45,7 @@ def write_c3d(
 
     names: M names; more than 255 continue in the parameters LABELS2, LABELS3 and so on.
     points: (T, M, 3) world, m; NaN points get residual -1. T is at most 65535, the format's limit.
+    frame_rate: Hz.
     residuals_mm: (T, M) 0 where a point was computed and not measured, else its standard deviation; the format keeps
         whole millimetres from 1 to 255, and NaN counts as 1.
     events: seconds after the first frame, context such as Left, label such as Foot Strike; at most 255, all of the
@@ -251,8 +252,8 @@ def _layout(head: bytes, parameters: Mapping[str, tuple[Any, ...]], order: str, 
     block = int(_first(parameters.get("POINT:DATA_START"), words[8])) & 0xFFFF
     if points == 0 and _first(parameters.get("ROTATION:USED"), 0):
         raise InputError(
-            f"{path} holds turns and places of segments, as Theia3D writes them, and no points; export joint centres "
-            "as points, from Visual3D for example."
+            f"{path} holds rotations and positions of segments, as Theia3D writes them, and no points; export joint "
+            "centres as points, from Visual3D for example."
         )
     if points == 0 or last < first or block < 2:
         raise InputError(f"{path} holds no points: {points} markers, frames {first} to {last}; a recording is needed.")

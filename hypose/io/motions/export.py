@@ -23,7 +23,7 @@ from hypose.io.motions.opensim_model import shoulder_places, write_ik_markers, w
 # Rerun recordings (.rrd): the body, its skeleton and the 90 % regions of its joints over time, for Rerun's viewer.
 #
 # The world is the recording's, metres, z up; times are the motion's, in seconds. Frames that are lost or predicted
-# are in another colour, and say so. Needs the extra [rerun]; nothing else of hypose does.
+# are in another colour. Only this format needs the extra [rerun].
 
 
 _SURE, _UNSURE = (51, 122, 183), (217, 83, 79)
@@ -163,7 +163,7 @@ _KNOWN = {
 
 
 def known_formats(asked: Sequence[str]) -> None:
-    """Check the names of export formats.
+    """Check the names of requested export formats.
 
     Raises: InputError for a format that does not exist or whose package is not installed.
     """

@@ -171,7 +171,7 @@ def _normals(vertices: Array, faces: np.ndarray) -> Array:
 
 
 def _animate(whole: dict[str, Any], store: _BinaryBuffer, motion: Motion, poses: Array, first: int) -> None:
-    """Add the motion of the skeleton whose root is node `first` to an animation."""
+    """Add the motion of the skeleton whose root is node `first` to the animation `whole`."""
     skeleton = motion.skeleton
     # frames at equal steps: time stamps of real files may repeat, which glTF forbids
     times = np.arange(len(poses)) / motion.frame_rate
@@ -214,7 +214,7 @@ def read_skin(data: bytes, where: str) -> Skinned | None:
 
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # what it warns of becomes an error below, in words
+            warnings.simplefilter("ignore")  # its warnings become an error below
             gltf = GLTF2.load_from_bytes(data)
         if gltf is None or not gltf.skins:
             return None

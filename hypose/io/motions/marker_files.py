@@ -23,7 +23,7 @@ from hypose.geometry import Array
 from hypose.io.files import numbers_of, text_lines, write_text
 
 # ---- markers -------------------------------------------------------------------------------------------------------
-# Markers: what every reader of marker files returns.
+# Markers: the type that every reader of marker files returns.
 
 
 # metres per unit of length, by the names that marker files use
@@ -103,6 +103,7 @@ def write_trc(
 ) -> None:
     """Write points as a TRC file; cells have a resolution of 0.1 micrometre.
 
+    names: M names.
     points: (T, M, 3) world, z up, m; NaN becomes empty cells.
     frame_rate: Hz.
     unit: unit of length in the file, m or mm.

@@ -119,7 +119,7 @@ def _read_smpl(path: Path, data: bytes) -> PersonMesh:
     except InputError:
         raise
     except KeyError as error:
-        raise InputError(f"{path} is not an SMPL-format model: it needs {wanted}, and {error} lacks.") from None
+        raise InputError(f"{path} is not an SMPL-format model: it needs {wanted}, and {error} is missing.") from None
     except ValueError as error:
         raise InputError(
             f"{path}: an array holds Python objects or is damaged ({error}); save {wanted} as plain numbers "
@@ -261,7 +261,7 @@ def _same_turn(f: NDArray[np.int64], source: str) -> NDArray[np.int64]:
     same = edges[one, 0] == edges[other, 0]
     if not same.any():
         return f
-    # every face stands twice, as it is and turned (+ count); what fits together hangs together
+    # every face is in the graph twice, as it is and reversed (+ count); consistent neighbours are connected
     count = len(f)
     a, b = one % count, other % count + count * same
     a, b = np.concatenate([a, a + count]), np.concatenate([b, (b + count) % (2 * count)])
@@ -277,7 +277,7 @@ def _holes_closed(
 ) -> tuple[Array, NDArray[np.int64], NDArray[np.int64], list[str]]:
     """Close small holes with a fan of triangles around their centre.
 
-    Small means a rim of at most a quarter of the mesh's height, about a tenth of the height across.
+    A hole is small when its rim is at most a quarter of the mesh's largest extent long.
 
     Returns: vertices, faces, for each new vertex the index of a vertex whose weights it takes, and notes.
     Raises: InputError for larger holes.

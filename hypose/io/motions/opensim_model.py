@@ -88,7 +88,11 @@ def write_osim(path: str | Path, body: Body, mass: float | None = None) -> None:
 
 
 def osim_text(body: Body, mass: float | None = None, name: str = "subject") -> str:
-    """Generate the text of the model that `write_osim` writes."""
+    """Generate the text of the OpenSim model that `write_osim` writes.
+
+    mass: mass of the whole body, kg; computed from the volume where it is None.
+    name: name of the model.
+    """
     return _Writer(body, mass).document(name)
 
 
@@ -176,7 +180,7 @@ class _Writer:
         knee = [(f"knee_angle_{s}", self.hinge(f"{side}_knee", femur))]
         limits = {knee[0][0]: self.limits(f"{side}_knee")}
         _joint(joints, f"knee_{s}", f"/bodyset/{femur}", tibia, self.place(femur, tibia), knee, limits=limits)
-        # the ankle's third angle is not free: what it is with the foot at rest
+        # the ankle's third angle is not free: it keeps its value at rest
         rest = BODY_AXES @ self.neutral[f"{side}_knee"] @ BODY_AXES.T
         fixed = float(continuous_euler_zxy(rest[None, None])[0, 0, 2])
         ankle = [(f"ankle_angle_{s}", _Z), (f"subtalar_angle_{s}", sign * _X), (fixed, _Y)]
@@ -317,7 +321,7 @@ def _numbers(values: Sequence[float] | Array) -> str:
 
 
 # ---- opensim ik ----------------------------------------------------------------------------------------------------
-# What OpenSim's inverse kinematics needs next to the model: markers of the tracked body and a set-up with weights.
+# Further files for OpenSim's inverse kinematics: markers of the tracked body and a set-up with weights.
 #
 # The markers are those of the model (`opensim_model.marker_names`): joint centres and the body's landmarks, in the
 # frames of the motion. A marker's weight is the inverse of its joint's variance over the clip, and in single frames
@@ -338,7 +342,7 @@ def write_ik_markers(path: str | Path, motion: Motion, body: Body) -> None:
     points = np.concatenate([motion.joints, body.landmark_points(motion.poses)], axis=1)
     if motion.error_probability is not None:
         wrong = np.nan_to_num(motion.error_probability) > 0.5
-        wrong[motion.lost.astype(bool)] = False  # nothing is known of the frame: OpenSim goes through the prediction
+        wrong[motion.lost.astype(bool)] = False  # nothing is known of the frame: OpenSim uses the prediction
         points[wrong[:, _carriers(motion, body)]] = np.nan
     write_trc(path, marker_names(body), points, motion.frame_rate, start_time=float(motion.times[0]))
 

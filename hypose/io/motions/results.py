@@ -149,7 +149,7 @@ def write_archive(path: str | Path, arrays: Mapping[str, np.ndarray]) -> None:
             buffer = io.BytesIO()
             np.lib.format.write_array(buffer, np.asarray(arrays[name], order="C"), (1, 0), allow_pickle=False)
             entry = zipfile.ZipInfo(f"{name}.npy", (1980, 1, 1, 0, 0, 0))
-            entry.create_system, entry.external_attr = 3, 0o644 << 16  # else Windows writes other bytes
+            entry.create_system, entry.external_attr = 3, 0o644 << 16  # otherwise the bytes differ on Windows
             archive.writestr(entry, buffer.getvalue())
 
 
@@ -195,7 +195,7 @@ def parse_array(name: str, stream: IO[bytes], size: int) -> np.ndarray:
     """Parse an array in numpy's .npy format from a stream.
 
     name: name of the array in error messages.
-    size: number of bytes, header included.
+    size: number of bytes of array and header.
     Raises: ValueError where the header disagrees with the size, is damaged, or describes Python objects. Nothing is
         allocated before.
     """
@@ -214,7 +214,7 @@ def parse_array(name: str, stream: IO[bytes], size: int) -> np.ndarray:
     if math.prod(shape) * dtype.itemsize != rest:
         raise ValueError(f"{name} of shape {shape} does not fit its {rest} bytes")
     data = np.empty(rest, np.uint8)
-    for at in range(0, rest, _PIECE):  # whole, it would lie in memory twice
+    for at in range(0, rest, _PIECE):  # read at once, it would be in memory twice
         piece = stream.read(min(_PIECE, rest - at))
         data[at : at + len(piece)] = np.frombuffer(piece, np.uint8)
     array = data.view(dtype)
@@ -614,7 +614,7 @@ def load_joints_of_modes(path: str | Path) -> tuple[Array, Array]:
 
 
 # ---- provenance ----------------------------------------------------------------------------------------------------
-# Where a result comes from: versions, seed, settings and the hashes of its inputs.
+# The origin of a result: versions, seed, settings and the hashes of its inputs.
 
 
 _FULL_HASH_BYTES = 64 << 20

@@ -53,7 +53,7 @@ from hypose.io.recordings.view_source import SIDECAR, Preparer, ViewSource
 from hypose.io.videos.video import evenly_spread, open_video
 
 # ---- masks in work -------------------------------------------------------------------------------------------------
-# The masks of a stream's frames: packed, in the making, and kept for a caller that asks for a frame again.
+# The masks of a stream's frames: packed, in computation, and kept for another request of the same frame.
 
 
 KEPT_BYTES = 64 << 20
@@ -113,7 +113,7 @@ class PendingMasks:
     def __init__(self, lanes: Sequence[Executor], make: Callable[[int, int], PackedMask], index: int) -> None:
         self._done = [lane.submit(make, c, index) for c, lane in enumerate(lanes)]
         self._outlines: list[Future[ViewOutline | None]] = []
-        self.asked = False  # for the outlines, which a picture of the masks does without
+        self.asked = False  # whether the outlines were requested; a picture of the masks does not need them
 
     def _masks(self) -> list[PackedMask]:
         return [f.result() for f in self._done]
@@ -168,9 +168,9 @@ Covers = Callable[[int, int], Mask | None]
 """Function of view and video frame that gives the silhouette (h, w) at working size of a model tracked before, or None.
 """
 
-_CLIP = 10  # a background of fewer images is a set of photos
+_CLIP = 10  # fewer images count as photos, not as a clip
 _COVER, _BAND = 0.052, 0.03  # half thickness of the limbs drawn, and margin around them, in heights of the person
-_AHEAD = 3  # frames made before they are asked for, in a run
+_AHEAD = 3  # frames computed in advance
 _SAMPLE_STEP, _SAMPLES = 5, 11  # frames whose mask areas are the usual area
 _LONGEST_GAP = 15  # frames over which a missing key point is bridged when the skeleton is drawn
 
@@ -205,8 +205,9 @@ class FrameSettings:
 
 
 def working_rig(rig: CameraRig, options: FrameSettings | None = None, depth: Sequence[bool] = ()) -> CameraRig:
-    """Make the pinhole cameras of the working size.
+    """Make the pinhole cameras of the working size from the calibrated cameras.
 
+    options: settings with the working size; the defaults where None.
     depth: for each camera, whether it is a depth camera. Depth cameras have a working size of their own.
     Why: scaled like the large pictures of other cameras, depth maps would show arms one pixel wide.
     """
@@ -224,8 +225,9 @@ def _rig_of(recording: Recording, options: FrameSettings | None = None) -> Camer
 
 
 def load_keypoints(recording: Recording, options: FrameSettings | None = None) -> list[Keypoints] | None:
-    """Load the key points of the recording's person in each frame.
+    """Load the key points of the recording's person in each frame, px of the working-size cameras.
 
+    options: settings with the working size; the defaults where None.
     Returns: one per frame of recording.frames, with confidence 0 where the person is not seen; None where the recording
         has no key points.
     """
@@ -352,7 +354,7 @@ def build_backgrounds(
                 except InputError:
                     if not frames:
                         raise
-                    break  # a video that breaks off: what was read so far has to do
+                    break  # the video breaks off: use the frames that were read so far
                 hidden.append(_cover(covers, skeletons, c, frame, small[c]))
         finally:
             source.close()
@@ -456,12 +458,12 @@ class FrameStream:
 
     @property
     def tells_apart(self) -> bool:
-        """Whether the masks of a view separate several objects."""
+        """Whether the masks of at least one view separate several objects."""
         return any(s.objects is not None and len(s.objects.objects) > 1 for s in self._sources)
 
     @property
     def guessed_rooms(self) -> str:
-        """Sentence that names the views whose background comes from the recording without a known region of the person.
+        """Warning about views whose background comes from the recording itself although the person's region is unknown.
 
         It is empty where there are none.
         """
@@ -524,7 +526,7 @@ class FrameStream:
             history, pending = self._look(index)
             masks, reasons = pending.masks()
             areas = pending.areas()
-            if self.options.people:  # who comes or goes changes the area, and nothing has collapsed
+            if self.options.people:  # people who come or go change the area, which is no fault
                 history = history[:, :0]
             collapsed = flag_collapsed(areas, history, self.rig.names, number)
             why = [given or found for given, found in zip(reasons, collapsed, strict=True)]
@@ -552,7 +554,7 @@ class FrameStream:
                 continue
             try:
                 found = self._lanes[c].submit(source.map, number).result()
-            except InputError:  # its mask could not be made either, and says so
+            except InputError:  # its mask could not be made either, with a reason
                 if usable[c]:
                     raise
                 continue
@@ -563,7 +565,11 @@ class FrameStream:
         return Depth(maps, person, silhouettes.rig, usable, blank=blank)
 
     def image(self, view: int, index: int) -> Image:
-        """Read the undistorted picture (h, w, 3) BGR of a view at working size, for overlays."""
+        """Read the undistorted picture (h, w, 3) BGR of a view at working size, for overlays.
+
+        index: 0 <= index < len(stream), from the start of recording.frames.
+        Raises: InputError where the stream was opened without silhouettes.
+        """
         if not self._lanes:
             raise InputError("This stream was opened without silhouettes and decodes no images.")
         return self._lanes[view].submit(self._sources[view].image, self.frames[index]).result()
@@ -597,7 +603,7 @@ class FrameStream:
         for i in wanted:
             if i not in self._ahead:
                 self._ahead[i] = PendingMasks(self._lanes, self._packed, i)
-            if outlined and index <= i <= ahead:  # of what lies behind the areas alone are wanted
+            if outlined and index <= i <= ahead:  # later frames are needed for their areas only
                 self._ahead[i].begin_outlines(self._lanes)
         for i in missing:
             self._areas[i] = self._ahead[i].areas()

@@ -37,7 +37,7 @@ from hypose.io.videos.video import (
     read_image_file,
 )
 
-_LOOKED_AT = 9  # images of a folder that tell what it holds
+_LOOKED_AT = 9  # number of images that identify the kind of masks
 _MOST_OBJECTS = 32  # objects
 Objects = Mapping[str, Mask]
 """Mask (h, w) of 0 and 1 of each object that is present, by the object's name."""
@@ -171,7 +171,7 @@ def _of_labels(path: Path, images: list[Path]) -> ObjectMasks | None:
     levels = sorted(areas)
     if not 2 <= len(levels) <= _MOST_OBJECTS:
         return None
-    if not any(indexed):  # a white mask may have soft edges, or grey where it is not sure
+    if not any(indexed):  # a white mask may have soft edges, or grey for uncertain pixels
         full = 65535 if levels[-1] > 255 else 255
         white = areas[levels[-1]] if levels[-1] > 0.9 * full else 0
         if set(levels) <= {127, 128, full} or sum(areas.values()) < 1.5 * white:
@@ -285,7 +285,7 @@ def _of_coco(path: Path) -> ObjectMasks:
     count = max(len(order), 1 + max(frames))
     if len(names) > 4 * _MOST_OBJECTS:
         raise InputError(
-            f"{path} gives every mask another id, so that no person can be followed; export track_id with the masks."
+            f"{path} gives every mask its own id, so that no person can be followed; export track_id with the masks."
         )
     return ObjectMasks(path, size, count, tuple(names), load)
 
@@ -320,8 +320,8 @@ def _coco_mask(path: Path, piece: Any, size: tuple[int, int]) -> Mask:
 
 
 def _run_lengths(text: str) -> list[int]:
-    """Decode COCO's run lengths from text: groups of five bits, each number from the third on relative to the one two
-    before."""
+    """Decode COCO's run lengths from text: groups of five bits; from the fourth number on, each is a difference from
+    the number two before it."""
     out: list[int] = []
     at = 0
     while at < len(text):

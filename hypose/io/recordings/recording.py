@@ -191,7 +191,7 @@ def silhouette_options(where: str, table: Mapping[str, Any]) -> SilhouetteSettin
 
 
 # ---- person tables -------------------------------------------------------------------------------------------------
-# The [[person]] tables of recording.toml: the data known beforehand of the people in a recording.
+# The [[person]] tables of recording.toml: known data of the people in a recording.
 
 
 _NAME = re.compile(r"[\w][\w .-]{0,59}")
@@ -689,7 +689,7 @@ def _match_cameras(
     """Put the cameras of a rig into the order of the views."""
     names = [w or v.name for w, v in zip(wanted, views, strict=True)]
     if all(wanted) or (len(rig) > len(views) and all(name in rig.names for name in names)):
-        chosen = rig.select(names)  # its error lists the cameras there are
+        chosen = rig.select(names)  # its error lists the existing cameras
         left = [n for n in rig.names if n not in chosen.names]
         if left:
             notes.append(f"The cameras {', '.join(left)} of {path.name} have no view and are left out.")

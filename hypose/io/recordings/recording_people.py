@@ -125,11 +125,14 @@ def persons_objects(
     keypoints: Sequence[Keypoints] | None,
     all_people: bool = False,
 ) -> tuple[list[frozenset[str] | None], tuple[str, ...]]:
-    """Choose, in each view, the objects that are the recording's person.
+    """Choose, in each view, the objects of the masks that are the recording's person.
 
     With key points these are the objects around them. Without, they are the objects that belong together in most views
     and frames.
 
+    small: pinhole cameras of the working size.
+    masks: masks of each view; None for a view without objects.
+    keypoints: those of all frames; None without key points.
     all_people: choose all objects that another view shows as well.
     Returns: names of the objects per view (None: the view's masks have no objects), and notes about the choice.
     """

@@ -72,7 +72,7 @@ def look(view: ViewSettings) -> list[_ClipInfo]:
             continue
         made_here = (path / SIDECAR).is_file()
         if made_here and view.source is not None:
-            continue  # found by their frames' numbers, perhaps of some frames only
+            continue  # found by frame number; there may be masks of some frames only
         if path.is_dir() and not made_here:
             check_numbers(path)
         of_masks = path == view.masks and not made_here
@@ -90,12 +90,12 @@ def look_together(views: Sequence[ViewSettings], notes: list[str]) -> tuple[list
     Returns: the views, with `first_mask` set where needed, and the properties of their files.
     Why: a person who is not seen at the start has no masks there.
     """
-    with ThreadPoolExecutor(len(views)) as pool:  # finding out how many frames can be decoded takes its time
+    with ThreadPoolExecutor(len(views)) as pool:  # counting the frames that can be decoded takes time
         clips = list(pool.map(look, views))
     numbered = {k: c for k, found in enumerate(clips) for c in found if c.first is not None}
     begin = [c.first for c in numbered.values() if c.first is not None]
     spans = [c.n_frames for c in numbered.values()]
-    if not begin or not 0 < max(begin) - min(begin) < min(spans):  # cameras that count on their own are further apart
+    if not begin or not 0 < max(begin) - min(begin) < min(spans):  # independent counters of cameras differ by more
         return list(views), clips
     same = [replace(v, first_mask=min(begin)) if k in numbered else v for k, v in enumerate(views)]
     late = ", ".join(f"{views[k].name} {c.first}" for k, c in numbered.items() if c.first != min(begin))
@@ -142,7 +142,7 @@ def check_picture_size(
             f"View {view.name}: {path} is {w} x {h} px, camera {camera.name} is calibrated for {cw} x {ch} "
             f"px; {advice}."
         )
-    if notes is not None and not (path / SIDECAR).is_file():  # masks made here are smaller as a rule
+    if notes is not None and not (path / SIDECAR).is_file():  # hypose's own masks are usually smaller
         notes.append(
             f"View {view.name}: {path.name} is {w} x {h} px, the calibration {cw} x {ch} px; the images are "
             "taken as scaled."
@@ -272,7 +272,7 @@ def common_frames(views: Sequence[ViewSettings], clips: Sequence[list[_ClipInfo]
             "are used. Check that all cameras start at the same instant."
         )
         next_low = sorted(counts.values())[1]
-        if len(views) > 2 and next_low > 1.05 * low:  # one camera went out before the others
+        if len(views) > 2 and next_low > 1.05 * low:  # one camera stopped before the others
             first = min(counts, key=lambda n: counts[n])
             notes[-1] += f" Without {first}, the others' {next_low} frames could be tracked."
     return low

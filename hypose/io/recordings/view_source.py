@@ -42,7 +42,7 @@ from hypose.io.sensors.depth import read_depth_png
 from hypose.io.videos.video import VideoReader, evenly_spread, frame_size, list_images, open_video, read_image
 
 # ---- depth views ---------------------------------------------------------------------------------------------------
-# The depth maps of one view of a recording, by frame number, undistorted and at working size, and who is in them.
+# The depth maps of one view of a recording, by frame number, undistorted and at working size, and the people in them.
 
 
 _KEPT = 8
@@ -71,7 +71,7 @@ class DepthPreparer:
         stored = depth.shape[1], depth.shape[0]
         if self._plain and stored == self._small.size:
             return depth
-        # the nearest pixel: between two values lies nothing that was measured
+        # the nearest pixel, because no depth was measured between two pixels
         x, y = (m - np.float32(s) for m, s in zip(self._maps, self._shift, strict=True))
         sx, sy = stored[0] / self._small.size[0], stored[1] / self._small.size[1]
         x, y = (
@@ -158,7 +158,7 @@ class DepthSource:
         """Read some maps, evenly spread over the recording."""
         maps = list[DepthMap]()
         for k in evenly_spread(0, len(self._files), STILL_FRAMES):
-            with contextlib.suppress(InputError):  # a damaged map is named where its frame is asked for
+            with contextlib.suppress(InputError):  # a damaged map is reported when its frame is read
                 maps.append(self._prepared(self._read(self._files[k])))
         return maps
 
@@ -247,12 +247,14 @@ class Preparer:
 def mask_in(image: Image, prepare: Preparer, segment: Segmenter, band: Mask | None = None) -> tuple[MaskRuns, Image]:
     """Segment the person in a stored picture.
 
+    prepare: conversion to the working size.
+    segment: segmentation against the background.
     band: region where the person can be; None for the whole picture.
     Returns: the mask, and the undistorted picture, which is valid within the mask until the next call with this
         Preparer.
     """
     box: Box | None = None
-    if segment.glance is not None:  # then nothing outside the person's box is looked at
+    if segment.glance is not None:  # then only the person's box is processed
         found = prepare.differing_box(image, segment.glance) if band is None else bounding_box(band)
         box = found or (0, 0, 0, 0)
     prepared = prepare.within(image, box)
@@ -349,13 +351,13 @@ class ViewSource:
         return self._prepare(self._stored(frame))
 
     def image_of_mask(self, frame: int) -> Image | None:
-        """Get the picture of the frame whose mask was made last, valid within that mask; None where there is no
+        """Get the undistorted picture of a frame, valid at least within the mask just made for it; None without a
         picture."""
         if self._shown is not None and self._shown[0] == frame:
             return self._shown[1]
         try:
             return None if self.view.source is None else self.image(frame)
-        except InputError:  # the mask is from elsewhere, and does for the rest
+        except InputError:  # the mask does not need the picture
             return None
 
     def _stored(self, frame: int) -> Image:
@@ -394,7 +396,7 @@ class ViewSource:
             return runs, ""
         except InputError as problem:
             self._problems[frame] = str(problem)
-            # a damaged video stays damaged: do not decode it from its start again and again
+            # a damaged video stays damaged: do not decode it from its start for every frame
             files = self.depth is not None or (self._reader is not None and self._reader.is_sequence)
             if self._masks is None and not files:
                 self._broken = (frame, str(problem))

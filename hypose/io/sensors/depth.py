@@ -34,7 +34,7 @@ from hypose.io.videos.video import PNG_SIGNATURE, is_cut_png, list_images
 from hypose.json_text import parse_json
 
 MAX_SIDE = 4096
-# Steps of a noisy depth picture are no better predicted from the pixel next to: without a filter files are a third
+# PNG filters do not predict noisy depth better: without a filter, files are a third
 # smaller, and no slower to write.
 DEPTH_PNG = (cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_NONE, cv2.IMWRITE_PNG_COMPRESSION, 1)
 _MAX_BYTES = 64 * 2**20
@@ -244,14 +244,14 @@ def open_realsense(serial: str | None = None) -> RealSenseDepth:
 
 
 def _library() -> Any:
-    os.environ["RS2_RUM_CLOUD_ENABLED"] = "0"  # since 2.59 it counts uses; nothing is sent
+    os.environ["RS2_RUM_CLOUD_ENABLED"] = "0"  # since 2.59 it counts uses; this prevents sending
     libusb = "install the system's libusb (Debian: apt install libusb-1.0-0)"
     return extra("pyrealsense2", "Depth of RealSense cameras and their recordings", "realsense", or_else=libusb)
 
 
 def _opened(library: Any, config: Any, what: str, recorded: bool) -> RealSenseDepth:
     pipeline = library.pipeline()
-    if recorded:  # said before it starts, else frames are dropped when reading is slower than recording was
+    if recorded:  # set before the start, otherwise frames are dropped when reading is slower than recording
         playback = config.resolve(library.pipeline_wrapper(pipeline)).get_device().as_playback()
         playback.set_real_time(False)
     profile = pipeline.start(config)
@@ -312,7 +312,7 @@ def _short(error: Exception) -> str:
 
 
 # ---- depth files ---------------------------------------------------------------------------------------------------
-# Recordings of depth cameras, of whatever make: their lens and their maps, one after the other.
+# Recordings of depth cameras of all known makes: their lens and their maps, one after the other.
 #
 # Azure Kinect (.mkv), RealSense (.bag, .db3), Record3D (.r3d), and a folder of 16-bit PNG in millimetres with a
 # calibration.toml next to them (Orbbec and others export such frames).
@@ -431,7 +431,7 @@ def _azure(path: Path) -> DepthFile:
 
     def all_frames() -> Iterator[DepthFrame]:
         yield DepthFrame(0.0, first.depth)
-        for frame in frames:  # the container counts from when its first track began
+        for frame in frames:  # the container's time starts with its first track
             yield DepthFrame(frame.time - first.time, frame.depth)
 
     return DepthFile(camera, all_frames())
@@ -487,7 +487,7 @@ def _record3d(path: Path) -> DepthFile:
             f"{path}: depth maps of {width} x {height} px, a lens of {lens[0]:g} px, {rate:g} Hz: unusable."
         )
     try:
-        library: Any = importlib.import_module("liblzfse")  # an extra: not there for everyone, type checkers included
+        library: Any = importlib.import_module("liblzfse")  # optional, so type checkers may not find it
     except ImportError:
         raise InputError(
             "Record3D captures need pyliblzfse, which is not installed; run: pip install pyliblzfse."
@@ -524,7 +524,7 @@ def _unpacked(archive: zipfile.ZipFile, name: str) -> bytes:
 
 
 # ---- depth sources -------------------------------------------------------------------------------------------------
-# Depth cameras as they deliver: a RealSense, and folders of depth maps played at their own pace.
+# Depth cameras as image sources: a RealSense, and folders of depth maps played at their own speed.
 
 
 DEPTH_PREFIX, REALSENSE = "depth:", "realsense"

@@ -298,7 +298,7 @@ class FolderWriter:
 
 
 # ---- skeleton tables -----------------------------------------------------------------------------------------------
-# Skeleton tables of others: CSV of several Kinects (KinectMultiTrack), and NTU RGB+D .skeleton files.
+# Skeleton tables of other programs: CSV of several Kinects (KinectMultiTrack), and NTU RGB+D .skeleton files.
 #
 # Sources: the logger of KinectMultiTrack (C.-J. Wu, 2015): one row per skeleton, columns named <Joint>_X, _Y, _Z in
 # metres, -9999 = missing. NTU RGB+D (Shahroudy et al. 2016): plain numbers, per frame a number of bodies, per body a
@@ -321,9 +321,9 @@ def read_kinect_csv(path: str | Path) -> SkeletonRecording:
 
     Times are those of Tracker_Time (one clock, ms), shifted to start at 0. No tracking state is logged, so a joint that
     is present counts as tracked.
-    Why: the logger moves every skeleton into the first row's sensor frame, by the angle and distance at which the
-        person first stood before each sensor (Skeleton_Init_Angle, Skeleton_Init_Dist). This is undone here, so the
-        positions are those in each sensor's own frame.
+    The logger moves every skeleton into the frame of the first row's sensor, by the angle and distance at which the
+    person first stood in front of each sensor (Skeleton_Init_Angle, Skeleton_Init_Dist). This is undone, so the
+    positions are in each sensor's own frame, m.
 
     Raises: InputError where columns are missing or a line cannot be used.
     """
@@ -356,7 +356,7 @@ def read_kinect_csv(path: str | Path) -> SkeletonRecording:
             own, known = turns.setdefault(name, turn), (values > MISSING_MARK).all(1)
             values[known] = _before_own_sensor(values[known], next(iter(turns.values())), own)
         sensors.setdefault(name, StreamRows(name, joints)).add(time, person, values, np.full(len(joints), 2))
-    # numbers of seconds since the year 1 lose microseconds in later arithmetic
+    # seconds since the year 1 would lose microseconds in later arithmetic
     zero = min((t for rows in sensors.values() for t in rows.times), default=0.0)
     for rows in sensors.values():
         rows.times = [t - zero for t in rows.times]
@@ -479,7 +479,7 @@ def _azure_rows(path: Path) -> StreamRows:
 
 
 # ---- skeleton formats ----------------------------------------------------------------------------------------------
-# Recorded skeletons of any known program: which reader takes a file or folder.
+# Recorded skeletons of any known program: choice of the reader for a file or folder.
 
 
 def read_skeletons(path: str | Path) -> SkeletonRecording:
@@ -504,7 +504,7 @@ def read_skeletons(path: str | Path) -> SkeletonRecording:
     what = "does not exist" if not p.exists() else "holds no skeletons" if p.is_dir() else "has no known form"
     raise InputError(
         f"{p} {what}; give a folder with session.json or .skeleton files, or a .csv, .skeleton, .json or .jsonl file "
-        "(.gz is fine; of an archive the folder that is unpacked)."
+        "(.gz is allowed; other archives must be unpacked first)."
     )
 
 

@@ -30,9 +30,8 @@ MAX_PEOPLE = 16
 """Largest number of people that one sensor may report at a time."""
 MAX_JOINTS = 64
 REORDER_S = 0.2
-_SLOWEST_S = 5.0  # between the frames of a sensor: milliseconds taken for seconds lie further apart
-"""REORDER_S: a time that is further back than this, s, means that the clock was set back; otherwise the row came
-late."""
+"""A time that is further back than this, s, means that the clock was set back; otherwise the row came late."""
+_SLOWEST_S = 5.0  # largest usual step of a sensor, s: a larger one means that milliseconds were given as seconds
 
 
 @dataclass(frozen=True)
@@ -112,7 +111,13 @@ class SkeletonRecording:
 
 @dataclass
 class StreamRows:
-    """Bodies that one sensor reported, in the order of arrival, from which a stream is built."""
+    """Bodies that one sensor reported, in the order of arrival, from which a stream is built.
+
+    name: name of the sensor.
+    joint_names: J names.
+    times, ids: time (s) and number of the person of each body.
+    positions, state, joint_depth: (J, 3) m, (J,) and (J,) m of each body, as in `SensorStream`.
+    """
 
     name: str
     joint_names: tuple[str, ...]
@@ -125,7 +130,13 @@ class StreamRows:
     """Times at which the sensor saw no person."""
 
     def add(self, time: float, person: int, positions: ArrayLike, state: ArrayLike) -> None:
-        """Append one body: positions (J, 3), m, and state (J,)."""
+        """Append one body.
+
+        time: s.
+        person: the sensor's number of the person.
+        positions: (J, 3) m.
+        state: (J,) 0 not tracked, 1 inferred, 2 tracked.
+        """
         self.times.append(time)
         self.ids.append(person)
         self.positions.append(np.asarray(positions, dtype=np.float64))
@@ -240,7 +251,7 @@ def repair_clock(times: ArrayLike) -> tuple[Array, NDArray[np.bool_], tuple[str,
         return t, keep, ()
     forward = np.diff(t)
     usual = float(np.median(forward[forward > 0])) if (forward > 0).any() else 1 / 30
-    # one stamp far ahead of its neighbours, which go on regularly: a wrong stamp, not a clock
+    # one time stamp far ahead of regular neighbours is a wrong stamp, not a changed clock
     ahead = np.zeros(len(t), dtype=bool)
     ahead[1:-1] = (t[1:-1] > t[2:] + REORDER_S) & (t[2:] >= t[:-2]) & (t[2:] - t[:-2] < 10 * usual + REORDER_S)
     keep &= ~ahead
@@ -330,7 +341,7 @@ def resample(stream: SensorStream, times: ArrayLike, max_gap: float | None = Non
     ids = np.where(same | use_a, stream.person_ids[i], np.where(use_b, stream.person_ids[k], -1))
     depth = None
     if stream.joint_depth is not None:
-        # depth maps are not interpolated: an edge between two depths would make a surface that is not there
+        # depth maps are not interpolated: at an edge, that would create a surface that does not exist
         nearest = np.where(w < 0.5, i, k)
         depth = np.where(np.isfinite(positions).all(-1), stream.joint_depth[nearest], 0.0)
     missing = ~np.isfinite(positions).all(-1)
@@ -384,9 +395,11 @@ def checked_recording(
 ) -> SkeletonRecording:
     """Build a recording from the bodies of its sensors; sensors that saw no person are left out, with a note.
 
+    rows: bodies of each sensor.
     where: the recording, for the error messages.
     inputs: path of each file by a short name.
     reference: sensor whose frame the result uses; the first by default.
+    common_clock: all sensors' times are from one clock.
     Raises: InputError where there is no skeleton, there are too many sensors, or the reference has no skeleton.
     """
     if len(rows) > MAX_SENSORS:
@@ -539,7 +552,11 @@ def _bad(reason: str) -> NoReturn:
 
 
 def format_line(line: SensorReport, token: str = "", digits: int = 5) -> str:
-    """Format a report as a line of the protocol, without its line end; positions to 0.01 mm by default."""
+    """Format a report as a line of the skeleton protocol, without its line end.
+
+    token: secret of the live server, "" for none.
+    digits: number of decimals of positions (m); 5 by default.
+    """
     value: dict[str, Any] = {"sensor": line.sensor, "time": round(line.time, 6)}
     if token:
         value["token"] = token

@@ -123,7 +123,7 @@ def open_camera(address: str, rate: float, size: tuple[int, int], begin: float |
 
 def is_device(address: str) -> bool:
     """Test whether an address is the number of a camera of this computer."""
-    return address.isascii() and address.isdigit() and len(address) < 3  # to OpenCV hundreds are back ends
+    return address.isascii() and address.isdigit() and len(address) < 3  # OpenCV takes hundreds for back ends
 
 
 # ---- devices and streams that OpenCV reads ---------------------------------------------------------------------
@@ -145,7 +145,7 @@ class _Captured:
         """Wait for the next image; StreamEnded where there is none."""
         image: NDArray[np.uint8] | None = None
         arrival = 0.0
-        with quiet(), contextlib.suppress(cv2.error):  # what a damaged picture of a device ends in
+        with quiet(), contextlib.suppress(cv2.error):  # raised for a damaged picture of a device
             ok = self.capture.grab()
             arrival = time.monotonic()
             if ok:
@@ -184,7 +184,7 @@ def _stream(address: str) -> _Captured:
 
 
 def without_password(address: str) -> str:
-    """Replace the password in an address, so that it can be shown, whatever characters the password has."""
+    """Replace the password in an address by dots, so that the address can be shown."""
     return re.sub(r"(://[^/:@]*):.*@", r"\1:...@", address)
 
 
@@ -210,12 +210,12 @@ class _MotionJpeg:
                 ) from None
             reason = getattr(error, "reason", None) or error
             raise InputError(f"{self._what} cannot be opened ({reason}); check the address.") from None
-        except (http.client.HTTPException, ValueError):  # which quote the address, password and all
+        except (http.client.HTTPException, ValueError):  # their texts would show the address with the password
             raise InputError(
-                f"{self._what} cannot be opened (that is no address, or no camera answers there); check the address. "
+                f"{self._what} cannot be opened (the address is not valid, or no camera answers); check the address. "
                 "In names and passwords / is written %2F, @ %40, # %23."
             ) from None
-        self._answer, self._line = answer, b""  # a line that was read and belongs to the next head
+        self._answer, self._line = answer, b""  # a line that was read ahead and belongs to the next header
         kind = str(answer.headers.get("Content-Type", ""))
         if not kind.lower().startswith("multipart/"):
             self.close()
@@ -269,7 +269,7 @@ class _MotionJpeg:
             return data
         lines: list[bytes] = []
         total = 0
-        while True:  # up to the next boundary, which stays for the next head
+        while True:  # up to the next boundary, which belongs to the next header
             line = self._answer.readline(1 << 16)
             if not line or total > LARGEST_PART:
                 raise ValueError("the connection was closed" if not line else "a picture without an end")
@@ -335,6 +335,7 @@ class Played:
 
     As with a camera, pictures whose time has passed are skipped. Each picture has the time at which it was due.
 
+    reader: the video or folder.
     rate: Hz, where the film's own rate is not known.
     begin: time of the first picture, s of the monotonic clock.
     """

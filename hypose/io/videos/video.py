@@ -296,8 +296,9 @@ class VideoReader:
 def open_video(
     path: str | Path, threads: int | None = None, in_place: bool = False, rate: float | None = None
 ) -> VideoReader:
-    """Open a video file, a folder of images (natural order) or one image; the arguments are those of `VideoReader`.
+    """Open a video file, a folder of images (natural order) or one image.
 
+    threads, in_place, rate: as for `VideoReader`.
     Raises: InputError where it does not exist or cannot be read.
     """
     path = Path(path)
@@ -323,7 +324,7 @@ def frame_size(path: str | Path) -> tuple[int, int]:
     if images is None:
         return _about(Path(path)).size
     data = read_image_file(images[0])
-    if data[12:16] == b"IHDR" and b"eXIf" not in data and not is_cut_png(data):  # what says so need not be decoded
+    if data[12:16] == b"IHDR" and b"eXIf" not in data and not is_cut_png(data):  # the header gives the size
         width, height = struct.unpack_from(">II", data, 16)
         return width, height
     image = read_image(images[0])
@@ -543,7 +544,7 @@ class VideoWriter:
         )
 
     def write(self, image: Image) -> None:
-        """Append one frame of the writer's size.
+        """Append one frame (h, w, 3) uint8 BGR of the writer's size.
 
         Raises: InputError where the frame has another size or type.
         """
@@ -579,7 +580,7 @@ class VideoWriter:
 
 
 # ---- sound ---------------------------------------------------------------------------------------------------------
-# The sound of a video: a WAV file next to it, or what ffmpeg decodes from it.
+# The sound of a video: a WAV file next to it, or decoded by ffmpeg.
 
 
 _RATE = 16000

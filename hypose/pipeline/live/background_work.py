@@ -49,8 +49,7 @@ class PackedMasks:
     @staticmethod
     def of(frame: Frame) -> PackedMasks:
         """The masks of a frame that has some."""
-        s = frame.silhouettes
-        assert s is not None
+        s = frame.the(Silhouettes)
         ignored = None if s.ignored is None else np.packbits(s.ignored, axis=-1)
         depth = None if frame.depth is None else PackedDepth.of(frame.depth)
         return PackedMasks(frame.time, np.packbits(s.masks, axis=-1), s.usable, s.reasons, ignored, s.expected, depth)

@@ -16,7 +16,7 @@ from hypose.body.body import Body
 from hypose.body.default_body import human
 from hypose.body.skeleton import Skeleton
 from hypose.errors import EvidenceError
-from hypose.evidence.frame import Frame
+from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.hull_people import people_in_hull
 from hypose.evidence.shared_masks import Other
 from hypose.geometry import Array
@@ -183,13 +183,12 @@ def paced(state: TrackerState, share: float, skeleton: Skeleton) -> TrackerState
 
 def _largest_person(look: _Look) -> bool:
     """Two views, or one depth camera, show something of the size of a person, apart from those who are known."""
-    s = look.frame.silhouettes
-    if s is None:
-        return False
-    if look.others:
-        return birth_candidates(look.others, s)
-    large = s.areas > SETTINGS.search_least_area * s.rig.sizes.prod(1)
-    return int((large & s.usable).sum()) >= (2 if look.frame.depth is None else 1)
+    for s in look.frame.of(Silhouettes):
+        if look.others:
+            return birth_candidates(look.others, s)
+        large = s.areas > SETTINGS.search_least_area * s.rig.sizes.prod(1)
+        return int((large & s.usable).sum()) >= look.frame.fewest_views
+    return False
 
 
 def _each_alone(looks: Sequence[_Look], most: int) -> list[list[Frame]]:
@@ -197,8 +196,7 @@ def _each_alone(looks: Sequence[_Look], most: int) -> list[list[Frame]]:
     largest first, if they are in most of the frames."""
     axes, own = list[Array](), list[list[Frame]]()
     for look in looks:
-        assert look.frame.silhouettes is not None
-        found = people_in_hull(look.frame.silhouettes, look.others)
+        found = people_in_hull(look.frame.the(Silhouettes), look.others)
         found = [p for p in found if p.tall or not look.others]  # next to a person it may be a limb of theirs
         if not own:
             axes = [p.axis for p in found[:most]]

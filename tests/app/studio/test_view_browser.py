@@ -14,6 +14,7 @@ from hypose.app.cli import run_cli
 from hypose.app.reports.report import PLACE, drawn_of, report_html
 from hypose.app.reports.result_pictures import image_points
 from hypose.app.studio.view_bundle import load_view
+from hypose.calibration.findings import REVIEW, Finding
 from hypose.io.motions.results import load_body, load_motion, save_motion
 from hypose.io.recordings.recording import load_recording
 from hypose.pipeline.assessment import assess
@@ -135,7 +136,9 @@ def test_much_said_of_a_result_covers_nothing(served, page, tmp_path, monkeypatc
     root = shutil.copytree(served, tmp_path / "root")
     results = root / "walk" / "results" / "default"
     spoilt = spoil_arm(results, slice(2, 6))
-    reported = assess(spoilt, looks=[f"camera {k} may be late by {k} frames" for k in range(8)])
+    reported = assess(
+        spoilt, [Finding("late", (), f"camera {k} may be late by {k} frames", severity=REVIEW) for k in range(8)]
+    )
     (results / "assessment.json").write_text(json.dumps(reported.document()))
     monkeypatch.setenv("ONLY", "view,view-quality")
     with serving(root) as client:
