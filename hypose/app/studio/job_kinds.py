@@ -210,7 +210,7 @@ def _waits_for_user(finding: Mapping[str, Any], masked: Set[str]) -> bool:
     """Whether a finding is a fault that a button of the page puts right; masked: views whose masks are given, which
     do not move with their pictures."""
     cure = str(finding.get("cure"))
-    moves = "set image_shift" in cure and not masked.intersection(finding.get("views", []))
+    moves = "set image_shift" in cure and masked.isdisjoint(finding.get("views", []))
     button = moves or "--refine" in cure or "set keypoint_" in cure or finding.get("kind") == "size"
     return bool(finding.get("fault")) and not finding.get("done") and button
 
