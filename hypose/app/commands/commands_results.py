@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from click.exceptions import Exit
 
-from hypose.app.commands.console import Stages, print_note, print_notes, say, stopping
+from hypose.app.commands.console import Stages, each, print_note, print_notes, say, stopping
 from hypose.app.options import CompareCommand
 from hypose.errors import HyposeError, InputError
 from hypose.options import MOST_FRAMES, MotionPath, Option, OutFolder, Threads, TrackedPath
@@ -180,11 +180,7 @@ def compare(c: CompareCommand) -> None:
     compare_job.load_result(c.files[0])
     check_writable(folder)
     with Stages() as progress:
-        compared = []
-        for done, pair in enumerate(pairs):
-            progress("compare", done, len(pairs))
-            compared += compare_job.compare_files([pair], c, joints, c.subject)
-        progress("compare", len(pairs), len(pairs))
+        compared = compare_job.compare_files(each(progress, "compare", pairs), c, joints, c.subject)
     failed = compare_job.exceeded(compared, c.max_mm, c.max_degrees, c.min_coverage)
     compare_job.write_csv(folder / "compare.csv", compared)
     compare_job.write_comparison_page(folder / "compare.html", compared, failed)

@@ -12,9 +12,9 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from types import FrameType, TracebackType
-from typing import TYPE_CHECKING, TextIO
+from typing import TYPE_CHECKING, TextIO, TypeVar
 
 from click.exceptions import Exit
 
@@ -214,8 +214,17 @@ class Stages:
             self._plain.print(f"{title}: {done}/{total}{rate}{left if not first or last else ''}", markup=False)
 
 
+_Item = TypeVar("_Item")
 ProgressCall = Callable[[str, int, int], None]
 """progress(stage, done, total)."""
+
+
+def each(progress: ProgressCall, stage: str, items: Sequence[_Item]) -> Iterator[_Item]:
+    """Yield the items of a stage, one step each."""
+    for done, item in enumerate(items):
+        progress(stage, done, len(items))
+        yield item
+    progress(stage, len(items), len(items))
 
 
 def ignore(stage: str, done: int, total: int) -> None:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hypose.app.commands.console import ProgressCall, ignore
+from hypose.app.commands.console import ProgressCall, each, ignore
 from hypose.app.options import TrackCommand
 from hypose.app.reports.overlay import OverlayRows, PictureRows, write_overlay
 from hypose.app.reports.report import report_pictures
@@ -306,10 +306,8 @@ def export_and_report(
 
     view: title, notes and figures of the report; written: the files there are already."""
     files: list[Path] = []
-    for done, name in enumerate(job.formats):
-        progress("export", done, len(job.formats))
+    for name in each(progress, "export", job.formats):
         files += export_motion(tracked.motion, tracked.body, job.results.path, (name,))
-    progress("export", len(job.formats), len(job.formats))
     if not (job.command.overlay or job.command.report):
         return files
     recording, modes = job.recording, tracked.modes
