@@ -61,10 +61,11 @@ def moved_sensors(
     """Where depth cameras stand that are not where the source says, and findings on it; nothing where all are, or with
     fewer than two. poses (T, D), as tracked; iou (T,): how well each agrees with what was seen, NaN: it does not
     tell."""
-    depth = source.frame(0).depth
+    depths = source.frame(0).of(Depth)
     count, least = len(poses), max(round(SETTINGS.moved_least_s * frame_rate), 3)
-    if depth is None or depth.usable.sum() < 2 or count < least:
+    if count < least or all(depth.usable.sum() < 2 for depth in depths):
         return (), ()
+    depth = depths[0]
     reported = _cameras(depth)
 
     def places(frames: range, count: int = SETTINGS.moved_frames, iterations: int = 12) -> Array:

@@ -284,7 +284,7 @@ def _by_motion_within(
         f"sd {s:.2f}" if known else "no motion in common with the others"
         for s, known in zip(found.sd, reported, strict=True)
     ]
-    total = points[0].shape[1] if points is not None else len(seen.silhouettes or ())
+    total = points[0].shape[1] if points is not None else len(seen.silhouettes)
     reach = offsets_within(largest, total)
     ended = at_the_end(found, reach)
     if ended:

@@ -75,7 +75,7 @@ def _name(path: Path | None) -> str:
 
 
 def _stream_facts(view: ViewSettings) -> tuple[str, str, str]:
-    if view.source is None and view.masks is None:
+    if not view.has_pictures:
         return "-", "-", "-"
     with open_pictures(view) as reader:
         rate = "-" if reader.frame_rate is None else f"{reader.frame_rate:g}"
@@ -131,7 +131,7 @@ def examine_recording(
     progress: ProgressCall = ignore,
 ) -> tuple[PersonReport | None, Cured | None]:
     """The doctor on `frames` consecutive frames; writes the page. None when there is nothing to examine."""
-    if len(recording.views) < 2 and all(view.depth is None for view in recording.views):
+    if len(recording.views) < 2 and not recording.depth_views:
         return None, None
     observed = observe_recording(recording, frames, progress)
     progress("doctor", 0, 1)

@@ -188,7 +188,7 @@ def _kernels(recording: Recording, options: TrackOptions) -> tuple[str, ...]:
     """The parts of compute that a run needs until its first poses are there."""
     if options.of_picture:
         return ("solver", "scorer", "outlines", "pictures", "monocular")
-    depth = ("depth",) if any(view.depth is not None for view in recording.views) else ()
+    depth = ("depth",) if recording.depth_views else ()
     if options.looks_at == "keypoints":
         return ("solver", *depth)
     # a body that is given is not fitted to outlines

@@ -221,7 +221,7 @@ def working_rig(rig: CameraRig, options: FrameSettings | None = None, depth: Seq
 
 def _rig_of(recording: Recording, options: FrameSettings | None = None) -> CameraRig:
     """Make the cameras of the working size for the views of a recording."""
-    return working_rig(recording.rig, options, [v.depth is not None for v in recording.views])
+    return working_rig(recording.rig, options, [v in recording.depth_views for v in recording.views])
 
 
 def load_keypoints(recording: Recording, options: FrameSettings | None = None) -> list[Keypoints] | None:
