@@ -198,7 +198,8 @@ def next_step(
     check = read_found(folder, "check.json")
     if check is None or check["stale"]:
         return ("check", {}) if after != "check" else None
-    masked = {v.name for v in views if v.masks}
+    named = zip(views, recording.rig.names, strict=True)
+    masked = {name for v, camera in named if v.masks for name in (v.name, camera)}
     if after == "track" or (not anyway and any(_waits_for_user(f, masked) for f in check.get("findings", []))):
         return None
     detected = any(v.keypoints for v in views)
