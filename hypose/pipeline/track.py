@@ -75,7 +75,7 @@ def track(
     recipe: name of a preset, or a recipe of your own for the joints of `human()`; default: that of the options.
     own: evidence of your own in addition to that of the recording.
     body: the subject's own body, used unchanged; default: a body is fitted to the recording.
-    progress: called with stage, done, total; default: a bar per stage, where stderr is a terminal.
+    progress: called with stage, done, total; default: a bar per stage where stderr is a terminal.
     people: None: track one person, even where several are seen. 'all', a maximum number, or the name of one person in
         recording.toml: track all people together.
     Returns: TrackResult; PeopleResult where `people` is given.
