@@ -57,7 +57,6 @@ class FusionSettings:
     method: one of FUSION_METHODS. "fit" is the articulated fit. "swarm" is the improved swarm. "published" is
         Asteriadis et al. 2013 with their registration, by the triangle of every frame. "published-window" is the same
         swarm, registered like the other methods.
-    reference: index of the sensor whose frame is the common one.
     registered: whether positions are in a common frame already.
     window_s: s of the last frames that the registration of a stream uses.
     refit_s: s between two refits of that registration.
@@ -71,7 +70,6 @@ class FusionSettings:
     """
 
     method: str = FIT
-    reference: int = 0
     registered: bool = False
     window_s: float = 5.0
     refit_s: float = 1.0
@@ -203,18 +201,16 @@ def start(
     first: a frame that defines the sensors and the joint set of the stream; it is not fused.
     registration: a known one, which is then kept (but "published" registers every frame again).
     lengths: (18,) m of joints.SKELETON_BONES, known ones, which are then kept.
-    Raises: InputError where the reference is not one of the sensors, or the joints are of no known set.
+    Raises: InputError where the joints are of no known set.
     """
     s = settings or FusionSettings()
     sensors = len(first.sensor_names)
-    if not 0 <= s.reference < sensors:
-        raise InputError(f"There are {sensors} sensors, the reference cannot be number {s.reference}.")
     swarms = s.method != FIT or s.diagnose
     known_set = jt.joint_set(first.joint_names)
     rest = np.setdiff1d(np.arange(len(first.joint_names)), known_set.common)
     known = None if s.per_frame else registration
     if known is None:
-        known = identity_registration(sensors, s.reference) if s.registered else alone(sensors, s.reference)
+        known = identity_registration(sensors) if s.registered else alone(sensors)
     return FusionState(
         s,
         first.sensor_names,
@@ -307,12 +303,7 @@ def fuse_clip(
     if not np.isfinite(positions).any():
         raise InputError("No sensor reports any joint in the whole clip; check that a person was tracked.")
     if registration is None:
-        sensors = positions.shape[1]
-        registration = (
-            identity_registration(sensors, s.reference)
-            if s.registered
-            else register(positions, states, reference=s.reference)
-        )
+        registration = identity_registration(positions.shape[1]) if s.registered else register(positions, states)
         if s.check:
             check_same_person(positions, registration, joints[0].sensor_names)
     lengths = clip_lengths(positions, states)
@@ -384,7 +375,7 @@ def _refit(state: FusionState, raw: SensorJoints, time: float) -> FusionState:
     if time < state.next_refit:
         return replace(state, window=window)
     positions, states = np.stack([w[0] for w in window]), np.stack([w[1] for w in window])
-    new = register(positions, states, reference=s.reference, start=state.registration, iterations=8)
+    new = register(positions, states, start=state.registration, iterations=8)
     pause = s.refit_s if new.registered.all() and len(window) > 30 else min(0.2, s.refit_s)
     return replace(state, window=window, registration=new, next_refit=time + pause)
 

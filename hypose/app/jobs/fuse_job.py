@@ -280,7 +280,7 @@ def _registration(people: Sequence[Sequence[SensorJoints]], names: Sequence[str]
     states = np.concatenate([np.stack([f.state for f in clip]) for clip in clips])
     if not np.isfinite(positions).any():
         raise InputError("No sensor reports any joint in the whole recording; check that a person was tracked.")
-    found = register(positions, states, reference=0)
+    found = register(positions, states)
     check_same_person(positions, found, names)
     return found
 
@@ -312,7 +312,7 @@ def _write(
     settings = {
         "method": c.method,
         "rate": fused.motion.frame_rate,
-        "reference": fused.sensor_names[fused.registration.reference],
+        "reference": fused.sensor_names[0],
         "sensors": list(fused.sensor_names),
         "up": c.up,
         "world_from_reference": world,
