@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -110,7 +109,6 @@ class FusedFrame:
     lost: whether there was no evidence for too long.
     n_sensors: number of sensors with evidence.
     swapped: (K,) whether the sides of each sensor were exchanged.
-    restarted: whether the swarm was initialised again.
     """
 
     time: float
@@ -124,7 +122,6 @@ class FusedFrame:
     lost: bool
     n_sensors: int
     swapped: NDArray[np.bool_]
-    restarted: bool
 
 
 @dataclass(frozen=True)
@@ -176,7 +173,6 @@ class Fused:
     registration: of the sensors; with "published" that of the last frame.
     lengths: (18,) m of joints.SKELETON_BONES.
     swapped: (T, K) whether the sides of a sensor were exchanged.
-    restarts: (T,) whether the swarm was initialised again.
     sensor_names: names of the K sensors.
     """
 
@@ -186,7 +182,6 @@ class Fused:
     registration: Registration
     lengths: Array
     swapped: NDArray[np.bool_]
-    restarts: NDArray[np.bool_]
     sensor_names: tuple[str, ...]
 
 
@@ -245,11 +240,11 @@ def fuse_frame(state: FusionState, frame: SensorJoints) -> tuple[FusionState, Fu
     state = _refit(state, raw, time)
     world = state.registration.apply(raw.positions)
     state, noise, heading = _noise(state, raw, world)
-    choice, restarted, estimate = None, False, None
+    choice, estimate = None, None
     swarm = state.swarm
     if swarm is not None and noise is not None:
         swarm, estimate = swarm_step(swarm, world, noise, heading, s.swarm_settings, s.seed)
-        choice, restarted = estimate.shares, estimate.restarted
+        choice = estimate.shares
     n_sensors = int(np.isfinite(world[..., 0]).any(1).sum())
     # sensors that report in a common frame may stand anywhere
     eyes = np.full((len(world), 3), np.nan) if s.registered else state.registration.common_from_sensor[:, :3, 3]
@@ -270,7 +265,7 @@ def fuse_frame(state: FusionState, frame: SensorJoints) -> tuple[FusionState, Fu
     joints, sd, systematic, wrong = _with_rest(state, frame, joints, (sd, systematic, wrong), shares)
     fused = FusedFrame(
         *(time, state.joint_names, joints, sd, systematic, wrong, shares, choice),
-        *(bool(lost), n_sensors, swapped, restarted),
+        *(bool(lost), n_sensors, swapped),
     )
     return replace(state, fit=fit, swarm=swarm), fused
 
@@ -328,7 +323,6 @@ def fuse_clip(
         state.registration,
         lengths,
         np.stack([f.swapped for f in frames]),
-        np.array([f.restarted for f in frames]),
         joints[0].sensor_names,
     )
 
@@ -392,7 +386,7 @@ def _noise(state: FusionState, raw: SensorJoints, world: Array) -> tuple[FusionS
     )
     noise = s.rules.noise(*normalised(inputs, s.confidence))
     up = state.up if state.up is not None else upward(world)
-    x, y = _axes(*up.tolist())
+    x, y = horizontal_axes(up)
     side = world[:, jt.LEFT_SHOULDER] - world[:, jt.RIGHT_SHOULDER]
     side = side[np.isfinite(side).all(1)]
     heading = state.heading
@@ -402,11 +396,6 @@ def _noise(state: FusionState, raw: SensorJoints, world: Array) -> tuple[FusionS
         # raw headings of single frames cross the threshold by chance
         heading = angle if heading is None else heading + 0.2 * float(np.angle(np.exp(1j * (angle - heading))))
     return replace(state, confidence=memory, up=up, heading=heading), noise, heading or 0.0
-
-
-@lru_cache(maxsize=16)
-def _axes(x: float, y: float, z: float) -> tuple[Array, Array]:
-    return horizontal_axes((x, y, z))
 
 
 def _with_rest(

@@ -39,8 +39,8 @@ class Registration:
     """Rigid transforms of K sensors to the common frame, which is that of the first sensor.
 
     common_from_sensor: (K, 4, 4).
-    residual: (K,) m, median distance to the joints of the first sensor (or of the sensor that it was registered to), NaN
-        where not registered.
+    residual: (K,) m, median distance to the joints of the first sensor (or of the sensor that it was
+        registered to), NaN where not registered.
     registered: (K,) bool.
     """
 

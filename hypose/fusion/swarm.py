@@ -9,9 +9,9 @@ Source: Asteriadis et al. 2013, sections 2.2, 2.5 and 2.6. One layer of the comm
 
 Deviations, each a setting that PUBLISHED sets as in the paper: the length scale h of eq. 7, which is printed without
 one (in millimetres only the nearest few of 2100 candidates would have weight); the power of the noise; immigrants,
-because a sensor that misses one frame would otherwise lose all its candidates for ever; Baker's universal sampling; the estimate read before the wheel, weighted by energy. The
-swarm chooses sensors well; it estimates positions less well, because it ends on one sensor and keeps that sensor's
-bias.
+because a sensor that misses one frame would otherwise lose all its candidates for ever; Baker's universal sampling; the
+estimate read before the wheel, weighted by energy. The swarm chooses sensors well; it estimates positions less well,
+because it ends on one sensor and keeps that sensor's bias.
 """
 
 from __future__ import annotations
