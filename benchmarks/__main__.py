@@ -8,7 +8,6 @@ from typing import Annotated, Any
 from click.exceptions import Exit
 
 from hypose.app.cli import make_command, run_cli
-from hypose.app.commands.commands_track import set_threads
 from hypose.app.commands.console import Stages, say
 from hypose.options import Option, Threads
 
@@ -32,7 +31,6 @@ def bench(
     threads: Threads = None,
 ) -> None:
     """Measure accuracy and speed."""
-    set_threads(threads)
     from benchmarks.bench_list import run_benchmark
     from hypose.io.files import atomic_path, check_writable
     from hypose.io.motions.results import to_json

@@ -10,9 +10,10 @@ Command line, tables of recordings and the studio's forms are made of these decl
 from __future__ import annotations
 
 import dataclasses
+import functools
 import inspect
 import typing
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -23,8 +24,10 @@ HEIGHT = (0.4, 2.8)
 """m: of a person whom the trackers know."""
 MOST_FRAMES = 10**9
 LARGEST_SEED = 2**63 - 1
-RESEARCH = "Research"
-"""Heading of what only those need who compare methods."""
+RUN, RESEARCH = "Run", "Research"
+"""Headings of how it is run, and of what only those need who compare methods."""
+THREAD_VARIABLES = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+"""What limits the threads of numba and of the libraries behind numpy."""
 _TRUTH = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
 
 
@@ -82,6 +85,10 @@ class Declared:
         """As it is written on the command line."""
         return self.option.flag or f"--{'no-' * (self.default is True)}{self.name.replace('_', '-')}"
 
+    def of(self, options: object) -> Any:  # noqa: ANN401
+        """Its value among the options of a dataclass."""
+        return getattr(options, self.name)
+
     def check(self, value: Any, name: str | None = None) -> Any:  # noqa: ANN401
         """The value; an InputError when it is not possible. name: as the user wrote it, the flag by default."""
         if value is None or self.many or self.option.allows(value):
@@ -98,47 +105,33 @@ class Declared:
         return self.check(self.kind(text), self.name)
 
 
+@functools.cache
 def declared(of: Callable[..., Any]) -> tuple[Declared, ...]:
-    """The options of a dataclass or a function, where a parameter that is a dataclass stands for its options."""
-    return tuple(_declared(of))
-
-
-def gathered(of: Callable[..., Any], given: Mapping[str, Any]) -> dict[str, Any]:
-    """The arguments of a function from the values of its options by name."""
-    out = {}
-    for name, hint in typing.get_type_hints(of).items():
-        if name in inspect.signature(of).parameters:
-            of_class = dataclasses.is_dataclass(hint)
-            out[name] = hint(**{d.name: given[d.name] for d in declared(hint)}) if of_class else given[name]
-    return out
-
-
-def _declared(of: Callable[..., Any]) -> Iterator[Declared]:
-    defaults = inspect.signature(of).parameters
+    """The options of a dataclass or a function."""
+    parameters, out = inspect.signature(of).parameters, []
     for name, hint in typing.get_type_hints(of, include_extras=True).items():
-        if name in defaults and dataclasses.is_dataclass(hint):
-            yield from declared(hint)
-        elif name in defaults and typing.get_origin(hint) is Annotated and isinstance(hint.__metadata__[0], Option):
-            plain = typing.get_args(hint.__origin__) or (hint.__origin__,)
-            kind, default = plain[0], defaults[name].default
+        if typing.get_origin(hint) is Annotated and isinstance(hint.__metadata__[0], Option):
+            plain, default = hint.__origin__, parameters[name].default
+            kind = (typing.get_args(plain) or (plain,))[0]
             default = dataclasses.MISSING if default is inspect.Parameter.empty else default
-            yield Declared(name, kind, typing.get_origin(hint.__origin__) is tuple, default, hint.__metadata__[0])
+            out.append(Declared(name, kind, typing.get_origin(plain) is tuple, default, hint.__metadata__[0]))
+    return tuple(out)
 
 
 RecordingPath = Annotated[
     Path, Option("Folder with recording.toml, that file, or a Pose2Sim project.", argument=True, value="RECORDING")
 ]
-CalibrationFile = Annotated[Path | None, Option("Use this calibration file instead of the recording's.", group="Input")]
-FrameRange = Annotated[
+CalibrationFile = Annotated[Path | None, Option("Use this calibration file instead of the recording's.")]
+FrameSpan = Annotated[
     str | None,
-    Option("first:stop, counted from 0. [default: recording.toml's, else all]", value="A:B", group="Input"),
+    Option("first:stop, counted from 0. [default: recording.toml's, else all]", value="A:B"),
 ]
 Threads = Annotated[
-    int | None, Option("Processor threads; the result does not depend on it. [default: all]", 1, 256, group="Machine")
+    int | None, Option("Processor threads; the result does not depend on it. [default: all]", 1, 256, group=RUN)
 ]
 Seed = Annotated[
     int, Option("Of every random draw; the same seed gives the same result.", 0, LARGEST_SEED, group=RESEARCH)
 ]
 Seconds = Annotated[float, Option("Length of the recording.", 0, 3600, above=True, unit="seconds")]
-Resume = Annotated[bool, Option("Go on where an interrupted run stopped.")]
-Yes = Annotated[bool, Option("Fetch the detector's models, once, without asking.")]
+Resume = Annotated[bool, Option("Go on where an interrupted run stopped.", group=RUN)]
+Yes = Annotated[bool, Option("Fetch the detector's models, once, without asking.", group=RUN)]

@@ -16,8 +16,9 @@ from benchmarks.depth_sensors.fusion_scenes import FRESH_SEED, HANDS, scene_reco
 from benchmarks.depth_sensors.sensor_choice import register_per_frame
 from benchmarks.multiview.doubt_fit import auroc
 from benchmarks.synthetic.sensors import SensorRecording
-from hypose.app.jobs.fuse_job import FuseJob, run_fuse
+from hypose.app.jobs.fuse_job import run_fuse
 from hypose.app.live.simulated_sensors import FRAME_RATE
+from hypose.app.options import FuseCommand
 from hypose.body.motion import Motion
 from hypose.errors import InputError
 from hypose.evidence.frame import SensorJoints
@@ -173,7 +174,7 @@ def _verdicts(file: Path, frames: list[SensorJoints], found: dict[tuple[str, str
     """How `hypose fuse` ends: 1 or 0 per recording, of which that is so of any of its people."""
     hard = bool(set(_scenarios(file).values()) & {"4", "5", "6", "8"})
     with TemporaryDirectory() as folder:
-        people = run_fuse(FuseJob(read_skeletons(file), ResultsFolder(Path(folder)), formats=())).people
+        people = run_fuse(read_skeletons(file), ResultsFolder(Path(folder)), FuseCommand(formats="csv")).people
     words = [p.assessment.word for p in people]
     case = "occlusion or two people" if hard else "one person"
     found.setdefault(("not_good", case, "share"), []).append(float(any(w != GOOD for w in words)))

@@ -35,10 +35,8 @@ def clock():  # processor time of this process and of those that it started
 _TRACK = """
 recording, out, body = map(Path, sys.argv[1:4])
 from hypose.app import cli
-from hypose.app.jobs.job import Job, run_job
-from hypose.io.motions.results import ResultsFolder
-from hypose.io.recordings.recording import load_recording
-from hypose.pipeline.track_options import TrackOptions
+from hypose.app.jobs.job import job_of, run_job
+from hypose.app.options import TrackCommand
 
 class First(Exception): pass
 
@@ -48,7 +46,7 @@ def progress(stage, done, total):
 
 def first_pose():
     try:
-        run_job(Job(load_recording(recording), TrackOptions(subject=str(body)), ResultsFolder(out)), progress)
+        run_job(job_of(TrackCommand(recording=recording, subject=str(body), out=out)), progress)
     except First:
         return clock()
 

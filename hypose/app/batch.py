@@ -16,22 +16,22 @@ import signal
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hypose.app.commands.console import ProgressCall, Stages, ignore
-from hypose.app.jobs.job import TrackJob, choose_frames, compile_before, record_of, run_job
+from hypose.app.jobs.job import TrackJob, compile_before, job_of, record_of, run_job, split_names
+from hypose.app.options import TrackCommand
 from hypose.app.reports.summary import require_found, summarize
 from hypose.errors import HyposeError, InputError, extra
 from hypose.io.file_names import file_name
 from hypose.io.files import check_writable, read_json, text_lines, write_text
-from hypose.io.motions.results import ResultsFolder, provenance_identity, to_json
+from hypose.io.motions.results import provenance_identity, to_json
 from hypose.io.recordings.pose2sim import is_project
-from hypose.io.recordings.recording import load_recording
+from hypose.options import THREAD_VARIABLES, declared
 from hypose.pipeline.comparison import compare_with
-from hypose.pipeline.track_options import TrackOptions
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -58,31 +58,23 @@ _TOPIC = "hypose-batch"
 _POLL_S = 0.5
 _STOP_S = 60.0  # a frame and a checkpoint take far less
 _PATIENCE = "300s"  # a worker of a busy machine takes long to start, the first time and again
-_THREADS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-
-
-def _truth(text: str) -> bool:
-    return {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}[text.lower()]
-
-
-_OPTIONS: dict[str, Callable[[str], Any]] = {
-    **dict.fromkeys(("recipe", "evidence", "start", "subject", "frames"), str),
-    **{"refine": _truth, "seed": int, "height": float},
+_FILES: Mapping[str, Any] = {"formats": "trc,csv", "overlay": False}
+"""What is written of each recording, where nothing else is wanted."""
+_COLUMNS_OF_TRACK = {
+    d.flag.removeprefix("--").removeprefix("no-"): d
+    for d in declared(TrackCommand)
+    if d.name not in ("recording", "people", "out", "resume", "formats", "overlay", "report", "yes", "threads")
 }
-"""Columns of a table of recordings besides `recording` and `name`: options of `hypose track`"""
+"""Columns of a table of recordings besides `recording` and `name`: options of `hypose track` that decide a motion."""
 
 
 @dataclass(frozen=True)
 class Task:
-    """One recording tracked with some options. path: of the recording; name: of the options; options: of `hypose
-    track`, by name; formats: motion files to write; overlay: write overlay.mp4. Once planned, key: see the module;
-    recording: its name; frames: how many; results: the folder."""
+    """One recording tracked with some options. command: what to track and how; name: of the options. Once planned, key:
+    see the module; recording: its name; frames: how many; results: the folder."""
 
-    path: Path
+    command: TrackCommand
     name: str = "default"
-    options: Mapping[str, Any] = field(default_factory=dict)
-    formats: tuple[str, ...] = ("trc", "csv")
-    overlay: bool = False
     key: str = ""
     recording: str = ""
     frames: int = 0
@@ -91,62 +83,66 @@ class Task:
     @property
     def job(self) -> TrackJob:
         """The tracking job, which goes on where an earlier one stopped."""
-        options = dict(self.options)
-        recording = choose_frames(load_recording(self.path), options.pop("frames", None))
-        truth = recording.folder / "truth.npz"
-        return TrackJob(
-            recording,
-            TrackOptions(**{"height": recording.subject_height, **options}),
-            ResultsFolder(self.results),
-            formats=self.formats,
-            overlay=self.overlay,
-            resume=True,
-            truth=compare_with(truth, recording.frames.start) if truth.is_file() else None,
-        )
+        job = job_of(replace(self.command, out=self.results, resume=True, report=True))
+        truth = job.recording.folder / "truth.npz"
+        return replace(job, truth=compare_with(truth, job.recording.frames.start) if truth.is_file() else None)
+
+    @property
+    def written(self) -> dict[str, Any]:
+        """Which files are written in addition to the motion."""
+        return {"formats": list(split_names(self.command.formats)), "overlay": self.command.overlay}
 
 
 # ---- the next step --------------------------------------------------------------------------------------
 
 
-def read_table(path: Path) -> list[Task]:
-    """The rows of a CSV table of recordings; an InputError names the line and the allowed values."""
+def read_table(path: Path, more: Mapping[str, Any] = _FILES) -> list[Task]:
+    """The rows of a CSV table of recordings; more: what else they are tracked with. An InputError names the line and
+    the allowed values."""
     reader = csv.DictReader(text_lines(path, "a table of recordings"), restkey="more", restval="")
-    unknown = set(reader.fieldnames or ()) - {"recording", "name", *_OPTIONS}
+    unknown = set(reader.fieldnames or ()) - {"recording", "name", *_COLUMNS_OF_TRACK}
     if unknown or "recording" not in (reader.fieldnames or ()):
         wrong = f"there is no column {min(unknown)!r}" if unknown else "the column 'recording' is missing"
-        raise InputError(f"{path}: {wrong}; the columns are recording, name, {', '.join(_OPTIONS)}.")
+        raise InputError(f"{path}: {wrong}; the columns are recording, name, {', '.join(_COLUMNS_OF_TRACK)}.")
     tasks = []
     for row in reader:
         where, options = f"{path}, line {reader.line_num}", {}
         if "more" in row or not row["recording"].strip():
             raise InputError(f"{where}: the row must name a recording and have as many cells as the first line.")
-        for name in (n for n in _OPTIONS if (row.get(n) or "").strip()):
-            text = row[name].strip()
+        for name, option in _COLUMNS_OF_TRACK.items():
+            text = (row.get(name) or "").strip()
             try:
-                options[name] = _OPTIONS[name](text)
-            except (ValueError, KeyError):
+                if text:
+                    options[option.name] = option.parse(text)
+            except ValueError:
                 raise InputError(f"{where}: {name} cannot be {text!r}; see docs/batch.md.") from None
-        if "subject" in options:
-            options["subject"] = str(path.parent / Path(options["subject"]).expanduser())
+            except InputError as error:
+                raise InputError(f"{where}: {error}") from None
+        for name in options.keys() & {"subject", "calibration"}:
+            options[name] = type(options[name])(path.parent / Path(options[name]).expanduser())
         recording = path.parent / Path(row["recording"].strip()).expanduser()
-        tasks.append(Task(recording, (row.get("name") or "").strip() or "default", options))
+        try:
+            command = TrackCommand(recording=recording, **{**more, **options})
+        except InputError as error:
+            raise InputError(f"{where}: {error}") from None
+        tasks.append(Task(command, (row.get("name") or "").strip() or "default"))
     if not tasks:
         raise InputError(f"{path} names no recording; write one in each line below the first.")
     return tasks
 
 
-def wanted(given: Sequence[Path]) -> list[Task]:
+def wanted(given: Sequence[Path], more: Mapping[str, Any] = _FILES) -> list[Task]:
     """The rows of a table; or of paths every recording, as wildcards name other files as well, with the usual
     options."""
     if given[0].suffix.lower() == ".csv":
-        return read_table(given[0])
+        return read_table(given[0], more)
     folders = [p for p in given if (p / "recording.toml").is_file() or is_project(p)]
     if not folders:
         raise InputError(
             f"{given[0]} is neither a table (.csv) nor the folder of a recording; for all recordings in a folder give "
             f"{given[0]}/*, see docs/batch.md."
         )
-    return [Task(p) for p in folders]
+    return [Task(TrackCommand(recording=p, **more)) for p in folders]
 
 
 def ordered_tasks(
@@ -167,7 +163,9 @@ def ordered_tasks(
             folder = results / file_name(name) / f"{file_name(task.name)}-{key[:8]}"
             tasks[key] = replace(task, key=key, recording=name, frames=len(job.recording.frames), results=folder)
         except HyposeError as error:
-            refused.append({"recording": task.path.name, "name": task.name, "state": "failed", "message": str(error)})
+            refused.append(
+                {"recording": task.command.recording.name, "name": task.name, "state": "failed", "message": str(error)}
+            )
     progress("plan", len(drafts), len(drafts))
     return list(tasks.values()), refused
 
@@ -178,8 +176,7 @@ def finished_metrics(task: Task) -> dict[str, Any] | None:
         found = read_json(task.results / "task.json", "the record of a task")
     except InputError:
         return None
-    wanted = (task.key, list(task.formats), task.overlay)
-    same = isinstance(found, dict) and (found.get("key"), found.get("formats"), found.get("overlay")) == wanted
+    same = isinstance(found, dict) and {"key": task.key, **task.written}.items() <= found.items()
     return found if same and (task.results / "motion.npz").is_file() else None
 
 
@@ -249,9 +246,10 @@ def run_task(task: Task, stop: Path, report: Callable[[int], None]) -> dict[str,
         "state": "done",
         "recording": task.recording,
         "name": task.name,
-        "options": dict(task.options),
-        "formats": list(task.formats),
-        "overlay": task.overlay,
+        "options": {
+            n: str(v) for n, d in _COLUMNS_OF_TRACK.items() if (v := getattr(task.command, d.name)) != d.default
+        },
+        **task.written,
         "frames": s.frames,
         "lost": s.lost,
         "extrapolated": s.extrapolated,
@@ -371,7 +369,7 @@ def _client(workers: int, threads: int | None, scheduler: str | None) -> Iterato
             "distributed.scheduler.allowed-failures": RETRIES,
             # no task waits at a worker: a death counts against the task that ran, and costs that one only
             "distributed.scheduler.worker-saturation": 1.0,
-            "distributed.nanny.pre-spawn-environ": {name: str(each) for name in _THREADS},
+            "distributed.nanny.pre-spawn-environ": {name: str(each) for name in THREAD_VARIABLES},
             "distributed.comm.timeouts.connect": _PATIENCE,
             "distributed.deploy.lost-worker-timeout": _PATIENCE,
         }

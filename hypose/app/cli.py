@@ -21,21 +21,32 @@ from typing import Any
 
 import click
 
+from hypose.app import options
 from hypose.errors import HyposeError
-from hypose.options import Declared, declared, gathered
+from hypose.options import RESEARCH, THREAD_VARIABLES, Declared, declared
 
 _LITTLE_MEMORY = 4 << 30
 _OWN_SETTINGS = ("NUMBA_DISABLE_INTEL_SVML", "NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES")
 """Variables that hypose sets itself, and hands on to the processes that it starts."""
-Table = Mapping[str, Mapping[str, tuple[str, str]]]
-"""Heading -> name of a command -> (module:function below hypose.app.commands, its line in the help). In place of the
-function the table of a command that has commands of its own."""
-COMMANDS: Table = {
+CommandTable = Mapping[str, Mapping[str, tuple[str, str]]]
+"""Heading -> name of a command -> (where it is, its line in the help). Where: module:function below hypose.app, or
+below hypose.app.commands; or the table of a command that has commands of its own. What function `track` takes is
+declared by the class TrackCommand of hypose.app.options; without such a class by the function itself."""
+CLI_COMMANDS: CommandTable = {
     "First": {
-        "calibrate": ("commands_calibrate:calibrate", "Lenses and places of cameras, from boards or measured points."),
-        "check": ("commands_check:check", "Do the views agree? What is wrong, and --refine cures it."),
+        "calibrate": (
+            "commands_calibrate:calibrate",
+            "Lenses and places of cameras, from boards or measured points.",
+        ),
+        "check": (
+            "commands_check:check",
+            "Do the views agree? What is wrong, and --refine cures it.",
+        ),
         "sync": ("commands_check:sync", "How many frames each view is late; cure it with --out."),
-        "track": ("commands_track:track", "Track the person: motion files, overlay video, report."),
+        "track": (
+            "commands_track:track_command",
+            "Track the person: motion files, overlay video, report.",
+        ),
         "view": ("commands_live:view", "The studio in the browser: look at results, correct, set up."),
         "export": ("commands_results:export", "Write TRC, C3D, BVH, GLB, CSV, MOT of a tracked motion."),
     },
@@ -45,23 +56,32 @@ COMMANDS: Table = {
         "depth-import": ("commands_data:depth_import", "A recording from what depth cameras recorded."),
         "silhouettes": ("commands_data:silhouettes", "Write the masks of the person, and a contact sheet."),
         "keypoints": ("commands_data:keypoints", "Detect 2D key points and masks of people in the videos."),
-        "subject": ("commands_track:subject", "Measure a person: lengths, girths, a body for track."),
-        "batch": ("commands_batch:batch", "Many recordings, many settings, all cores or a cluster."),
+        "subject": (
+            "jobs.person_job:measure_subject",
+            "Measure a person: lengths, girths, a body for track.",
+        ),
+        "batch": ("commands_track:batch", "Many recordings, many settings, all cores or a cluster."),
     },
     "Results": {
         "report": ("commands_results:report", "Write the report of a result again."),
         "correct": ("commands_track:correct", "Track a result again from a frame corrected in the studio."),
         "explain": ("commands_results:explain", "Which pass moved a joint of a frame, and why."),
         "gait": ("commands_results:gait", "Foot strikes, steps, cadence and speed of a tracked motion."),
-        "compare": ("commands_results:compare", "How far a result agrees with markers or another motion."),
+        "compare": (
+            "commands_results:compare",
+            "How far a result agrees with markers or another motion.",
+        ),
         "play": ("commands_results:play", "Send a tracked motion to an avatar, as it was (VMC)."),
         "cite": ("commands_results:cite", "Print the papers behind the method that gave a result."),
     },
     "Live and depth sensors": {
         "live": ("commands_live:live", "Cameras in, poses out, while it happens."),
-        "fuse": ("commands_fuse:fuse", "One skeleton per person from several depth sensors."),
-        "gesture": ("commands_gesture:COMMANDS", "Learn still gestures in minutes, and watch for them."),
-        "warm-up": ("commands_track:warm_up", "Compile now what the first run would compile."),
+        "fuse": ("jobs.fuse_job:fuse", "One skeleton per person from several depth sensors."),
+        "gesture": (
+            "commands_gesture:GESTURE_COMMANDS",
+            "Learn still gestures in minutes, and watch for them.",
+        ),
+        "warm-up": ("commands_track:warm_up_command", "Compile now what the first run would compile."),
     },
 }
 _ABOUT = "Human motion from ordinary cameras: calibrated videos in; joint positions, angles and their uncertainty out."
@@ -72,7 +92,7 @@ _CONTEXT = {"max_content_width": 120}
 class _Group(click.Group):
     """Commands in a table, each imported when it is asked for."""
 
-    def __init__(self, name: str, table: Table, about: str, params: Sequence[click.Parameter] = ()) -> None:
+    def __init__(self, name: str, table: CommandTable, about: str, params: Sequence[click.Parameter] = ()) -> None:
         super().__init__(name, help=about, params=[*params], no_args_is_help=True, context_settings=_CONTEXT)
         self._table = table
 
@@ -85,8 +105,14 @@ class _Group(click.Group):
             if found is None:
                 return None
             module, _, member = found[0].partition(":")
-            what = getattr(importlib.import_module(f"hypose.app.commands.{module}"), member)
-            self.commands[name] = make_command(name, what) if callable(what) else _Group(name, what, found[1])
+            module = f"hypose.app.{'' if '.' in module else 'commands.'}{module}"
+            declares = getattr(options, f"{name.capitalize()}Command", None)
+            if declares is not None:
+                self.commands[name] = make_command(name, declares, lambda given: _imported(module, member)(given))
+            elif isinstance(what := _imported(module, member), Mapping):
+                self.commands[name] = _Group(name, what, found[1])
+            else:
+                self.commands[name] = make_command(name, what)
         return self.commands[name]
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -96,30 +122,43 @@ class _Group(click.Group):
 
 
 class _Command(click.Command):
-    """A command whose options stand under headings. function: what declares them."""
+    """A command whose options stand under headings. declares: what declares them."""
 
-    function: Callable[..., None]
+    declares: Callable[..., Any]
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        sections: dict[str, list[tuple[str, str]]] = {}
+        sections: dict[str, list[tuple[str, str]]] = {"Options": []}
         for param in self.get_params(ctx):
             if not isinstance(param, click.Argument) and (record := param.get_help_record(ctx)):
                 sections.setdefault(getattr(param, "group", "") or "Options", []).append(record)
-        for heading, records in sections.items():
+        for heading, records in sorted(sections.items(), key=lambda s: s[0] == RESEARCH):  # last
             with formatter.section(heading):
                 formatter.write_dl(records)
 
 
-def make_command(name: str, function: Callable[..., None]) -> click.Command:
-    """The command that calls a function with the options that it declares (`hypose.options.declared`)."""
+def make_command(name: str, declares: Callable[..., Any], work: Callable[[Any], None] | None = None) -> click.Command:
+    """The command with the options that a function or dataclass declares (`hypose.options.declared`), which it calls.
+
+    work: is called with the instance of the dataclass."""
 
     def run(**given: Any) -> None:  # noqa: ANN401
-        function(**gathered(function, given))
+        set_threads(given.get("threads"))
+        made = declares(**given)
+        if work is not None:
+            work(made)
 
-    params = [_parameter(option) for option in declared(function)]
-    out = _Command(name, params=params, callback=run, help=inspect.getdoc(function), context_settings=_CONTEXT)
-    out.function = function
+    out = _Command(name, callback=run, help=inspect.getdoc(declares), context_settings=_CONTEXT)
+    out.params, out.declares = [_parameter(option) for option in declared(declares)], declares
     return out
+
+
+def set_threads(count: int | None) -> None:
+    """Limit the threads of everything that uses threads; call it before numpy and OpenCV are imported."""
+    if count is not None:
+        os.environ.update(dict.fromkeys(THREAD_VARIABLES, str(count)))
+        import cv2
+
+        cv2.setNumThreads(count)
 
 
 def _parameter(d: Declared) -> click.Parameter:
@@ -128,6 +167,8 @@ def _parameter(d: Declared) -> click.Parameter:
     about: dict[str, Any] = {} if required else {"default": d.default}
     about |= {"type": click.Path(path_type=Path) if d.kind is Path else d.kind, "help": d.option.help}
     about["metavar"] = d.option.value or None
+    if d.option.choices and d.option.value:
+        about["help"] += f" One of {', '.join(d.option.choices)}."
     if d.option.argument:
         return click.Argument([d.name], nargs=-1 if d.many else 1, required=required, **about)
     flags = d.flag
@@ -144,6 +185,10 @@ def _parameter(d: Declared) -> click.Parameter:
     return out
 
 
+def _imported(module: str, member: str) -> Any:  # noqa: ANN401
+    return getattr(importlib.import_module(module), member)
+
+
 def _version(ctx: click.Context, param: click.Parameter, wanted: bool) -> None:
     if wanted:
         from hypose import __version__
@@ -154,7 +199,7 @@ def _version(ctx: click.Context, param: click.Parameter, wanted: bool) -> None:
 
 app = _Group(
     "hypose",
-    COMMANDS,
+    CLI_COMMANDS,
     _ABOUT,
     [
         click.Option(["--version"], is_flag=True, callback=_version, is_eager=True, help="Print the version and exit."),

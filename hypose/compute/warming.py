@@ -188,28 +188,33 @@ TRACKING_KERNELS = ("solver", "scorer", "outlines", "shape", "pictures")
 """Groups of kernels that mask tracking needs."""
 
 
-def warm_up(*names: str, load: bool = True) -> float:
+def warm_up(*names: str, load: bool = True, progress: Callable[[int, int], None] | None = None) -> float:
     """Compile groups of kernels, in one process per core where that is worth it; return the seconds that it took.
 
     names: of KERNEL_GROUPS; none: TRACKING_KERNELS.
     load: whether to load kernels that are in the cache into this process too; else they are loaded at their first call.
+    progress: called with how many of the groups that have to be compiled are done, when there are any.
 
     The first time on a machine this takes some tens of seconds; afterwards the compiled code is in the cache.
     """
     start = time.perf_counter()
     parts = [part for part in KERNEL_GROUPS if part in (names or TRACKING_KERNELS)]
     missing = [part for part in parts if not _is_ready(part)]
+    report = progress if progress is not None and missing else lambda done, total: None
+    report(0, len(missing))
     # where Python is embedded in a program or frozen, sys.executable is that program
     if len(missing) > 1 and _can_keep() and Path(sys.executable or "").name.lower().startswith("python"):
         began: list[subprocess.Popen[bytes]] = []
         with ThreadPoolExecutor(default_threads()) as pool:
             try:
-                list(pool.map(lambda part: _in_another_process(part, began), missing))
+                for done, _ in enumerate(pool.map(lambda part: _in_another_process(part, began), missing)):
+                    report(done, len(missing))  # the last is the check that all is there
             finally:
                 pool.shutdown(wait=False, cancel_futures=True)
                 for process in began:
                     process.kill()
     _run([part for part in parts if load or not _is_ready(part)])
+    report(len(missing), len(missing))
     return time.perf_counter() - start
 
 

@@ -1,4 +1,4 @@
-"""A recording's poses in one call, without files: what `import hypose` offers as `track`."""
+"""Track a recording in one call, without files: `track`, which `import hypose` offers."""
 
 from __future__ import annotations
 
@@ -67,13 +67,21 @@ def track(
     progress: StageProgress | None = None,
     people: str | int | None = None,
 ) -> TrackResult | PeopleResult:
-    """The motion of the person in a recording (or the recording in a folder, or frames in memory), and the body.
+    """Track the person in a recording and return motion and body; nothing is written.
 
-    recipe: a preset's name, or a recipe of your own for the joints of `human()` (default: the options'). own: evidence
-    of your own in addition to that of the recording. body: the subject's own, which is kept as it is (default: fitted
-    to the recording). people: 'all', how many at most, or the name of one in recording.toml: all people are tracked
-    together, in a PeopleResult; without it one person is tracked, also where several are seen. Nothing is written;
-    `hypose track` writes files and can be resumed. An InputError names what cannot be used."""
+    recording: a recording, its folder, or frames in memory.
+    options: default: those that suit the recording.
+    recipe: name of a preset, or a recipe of your own for the joints of `human()`; default: that of the options.
+    own: evidence of your own in addition to that of the recording.
+    body: the subject's own body, used unchanged; default: a body is fitted to the recording.
+    progress: called with stage, done, total.
+    people: None: track one person, even where several are seen. 'all', a maximum number, or the name of one person in
+        recording.toml: track all people together.
+    Returns: TrackResult; PeopleResult where `people` is given.
+    Raises: InputError names the input that cannot be used.
+
+    `hypose track` does the same, writes files and can be resumed.
+    """
     loaded = recording if isinstance(recording, Recording | FrameList) else load_recording(recording)
     height = loaded.subject_height if isinstance(loaded, Recording) else None
     chosen = options or TrackOptions(height=height)
@@ -100,7 +108,7 @@ def track(
 
 
 def given_body(options: TrackOptions) -> Body | None:
-    """The subject's own body, where the options name its file."""
+    """Load the subject's own body from the file that the options name; None where they name none."""
     return None if options.subject is None else load_subject(options.subject)
 
 
@@ -114,8 +122,12 @@ def track_person(
     command: str = 'people="all"',
     **kept: Any,
 ) -> TrackResult:
-    """The motion of the person in the frames of a recording; where the masks show several, of one of them, and it is
-    said that the `command` tracks all. kept, and everything else: as for `track_source`."""
+    """Track one person in the frames of a recording.
+
+    Where the masks show several people, all are tracked, one is returned, and a note names the `command` that returns
+    all.
+    kept, and the other arguments: as for `track_source`.
+    """
     recording = source.recording
     all_people = with_all_people(source, options) if method is None and not own and body is None else None
     if all_people is None:

@@ -4,64 +4,120 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from hypose.errors import InputError
-from hypose.io.recordings.frames import FrameSettings
-from hypose.io.recordings.recording import Recording
-from hypose.pipeline.one_camera import one_view, picture_options
-from hypose.tracking.recipes import RECIPES, Preset
+from hypose.options import HEIGHT, RESEARCH, Option, Seed, declared
+
+if TYPE_CHECKING:  # options import nothing that computes
+    from hypose.io.recordings.frames import FrameSettings
+    from hypose.io.recordings.recording import Recording
+    from hypose.tracking.recipes import Preset
+
+RECIPE_NAMES = (
+    *("default", "sir", "apf", "partitioned", "hpf", "hpf+", "hpf-apo", "hpf-apo+"),
+    *("dd-hpf", "dd-hpf+", "dd-hpf+5", "dd-hpf+rivals", "monocular"),
+)
+"""Names of hypose.tracking.recipes.RECIPES."""
 
 
 @dataclass(frozen=True)
 class TrackOptions:
-    """What a user chooses. recipe: a preset's name; refine: contour refinement after a published recipe; evidence: one
-    of the preset's, None = its usual one; start, height, girths: see SubjectOptions and, for the picture of one camera,
-    `picture_start`; subject: the file of a given body; smooth: solve all frames together at the end, if the recipe
-    does; checkpoint_every: frames; sure_start: a person says that the start is the right way round; particles: how many
-    hypotheses, None = the recipe's own number; own: options that only this recipe has, by name (`Preset.make`)."""
+    """Options of tracking that a user chooses.
 
-    recipe: str = "default"
-    refine: bool = False
-    evidence: str | None = None
-    seed: int = 0
-    start: str = "auto"
-    height: float | None = None
+    recipe: name of a preset.
+    refine: contour refinement after a published recipe.
+    evidence: one that the preset allows; None: its usual one.
+    seed: of random numbers.
+    start, height, girths: see SubjectOptions; for one camera see `subject_in_picture`.
+    subject: file of a given body.
+    smooth: solve all frames together at the end, if the recipe does that.
+    checkpoint_every: frames.
+    sure_start: a user confirmed that left and right are the right way round at the start.
+    particles: number of hypotheses; None: that of the recipe.
+    own: options that only this recipe has, by name (`Preset.make`).
+    Raises: InputError names a value that is not possible.
+    """
+
+    recipe: Annotated[
+        str, Option("Method; with one camera monocular.", choices=RECIPE_NAMES, value="NAME", group=RESEARCH)
+    ] = "default"
+    refine: Annotated[bool, Option("Contour refinement after a published recipe.", group=RESEARCH)] = False
+    evidence: Annotated[
+        str | None,
+        Option(
+            "What is looked at; auto and edges with one camera. [default: silhouettes; without pictures keypoints; "
+            "both by a detector where nothing tells the person; with one camera all there is]",
+            choices=("silhouettes", "keypoints", "both", "auto", "edges"),
+        ),
+    ] = None
+    seed: Seed = 0
+    start: Annotated[
+        str,
+        Option(
+            "auto, keypoints, hull, or the first frame's pose: a, t, standing, hands-up; with one camera keypoints or "
+            "a file of clicked joints.",
+            value="POSE",
+        ),
+    ] = "auto"
+    height: Annotated[
+        float | None,
+        Option("The person's height. [default: recording.toml's, else estimated]", *HEIGHT, unit="metres"),
+    ] = None
     girths: bool = True
-    subject: str | None = None
-    smooth: bool = True
+    subject: Annotated[
+        str | None, Option("The person's body: the folder or body.npz that hypose subject wrote.", value="PATH")
+    ] = None
+    smooth: Annotated[
+        bool, Option("Each frame as it was tracked, without solving all together at the end.", group=RESEARCH)
+    ] = True
     checkpoint_every: int = 25
     sure_start: bool = False
-    particles: int | None = None
+    particles: Annotated[
+        int | None,
+        Option(
+            "How many hypotheses are followed. [default: the recipe's own number]",
+            1,
+            100_000,
+            group=RESEARCH,
+            flag="--hypotheses",
+        ),
+    ] = None
     own: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        for option in declared(TrackOptions):
+            option.check(option.of(self), option.name)
         self.preset.check(self.recipe, self.looks_at, self.own)
 
     @property
     def preset(self) -> Preset:
-        """The preset of the recipe; that of the default recipe when no recipe has this name (the wrong name is refused
-        later)."""
-        return RECIPES.get(self.recipe, RECIPES["default"])
+        """The preset of the recipe."""
+        from hypose.tracking.recipes import RECIPES
+
+        return RECIPES[self.recipe]
 
     @property
     def looks_at(self) -> str:
-        """The evidence."""
+        """The kind of evidence that is used."""
         return self.evidence or self.preset.evidence[0]
 
     @property
     def of_picture(self) -> bool:
-        """The recipe looks at the picture of one camera."""
+        """Whether the recipe uses the picture of one camera."""
         return "picture" in self.preset.needs
 
     @property
     def whole_clip(self) -> bool:
-        """All frames are solved on their key points together, instead of one after the other and then together."""
+        """Whether all frames are solved together on their key points, instead of being tracked one after the other
+        first.
+        """
         return self.looks_at == "keypoints" and self.smooth and self.preset.whole_clip
 
     def suited_to(self, recording: Recording) -> TrackOptions:
-        """With the evidence that a recording has, where none was asked for: key points where there are no pictures, key
-        points and masks where a detector found both."""
+        """Return the options with the evidence that a recording has, where none was chosen: key points where there are
+        no pictures, both where a detector found key points and masks.
+        """
         usual = "both" if recording.detected else "keypoints"
         if self.evidence is None and (recording.detected or not recording.has_pictures):
             if usual in self.preset.evidence and not self.of_picture:
@@ -69,18 +125,40 @@ class TrackOptions:
         return self
 
     def settings(self) -> dict[str, Any]:
-        """The choices that decide the result."""
+        """Return the options that influence the result, by name."""
         left_out = ("checkpoint_every", "sure_start", "particles", "own")
         chosen = {k: v for k, v in asdict(self).items() if k not in left_out} | {"evidence": self.looks_at}
         return chosen | ({} if self.particles is None else {"particles": self.particles}) | dict(self.own)
 
 
+@dataclass(frozen=True, kw_only=True)
+class CompareOptions:
+    """Options of comparing a motion with another.
+
+    offset: seconds added to the other's times; None: it is estimated.
+    align: move the other rigidly onto ours.
+    all_frames: also compare frames that are lost or predicted.
+    """
+
+    offset: Annotated[
+        float | None,
+        Option("Seconds to add to the other's times. [default: found]", -100_000, 100_000, unit="seconds"),
+    ] = None
+    align: Annotated[bool, Option("Both have the same world: do not move the other onto the result.")] = True
+    all_frames: Annotated[bool, Option("Also frames in which the person was lost or only predicted.")] = False
+
+
 def frames_wanted(recording: Recording, options: TrackOptions) -> FrameSettings | None:
-    """How the frames of a recording are read for a run, None: as is usual; an InputError when a recipe that looks at
-    the picture of one camera cannot have what it is to look at."""
+    """Return how the frames of a recording are read for a run; None: as usual.
+
+    Raises: InputError where a recipe for one camera lacks the pictures, masks or key points that it needs.
+    """
+    from hypose.io.recordings.frames import FrameSettings
+    from hypose.pipeline.one_camera import picture_options
+
     if options.of_picture:
         return picture_options(recording, options.start, options.looks_at)
-    if options.looks_at == "keypoints":  # they need no image, so nothing is decoded
+    if options.looks_at == "keypoints":  # key points need no images, so nothing is decoded
         return FrameSettings(silhouettes=None)
     if options.looks_at == "silhouettes" and "colours" in options.preset.likes and options.own.get("colours"):
         return FrameSettings(silhouettes=recording.silhouettes, colours=True)
@@ -88,7 +166,11 @@ def frames_wanted(recording: Recording, options: TrackOptions) -> FrameSettings 
 
 
 def check_views(recording: Recording, of_picture: bool = False) -> None:
-    """An InputError when nothing can be done with that number of cameras: two or more, or the picture of one."""
+    """Raise InputError where the number of cameras does not suit: two or more, one depth camera, or with `of_picture`
+    the picture of one.
+    """
+    from hypose.pipeline.one_camera import one_view
+
     if of_picture:
         view = one_view(recording, None).views[0]
         if view.depth is not None:

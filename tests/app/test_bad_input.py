@@ -47,9 +47,9 @@ def test_foreign_json_among_the_key_points(hypose, recording):
 @pytest.mark.parametrize(
     ("arguments", "fragments"),
     [
-        (("--recipe", "hfp"), ("There is no recipe 'hfp'", "default, sir, apf")),
+        (("--recipe", "hfp"), ("--recipe hfp is not possible", "default, sir, apf")),
         (("--start", "sitting"), ("There is no start 'sitting'", "hands-up")),
-        (("--evidence", "depth"), ("knows no evidence 'depth'", "keypoints")),
+        (("--evidence", "depth"), ("--evidence depth", "keypoints")),
         (("--evidence", "keypoints"), ("key points",)),
         (("--start", "keypoints"), ("needs key points", "hull")),
         (("--frames", "5:99"), ("lies outside the recording", "0 to 7", "at most 0:8")),

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ import pytest
 from benchmarks.robustness.programs import workers_of
 from benchmarks.robustness.small_recordings import small_scene, write_masks
 from hypose.app.batch import COLUMNS, finished_metrics, ordered_tasks, read_table, run_batch, run_task, write_table
+from hypose.app.options import TrackCommand
 from hypose.errors import InputError
 from hypose.io.motions.results import load_motion
 from tests.conftest import HANG_S
@@ -50,13 +52,10 @@ def tasks_of(path, out):
 def test_a_row_is_a_recording_with_options(study, tmp_path):
     path = table(study, tmp_path, "name,seed,refine,height,subject", "a,3,yes,1.8,bodies/anna", ",,,,")
     given, usual = read_table(path)[:2]
-    assert given.name == "a" and usual.name == "default" and not usual.options
-    assert given.options == {
-        "seed": 3,
-        "refine": True,
-        "height": 1.8,
-        "subject": str(tmp_path / "bodies/anna"),
-    }
+    assert given.name == "a" and usual.name == "default"
+    assert usual.command == TrackCommand(recording=study / "long", formats="trc,csv", overlay=False)
+    wanted = {"seed": 3, "refine": True, "height": 1.8, "subject": str(tmp_path / "bodies/anna")}
+    assert given.command == replace(usual.command, **wanted)
 
 
 def test_the_key_follows_options_and_content(study, tmp_path):
@@ -79,6 +78,8 @@ def test_the_key_follows_options_and_content(study, tmp_path):
         ("seed\n1\n", "the column 'recording' is missing"),
         ("recording,particles\nx,5\n", "there is no column 'particles'"),
         ("recording,seed\nx,one\n", "line 2: seed cannot be 'one'"),
+        ("recording,seed\nx,-1\n", "line 2: seed -1 is not possible; give 0 or more"),
+        ("recording,recipe\nx,magic\n", "line 2: recipe magic is not possible"),
         ("recording,seed\nx,1,2\n", "line 2"),
         ("recording\n", "names no recording"),
         ("", "is empty"),

@@ -177,7 +177,7 @@ def test_a_real_recording(hypose, shared_data, tmp_path):
     [
         ((), "nothing to fuse"),
         (("absent",), "does not exist"),
-        (("REC", "--method", "magic"), "no fusion method"),
+        (("REC", "--method", "magic"), "--method magic is not possible"),
         (("REC", "--formats", "bvh"), "needs poses"),
         (("REC", "--formats", "doc"), "no export format"),
         (("REC", "--reference", "s9"), "has no sensor 's9'"),

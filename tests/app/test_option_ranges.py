@@ -33,7 +33,7 @@ def commands(group=cli.app, before=""):
 def numeric_options():
     """(command, option, its declaration) of every option whose type is a number."""
     for name, command in commands():
-        for option in declared(command.function):
+        for option in declared(command.declares):
             if option.kind in (int, float):
                 yield name, option.flag, option
 

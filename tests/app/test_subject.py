@@ -58,7 +58,7 @@ def test_a_recording_gives_sizes_a_body_and_a_picture(hypose, tiny, tmp_path):
     ("arguments", "message"),
     [
         ((), "Give either a recording's folder or --mesh"),
-        (("--start", "lying"), "There is no start 'lying'"),
+        (("--start", "lying"), "--start lying is not possible"),
         (("--poses", "0"), "--poses 0 is not possible"),
         (("--height", "170"), "--height 170 is not possible; give 0.5 to 2.5 metres"),
     ],

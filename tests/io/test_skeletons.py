@@ -360,7 +360,7 @@ def test_a_cut_off_gzip_is_refused(tmp_path):
     ("name", "sentence"),
     [
         ("a.zip", "unpacked"),
-        ("a.txt", "is not a recording of skeletons .a folder, .skeleton, "),
+        ("a.txt", "skeletons .a folder, .skel"),
         ("absent.csv", "does not exist"),
     ],
 )

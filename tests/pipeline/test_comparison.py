@@ -66,7 +66,7 @@ def test_another_movement_is_told_and_the_same_one_is_not(tmp_path, rng):
     other = body.joints(body.skeleton.clamp(still))
     (sentence,) = reported(other)
     assert sentence.startswith("At no offset within 5 s do the joints of other.trc move as ours do")
-    assert reported(other, CompareOptions(0.0))[0].startswith("At the offset that was given")
+    assert reported(other, CompareOptions(offset=0.0))[0].startswith("At the offset that was given")
     turned = ours.joints @ so3_exp([0, 0, np.pi / 2]).T
     assert reported(turned) == [] and "--no-align" in reported(turned, CompareOptions(align=False))[0]
 
@@ -76,7 +76,7 @@ def test_figures_are_those_of_an_independent_script(tmp_path, rng):
     noise = {n: rng.normal(0, [0.004, 0.008, 0.012], (len(ours), 3)) for n in NAMES}
     points = {n: ours.joints[:, ours.skeleton.joint(n)] + d for n, d in noise.items()}
     points["left_hip"][20:30] = np.nan
-    found = compare_motions(ours, OtherMotion(tmp_path, ours.times, points), CompareOptions(0.0, align=False))
+    found = compare_motions(ours, OtherMotion(tmp_path, ours.times, points), CompareOptions(offset=0.0, align=False))
     for a in found.joints:
         rows = np.ones(len(ours), bool)
         rows[3:6] = False
@@ -103,7 +103,7 @@ def test_angles_of_opensim(tmp_path, rng):
     write_mot(tmp_path / "a.mot", names, noisy, ours.times)
     times, read, back = read_mot(tmp_path / "a.mot")
     assert read == names and np.allclose(back, noisy, atol=1e-9) and np.allclose(times, ours.times)
-    found = compare_motions(ours, read_other(tmp_path / "a.mot"), CompareOptions(0.0))
+    found = compare_motions(ours, read_other(tmp_path / "a.mot"), CompareOptions(offset=0.0))
     by_name = {a.name: a for a in found.angles}
     knee, hip = by_name["knee_angle_r"], by_name["hip_flexion_l"]
     assert knee.offset == pytest.approx(10, abs=0.6) and knee.rmse_left == pytest.approx(2, rel=0.2)

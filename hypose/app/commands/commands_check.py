@@ -2,94 +2,73 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import math
+import shutil
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
 
+import numpy as np
 from click.exceptions import Exit
 
-from hypose.app.commands.console import Stages, out, say
+from hypose.app.commands.console import ProgressCall, Stages, print_table, say
+from hypose.app.jobs.checking import camera_table, check_picture, check_recording, examine_recording, write_findings
+from hypose.app.options import CheckCommand, SyncCommand
+from hypose.calibration.diagnose_points import undistorted
+from hypose.calibration.diagnostics import Cured, PersonReport
+from hypose.calibration.sync_motion import at_the_end, offsets_within
+from hypose.calibration.synchronisation import (
+    Resampled,
+    offsets_from_light,
+    offsets_from_motion,
+    offsets_from_sound,
+    points_at,
+)
 from hypose.errors import EvidenceError, InputError
+from hypose.evidence.detector import openpose_document
 from hypose.evidence.frame import Silhouettes
-from hypose.options import HEIGHT, CalibrationFile, Option, RecordingPath
+from hypose.geometry import Array
+from hypose.io.calibrations.calibration_text import write_calibration
+from hypose.io.file_names import file_name, folder_for
+from hypose.io.files import check_writable, claimed, write_text
+from hypose.io.recordings.frames import mask_folder, write_frame_masks
+from hypose.io.recordings.recording import Recording, load_recording, write_recording
+from hypose.io.recordings.recording_people import RecordedPerson
+from hypose.io.recordings.recording_views import ViewSettings
+from hypose.io.sensors.depth import write_depth_png
+from hypose.io.videos.video import VideoWriter, frame_size, list_images, open_video, read_sound
+from hypose.pipeline.one_of_several import frames_to_examine
+from hypose.pipeline.recording_diagnostics import (
+    Refinement,
+    cured_recording,
+    observe_recording,
+    raw_person,
+    refine_recording,
+)
 
-if TYPE_CHECKING:
-    from hypose.app.commands.console import ProgressCall
-    from hypose.calibration.diagnostics import Cured, PersonReport
-    from hypose.geometry import Array
-    from hypose.io.recordings.recording import Recording
-    from hypose.io.recordings.recording_people import RecordedPerson
-    from hypose.pipeline.recording_diagnostics import Refinement
 
-_REFINE = "Refine"
-
-
-def check(
-    recording: RecordingPath,
-    sheet: Annotated[
-        Path | None, Option("Contact sheet to write. [default: results/check.png there]", flag="--out")
-    ] = None,
-    samples: Annotated[int, Option("Frames whose common volume is looked at.", 1, 10_000)] = 5,
-    frames: Annotated[int, Option("Consecutive frames that the doctor looks at; 0: skip it.", 0, 100_000)] = 100,
-    calibration: CalibrationFile = None,
-    refine: Annotated[
-        bool,
-        Option("Find the cameras' poses from the moving person.", group=_REFINE, flag="--refine"),
-    ] = False,
-    using: Annotated[
-        str,
-        Option("keypoints, silhouettes, both, or auto.", group=_REFINE, flag="--from"),
-    ] = "auto",
-    far: Annotated[
-        bool,
-        Option("Also cameras more than 10 degrees or 0.5 m off (--refine=far).", group=_REFINE, flag="--far"),
-    ] = False,
-    focal: Annotated[bool, Option("Focal lengths too.", group=_REFINE)] = False,
-    keep: Annotated[
-        tuple[str, ...],
-        Option("Camera that stays as it is (may be repeated).", group=_REFINE),
-    ] = None,
-    height: Annotated[
-        float | None,
-        Option("The person's height in metres: sets the scale.", *HEIGHT, unit="metres", group=_REFINE),
-    ] = None,
-    to: Annotated[
-        Path | None,
-        Option("New calibration file. [default: results/calibration_refined.toml there]", group=_REFINE),
-    ] = None,
-) -> None:
-    """Check whether the views agree, name the cause and the camera, and correct it with --refine.
-
-    Exit code 0: fine, or refined; 1: something is wrong.
-    """
-    from hypose.app.jobs.checking import camera_table, check_picture, check_recording, examine_recording, write_findings
-    from hypose.io.files import check_writable
-    from hypose.io.recordings.recording import load_recording
-
-    if using not in ("auto", "keypoints", "silhouettes", "both"):
-        raise InputError(f"--from {using} is not possible; choose auto, keypoints, silhouettes or both.")
-    if to is not None and to.exists():
-        raise InputError(f"{to} exists, and calibrations are never overwritten; give another name with --to.")
-    if sheet is not None:
-        check_picture(sheet, "--out")
-    loaded = load_recording(recording, calibration)
-    for name in keep or []:
+def check(c: CheckCommand) -> None:
+    """Do what `hypose check` is asked for."""
+    if c.to is not None and c.to.exists():
+        raise InputError(f"{c.to} exists, and calibrations are never overwritten; give another name with --to.")
+    if c.out is not None:
+        check_picture(c.out, "--out")
+    loaded = load_recording(c.recording, c.calibration)
+    for name in c.keep:
         loaded.rig.select([name])
-    console = out()
-    if not console.is_terminal:
-        console.width = 160
-    console.print(camera_table(loaded))
+    print_table(camera_table(loaded))
     for text in loaded.notes:
         say(f"note: {text}")
-    path = sheet or loaded.folder / "results" / "check.png"
+    path = c.out or loaded.folder / "results" / "check.png"
     check_writable(path.parent)
-    if refine:
-        check_writable((to or path).parent, "--to")
+    if c.refine:
+        check_writable((c.to or path).parent, "--to")
     report = cured = None
     with Stages() as progress:
-        found = check_recording(loaded, path, samples, progress)
-        if frames > 0:
-            report, cured = examine_recording(loaded, frames, path.with_suffix(".html"), path, found, progress)
+        found = check_recording(loaded, path, c.samples, progress)
+        if c.frames > 0:
+            report, cured = examine_recording(loaded, c.frames, path.with_suffix(".html"), path, found, progress)
     write_findings(path.with_suffix(".json"), found, report)
     for text in found.facts:
         say(text)
@@ -99,8 +78,8 @@ def check(
         _verdicts(report)
         say(f"Page: {path.with_suffix('.html')}")
     say(f"Contact sheet: {path}")
-    if refine:
-        _refine(loaded, cured, using, focal, tuple(keep or ()), height, to, far)
+    if c.refine:
+        _refine(loaded, cured, c)
         return
     if found.warnings or (report is not None and not report.healthy):
         raise Exit(1)
@@ -119,21 +98,9 @@ def _verdicts(report: PersonReport) -> None:
         say(f"{'fault' if finding.fault else 'note'}: {finding.sentence}", "yellow" if finding.fault else None)
 
 
-def _refine(
-    loaded: Recording,
-    cured: Cured | None,
-    using: str,
-    focal: bool,
-    keep: tuple[str, ...],
-    height: float | None,
-    to: Path | None,
-    far: bool,
-) -> None:
-    from hypose.io.calibrations.calibration_text import write_calibration
-    from hypose.pipeline.recording_diagnostics import cured_recording, refine_recording
-
-    method = using
-    if using == "auto":
+def _refine(loaded: Recording, cured: Cured | None, c: CheckCommand) -> None:
+    method = c.using
+    if method == "auto":
         method = "keypoints" if loaded.keypoint_set is not None else "silhouettes"
     recording = loaded if cured is None else cured_recording(loaded, cured)
     late = None if cured is None else cured.late
@@ -142,19 +109,18 @@ def _refine(
             recording,
             method,
             late=late,
-            focal=focal,
-            fixed=keep,
-            height=height or loaded.subject_height,
+            focal=c.focal,
+            fixed=c.keep,
+            height=c.height or loaded.subject_height,
             progress=progress,
         )
-    target = to or _free_name(loaded.folder / "results" / "calibration_refined.toml")
+    target = c.to or _free_name(loaded.folder / "results" / "calibration_refined.toml")
     for text in result.notes:
         say(f"note: {text}")
-    better = _tell(result)
-    if not better:
+    if not _tell(result):
         say("The refined calibration is not better on frames that it was not found on; nothing is written.", "yellow")
         raise Exit(1)
-    if result.far and not far:
+    if result.far and not c.far:
         say(
             f"The refinement takes {' and '.join(result.far)} more than 10 degrees or 0.5 m away from where the "
             "calibration has it, and nothing is written: look whether the key points are one person's in all views, or "
@@ -215,66 +181,51 @@ def _free_name(path: Path) -> Path:
     return free
 
 
-def sync(
-    recording: RecordingPath,
-    by: Annotated[str, Option("motion, sound or flash.")] = "motion",
-    offsets: Annotated[str | None, Option("Known offsets in frames instead, one per view: 0,-2.5,1")] = None,
-    largest: Annotated[
-        float, Option("Largest offset that is looked for, in seconds.", 0, 600, above=True, unit="seconds")
-    ] = 0.5,
-    frames: Annotated[int, Option("Consecutive frames that motion is taken from.", 24, 100_000)] = 250,
-    to: Annotated[
-        Path | None, Option("New folder for masks, depth maps and key points that are in step.", flag="--out")
-    ] = None,
-) -> None:
-    """How many frames each view is late. With --out, masks, depth maps and key points in step are written."""
-    from hypose.io.files import check_writable, claimed
-    from hypose.io.recordings.recording import load_recording
-
-    if by not in ("motion", "sound", "flash"):
-        raise InputError(f"--by {by} is not possible; choose motion, sound or flash.")
-    if to is not None and to.exists() and not _unfinished(to):
-        raise InputError(f"{to} is not empty; give a new folder with --out.")
-    loaded = load_recording(recording)
+def sync(c: SyncCommand) -> None:
+    """Do what `hypose sync` is asked for."""
+    if c.out is not None and c.out.exists() and not _unfinished(c.out):
+        raise InputError(f"{c.out} is not empty; give a new folder with --out.")
+    loaded = load_recording(c.recording)
     if len(loaded.views) < 2:
         raise InputError("One view needs no synchronisation; the recording has only one.")
-    if to is not None:
-        check_writable(to)
+    if c.out is not None:
+        check_writable(c.out)
     with Stages() as progress:
-        if offsets is not None:
-            late, words = _given(offsets, loaded), ["as given"] * len(loaded.views)
-        elif by == "motion":
-            late, words = _by_motion(loaded, largest * loaded.frame_rate, frames, progress)
-        elif by == "sound":
-            late, words = _by_sound(loaded, largest)
+        if c.offsets is not None:
+            late, words = _given(c.offsets, loaded), ["as given"] * len(loaded.views)
+        elif c.by == "motion":
+            late, words = _by_motion(loaded, c.largest, c.frames, progress)
+        elif c.by == "sound":
+            late, words = _by_sound(loaded, c.largest or _LARGEST_S[-1])
         else:
             late, words = _by_light(loaded, progress)
     for view, x, word in zip(loaded.views, late, words, strict=True):
         say(f"{view.name}: {abs(x):.2f} frames {'late' if x >= 0 else 'early'} ({word})")
-    if to is None:
-        keep_offsets(loaded, by if offsets is None else "given", late, words)
-        say(f"To bring the evidence in step: hypose sync {recording} --out NEW_FOLDER")
+    if c.out is None:
+        keep_offsets(loaded, c.by if c.offsets is None else "given", late, words)
+        say(f"To bring the evidence in step: hypose sync {c.recording} --out NEW_FOLDER")
         return
-    with claimed(to), Stages() as progress:
-        path = _write(loaded, late, to, progress)
+    with claimed(c.out), Stages() as progress:
+        path = _write(loaded, late, c.out, progress)
     say(f"Evidence in step: {path}", "green")
 
 
-def keep_offsets(recording: Recording, by: str, late: list[float], words: list[str]) -> None:
-    """results/sync.json, for the studio; where it cannot be written, the printed text has to do."""
-    import contextlib
-
-    from hypose.io.files import write_text
-
+def keep_offsets(
+    recording: Recording, by: str, late: list[float], words: list[str], folder: Path | None = None
+) -> None:
+    """results/sync.json, for the studio, in the recording's folder or another; where it cannot be written, the printed
+    text has to do."""
     views = [{"name": v.name, "late": x, "told": w} for v, x, w in zip(recording.views, late, words, strict=True)]
     with contextlib.suppress(OSError, InputError):
-        write_text(recording.folder / "results" / "sync.json", json.dumps({"by": by, "views": views}) + "\n")
+        write_text(
+            (folder or recording.folder) / "results" / "sync.json", json.dumps({"by": by, "views": views}) + "\n"
+        )
 
 
 def _unfinished(folder: Path) -> bool:
     """True for an empty folder, and for one that this command has begun and not finished."""
     return folder.is_dir() and all(
-        p.name in ("masks", "depth", "keypoints") or p.name[0] == "." for p in folder.iterdir()
+        p.name in ("masks", "depth", "keypoints", "videos", "results") or p.name[0] == "." for p in folder.iterdir()
     )
 
 
@@ -296,15 +247,29 @@ def _given(text: str, recording: Recording) -> list[float]:
     return out
 
 
-def _by_motion(
-    recording: Recording, largest: float, frames: int, progress: ProgressCall
-) -> tuple[list[float], list[str]]:
-    from hypose.calibration.diagnose_points import undistorted
-    from hypose.calibration.sync_motion import at_the_end, offsets_within
-    from hypose.calibration.synchronisation import offsets_from_motion
-    from hypose.pipeline.recording_diagnostics import observe_recording
+_LARGEST_S = (0.5, 2.0, 10.0)
+"""Offsets that are looked for one after the other, seconds, where the user names none."""
 
-    seen = observe_recording(recording, frames, progress)
+
+def _by_motion(
+    recording: Recording, largest_s: float | None, frames: int, progress: ProgressCall
+) -> tuple[list[float], list[str]]:
+    rate = recording.frame_rate
+    within = [largest_s] if largest_s else [s for s in _LARGEST_S if 3 * s * rate <= len(recording.frames)]
+    *nearer, last = within or _LARGEST_S[:1]
+    for seconds in nearer:
+        with contextlib.suppress(EvidenceError):
+            late, words, sure = _by_motion_within(recording, seconds * rate, frames, progress)
+            if sure:
+                return late, words
+    return _by_motion_within(recording, last * rate, frames, progress)[:2]
+
+
+def _by_motion_within(
+    recording: Recording, largest: float, frames: int, progress: ProgressCall
+) -> tuple[list[float], list[str], bool]:
+    """How late each view is, frames, within `largest` frames, what is said of it, and whether all lie well within."""
+    seen = observe_recording(recording, max(frames, math.ceil(4 * largest)), progress)
     points = None if seen.keypoints is None else undistorted(seen.rig, seen.keypoints)
     found = offsets_from_motion(seen.rig.pinhole(), points, seen.silhouettes, largest=largest)
     if found.gain < 0:
@@ -319,18 +284,16 @@ def _by_motion(
         f"sd {s:.2f}" if known else "no motion in common with the others"
         for s, known in zip(found.sd, reported, strict=True)
     ]
-    total = points[0].shape[1] if points is not None else len(seen.silhouettes or ())
+    total = points[0].shape[1] if points is not None else len(seen.silhouettes)
     reach = offsets_within(largest, total)
-    if at_the_end(found, reach):
+    ended = at_the_end(found, reach)
+    if ended:
         what = "a larger --largest" if reach >= largest - 0.5 else "more frames, and a larger --largest"
         words[0] += f"; views are {reach:.1f} frames apart or more: give {what}"
-    return [float(x) for x in found.frames], words
+    return [float(x) for x in found.frames], words, all(reported) and not ended
 
 
 def _by_sound(recording: Recording, largest: float) -> tuple[list[float], list[str]]:
-    from hypose.calibration.synchronisation import offsets_from_sound
-    from hypose.io.videos.video import read_sound
-
     sounds = []
     for view in recording.views:
         if view.video is None:
@@ -341,11 +304,6 @@ def _by_sound(recording: Recording, largest: float) -> tuple[list[float], list[s
 
 
 def _by_light(recording: Recording, progress: ProgressCall) -> tuple[list[float], list[str]]:
-    import numpy as np
-
-    from hypose.calibration.synchronisation import offsets_from_light
-    from hypose.io.videos.video import open_video
-
     levels = []
     for n, view in enumerate(recording.views):
         if view.source is None:
@@ -360,21 +318,8 @@ def _by_light(recording: Recording, progress: ProgressCall) -> tuple[list[float]
 
 def _write(recording: Recording, late: list[float], folder: Path, progress: ProgressCall) -> Path:
     """Masks (PNG, undistorted), depth maps and key points (OpenPose JSON) on the common clock, and a recording.toml."""
-    from dataclasses import replace
-
-    from hypose.calibration.synchronisation import Resampled, points_at
-    from hypose.evidence.detector import openpose_document
-    from hypose.io.file_names import folder_for
-    from hypose.io.files import write_text
-    from hypose.io.recordings.frames import mask_folder, write_frame_masks
-    from hypose.io.recordings.recording import write_recording
-    from hypose.pipeline.one_of_several import frames_to_examine
-    from hypose.pipeline.recording_diagnostics import raw_person
-
-    progress("background", 0, 1)
-    stream, _ = frames_to_examine(recording)
+    stream, _ = frames_to_examine(recording, progress)
     with stream:
-        progress("background", 1, 1)
         source = Resampled(stream, late)
         named = zip(recording.views, stream.rig, strict=True)
         masks = [None if v.depth is not None else mask_folder(folder / "masks", v.name, c) for v, c in named]
@@ -395,40 +340,43 @@ def _write(recording: Recording, late: list[float], folder: Path, progress: Prog
             maps = _depth_in_step(view.depth, recording.frames, late[c], folder_for(folder / "depth", view.name))
             views.append(replace(view, depth=maps, keypoints=keypoints))
             continue
-        views.append(
-            replace(
-                view,
-                video=None,
-                images=None,
-                background=None,
-                masks=masks[c],
-                keypoints=keypoints,
-                image_shift=(0.0, 0.0),
-                accept_scaled=False,
-            )
-        )
+        video = None if view.source is None else _video_in_step(view, recording, late[c], folder / "videos")
+        views.append(replace(view, video=video, images=None, background=None, masks=masks[c], keypoints=keypoints))
+    first, stop = math.ceil(max(0.0, -min(late))), len(recording.frames) - math.ceil(max(0.0, *late))
     made = replace(
         recording,
         views=tuple(views),
-        frame_range=None,
+        frame_range=(first, stop) if (first, stop) != (0, len(recording.frames)) else None,
         n_frames=len(recording.frames),
         keypoint_lag=0,
         keypoint_pixels="calibration",
         name=f"{recording.name} in step",
     )
+    keep_offsets(made, "given", [0.0] * len(views), ["in step"] * len(views), folder)
     return write_recording(made, folder)
+
+
+def _video_in_step(view: ViewSettings, recording: Recording, late: float, folder: Path) -> Path:
+    """Pictures of a view on the common clock, of the nearest frame, to look at; returns where they are."""
+    assert view.source is not None
+    path, frames = folder / f"{file_name(view.name)}.mp4", recording.frames
+    folder.mkdir(parents=True, exist_ok=True)
+    with (
+        open_video(view.source, rate=view.rate) as reader,
+        VideoWriter(path, recording.frame_rate, reader.size) as writer,
+    ):
+        before, image = -1, None
+        for i in range(len(frames)):
+            nearest = min(max(round(i + late), 0), len(frames) - 1)
+            if image is None or nearest != before:
+                before, image = nearest, reader.read(frames[nearest])
+            writer.write(image)
+    return path
 
 
 def _depth_in_step(depth: Path, frames: range, late: float, folder: Path) -> Path:
     """The maps of a folder on the common clock, those of the nearest frame, empty where there is none; returns where
     they are."""
-    import shutil
-
-    import numpy as np
-
-    from hypose.io.sensors.depth import write_depth_png
-    from hypose.io.videos.video import frame_size, list_images
-
     files, (width, height) = list_images(depth), frame_size(depth)
     for i in range(len(frames)):
         nearest = round(i + late)
@@ -442,8 +390,6 @@ def _depth_in_step(depth: Path, frames: range, late: float, folder: Path) -> Pat
 def _people(found: RecordedPerson | None) -> list[Array]:
     """(C, T, K, 3) px of the calibrated pictures: of the person whom the recording is about, then of the others whom
     several views show; empty where there are no key points."""
-    import numpy as np
-
     if found is None:
         return []
     out = [found.raw]

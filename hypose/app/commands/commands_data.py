@@ -6,15 +6,13 @@ import contextlib
 import shlex
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
-from hypose.app.commands.commands_track import detect, detected, open_network_asking, set_threads, stopping
-from hypose.app.commands.console import Stages, print_note, say
+from hypose.app.commands.commands_track import stopping
+from hypose.app.commands.console import Stages, print_note, print_notes, say
+from hypose.app.options import SynthCommand
 from hypose.errors import EvidenceError, InputError
-from hypose.options import FrameRange, Option, RecordingPath, Resume, Seconds, Seed, Threads, Yes
-
-if TYPE_CHECKING:
-    pass
+from hypose.options import FrameSpan, Option, RecordingPath, Resume, Seed, Threads, Yes
 
 
 def silhouettes(
@@ -22,7 +20,7 @@ def silhouettes(
     folder: Annotated[
         Path | None, Option("Folder to write to. [default: results/silhouettes there]", flag="--out")
     ] = None,
-    frames: FrameRange = None,
+    frames: FrameSpan = None,
     detector: Annotated[bool, Option("By hypose's detector of people, whatever tells the empty room.")] = False,
     yes: Yes = False,
 ) -> None:
@@ -35,19 +33,17 @@ def silhouettes(
 
     loaded = choose_frames(load_recording(recording), frames)
     if detector:
+        from hypose.app.jobs.person_job import detected
+
         found = detected(loaded, loaded.frames, yes=yes, why="--detector")
         loaded = replace(loaded, views=tuple(replace(v, masks=found.masks(v.name)) for v in loaded.views))
     target = folder or loaded.folder / "results" / "silhouettes"
     with claimed(target), Stages() as progress:
-        progress("background", 0, 1)
-        with FrameStream(loaded) as source:
-            progress("background", 1, 1)
+        with FrameStream(loaded, progress=progress) as source:
             with stopping(f"Stopped; the masks written until then are in {target}."):
                 shown = write_masks(source, target, lambda done, total: progress("masks", done, total))
-            notes = source.notes
             write_sheet(loaded, source, target / "sheet.jpg", 4)
-    for text in (*loaded.notes, *notes):
-        print_note(f"note: {text}")
+    print_notes((*loaded.notes, *source.notes))
     say(f"Masks: {target} (0 and 255, undistorted, one folder per view)")
     say(f"Contact sheet: {target / 'sheet.jpg'}")
     if not shown:
@@ -58,74 +54,43 @@ def silhouettes(
     say('To use them, corrected by hand perhaps, give each view in recording.toml: masks = "FOLDER/VIEW"')
 
 
-def synth(
-    folder: Annotated[Path, Option("Folder to write the recording to.", value="OUT", argument=True)],
-    motion: Annotated[str, Option("walk, jog, box, wave, cross_arms, punch, sit_down, serve or combo.")] = "walk",
-    subject: Annotated[str, Option("Name or number of a subject. [default: chosen by the seed]")] = "",
-    rig: Annotated[str, Option("humaneva-4, humaneva-7, ixmas-5, court-4 or ring-N.")] = "humaneva-4",
-    sensors: Annotated[
-        str,
-        Option("Depth cameras instead of a rig: depth-1 (in front), depth-2 (and beside), depth-3 (round)."),
-    ] = "",
-    seconds: Seconds = 4.0,
-    frame_rate: Annotated[float, Option("Frames per second.", 1, 1000)] = 25.0,
-    corruption: Annotated[
-        tuple[str, ...],
-        Option("What goes wrong: level-1, shadow, desync, ... (may be repeated)."),
-    ] = None,
-    clothing: Annotated[float, Option("Thickness of the clothes in metres.", 0, 0.04, unit="metres")] = 0.02,
-    distorted: Annotated[bool, Option("Lenses with distortion.")] = True,
-    keypoints: Annotated[bool, Option("Write 2D key points (OpenPose JSON) as well.")] = False,
-    raw: Annotated[
-        bool,
-        Option("As it is filmed: videos of a board, the empty room and the person, to practise on.", flag="--raw"),
-    ] = False,
-    seed: Seed = 0,
-    threads: Threads = None,
-) -> None:
-    """Make a synthetic recording with known truth: videos, background clips, calibration, recording.toml, truth.npz."""
-    set_threads(threads)
+def synth(c: SynthCommand) -> None:
+    """Do what `hypose synth` is asked for."""
     from hypose.io.files import claimed
+    from hypose.synthetic import write_recording
     from hypose.synthetic.depth_scenes import DepthScene
     from hypose.synthetic.scenes import make_scene
-    from hypose.synthetic.write_recording import (
-        BOARD,
-        check_folder,
-        walking_scene,
-        write_depth_scene,
-        write_scene,
-        write_session,
-    )
 
-    if raw and keypoints:
+    if c.raw and c.keypoints:
         raise InputError("--raw writes what cameras give, and key points are not; leave one of the two out.")
-    check_folder(folder)
-    if sensors and (raw or keypoints or corruption):
+    write_recording.check_folder(c.folder)
+    if c.sensors and (c.raw or c.keypoints or c.corruption):
         raise InputError(
             "Depth cameras write depth maps with their own faults; leave --raw, --keypoints, --corruption out."
         )
-    about = {"seconds": seconds, "frame_rate": frame_rate, "seed": seed, "clothing_m": clothing}
-    who = _subject_name(subject)
-    if sensors:
-        scene = walking_scene(motion, who, sensors, **about)
+    about = {"seconds": c.seconds, "frame_rate": c.frame_rate, "seed": c.seed, "clothing_m": c.clothing}
+    who = _subject_name(c.subject)
+    if c.sensors:
+        scene = write_recording.walking_scene(c.motion, who, c.sensors, **about)
     else:
-        scene = make_scene(motion, who, rig, corruption=tuple(corruption or ()), distorted=distorted, **about)
-    unfinished = f"Stopped; {folder} is not complete. Start again with the same command."
-    with stopping(unfinished), claimed(folder, "OUT"), Stages() as progress:
+        scene = make_scene(c.motion, who, c.rig, corruption=c.corruption, distorted=c.distorted, **about)
+    unfinished = f"Stopped; {c.folder} is not complete. Start again with the same command."
+    with stopping(unfinished), claimed(c.folder, "OUT"), Stages() as progress:
 
         def shown(done: int, total: int) -> None:
             progress("render", done, total)
 
         if isinstance(scene, DepthScene):
-            path = write_depth_scene(scene, folder, progress=shown)
-        elif raw:
-            path = write_session(scene, folder, progress=shown)
+            path = write_recording.write_depth_scene(scene, c.folder, progress=shown)
+        elif c.raw:
+            path = write_recording.write_session(scene, c.folder, progress=shown)
         else:
-            path = write_scene(scene, folder, keypoints=keypoints, progress=shown)
-    kind = "depth cameras (simulated)" if sensors else "cameras"
+            path = write_recording.write_scene(scene, c.folder, keypoints=c.keypoints, progress=shown)
+    kind = "depth cameras (simulated)" if c.sensors else "cameras"
     say(f"{path}: {scene.name}, {len(scene)} frames, {len(scene.rig)} {kind}")
-    if raw:
-        say(f"The board has {BOARD.columns} x {BOARD.rows} inner corners and squares of {1000 * BOARD.square:g} mm.")
+    if c.raw:
+        board = write_recording.BOARD
+        say(f"The board has {board.columns} x {board.rows} inner corners and squares of {1000 * board.square:g} mm.")
 
 
 def _subject_name(text: str) -> str:
@@ -173,8 +138,7 @@ def depth_import(
         if new:
             with contextlib.suppress(OSError):  # the recording is in it
                 out.rmdir()
-    for text in notes:
-        print_note(f"note: {text}")
+    print_notes(notes)
     say(f"{path}: {len(sources)} depth cameras; track it with: hypose track {shlex.quote(str(out))}")
 
 
@@ -192,7 +156,7 @@ def keypoints(
     threads: Threads = None,
 ) -> None:
     """Detect 2D key points and masks of people in the videos, which `hypose track` then uses."""
-    set_threads(threads)
+    from hypose.app.jobs.person_job import detect, open_network_asking
     from hypose.io.keypoints.detectors import open_own_detector
     from hypose.io.keypoints.read_keypoints import KEYPOINT_FOLDER
     from hypose.io.recordings.recording import load_recording

@@ -12,12 +12,12 @@ from hypose.app.commands.console import Stages, print_note, say
 from hypose.errors import InputError
 from hypose.options import MOST_FRAMES, Option, Seed
 
-COMMANDS = {
+GESTURE_COMMANDS = {
     "Commands": {
         "record": ("commands_gesture:record", "Record a session with its prompts, to train from later."),
-        "train": ("commands_gesture:train", "Teach a gesture, live or from recorded sessions."),
-        "run": ("commands_gesture:run", "Watch for gestures: events as JSON lines, OSC, commands."),
-        "eval": ("commands_gesture:evaluate", "Judge a model on a recorded session."),
+        "train": ("commands_gesture:gesture_train", "Teach a gesture, live or from recorded sessions."),
+        "run": ("commands_gesture:gesture_run", "Watch for gestures: events as JSON lines, OSC, commands."),
+        "eval": ("commands_gesture:gesture_evaluate", "Judge a model on a recorded session."),
     }
 }
 
@@ -51,7 +51,7 @@ def record(
     say(f"Recorded: {out}")
 
 
-def train(
+def gesture_train(
     out: Annotated[Path, Option("Model file to write (.npz).", argument=True)],
     gesture: Gesture,
     recording: Annotated[tuple[Path, ...], Option("Recorded session to learn from (may be repeated); else live.")] = (),
@@ -104,7 +104,7 @@ def train(
     say(f"Model: {out}")
 
 
-def run(
+def gesture_run(
     models: Annotated[tuple[Path, ...], Option("Model files, one per gesture.", argument=True)],
     source: SourceOption = "simulated",
     osc: Annotated[str | None, Option("HOST:PORT to send scores and events to by OSC.")] = None,
@@ -159,7 +159,7 @@ def run(
                 break
 
 
-def evaluate(
+def gesture_evaluate(
     model: Annotated[Path, Option("Model file.", argument=True)],
     recording: Annotated[Path, Option("Recorded session that was not learned.", argument=True)],
 ) -> None:

@@ -7,16 +7,17 @@ import math
 import re
 import threading
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from click.exceptions import Exit
 
-from hypose.app.commands.commands_track import set_threads
-from hypose.app.commands.console import Stages, ended_by_signals, print_note, say
+from hypose.app.commands.console import Stages, ended_by_signals, print_note, print_notes, say
+from hypose.app.options import LiveCommand
 from hypose.errors import InputError
-from hypose.options import HEIGHT, Option, Seed, Threads
+from hypose.options import Option, Threads
 
 if TYPE_CHECKING:
     from hypose.pipeline.live.engine import LiveResult, LiveStatus
@@ -28,49 +29,8 @@ _SINCE = re.compile(r" for \d+ s$")
 _REPORT_S = 10.0
 
 
-def live(
-    rig: Annotated[
-        Path, Option("Calibration file, or a recording, whose videos are played without --source.", argument=True)
-    ],
-    source: Annotated[
-        tuple[str, ...],
-        Option(
-            "CAMERA=WHERE: number of a device (0), http:// (motion JPEG), rtsp://, a video, a folder of pictures. "
-            "Once for each camera."
-        ),
-    ] = None,
-    rate: Annotated[
-        float | None, Option("Pictures per second of the cameras. [default: 30, or the recording's]", 1, 240)
-    ] = None,
-    countdown: Annotated[
-        float, Option("Seconds in which to leave the view before the empty room is learnt.", 0, 600)
-    ] = 5.0,
-    detector: Annotated[
-        bool | None,
-        Option(
-            "Find people by hypose's detector: no person has to leave the view. [default: where a recording is "
-            "played that shows no empty room]",
-        ),
-    ] = None,
-    people: Annotated[int, Option("Follow so many people at most.", 1, 8)] = 1,
-    height: Annotated[float | None, Option("The person's height in metres, when known.", *HEIGHT)] = None,
-    subject: Annotated[
-        Path | None, Option("The person's body, as hypose subject writes it; else it is fitted on the way.")
-    ] = None,
-    seconds: Annotated[float, Option("Stop after so many seconds; 0 = never.", 0, 10**6)] = 0.0,
-    ws: Annotated[int, Option("WebSocket port on this computer: /out (JSON).", 0, 65535, group=_OUT)] = 9872,
-    udp: Annotated[str | None, Option("HOST:PORT for a JSON line per pose.", group=_OUT)] = None,
-    osc: Annotated[str | None, Option("HOST:PORT to send OSC to.", group=_OUT)] = None,
-    vmc: Annotated[str | None, Option("HOST:PORT of a program that moves an avatar (VMC).", group=_OUT)] = None,
-    record: Annotated[
-        Path | None,
-        Option("New folder for a recording that hypose track solves again.", group=_OUT),
-    ] = None,
-    seed: Seed = 0,
-    threads: Threads = None,
-) -> None:
-    """Follow people with calibrated cameras while it happens. See docs/cameras-live.md."""
-    set_threads(threads)
+def live(c: LiveCommand) -> None:
+    """Do what `hypose live` is asked for."""
     ended = threading.Event()
     with ended_by_signals(ended):  # an interrupt between two imports can be lost
         from hypose.app.jobs.job import compile_before
@@ -85,37 +45,36 @@ def live(
     if ended.is_set():
         raise Exit(130)
 
-    cameras = live_rig(rig, _sources(source or []), rate)
-    for text in cameras.notes:
-        print_note(f"note: {text}")
-    body = None if subject is None else load_subject(subject)
-    person = LivePersonOptions(TrackOptions(seed=seed), height or cameras.height, body)
-    network = people if _finds_people(detector, cameras.roomless) else 0
+    cameras = live_rig(c.rig, _sources(c.source), c.rate)
+    print_notes(cameras.notes)
+    body = None if c.subject is None else load_subject(c.subject)
+    person = LivePersonOptions(TrackOptions(seed=c.seed), c.height or cameras.height, body)
+    network = c.people if _finds_people(c.detector, cameras.roomless) else 0
     views = tuple(replace(v, background=None) for v in cameras.views) if network else cameras.views
-    eyes = CaptureOptions(cameras.rate, countdown, cameras.silhouettes, network=network)
+    eyes = CaptureOptions(cameras.rate, c.countdown, cameras.silhouettes, network=network)
     names = tuple(v.name for v in cameras.views)
     with Stages() as progress:  # the first time it takes a while, and Ctrl-C still ends it
         compile_before(progress)
     recorder = None
     with contextlib.ExitStack() as closing:
         closing.enter_context(ended_by_signals(ended))
-        if record is not None:
-            recorder = LiveRecorder(record, cameras.rig, cameras.views, cameras.silhouettes, person.height)
+        if c.record is not None:
+            recorder = LiveRecorder(c.record, cameras.rig, cameras.views, cameras.silhouettes, person.height)
             closing.callback(recorder.close)
-        outputs = PoseOutputs(names, cameras.rate, ws=ws, udp=udp, osc=osc, vmc=vmc, clock=time.monotonic)
+        outputs = PoseOutputs(names, cameras.rate, ws=c.ws, udp=c.udp, osc=c.osc, vmc=c.vmc, clock=time.monotonic)
         closing.callback(outputs.close)
         listeners = [outputs, _StatusReporter(recorder), *([] if recorder is None else [recorder])]
-        options = LiveTrackingOptions(eyes, person, people, pictures=recorder is not None)
+        options = LiveTrackingOptions(eyes, person, c.people, pictures=recorder is not None)
         engine = LiveEngine(cameras.rig, views, options, listeners, ended)
         closing.callback(engine.stop)
         engine.start()
         if outputs.listeners is not None:
             say(f"Poses out:  ws://127.0.0.1:{outputs.listeners.port}/out")
-        for name, target in (("udp", udp), ("osc", osc), ("vmc", vmc)):
+        for name, target in (("udp", c.udp), ("osc", c.osc), ("vmc", c.vmc)):
             if target is not None:
                 say(f"Poses out:  {name} {target}")
         say("Stop with Ctrl-C.")
-        until = time.monotonic() + seconds if seconds else math.inf
+        until = time.monotonic() + c.seconds if c.seconds else math.inf
         while not ended.is_set() and not engine.ended.is_set() and time.monotonic() < until:
             ended.wait(0.1)
         status, interrupted = engine.status(), ended.is_set()
@@ -124,7 +83,7 @@ def live(
             kept = recorder.close()
             without = f", without {recorder.left_out} instants" if recorder.left_out else ""
             nothing = "Nothing was recorded: there were no pictures of two cameras."
-            say(f"Recorded: {record}{without}" if kept else nothing)
+            say(f"Recorded: {c.record}{without}" if kept else nothing)
     if engine.failed is not None and not interrupted:  # what stops this may stop its processes first
         raise engine.failed
     say(f"{status.poses} poses. {_summary(status)}")
@@ -147,7 +106,7 @@ def _finds_people(wanted: bool | None, roomless: bool) -> bool:
     return True
 
 
-def _sources(given: list[str]) -> dict[str, str]:
+def _sources(given: Sequence[str]) -> dict[str, str]:
     out: dict[str, str] = {}
     for text in given:
         name, equals, where = text.partition("=")
@@ -213,7 +172,6 @@ def view(
     threads: Threads = None,
 ) -> None:
     """Open the studio: results in 3D with their pictures, corrections by clicks, gestures, new recordings."""
-    set_threads(threads)
     from hypose.app.studio.server import NOT_BUILT, STATIC_FOLDER, StudioOptions, run_server
 
     if not what.exists():

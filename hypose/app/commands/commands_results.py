@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Annotated
 
 from click.exceptions import Exit
 
-from hypose.app.commands.commands_track import set_threads, split_names, stopping
-from hypose.app.commands.console import Stages, print_note, say
+from hypose.app.commands.commands_track import stopping
+from hypose.app.commands.console import Stages, print_note, print_notes, say
+from hypose.app.options import CompareCommand
 from hypose.errors import HyposeError, InputError
 from hypose.options import MOST_FRAMES, Option, Threads
 
@@ -30,6 +31,7 @@ def export(
     out: Annotated[Path | None, Option("Folder to write to. [default: the results folder]")] = None,
 ) -> None:
     """Write motion files (TRC, C3D, BVH, GLB, CSV, MOT; OpenSim, Rerun) from a tracked motion."""
+    from hypose.app.jobs.job import split_names
     from hypose.io.files import claimed
     from hypose.io.motions.export import export_motion
     from hypose.io.motions.results import load_result_body
@@ -54,7 +56,6 @@ def report(
     threads: Threads = None,
 ) -> None:
     """Write the report of a result again: one file that opens from disk and loads nothing."""
-    set_threads(threads)
     from hypose.app.reports.report import write_report
     from hypose.app.studio.view_bundle import find_recording, load_view
     from hypose.io.files import check_writable
@@ -73,8 +74,7 @@ def report(
         progress("report", 0, 1)
         written = write_report(target, shown, recording)
         progress("report", 1, 1)
-    for text in shown.notes:
-        print_note(f"note: {text}")
+    print_notes(shown.notes)
     say(f"Report: {written}")
 
 
@@ -170,79 +170,43 @@ def _table(path: Path, header: str, rows: Sequence[Sequence[object]]) -> None:
     write_text(path, "\n".join([header, *(",".join(map(cell, row)) for row in rows)]) + "\n")
 
 
-def compare(
-    files: Annotated[
-        tuple[Path, ...],
-        Option(
-            "RESULT OTHER [RESULT OTHER ...]: a results folder, then what to compare it with: .c3d, .trc, .mot, "
-            ".sto or another result.",
-            argument=True,
-        ),
-    ],
-    joint: Annotated[
-        tuple[str, ...],
-        Option("JOINT=MARKER+MARKER: the joint is the middle of these markers (may be repeated)."),
-    ] = None,
-    subject: Annotated[str | None, Option("Whose points, where a file names several people's SUBJECT:POINT.")] = None,
-    offset: Annotated[
-        float | None,
-        Option("Seconds to add to the other's times. [default: found]", -100_000, 100_000, unit="seconds"),
-    ] = None,
-    no_align: Annotated[bool, Option("Both have the same world: do not move the other onto the result.")] = False,
-    all_frames: Annotated[bool, Option("Also frames in which the person was lost or only predicted.")] = False,
-    max_mm: Annotated[
-        float | None,
-        Option("Exit with 1 if the RMSE of the joints, offsets aside, is larger.", 0, 10_000, unit="millimetres"),
-    ] = None,
-    max_degrees: Annotated[
-        float | None, Option("Exit with 1 if an angle's RMSE, its offset aside, is larger.", 0, 360, unit="degrees")
-    ] = None,
-    min_coverage: Annotated[
-        float | None, Option("Exit with 1 if a smaller share lies in the 90 % regions (0.8, for example).", 0, 1)
-    ] = None,
-    out: Annotated[
-        Path | None, Option("Folder for compare.csv and compare.html. [default: the first results folder]")
-    ] = None,
-) -> None:
-    """Compare results with markers or other motions: errors per joint and angle, one table, one page."""
+def compare(c: CompareCommand) -> None:
+    """Do what `hypose compare` is asked for."""
     from hypose.app.jobs import compare_job
     from hypose.io.files import check_writable
-    from hypose.pipeline.comparison import CompareOptions
 
-    if len(files) % 2:
+    if len(c.files) % 2:
         raise InputError("Give pairs: a result, what to compare it with, and so on; one of the files has no partner.")
-    pairs = list(zip(files[::2], files[1::2], strict=True))
-    folder = out or (files[0] if files[0].is_dir() else files[0].parent)
-    joints = compare_job.parse_joints(joint or [])
-    compare_job.load_result(files[0])
+    pairs = list(zip(c.files[::2], c.files[1::2], strict=True))
+    folder = c.out or (c.files[0] if c.files[0].is_dir() else c.files[0].parent)
+    joints = compare_job.parse_joints(c.joint)
+    compare_job.load_result(c.files[0])
     check_writable(folder)
-    options = CompareOptions(offset, not no_align, all_frames)
     with Stages() as progress:
         compared = []
         for done, pair in enumerate(pairs):
             progress("compare", done, len(pairs))
-            compared += compare_job.compare_files([pair], options, joints, subject)
+            compared += compare_job.compare_files([pair], c, joints, c.subject)
         progress("compare", len(pairs), len(pairs))
-    failed = compare_job.exceeded(compared, max_mm, max_degrees, min_coverage)
+    failed = compare_job.exceeded(compared, c.max_mm, c.max_degrees, c.min_coverage)
     compare_job.write_csv(folder / "compare.csv", compared)
     compare_job.write_comparison_page(folder / "compare.html", compared, failed)
-    for file in dict.fromkeys(files):
+    for file in dict.fromkeys(c.files):
         tell_untrusted(file)
-    for c in compared:
-        for text in c.found.notes:
-            print_note(f"note: {text}")
-        if c.found.joints:
-            median, p95, rmse = c.found.left_mm
-            share = compare_job.mean_coverage(c.found)
+    for one in compared:
+        print_notes(one.found.notes)
+        if one.found.joints:
+            median, p95, rmse = one.found.left_mm
+            share = compare_job.mean_coverage(one.found)
             inside = f", {100 * share:.0f} % inside our 90 % regions" if share == share else ""
             say(
-                f"{c.other}: {len(c.found.joints)} joints, offsets aside: median {median:.1f} mm, 95 % within "
+                f"{one.other}: {len(one.found.joints)} joints, offsets aside: median {median:.1f} mm, 95 % within "
                 f"{p95:.1f} mm, RMSE {rmse:.1f} mm{inside}"
             )
-        if c.found.angles:
-            degrees = [a.rmse_left for a in c.found.angles if a.unit == "deg" and a.n]
+        if one.found.angles:
+            degrees = [a.rmse_left for a in one.found.angles if a.unit == "deg" and a.n]
             span = f"{min(degrees):.1f} to {max(degrees):.1f} degrees" if degrees else "-"
-            say(f"{c.other}: {len(degrees)} angles, offsets aside: RMSE {span}")
+            say(f"{one.other}: {len(degrees)} angles, offsets aside: RMSE {span}")
     say(f"Table: {folder / 'compare.csv'}")
     say(f"Page:  {folder / 'compare.html'}")
     for text in failed:

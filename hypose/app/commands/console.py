@@ -12,7 +12,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from types import TracebackType
 from typing import TYPE_CHECKING, TextIO
 
@@ -21,6 +21,7 @@ from hypose.errors import visible
 if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions, RenderableType
     from rich.progress import Progress, TaskID
+    from rich.table import Table
 
 TITLES = {
     "prepare": "Prepare",
@@ -91,6 +92,12 @@ def print_note(text: str) -> None:
     err().print(text, style="dim", markup=False)
 
 
+def print_notes(notes: Iterable[str]) -> None:
+    """Print notes for the user, each on a line of stderr."""
+    for text in notes:
+        print_note(f"note: {text}")
+
+
 def error(text: str) -> None:
     """Print the sentence that ends a failed command; without colours where memory does not suffice for them."""
     try:
@@ -121,6 +128,16 @@ def _bars(console: Console) -> Progress:
         progress.TimeRemainingColumn(compact=True, elapsed_when_finished=True),
         console=console,
     )
+
+
+def titled_table(title: str, columns: Iterable[str]) -> Table:
+    """A table without rows."""
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left")
+    for column in columns:
+        table.add_column(column)
+    return table
 
 
 def print_table(table: object) -> None:

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from rich.table import Table
 
-from hypose.app.commands.console import ProgressCall, ignore
+from hypose.app.commands.console import ProgressCall, ignore, titled_table
 from hypose.app.reports.calibration_pages import residual_picture, write_check_page
 from hypose.app.reports.result_pictures import (
     Drawing,
@@ -49,21 +49,8 @@ def camera_table(recording: Recording) -> Table:
     """One row per camera: files, sizes, frame rate, frames, background, key points, place."""
     title = f"{recording.name}: {len(recording.views)} views, {recording.n_frames} frames, "
     title += f"{recording.frame_rate:g} frames/s"
-    table = Table(title=title, title_justify="left")
-    for column in (
-        "view",
-        "camera",
-        "images",
-        "size",
-        "calibrated",
-        "fps",
-        "frames",
-        "masks",
-        "background",
-        "key points",
-    ):
-        table.add_column(column)
-    table.add_column("position (m)")
+    columns = ("view", "camera", "images", "size", "calibrated", "fps", "frames", "masks", "background", "key points")
+    table = titled_table(title, (*columns, "position (m)"))
     for view, camera in zip(recording.views, recording.rig, strict=True):
         size, rate, frames = _stream_facts(view)
         x, y, z = camera.position
@@ -88,7 +75,7 @@ def _name(path: Path | None) -> str:
 
 
 def _stream_facts(view: ViewSettings) -> tuple[str, str, str]:
-    if view.source is None and view.masks is None:
+    if not view.has_pictures:
         return "-", "-", "-"
     with open_pictures(view) as reader:
         rate = "-" if reader.frame_rate is None else f"{reader.frame_rate:g}"
@@ -100,10 +87,8 @@ def check_recording(recording: Recording, sheet: Path, samples: int, progress: P
     when no person is in any of them."""
     facts: list[str] = []
     warnings: list[str] = []
-    progress("background", 0, 1)
-    source, several = frames_to_examine(recording)
+    source, several = frames_to_examine(recording, progress)
     with source:
-        progress("background", 1, 1)
         facts += ["Several people stand in the masks; their hulls are looked at together."] if several else []
         facts += [f"note: {text}" for text in source.notes]
         rows = np.unique(np.linspace(0, len(source) - 1, min(samples, len(source))).astype(int)).tolist()
@@ -148,7 +133,7 @@ def examine_recording(
     progress: ProgressCall = ignore,
 ) -> tuple[PersonReport | None, Cured | None]:
     """The doctor on `frames` consecutive frames; writes the page. None when there is nothing to examine."""
-    if len(recording.views) < 2 and all(view.depth is None for view in recording.views):
+    if len(recording.views) < 2 and not recording.depth_views:
         return None, None
     observed = observe_recording(recording, frames, progress)
     progress("doctor", 0, 1)

@@ -2,31 +2,41 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
+from click.exceptions import Exit
 from numpy.typing import NDArray
 
-from hypose.app.commands.console import ProgressCall, ignore
-from hypose.app.jobs.job import ASSESSMENT_FILE
+from hypose.app.commands.commands_track import print_assessments, stopping, track_shown
+from hypose.app.commands.console import ProgressCall, Stages, ignore, print_note, print_notes, say
+from hypose.app.jobs.job import ASSESSMENT_FILE, job_of, split_names
+from hypose.app.live.live_server import FusionServerOptions, run_live
+from hypose.app.options import FuseCommand, TrackCommand
+from hypose.app.reports.summary import require_found
 from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.errors import InputError
 from hypose.evidence.frame import SensorJoints
-from hypose.fusion.align import Instant, SensorBody, SensorView
+from hypose.fusion.align import AlignSettings, Instant, SensorBody, SensorView
 from hypose.fusion.clocks import offset_by_movement
-from hypose.fusion.fuse import FUSION_METHODS, Fused, FusionSettings, fuse_clip
+from hypose.fusion.fuse import Fused, FusionSettings, fuse_clip
 from hypose.fusion.joints import COMMON, joint_set
+from hypose.fusion.live import LiveSettings
 from hypose.fusion.people import PeopleTracker
 from hypose.fusion.register import Registration, check_same_person, common_joints, register, upright_axes, upward
 from hypose.geometry import Array, se3, transform
-from hypose.io.files import check_writable, write_text
-from hypose.io.motions.export import export_motion, known_formats
+from hypose.io.file_names import file_name
+from hypose.io.files import check_writable, claimed, write_text
+from hypose.io.motions.export import export_motion
 from hypose.io.motions.results import ResultsFolder, provenance, save_motion, to_json
+from hypose.io.recordings.recording import load_recording
+from hypose.io.sensors.skeleton_files import read_skeletons
 from hypose.io.sensors.skeleton_streams import (
     SensorStream,
     SkeletonRecording,
@@ -41,37 +51,6 @@ from hypose.pipeline.sensor_skeletons import assess_fused
 POINT_FORMATS = ("trc", "c3d", "csv")
 """Formats that need no poses."""
 _FOOT_HEIGHT_M = 0.08  # of the ankle, which stands for the foot, above the floor
-
-
-@dataclass(frozen=True)
-class FuseJob:
-    """recording; results; method: of fusion.fuse.FUSION_METHODS; rate Hz of the result (None: the reference sensor's);
-    reference: name of a sensor (None: the recording's); formats: of POINT_FORMATS; up: "person" (the mean direction
-    from hips to neck) or "sensor" (the reference sensor's y axis); diagnose: the swarm's choice of sensors besides the
-    result; seed; run: for the record only."""
-
-    recording: SkeletonRecording
-    results: ResultsFolder
-    method: str = "fit"
-    rate: float | None = None
-    reference: str | None = None
-    formats: Sequence[str] = POINT_FORMATS
-    up: str = "person"
-    diagnose: bool = False
-    seed: int = 0
-    run: Mapping[str, Any] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        if self.method not in FUSION_METHODS:
-            raise InputError(f"There is no fusion method {self.method!r}; choose one of {', '.join(FUSION_METHODS)}.")
-        known_formats(self.formats)
-        posed = [name for name in self.formats if name not in POINT_FORMATS]
-        if posed:
-            raise InputError(
-                f"The format {posed[0]} needs poses, fused skeletons are points; choose {', '.join(POINT_FORMATS)}."
-            )
-        if self.up not in ("person", "sensor"):
-            raise InputError(f"--up {self.up} is not possible; choose person or sensor.")
 
 
 @dataclass(frozen=True)
@@ -92,16 +71,83 @@ class FuseOutcome:
     complete: bool
 
 
-def run_fuse(job: FuseJob, progress: ProgressCall = ignore) -> FuseOutcome:
+def fuse(c: FuseCommand) -> None:
+    """Do what `hypose fuse` is asked for."""
+    if c.live:
+        if c.recording is not None:
+            raise InputError("--live takes no recording; leave one of the two out.")
+        ports = {} if c.udp is None and c.ws is None else {"udp": c.udp, "ws": c.ws}
+        settings = LiveSettings(AlignSettings(rate=30.0 if c.rate is None else c.rate, wait=c.wait / 1000))
+        about = {"osc": c.osc, "token": c.token, "record": c.record, "settings": settings}
+        asyncio.run(run_live(FusionServerOptions(host=c.host, **ports, **about), say, print_note))
+        return
+    if c.recording is None:
+        raise InputError("There is nothing to fuse; give a recording of skeletons, or --live.")
+    loaded = read_skeletons(c.recording)
+    if c.cameras is not None:
+        if c.method != "fit" or c.diagnose or c.reference is not None or c.rate is not None:
+            raise InputError(
+                "With --cameras everything is one solve at the cameras' rate; leave --method, --reference, --rate "
+                "and --diagnose out."
+            )
+        filmed = load_recording(c.cameras)
+        out = c.out or ResultsFolder.of(filmed.folder, "fuse-cameras").path
+        how = TrackCommand(recording=c.cameras, seed=c.seed, formats=c.formats, out=out, threads=c.threads)
+        track_shown(replace(job_of(how, filmed), skeletons=loaded))
+        return
+    folder = c.recording if c.recording.is_dir() else c.recording.parent
+    name = f"fuse-{c.method}" if c.recording.is_dir() else f"{file_name(loaded.name)}-fuse-{c.method}"
+    results = ResultsFolder(c.out) if c.out is not None else ResultsFolder.of(folder, name)
+    nothing = "Stopped before anything was fused, so nothing was kept. Start again with the same command."
+    with stopping(nothing), claimed(results.path), Stages() as progress:
+        outcome = run_fuse(loaded, results, c, progress)
+    _closing(outcome, loaded.name, len(loaded.streams), results.path)
+    if not outcome.complete:
+        raise Exit(130)
+    if all(p.motion.lost.all() for p in outcome.people):
+        require_found(outcome.people[0].motion, loaded.name, results.path)
+    names = [f"person-{n + 1}" if len(outcome.people) > 1 else "" for n in range(len(outcome.people))]
+    print_assessments({name: p.assessment for name, p in zip(names, outcome.people, strict=True)})
+
+
+def _closing(outcome: FuseOutcome, name: str, sensors: int, folder: Path) -> None:
+    print_notes(outcome.notes)
+    if not outcome.complete:
+        kept = [str(f) for p in outcome.people for f in p.files]
+        say(f"Stopped. Kept: {', '.join(kept) if kept else 'nothing'}. Start again with the same command.")
+        return
+    for n, p in enumerate(outcome.people):
+        m = p.motion
+        who = f"{name}, person {n + 1}" if len(outcome.people) > 1 else name
+        parts = [
+            f"{len(m)} frames of {sensors} sensors at {m.frame_rate:g} Hz",
+            f"{int(m.lost.sum())} lost",
+            f"{float(m.n_views.mean()):.1f} sensors on average",
+        ]
+        if np.isfinite(m.joint_sd).any():
+            parts.append(f"median joint sd {1000 * float(np.nanmedian(m.joint_sd)):.1f} mm")
+        say(f"{who}: " + ", ".join(parts))
+    say(f"Results: {folder}")
+
+
+def run_fuse(
+    recording: SkeletonRecording, results: ResultsFolder, c: FuseCommand, progress: ProgressCall = ignore
+) -> FuseOutcome:
     """Synchronise, match persons, register, fuse, write. Each person's motion is on disk before the next is
     begun, and stays after Ctrl-C."""
-    check_writable(job.results.path)
-    notes = list(job.recording.notes)
+    formats = split_names(c.formats)
+    posed = [name for name in formats if name not in POINT_FORMATS]
+    if posed:
+        raise InputError(
+            f"The format {posed[0]} needs poses, fused skeletons are points; choose {', '.join(POINT_FORMATS)}."
+        )
+    check_writable(results.path)
+    notes = list(recording.notes)
     progress("prepare", 0, 1)
-    streams = _ordered(job)
-    if not job.recording.common_clock:
+    streams = _ordered(recording, c)
+    if not recording.common_clock:
         streams = _on_one_clock(streams, notes)
-    times = common_times(streams, job.rate)
+    times = common_times(streams, c.rate)
     synced = [resample(s, times) for s in streams]
     people = _people(synced, times, notes)
     progress("prepare", 1, 1)
@@ -113,9 +159,9 @@ def run_fuse(job: FuseJob, progress: ProgressCall = ignore) -> FuseOutcome:
         elif residual > 0:
             notes.append(f"{name}: joints {1000 * residual:.0f} mm (median) from the reference sensor's")
     several, total = len(people) > 1, len(people) * len(times)
-    folders = [ResultsFolder(job.results.path / f"person-{n + 1}") for n in range(len(people))]
-    folders = folders if several else [job.results]
-    settings = FusionSettings(method=job.method, diagnose=job.diagnose, seed=job.seed)
+    folders = [ResultsFolder(results.path / f"person-{n + 1}") for n in range(len(people))]
+    folders = folders if several else [results]
+    settings = FusionSettings(method=c.method, diagnose=c.diagnose, seed=c.seed)
     done: list[PersonResult] = []
     world: Array | None = None
     try:
@@ -129,18 +175,18 @@ def run_fuse(job: FuseJob, progress: ProgressCall = ignore) -> FuseOutcome:
                     progress("fuse", before + frames, total)
 
             watch(0)
-            made = fuse_clip(clip, job.method, settings, registration, watch=watch)
+            made = fuse_clip(clip, c.method, settings, registration, watch=watch)
             # instants at which no sensor saw the person have no time of their own
             made = replace(made, motion=replace(made.motion, times=times[span]))
             if world is None:
-                world = world_from_sensor(made.motion, job.up)
+                world = world_from_sensor(made.motion, c.up)
             assessment = assess_fused(made.motion, clip, registration, names)
-            done.append(_write(job, made, world, folders[n], notes, assessment))
+            done.append(_write(recording, c, made, world, folders[n], notes, assessment))
         progress("fuse", total, total)
         for n, person in enumerate(done):
             progress("export", n, len(done))
-            # the body is for formats with poses, which the job has refused
-            files = export_motion(person.motion, cast(Body, None), person.files[0].parent, job.formats)
+            # the body is for formats with poses, which have been refused
+            files = export_motion(person.motion, cast(Body, None), person.files[0].parent, formats)
             done[n] = replace(person, files=(*person.files, *files))
         progress("export", len(done), len(done))
     except KeyboardInterrupt:
@@ -151,10 +197,10 @@ def run_fuse(job: FuseJob, progress: ProgressCall = ignore) -> FuseOutcome:
 # ---- streams -------------------------------------------------------------------------------------------------
 
 
-def _ordered(job: FuseJob) -> list[SensorStream]:
+def _ordered(recording: SkeletonRecording, c: FuseCommand) -> list[SensorStream]:
     """The reference first; the common joints if the sensors report different sets."""
-    first = job.recording.stream(job.reference or job.recording.reference)
-    streams = [first, *(s for s in job.recording.streams if s is not first)]
+    first = recording.stream(c.reference or recording.reference)
+    streams = [first, *(s for s in recording.streams if s is not first)]
     for s in streams:
         joint_set(s.joint_names)  # an InputError for an unknown set, which must name the sensor's file
     if all(s.joint_names == first.joint_names for s in streams):
@@ -257,19 +303,25 @@ def world_from_sensor(motion: Motion, up: str) -> Array:
 
 
 def _write(
-    job: FuseJob, fused: Fused, world: Array, folder: ResultsFolder, notes: Sequence[str], assessment: Assessment
+    recording: SkeletonRecording,
+    c: FuseCommand,
+    fused: Fused,
+    world: Array,
+    folder: ResultsFolder,
+    notes: Sequence[str],
+    assessment: Assessment,
 ) -> PersonResult:
     settings = {
-        "method": job.method,
+        "method": c.method,
         "rate": fused.motion.frame_rate,
         "reference": fused.sensor_names[fused.registration.reference],
         "sensors": list(fused.sensor_names),
-        "up": job.up,
+        "up": c.up,
         "world_from_reference": world,
         "reference_from_sensor": fused.registration.common_from_sensor,
         "notes": list(notes),
     }
-    record = provenance(f"fusion-{job.method}", job.seed, settings, job.recording.inputs, job.run)
+    record = provenance(f"fusion-{c.method}", c.seed, settings, recording.inputs, {"threads": c.threads})
     motion = replace(fused.motion, joints=transform(world, fused.motion.joints), provenance=json.loads(to_json(record)))
     save_motion(motion, folder.motion)
     files = [folder.motion, folder.write_json("provenance.json", record)]

@@ -8,18 +8,19 @@ from __future__ import annotations
 import contextlib
 import shlex
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hypose.app.commands.console import ProgressCall, ignore
+from hypose.app.options import TrackCommand
 from hypose.app.reports.summary import DESCRIPTIONS
 from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.compute.warming import warm_up
 from hypose.errors import InputError
 from hypose.io.files import check_writable, read_json
-from hypose.io.motions.export import MOTION_FORMATS, export_motion, known_formats
+from hypose.io.motions.export import export_motion, known_formats
 from hypose.io.motions.results import (
     ResultsFolder,
     load_body,
@@ -31,17 +32,17 @@ from hypose.io.motions.results import (
     to_json,
 )
 from hypose.io.recordings.frames import FrameStream
-from hypose.io.recordings.recording import Recording
+from hypose.io.recordings.recording import Recording, load_recording
 from hypose.io.sensors.skeleton_streams import SkeletonRecording
 from hypose.pipeline.assessment import Assessment
 from hypose.pipeline.first_frame import SubjectOptions
-from hypose.pipeline.one_camera import POINT_STARTS, clicks_of, depth_note
+from hypose.pipeline.one_camera import POINT_STARTS, clicks_of, depth_note, one_view
 from hypose.pipeline.passes import MODES
 from hypose.pipeline.run import TrackResult
 from hypose.pipeline.subject_from_motion import load_subject, subject_file
 from hypose.pipeline.track import track_person
 from hypose.pipeline.track_options import TrackOptions, check_views, frames_wanted
-from hypose.tracking.recipes import RECIPES, citation_of
+from hypose.tracking.recipes import citation_of
 
 if TYPE_CHECKING:
     from hypose.pipeline.comparison import Truth
@@ -54,27 +55,50 @@ class TrackJob:
     """The task with one recording.
 
     recording: its frame_range is tracked
+    options: how, suited to the recording
     results: where files go
-    formats: of hypose.io.motions.export
-    overlay, report: write overlay.mp4, report.html
-    resume: go on from a checkpoint, or write the files that a complete run lacks
-    run: of the machine, for the record only
+    command: what the user has asked for, and which files
     truth: compares the motion with a known truth, for synthetic recordings
-    people: None: one person; or 'all', how many at most, or a name (hypose.app.jobs.people_job)
     skeletons: that sensors reported at the same time, solved together with the rest
     """
 
     recording: Recording
     options: TrackOptions
     results: ResultsFolder
-    formats: Sequence[str] = tuple(MOTION_FORMATS)
-    overlay: bool = True
-    report: bool = True
-    resume: bool = False
-    run: Mapping[str, Any] = field(default_factory=dict)
+    command: TrackCommand
     truth: Callable[[Motion, Body], Truth] | None = None
-    people: str | None = None
     skeletons: SkeletonRecording | None = None
+
+    @property
+    def formats(self) -> tuple[str, ...]:
+        """Motion files to write."""
+        return split_names(self.command.formats)
+
+
+def split_names(text: str) -> tuple[str, ...]:
+    """The names of a comma-separated list of formats; an InputError when there is none, or one that is not known."""
+    names = tuple(dict.fromkeys(n.strip().lower().lstrip(".") for n in text.split(",") if n.strip()))
+    if not names:
+        raise InputError("The list of formats is empty; give at least one, for example --formats trc,c3d.")
+    known_formats(names)
+    return names
+
+
+def recording_of(command: TrackCommand) -> Recording:
+    """The recording, limited to the frames, and the camera, that are wanted."""
+    loaded = choose_frames(load_recording(command.recording, command.calibration), command.frames)
+    return one_view(loaded, command.camera) if command.camera is not None or command.of_picture else loaded
+
+
+def job_of(command: TrackCommand, recording: Recording | None = None) -> TrackJob:
+    """The job that a command asks for; recording: its own, where it has been read."""
+    loaded = recording or recording_of(command)
+    height = loaded.subject_height if command.height is None else command.height
+    options = replace(command.options, height=height).suited_to(loaded)
+    results = ResultsFolder.of(loaded.folder, options.recipe) if command.out is None else ResultsFolder(command.out)
+    if command.people is not None and command.out is None:
+        results = people_results(loaded.folder, options.recipe)
+    return TrackJob(loaded, options, results, command)
 
 
 @dataclass(frozen=True)
@@ -127,10 +151,8 @@ def run_job(job: TrackJob, progress: ProgressCall = ignore, seconds: Mapping[str
     check_writable(results.path)
     record = record_of(job)
     compile_before(progress, *_kernels(recording, options))
-    finished = finished_before(job, record) if job.resume else None
-    progress("background", 0, 1)
-    with FrameStream(recording, frames_wanted(recording, options)) as source:
-        progress("background", 1, 1)
+    finished = finished_before(job, record) if job.command.resume else None
+    with FrameStream(recording, frames_wanted(recording, options), progress=progress) as source:
         if finished is None:
             tracked = _track(job, options, source, record, progress)
             save_body(tracked.body, results.file("body.npz"))
@@ -148,7 +170,7 @@ def run_job(job: TrackJob, progress: ProgressCall = ignore, seconds: Mapping[str
             return Outcome(tracked.motion, tracked.body, False, tuple(files), notes, truth)
         files += export_all(job, tracked.motion, tracked.body, progress)
         said = (f"Assessment: {assessment.sentence}", *notes)
-        if job.overlay or job.report:
+        if job.command.overlay or job.command.report:
             files += _draw(job, options, tracked, source, said, truth, files, progress, seconds or {})
     remove_stale(results, files)
     return Outcome(tracked.motion, tracked.body, True, tuple(files), notes, truth, assessment)
@@ -156,16 +178,14 @@ def run_job(job: TrackJob, progress: ProgressCall = ignore, seconds: Mapping[str
 
 def compile_before(progress: ProgressCall, *parts: str) -> None:
     """What a run needs of compute, compiled before it begins; parts: all that following people needs, when none."""
-    progress("compile", 0, 1)
-    warm_up(*parts, load=False)
-    progress("compile", 1, 1)
+    warm_up(*parts, load=False, progress=lambda done, total: progress("compile", done, total))
 
 
 def _kernels(recording: Recording, options: TrackOptions) -> tuple[str, ...]:
     """The parts of compute that a run needs until its first poses are there."""
     if options.of_picture:
         return ("solver", "scorer", "outlines", "pictures", "monocular")
-    depth = ("depth",) if any(view.depth is not None for view in recording.views) else ()
+    depth = ("depth",) if recording.depth_views else ()
     if options.looks_at == "keypoints":
         return ("solver", *depth)
     # a body that is given is not fitted to outlines
@@ -202,7 +222,7 @@ def _track(
         options,
         results=job.results,
         record=record,
-        resume=job.resume,
+        resume=job.command.resume,
         progress=progress,
         command=f"hypose track {shlex.quote(str(job.recording.folder))} --people all",
     )
@@ -211,17 +231,13 @@ def _track(
 def check_job(job: TrackJob) -> None:
     """Refuse now what would be refused only after minutes of work."""
     options = job.options
-    known_formats(job.formats)
-    if options.recipe not in RECIPES:
-        raise InputError(f"There is no recipe {options.recipe!r}; the recipes are {', '.join(RECIPES)}.")
+    split_names(job.command.formats)
     if options.of_picture:
         clicks_of(options.start, job.recording)
     else:
         SubjectOptions(options.start)
     if options.subject is not None:
         load_subject(options.subject)
-    if options.height is not None and not 0.4 <= options.height <= 2.8:
-        raise InputError(f"A height of {options.height:g} m is implausible; give it in metres (0.4 to 2.8).")
     if options.looks_at != "keypoints" and not options.of_picture and not job.recording.has_pictures:
         raise InputError(
             f"The evidence {options.looks_at!r} needs pictures, and {job.recording.name} has key points alone; use "
@@ -252,7 +268,7 @@ def record_of(job: TrackJob) -> dict[str, Any]:
         inputs["subject"] = subject_file(options.subject)
     if options.of_picture and options.start not in POINT_STARTS:
         inputs["clicks"] = Path(options.start)
-    return provenance(options.recipe, options.seed, settings, inputs, job.run)
+    return provenance(options.recipe, options.seed, settings, inputs, {"threads": job.command.threads})
 
 
 def finished_before(job: TrackJob, record: Mapping[str, Any]) -> TrackResult | None:
@@ -321,7 +337,7 @@ def _draw(
     def overlay(path: Path, wanted: PictureRows) -> OverlayRows:
         return write_overlay(path, recording, source, motion, body, wanted, progress)
 
-    return report_pictures(job.results, about, overlay, files, (job.overlay, job.report), progress)
+    return report_pictures(job.results, about, overlay, files, (job.command.overlay, job.command.report), progress)
 
 
 def remove_stale(results: ResultsFolder, written: Sequence[Path]) -> None:

@@ -61,9 +61,7 @@ def run_people(job: TrackJob, people: str, progress: ProgressCall = ignore) -> O
     record = record_of(job)
     record = {**record, "settings": {**record["settings"], "people": people}}
     compile_before(progress)
-    progress("background", 0, 1)
-    with people_frames(recording, options) as source:
-        progress("background", 1, 1)
+    with people_frames(recording, options, progress) as source:
         found = PeopleRun(
             source,
             recording.frame_rate,
@@ -72,7 +70,7 @@ def run_people(job: TrackJob, people: str, progress: ProgressCall = ignore) -> O
             wanted,
             results,
             record,
-            job.resume,
+            job.command.resume,
             progress,
             keypoint_people(recording, source.rig) if options.looks_at != "silhouettes" else None,
         )()
@@ -137,7 +135,7 @@ def _one_report(
     job: TrackJob, one: TrackedPerson, source: FrameStream, written: Sequence[Path], progress: ProgressCall
 ) -> list[Path]:
     """Motion files and report of one person."""
-    own = replace(job, results=ResultsFolder(job.results.path / one.name), overlay=False)
+    own = replace(job, results=ResultsFolder(job.results.path / one.name))
     motion, body = one.result.motion, one.result.body
     files = export_all(own, motion, body, progress)
     mine = [*(p for p in written if p.parent == own.results.path), *files]
@@ -158,7 +156,7 @@ def _one_report(
     def overlay(path: Path, wanted: PictureRows) -> OverlayRows:
         return write_overlay(path, job.recording, source, motion, body, wanted, progress)
 
-    if job.report:
+    if job.command.report:
         files += report_pictures(own.results, about, overlay, mine, (False, True), progress)
     remove_stale(own.results, [*mine, *files])
     return files
@@ -169,7 +167,7 @@ def _together(
 ) -> list[Path]:
     """Overlay, C3D, GLB and index with all people."""
     results, files = job.results, list[Path]()
-    if job.overlay:
+    if job.command.overlay:
         path = results.file("overlay.mp4")
         write_people_overlay(path, job.recording, source, people, progress)
         files.append(path)
@@ -190,7 +188,7 @@ def _together(
         for p in people
     ]
     files.append(results.write_json(PEOPLE, {"people": about, "notes": list(notes)}))
-    if job.report:
+    if job.command.report:
         files.append(results.write_text("report.html", _index(job, people, notes)))
     files.append(results.file(ASSESSMENT_FILE))
     return files
@@ -225,7 +223,7 @@ def _index(job: TrackJob, people: Sequence[TrackedPerson], notes: Sequence[str])
             html.escape(p.assessment.sentence),
         )
         rows.append("<tr>" + "".join(f"<td>{c}</td>" for c in cells) + "</tr>")
-    film = '<p><video src="overlay.mp4" controls></video></p>' if job.overlay else ""
+    film = '<p><video src="overlay.mp4" controls></video></p>' if job.command.overlay else ""
     said = "".join(f"<li>{html.escape(n)}</li>" for n in notes)
     heads = "".join(f"<th>{h}</th>" for h in ("", "person", "height", "there", "assessment"))
     body = f"<h1>{html.escape(job.recording.name)}</h1><table><tr>{heads}</tr>{''.join(rows)}</table>"

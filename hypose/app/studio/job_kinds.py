@@ -9,18 +9,24 @@ from __future__ import annotations
 
 import contextlib
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from hypose.app import options
+from hypose.app.commands import commands_data, commands_results, commands_track
 from hypose.app.jobs.correct import read_correction
 from hypose.app.studio.catalog import Catalog, Item
 from hypose.errors import HyposeError, InputError
-from hypose.io.files import read_toml
+from hypose.io.files import read_json, read_toml
+from hypose.io.recordings.recording import Recording
+from hypose.options import Declared, declared
 
 CALIBRATION = "calibration.toml"
 """Where a recording keeps the calibration that is made of clips of a board, or of the person."""
+IN_STEP = 0.5
+"""frames: cameras that differ by less show the same instant, for a person who walks."""
 
 
 @dataclass(frozen=True)
@@ -38,38 +44,53 @@ class Plan:
     makes: str | None = None
 
 
-_KINDS: Mapping[str, tuple[str, str]] = {
+_KINDS: Mapping[str, tuple[str, Callable[..., Any], str]] = {
     "calibrate": (
         "Calibrate the cameras of {}",
+        options.CalibrateCommand,
         "chessboard charuco square marker dictionary inverted fisheye floor height yes",
     ),
-    "sync": ("How late are the cameras of {}?", "by largest frames"),
-    "in_step": ("Bring {} in step", "offsets"),
-    "check": ("Check {}", "samples frames"),
-    "refine": ("Refine the calibration of {}", "using far focal height"),
-    "keypoints": ("Find the person in the videos of {}", "yes"),
-    "silhouettes": ("Silhouettes of {}", "frames"),
-    "subject": ("Measure the person in {}", "height mass start frames poses"),
-    "track": ("Track {}", "recipe refine evidence start height frames seed formats camera name subject overlay"),
-    "correct": ("Track {} again from frame {}", "until start"),
-    "export": ("Export {}", "formats"),
-    "demo": ("Make a demo recording and track it", "seconds seed"),
-    "fuse": ("Fuse {}", ""),
+    "sync": ("How late are the cameras of {}?", options.SyncCommand, "by largest frames"),
+    "in_step": ("Synchronise {}", options.SyncCommand, "offsets"),
+    "check": ("Check {}", options.CheckCommand, "samples frames"),
+    "refine": ("Refine the calibration of {}", options.CheckCommand, "using far focal height"),
+    "keypoints": ("Find the person in the videos of {}", commands_data.keypoints, "yes"),
+    "silhouettes": ("Silhouettes of {}", commands_data.silhouettes, "frames"),
+    "subject": ("Measure the person in {}", options.SubjectCommand, "height mass start frames poses"),
+    "track": (
+        "Track {}",
+        options.TrackCommand,
+        "recipe refine evidence start height frames seed formats camera subject overlay",
+    ),
+    "correct": ("Track {} again from frame {}", commands_track.correct, "until"),
+    "export": ("Export {}", commands_results.export, "formats"),
+    "demo": ("Make a demo recording and track it", commands_track.demo, "seconds seed"),
+    "fuse": ("Fuse {}", options.FuseCommand, ""),
 }
-"""Title and options of each kind; an option is that of the command, unless `plan` does something else with it."""
+"""Title of each kind, what declares the options of its command, and which of them a page may set."""
 JOB_KINDS = tuple(_KINDS)
+_OWN = {"track": ("name",), "correct": ("start",)}
+"""What a page says that is no option of the command: the name of the result, the clicks to start from."""
 _CLICKS = "clicks:"
 """Begins the name under which the page has saved clicks, as a start."""
 
 
-def _arguments(options: Mapping[str, Any]) -> list[str]:
+def form_of(kind: str) -> tuple[Declared, ...]:
+    """The options of a job that a page may set, as its command declares them."""
+    _, declares, names = _KINDS[kind]
+    known = {option.name: option for option in declared(declares)}
+    return tuple(known[name] for name in names.split())
+
+
+def _arguments(kind: str, given: Mapping[str, Any]) -> list[str]:
     """Options as arguments, each one with its value in it: so none passes for another option or for a file."""
     out = []
-    for name, value in options.items():
-        if value is None or value is False:
+    for option in form_of(kind):
+        value = given.get(option.name)
+        if value is None or (option.kind is bool and value == option.default):
             continue
-        flag = "--from" if name == "using" else f"--{name}"
-        out.append(flag if value is True else f"{flag}={_word(name, value)}")
+        bare = option.kind is bool and isinstance(value, bool)
+        out.append(option.flag if bare else f"{option.flag}={_word(option.name, value)}")
     return out
 
 
@@ -87,28 +108,28 @@ def plan_job(kind: str, request: Mapping[str, Any], catalog: Catalog) -> Plan:
     """The command of a job that the page asks for: {"recording" or "result": id, "options": {...}}."""
     if kind not in JOB_KINDS:
         raise InputError(f"There is no job {str(kind)[:40]!r}; the jobs are {', '.join(JOB_KINDS)}.")
-    title, known = _KINDS[kind][0], _KINDS[kind][1].split()
-    options = request.get("options") or {}
-    if not isinstance(options, dict):
+    title, known = _KINDS[kind][0], [*(o.name for o in form_of(kind)), *_OWN.get(kind, ())]
+    given = request.get("options") or {}
+    if not isinstance(given, dict):
         raise InputError("A job's options must be an object.")
-    unknown = [str(o)[:40] for o in options if o not in known]
+    unknown = [str(o)[:40] for o in given if o not in known]
     if unknown:
         raise InputError(f"The job {kind} has no option {unknown[0]!r}; it has {', '.join(known)}.")
     if kind == "demo":
         out = free_folder(catalog.root, "demo")
         result = catalog.id_of("result", out / "results" / "default")
-        command = ("demo", "--out", str(out), *_arguments(options))
+        command = ("demo", "--out", str(out), *_arguments(kind, given))
         return Plan(command, title, catalog.id_of("recording", out), result)
     if kind == "export":
         item = catalog.find("result", _id(request, "result"))
-        return Plan(("export", str(item.path), *_arguments(options)), title.format(item.path.name), None, item.id)
+        return Plan(("export", str(item.path), *_arguments(kind, given)), title.format(item.path.name), None, item.id)
     if kind == "fuse":
         item = catalog.find("skeletons", _id(request, "skeletons"))
         out = _inside(catalog, item, fused_in(item.path))
         command = ("fuse", str(item.path), "--out", str(out))
         return Plan(command, title.format(item.path.name), None, catalog.id_of("result", out))
     if kind == "correct":
-        return _correct(catalog.find("result", _id(request, "result")), options, catalog)
+        return _correct(catalog.find("result", _id(request, "result")), given, catalog)
     item = catalog.find("recording", _id(request, "recording"))
     for folder in ("results", "results/silhouettes", "subject"):
         _inside(catalog, item, item.path / folder)
@@ -116,19 +137,19 @@ def plan_job(kind: str, request: Mapping[str, Any], catalog: Catalog) -> Plan:
     if kind == "calibrate":
         boards = [str(p) for p in board_files(item.path) if catalog.contains(p)]
         if not boards:
-            return Plan(("calibrate", path, "--from-person", *_arguments(options)), title, item.id)
+            return Plan(("calibrate", path, "--from-person", *_arguments(kind, given)), title, item.id)
         made = ("--out", str(item.path / CALIBRATION), "--sheet", str(item.path / "results" / "calibration.png"))
-        return Plan(("calibrate", *boards, *_arguments(options), *made), title, item.id)
+        return Plan(("calibrate", *boards, *_arguments(kind, given), *made), title, item.id)
     if kind == "in_step":
-        if "offsets" not in options:
+        if "offsets" not in given:
             raise InputError("Say by how many frames each view is late.")
         out = free_folder(item.path.parent, f"{item.path.name}-in-step")
-        command = ("sync", path, *_arguments(options), "--out", str(_inside(catalog, item, out)))
+        command = ("sync", path, *_arguments(kind, given), "--out", str(_inside(catalog, item, out)))
         return Plan(command, title, item.id, makes=catalog.id_of("recording", out))
     if kind == "track":
-        return _track(item, options, title, catalog)
+        return _track(item, given, title, catalog)
     command = ("check", path, "--refine") if kind == "refine" else (kind, path)
-    return Plan((*command, *_arguments(options)), title, item.id, resumable=kind == "keypoints")
+    return Plan((*command, *_arguments(kind, given)), title, item.id, resumable=kind == "keypoints")
 
 
 def _inside(catalog: Catalog, item: Item, out: Path) -> Path:
@@ -143,6 +164,84 @@ def fused_in(skeletons: Path) -> Path:
     return skeletons / "results" / "fuse-fit"
 
 
+def next_step(
+    folder: Path, recording: Recording, after: str = "", anyway: bool = False
+) -> tuple[str, dict[str, Any]] | None:
+    """Kind and options of the next job on the way from the videos in a recording's folder to a motion.
+
+    after: kind of the job that has just ended, which is not tried again.
+    anyway: whatever the check finds.
+    None when the user is to act (a board, a finding that is to be put right), or the motion is there."""
+    views = recording.views
+    if uncalibrated(folder):
+        person = len(views) > 1 and recording.subject_height is not None and not board_files(folder)
+        return ("calibrate", {"yes": True}) if person and after != "calibrate" else None
+    if len(views) > 1:
+        bare = all(v.video and not (v.masks or v.background or v.keypoints or v.depth) for v in views)
+        if bare and after != "keypoints":
+            return "keypoints", {"yes": True}
+        late = found_offsets(folder, [v.name for v in views])
+        if late is None and after != "sync":
+            return "sync", {}
+        if late is not None and max(late) - min(late) >= IN_STEP:
+            return "in_step", {"offsets": late}
+    check = read_found(folder, "check.json")
+    if check is None or check["stale"]:
+        return ("check", {}) if after != "check" else None
+    masked = {v.name for v in views if v.masks}
+    if after == "track" or (not anyway and any(_waits_for_user(f, masked) for f in check.get("findings", []))):
+        return None
+    detected = any(v.keypoints for v in views)
+    subject = (folder / "subject" / "subject.toml").is_file()
+    return "track", {"evidence": "both" if detected else "silhouettes", "subject": subject}
+
+
+def _waits_for_user(finding: Mapping[str, Any], masked: Set[str]) -> bool:
+    """Whether a finding is a fault that a button of the page puts right; masked: views whose masks are given, which
+    do not move with their pictures."""
+    cure = str(finding.get("cure"))
+    moves = "set image_shift" in cure and not masked.intersection(finding.get("views", []))
+    button = moves or "--refine" in cure or "set keypoint_" in cure or finding.get("kind") == "size"
+    return bool(finding.get("fault")) and not finding.get("done") and button
+
+
+def uncalibrated(folder: Path) -> bool:
+    """Whether the cameras of a recording are still to be found, by a board or from the person."""
+    with contextlib.suppress(HyposeError):
+        lost = not (folder / CALIBRATION).is_file()
+        return lost and read_toml(folder / "recording.toml").get("calibration") == CALIBRATION
+    return False
+
+
+def found_offsets(folder: Path, names: Sequence[str]) -> list[float] | None:
+    """(C,) frames by which each view was found to be late, from the one in the middle, so that few frames are lost; 0
+    where it is less than its error. None where `hypose sync` has not found them."""
+    found = read_found(folder, "sync.json") or {}
+    views = found.get("views", [])
+    if [v["name"] for v in views] != list(names):
+        return None
+    middle = sorted(v["late"] for v in views)[len(views) // 2]
+    out = []
+    for view in views:
+        late, told = view["late"] - middle, view["told"]
+        sd = re.match(r"sd ([\d.]+)", told)
+        unknown = told.startswith("no motion") or (sd is not None and abs(late) <= 2 * float(sd[1]))
+        out.append(0.0 if unknown else round(late, 2))
+    return out
+
+
+def read_found(folder: Path, name: str) -> dict[str, Any] | None:
+    """Read the JSON object that `hypose check` or `hypose sync` last wrote to results/`name`, with whether the
+    recording has been changed since (`stale`); None if there is none."""
+    path = folder / "results" / name
+    with contextlib.suppress(InputError, OSError):
+        value = read_json(path, "what a command found")
+        toml = folder / "recording.toml"
+        changed = toml.is_file() and toml.stat().st_mtime > path.stat().st_mtime
+        return {**value, "stale": changed or value.get("stale") is True} if isinstance(value, dict) else None
+    return None
+
+
 def board_files(folder: Path) -> list[Path]:
     """The clips or folders of photos of the board, one per camera, that a recording.toml names."""
     with contextlib.suppress(HyposeError):
@@ -154,45 +253,42 @@ def board_files(folder: Path) -> list[Path]:
 def with_result_name(kind: str, request: Mapping[str, Any], catalog: Catalog) -> Mapping[str, Any]:
     """A request with what it leaves open decided, so that it means the same when it is planned again: a new track takes
     a name under which nothing lies yet, since what was tracked before is not to be written over."""
-    options = request.get("options") or {}
-    if kind != "track" or not isinstance(options, dict):
+    given = request.get("options") or {}
+    if kind != "track" or not isinstance(given, dict):
         return request
     folder = catalog.find("recording", _id(request, "recording")).path / "results"
-    return {**request, "options": {**options, "name": free_folder(folder, _result_name(options)).name}}
+    return {**request, "options": {**given, "name": free_folder(folder, _result_name(given)).name}}
 
 
-def _result_name(options: Mapping[str, Any]) -> str:
-    name = options.get("name") or options.get("recipe") or "default"
+def _result_name(given: Mapping[str, Any]) -> str:
+    name = given.get("name") or given.get("recipe") or "default"
     if not isinstance(name, str) or not is_name(name):
         raise InputError(f"{str(name)[:40]!r} is no name for a result; use letters, digits, -, _ and dots between.")
     return name
 
 
-def _track(item: Item, options: Mapping[str, Any], title: str, catalog: Catalog) -> Plan:
-    out = _inside(catalog, item, item.path / "results" / _result_name(options))
-    arguments = _arguments({k: v for k, v in options.items() if k not in ("name", "subject", "overlay", "start")})
-    if isinstance(start := options.get("start"), str) and start.startswith(_CLICKS):
-        arguments += ["--start", str(_clicked(item.path, start))]
-    else:
-        arguments += _arguments({"start": start})
-    arguments += ["--out", str(out)]
-    arguments += ["--subject", str(item.path / "subject")] if options.get("subject") is True else []
-    arguments += ["--no-overlay"] if options.get("overlay") is False else []
+def _track(item: Item, given: Mapping[str, Any], title: str, catalog: Catalog) -> Plan:
+    out = _inside(catalog, item, item.path / "results" / _result_name(given))
+    paths = ["--out", str(out)]
+    if isinstance(start := given.get("start"), str) and start.startswith(_CLICKS):
+        paths += ["--start", str(_clicked(item.path, start))]
+        given = {**given, "start": None}
+    if given.get("subject") is True:
+        paths += ["--subject", str(item.path / "subject")]
+    command = ("track", str(item.path), *_arguments("track", {**given, "subject": None}), *paths)
     title += "" if out.name == "default" else f" as {out.name}"
-    command = ("track", str(item.path), *arguments)
     return Plan(command, title, item.id, catalog.id_of("result", out), True, out)
 
 
-def _correct(item: Item, options: Mapping[str, Any], catalog: Catalog) -> Plan:
-    folder, start = catalog.recording_of(item.path), options.get("start")
+def _correct(item: Item, given: Mapping[str, Any], catalog: Catalog) -> Plan:
+    folder, start = catalog.recording_of(item.path), given.get("start")
     if folder is None or not isinstance(start, str) or not start.startswith(_CLICKS):
         raise InputError("Say which clicks the result is to be tracked again from.")
     clicks = _clicked(folder, start)
     original = re.sub(r"-corrected(-\d+)?$", "", item.path.name)
     out = free_folder(item.path.parent, f"{original}-corrected")
     title = _KINDS["correct"][0].format(item.path.name, read_correction(clicks).frame)
-    arguments = _arguments({"until": options.get("until")})
-    command = ("correct", str(item.path), str(clicks), *arguments, "--out", str(out))
+    command = ("correct", str(item.path), str(clicks), *_arguments("correct", given), "--out", str(out))
     return Plan(command, title, catalog.id_of("recording", folder), catalog.id_of("result", out))
 
 

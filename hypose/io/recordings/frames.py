@@ -7,6 +7,7 @@ order in which frames are requested, on where a run was resumed, or on the numbe
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor
@@ -220,7 +221,7 @@ def working_rig(rig: CameraRig, options: FrameSettings | None = None, depth: Seq
 
 def _rig_of(recording: Recording, options: FrameSettings | None = None) -> CameraRig:
     """Make the cameras of the working size for the views of a recording."""
-    return working_rig(recording.rig, options, [v.depth is not None for v in recording.views])
+    return working_rig(recording.rig, options, [v in recording.depth_views for v in recording.views])
 
 
 def load_keypoints(recording: Recording, options: FrameSettings | None = None) -> list[Keypoints] | None:
@@ -301,6 +302,7 @@ def build_backgrounds(
     keypoints: Sequence[Keypoints] | None = None,
     covers: Covers | None = None,
     views: Collection[int] | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
 ) -> tuple[BackgroundModel | None, ...]:
     """Build the background model of each view.
 
@@ -309,29 +311,37 @@ def build_backgrounds(
 
     keypoints: those of all frames, for the region of the person.
     covers: region of the person from a model tracked before.
+    progress: called with ("background", done, total) for every picture that is read.
     views: views for which a model is built; None for all. Many pictures are in memory when all are built together.
     Returns: one model per view; None for views with masks, depth views, views without pictures, and those not in
         `views`.
     """
     o = options or FrameSettings()
+    wanted = [
+        c
+        for c, v in enumerate(recording.views)
+        if v.masks is None and v.depth is None and v.source is not None and (views is None or c in views)
+    ]
+    total, pictures = len(wanted) * o.background_frames, itertools.count(1)
+
+    def counted(image: Image) -> Image:
+        if progress is not None:
+            progress("background", min(next(pictures), total - 1), total)
+        return image
+
     small = _rig_of(recording, o)
     skeletons = _skeletons(keypoints, recording.frames[0]) if keypoints else None
 
     def build(c: int) -> BackgroundModel | None:
         view = recording.views[c]
-        if (
-            view.masks is not None
-            or view.depth is not None
-            or view.source is None
-            or (views is not None and c not in views)
-        ):
+        if c not in wanted or view.source is None:
             return None
         prepare = Preparer(recording.rig[c], small[c], view.image_shift)
         plate = None
         if view.background is not None:
             with open_video(view.background) as reader:
                 chosen = evenly_spread(0, reader.n_frames, o.background_frames)
-                images = [prepare(reader.read(i)) for i in chosen]
+                images = [counted(prepare(reader.read(i))) for i in chosen]
                 if reader.n_frames >= _CLIP:
                     return from_frames(images)
                 plate = from_plates(images)
@@ -340,7 +350,7 @@ def build_backgrounds(
             frames, hidden = [], []
             for frame in evenly_spread(recording.frames.start, recording.frames.stop, o.background_frames):
                 try:
-                    frames.append(source.image(frame))
+                    frames.append(counted(source.image(frame)))
                 except InputError:
                     if not frames:
                         raise
@@ -354,7 +364,10 @@ def build_backgrounds(
         return from_recording([f for f, _ in known], np.stack([h for _, h in known]), plate)
 
     with ThreadPoolExecutor(len(recording.views)) as pool:
-        return tuple(pool.map(build, range(len(recording.views))))
+        made = tuple(pool.map(build, range(len(recording.views))))
+    if progress is not None and wanted:
+        progress("background", total, total)
+    return made
 
 
 class FrameStream:
@@ -367,6 +380,7 @@ class FrameStream:
     options: settings; by default the usual ones, with the recording's settings for masks.
     backgrounds: one model per view; built where None.
     covers: region of the person from a model tracked before.
+    progress: as of `build_backgrounds`.
 
     Attributes:
     rig: pinhole cameras of the working size.
@@ -382,6 +396,7 @@ class FrameStream:
         options: FrameSettings | None = None,
         backgrounds: Sequence[BackgroundModel | None] | None = None,
         covers: Covers | None = None,
+        progress: Callable[[str, int, int], None] | None = None,
     ) -> None:
         self.recording, self.options = recording, options or FrameSettings(silhouettes=recording.silhouettes)
         if self.options.people and self.options.silhouettes is not None:
@@ -412,12 +427,16 @@ class FrameStream:
         self._last = -1
         self._areas: dict[int, NDArray[np.int64]] = {}
         if self.options.silhouettes is not None and recording.has_pictures:
-            self._open(backgrounds)
+            self._open(backgrounds, progress)
 
-    def _open(self, backgrounds: Sequence[BackgroundModel | None] | None) -> None:
+    def _open(
+        self,
+        backgrounds: Sequence[BackgroundModel | None] | None,
+        progress: Callable[[str, int, int], None] | None,
+    ) -> None:
         r = self.recording
         self.backgrounds = (
-            build_backgrounds(r, self.options, self.keypoints, self._covers)
+            build_backgrounds(r, self.options, self.keypoints, self._covers, progress=progress)
             if backgrounds is None
             else tuple(backgrounds)
         )

@@ -322,7 +322,12 @@ class Recording:
     @property
     def has_pictures(self) -> bool:
         """Whether any view has a video, images, depth maps or masks, not only key points."""
-        return any(v.source is not None or v.masks is not None for v in self.views)
+        return any(v.has_pictures for v in self.views)
+
+    @property
+    def depth_views(self) -> tuple[ViewSettings, ...]:
+        """The views of depth cameras."""
+        return tuple(v for v in self.views if v.depth is not None)
 
     @property
     def detected(self) -> bool:

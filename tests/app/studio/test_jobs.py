@@ -38,7 +38,7 @@ def test_options_become_the_command(folder):
     path, out = str(item.path), str(item.path / "results" / "try-1")
     assert made.arguments == (
         *("track", path, "--recipe=hpf", "--refine", "--frames=0:4", "--formats=trc,bvh"),
-        *("--out", out, "--no-overlay"),
+        *("--no-overlay", "--out", out),
     )
     assert made.resumable and made.result == catalog.id_of("result", item.path / "results" / "try-1")
     assert plan_job("refine", {"recording": item.id}, catalog).arguments == ("check", path, "--refine")
@@ -111,7 +111,7 @@ def test_what_a_page_gives_belongs_to_its_option_and_is_no_file(folder):
     (item,) = catalog.items("recording")
     options = {"far": "yes", "height": "--out=x", "using": "keypoints"}
     made = plan_job("refine", {"recording": item.id, "options": options}, catalog).arguments
-    assert made == ("check", str(item.path), "--refine", "--far=yes", "--height=--out=x", "--from=keypoints")
+    assert made == ("check", str(item.path), "--refine", "--from=keypoints", "--far=yes", "--height=--out=x")
 
 
 def test_every_kind_needs_something_that_is_there(folder):

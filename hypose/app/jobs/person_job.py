@@ -1,0 +1,230 @@
+"""What is found of a person before anybody is tracked: key points by a detector, a body of the right size, and the
+cameras of a recording without a calibration."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import click
+import numpy as np
+from click.exceptions import Exit
+
+from hypose.app.commands.commands_check import keep_offsets
+from hypose.app.commands.commands_track import stopping
+from hypose.app.commands.console import Stages, print_notes, print_table, say, titled_table
+from hypose.app.jobs.checking import write_image
+from hypose.app.jobs.job import choose_frames
+from hypose.app.options import CalibrateCommand, SubjectCommand
+from hypose.app.reports.result_pictures import Drawing, draw_all, open_images, tile_layout
+from hypose.body.default_body import human
+from hypose.calibration.from_person import PersonCalibration, calibrate_from_person
+from hypose.cameras.camera import CameraRig
+from hypose.errors import InputError
+from hypose.evidence.detector import PoseDetector
+from hypose.evidence.held_points import without_held
+from hypose.evidence.keypoints import keypoint_names, person_size
+from hypose.geometry import Array
+from hypose.io.files import claimed
+from hypose.io.keypoints.detectors import (
+    MEGABYTES,
+    PACKAGE,
+    fetch_models,
+    have_models,
+    models_folder,
+    open_network,
+    runtime,
+)
+from hypose.io.keypoints.read_keypoints import KEYPOINT_FOLDER, DetectedKeypoints, load_detected
+from hypose.io.recordings.frames import FrameStream
+from hypose.io.recordings.recording import Recording, load_recording
+from hypose.io.recordings.recording_people import candidates_of
+from hypose.pipeline.detect_keypoints import detect_keypoints
+from hypose.pipeline.mesh_subject import subject_from_mesh
+from hypose.pipeline.recording_diagnostics import window
+from hypose.pipeline.subject_from_motion import (
+    AnthropometryOptions,
+    SubjectEstimate,
+    estimate_subject,
+    save_subject,
+)
+from hypose.pipeline.track_options import check_views
+from hypose.tracking.starts import KNOWN_POSES
+
+_MOST_SECONDS = 60
+
+
+def person_of(loaded: Recording, lenses_known: bool, yes: bool) -> tuple[Array, tuple[str, ...]]:
+    """(C, T, K, 3) px of the stored pictures and confidence of whom each view shows largest and most surely, in the
+    middle minute of a recording, and the key points' names; where it has no key points, those of the detector. Where
+    the lenses are not known these are kept apart, for the detector's masks fit no other lens."""
+    few = window(loaded, round(_MOST_SECONDS * loaded.frame_rate))
+    if few.keypoint_set is None:
+        kept = few if lenses_known else replace(few, folder=few.folder / "results" / "uncalibrated")
+        found = detected(kept, few.frames, yes=yes, why="--from-person")
+        views = tuple(replace(v, keypoints=found.view(v.name)) for v in few.views)
+        few = replace(few, views=views, keypoint_set=found.keypoint_set, keypoint_lag=0, keypoint_pixels="calibration")
+    names = keypoint_names(str(few.keypoint_set))
+    people = candidates_of(few, few.rig) or []
+    points = np.zeros((len(few.views), len(few.frames), len(names), 3))
+    for c, view in enumerate(points):
+        for t, found in enumerate(without_held([frame[c] for frame in people], first=3)[0]):
+            if found is not None and len(found):
+                view[t] = max(found[..., [3, 4, 2]], key=lambda p: float(p[:, 2].sum()) * person_size(p))
+    return points, names
+
+
+def calibrate_recording(c: CalibrateCommand) -> tuple[CameraRig, Path]:
+    """The cameras of a recording and the file that they are to be written to; says what was found, and keeps the
+    offsets."""
+    path, lenses = c.sources[0], c.intrinsics
+    loaded = load_recording(path, lenses, uncalibrated=lenses is None)
+    target = c.out or loaded.folder / "calibration.toml"
+    if target.exists():
+        raise InputError(f"{target} exists, and calibrations are never overwritten; give another name with --out.")
+    height = c.height or loaded.subject_height
+    if height is None:
+        raise InputError("Say how tall the person is, in metres: --height 1.72 (the height gives the scale).")
+    points, names = person_of(loaded, lenses is not None, c.yes)
+    print_notes(loaded.notes)
+    with Stages() as progress:
+        found = calibrate_from_person(
+            points, names, loaded.rig, height, loaded.frame_rate,
+            lenses_known=lenses is not None, largest_s=c.largest, progress=progress,
+        )  # fmt: skip
+    _show(found)
+    keep_offsets(loaded, "person", found.late.tolist(), [f"sd {s:.2f}" for s in found.sds.late])
+    if np.abs(found.late).max() > 0.05:
+        offsets = ",".join(f"{x:.2f}" for x in found.late)
+        say(f"To bring the evidence in step: hypose sync {path} --offsets={offsets} --out NEW_FOLDER")
+    return found.rig, target
+
+
+def _show(found: PersonCalibration) -> None:
+    table = titled_table(
+        f"Fit of the person's key points: {found.median_px:.1f} px median",
+        ("camera", "late (frames)", "focal (px)", "position (m)", "uncertain by (mm)", "turned by (deg)"),
+    )
+    sds = zip(found.late, found.sds.late, found.sds.focal, found.sds.place_m, found.sds.turn_deg, strict=True)
+    for camera, (late, late_sd, focal_sd, place_sd, turn_sd) in zip(found.rig, sds, strict=True):
+        f, (x, y, z) = camera.K[0, 0], camera.position
+        table.add_row(
+            camera.name, f"{late:+.2f} +- {late_sd:.2f}", f"{f:.0f}" + (f" +- {focal_sd * f:.0f}" if focal_sd else ""),
+            f"{x:.3f} {y:.3f} {z:.3f}", f"{1e3 * place_sd:.0f}", f"{turn_sd:.2f}",
+        )  # fmt: skip
+    print_table(table)
+    for text in found.approximate:
+        say(f"warning: approximate: {text}.", "yellow")
+
+
+def measure_subject(c: SubjectCommand) -> None:
+    """Do what `hypose subject` is asked for."""
+    if c.mesh is not None and c.recording is None:
+        folder = c.out or c.mesh.with_name("subject")
+        with claimed(folder):
+            made = subject_from_mesh(c.mesh, folder, unit=c.unit, height=c.height)
+        print_notes(made.notes)
+        say(f"Body: {folder / 'body.npz'}")
+        return
+    if c.recording is None or c.mesh is not None:
+        raise InputError("Give either a recording's folder or --mesh with a scan.")
+    loaded = choose_frames(load_recording(c.recording), c.frames)
+    check_views(loaded)
+    options = AnthropometryOptions(
+        frames=c.poses,
+        tracked=max(36, 3 * c.poses),
+        height=c.height if c.height is not None else loaded.subject_height,
+        mass=c.mass if c.mass is not None else loaded.subject_mass,
+        poses=KNOWN_POSES if c.start == "hull" else (c.start,),
+        seed=c.seed,
+    )
+    folder = c.out or loaded.folder / "subject"
+    with claimed(folder), Stages() as progress:
+        with FrameStream(loaded, progress=progress) as source:
+            found = estimate_subject(
+                source.frame,
+                len(source),
+                loaded.frame_rate,
+                human(),
+                options,
+                progress=lambda done, total: progress("subject", done, total),
+            )
+            body, toml = save_subject(folder, found, human(), loaded.name)
+            picture = _picture(folder / "subject.png", loaded, source, found)
+    print_notes((*loaded.notes, *source.notes, *found.notes))
+    sizes = found.sizes.in_cm
+    say(f"Stature {sizes['stature']:.1f} cm, shoulder height {sizes['shoulder height']:.1f} cm; all sizes: {toml}")
+    say(f"Picture: {picture}")
+    say(f"Track with: hypose track {c.recording} --subject {body.parent}")
+
+
+def _picture(path: Path, recording: Recording, source: FrameStream, found: SubjectEstimate) -> Path:
+    """Two fitted frames, each above with the template as tracked and below with the fitted body, in every view."""
+    images = open_images(recording)
+    plan = tile_layout([v.size for v in images])
+    rows = []
+    for k in sorted({0, len(found.frames) // 2}):
+        frame = source.frame(found.frames[k])
+        number = recording.frames[found.frames[k]]
+        pictures = [v.read(number) for v in images]
+        for body, poses, iou, what in (
+            (found.template, found.template_poses, found.iou_before, "before"),
+            (found.body, found.poses, found.iou, "after"),
+        ):
+            title = f"frame {number}, {what}: mean IoU {float(np.nanmean(iou[k])):.3f}"
+            drawing = Drawing(body.skin(poses[k], body.fine), body.joints(poses[k]), frame.silhouettes, title)
+            rows.append(draw_all(pictures, recording, plan, body, drawing))
+    for v in images:
+        v.close()
+    sheet = np.concatenate(rows)
+    write_image(path, sheet)
+    return path
+
+
+def detect(
+    loaded: Recording, detector: PoseDetector, target: Path, frames: range | None, *, resume: bool
+) -> DetectedKeypoints:
+    """Detect in frames (None: all) with progress; interrupted it says how to go on, and exits with code 130."""
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(claimed(target))
+        progress = stack.enter_context(Stages())
+        kept = f"Stopped; the frames done until then are in {target}. Go on with the same command and --resume."
+        with stopping(kept):
+            return detect_keypoints(
+                loaded,
+                detector,
+                target,
+                resume=resume,
+                frames=frames,
+                progress=lambda done, total: progress("detect", done, total),
+            )
+
+
+def detected(loaded: Recording, frames: range, *, yes: bool, why: str) -> DetectedKeypoints:
+    """Detect key points in frames of a recording and keep them in its folder; frames already detected are skipped.
+
+    why: first words of the sentence on the missing input."""
+    target = loaded.folder / KEYPOINT_FOLDER
+    network = open_network_asking(yes, why)
+    before = load_detected(target)
+    same = before is not None and dict(before.identity) == network.identity
+    if before is not None and same and before.covers(frames):
+        return before
+    return detect(loaded, network, target, frames, resume=same)
+
+
+def open_network_asking(yes: bool, why: str = "Finding people in pictures") -> PoseDetector:
+    """The detector; its models are fetched when the user agrees. An InputError says what to install."""
+    runtime(why)
+    if not have_models():
+        what = f"the detector's models from the package {PACKAGE} (Apache 2.0, {MEGABYTES} MB) to {models_folder()}"
+        if not yes:
+            if not sys.stdin.isatty():
+                raise InputError(f"{why} fetches {what}, once, by pip; run the command again with --yes to agree.")
+            if not click.confirm(f"Fetch {what}?"):
+                raise Exit(1)
+        say(f"Fetching {what} ...")
+        fetch_models()
+    return open_network()
