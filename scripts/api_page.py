@@ -22,6 +22,9 @@ _TITLES = {
 }
 
 
+_WIDTH = 88  # of a signature in one line
+
+
 def api_page() -> str:
     """The page as Markdown."""
     parts = [
@@ -35,7 +38,7 @@ def api_page() -> str:
             parts.append(f"## {_TITLES[name]}")
         value = getattr(hypose, name)
         parts.append(f"### {name}\n\n```python\n{_signature(name, value)}\n```")
-        parts.append(_plain(inspect.getdoc(value) or ""))
+        parts.append(_described(inspect.getdoc(value) or ""))
         if inspect.ismodule(value) or (inspect.isclass(value) and not issubclass(value, Exception)):
             rows = [f"- `{n}`: {_first(inspect.getdoc(m) or '')}" for n, m in _members(value)]
             parts += ["\n".join(rows)] if rows else []
@@ -48,10 +51,19 @@ def _signature(name: str, value: Any) -> str:
     if inspect.isclass(value) and issubclass(value, Exception):
         return f"class {name}({value.__bases__[0].__name__})"
     if inspect.isclass(value) and dataclasses.is_dataclass(value):
-        fields = ", ".join(f"{f.name}: {_type(f.type)}" for f in dataclasses.fields(value))
-        return f"{name}({fields})"
-    signature = re.sub(r"hypose(\.\w+)+\.", "", str(inspect.signature(value))).replace("'", "")
-    return f"{name}{signature}"
+        parameters, returned = [f"{f.name}: {_type(f.type)}" for f in dataclasses.fields(value)], ""
+    else:
+        whole = str(inspect.signature(value))
+        parameters = [str(p) for p in inspect.signature(value).parameters.values()]
+        if any(p.kind is p.KEYWORD_ONLY for p in inspect.signature(value).parameters.values()) and ", *," in whole:
+            parameters.insert(whole[: whole.index(" *,")].count(": "), "*")
+        returned = whole[whole.rindex(")") + 1 :]
+    parameters = [re.sub(r"hypose(\.\w+)+\.", "", p).replace("'", "") for p in parameters]
+    returned = re.sub(r"hypose(\.\w+)+\.", "", returned).replace("'", "")
+    line = f"{name}({', '.join(parameters)}){returned}"
+    return (
+        line if len(line) <= _WIDTH else "\n    ".join([f"{name}(", *(f"{p}," for p in parameters)]) + f"\n){returned}"
+    )
 
 
 def _type(annotation: Any) -> str:
@@ -68,6 +80,12 @@ def _members(value: Any) -> list[tuple[str, Any]]:
         for n, m in vars(value).items()
         if not n.startswith("_") and (callable(m) or isinstance(m, property | staticmethod | classmethod))
     ]
+
+
+def _described(text: str) -> str:
+    """A docstring as Markdown: its lines `field: meaning` become a list."""
+    text = re.sub(r"\n    +", " ", _plain(text))
+    return re.sub(r"(?m)^(\w+(?:, \w+)*): ", lambda m: f"- {m[1]}: " if m[1] == "Raises" else f"- `{m[1]}`: ", text)
 
 
 def _first(text: str) -> str:

@@ -7,7 +7,7 @@ import re
 
 import click
 
-from hypose.app.cli import COMMANDS, app
+from hypose.app.cli import CLI_COMMANDS, app
 
 _HEAD = """# Commands
 
@@ -21,7 +21,7 @@ trusted; 130 stopped by Ctrl-C. An error is one sentence; `--debug` shows where 
 def commands_page() -> str:
     """Return the page as Markdown: a table of all commands, then the options of each."""
     parts, rows = [], ["| command | |", "| --- | --- |"]
-    for heading, several in COMMANDS.items():
+    for heading, several in CLI_COMMANDS.items():
         parts.append(f"## {heading}")
         for name, (_, line) in several.items():
             rows.append(f"| [`hypose {name}`](#hypose-{name}) | {_plain(line)} |")

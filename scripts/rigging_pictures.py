@@ -1,4 +1,4 @@
-"""Draw the pictures of docs/own-body.md: weights of a scan by bone, and the rigged scan in poses it was not scanned in.
+"""Draw the picture of docs/own-body.md: a rigged scan in poses it was not scanned in.
 
 python scripts/rigging_pictures.py
 """
@@ -27,14 +27,13 @@ GREY = np.array([0.82, 0.80, 0.78])
 
 
 def main() -> None:
-    """Write both pictures."""
+    """Write the picture."""
     subject = load_subjects()["heavy"]
     vertices, _ = scan_of(subject, "standing", 0.001, np.random.default_rng(0))
     scan = PersonMesh(vertices, subject.faces)
     rigged = rig_mesh(scan)
     OUT.mkdir(exist_ok=True)
     poses_picture(scan, rigged)
-    weights_picture(rigged.body)
 
 
 def poses_picture(scan: PersonMesh, rigged: MeshSubject) -> None:
@@ -59,28 +58,6 @@ def poses_picture(scan: PersonMesh, rigged: MeshSubject) -> None:
     for x, text in zip((0, 1.0, 2.2, 3.5, 6.1), titles, strict=True):
         ax.text(x, -0.14, text, ha="center", fontsize=11)
     finish(fig, ax, "own-body-poses.png")
-
-
-def weights_picture(body: Body) -> None:
-    """The weight of one joint at a time: white 0, dark 1."""
-    shown = (
-        "pelvis",
-        "spine",
-        "chest",
-        "neck",
-        "left_clavicle",
-        "left_shoulder",
-        "left_elbow",
-        "left_hip",
-        "left_knee",
-    )
-    weights = body.fine.dense_weights(len(JOINT_NAMES))
-    fig, ax = plt.subplots(figsize=(15, 3.6))
-    for k, name in enumerate(shown):
-        w = weights[:, JOINT_NAMES.index(name)][body.fine.faces].mean(1)
-        draw(ax, body.fine.vertices, body.fine.faces, np.asarray(plt.get_cmap("YlOrRd")(w))[:, :3], 1.15 * k, yaw=0.25)
-        ax.text(1.15 * k, -0.14, name, ha="center", fontsize=10)
-    finish(fig, ax, "own-body-weights.png")
 
 
 # joint: rotation vector or angle, rad, beyond the rest pose

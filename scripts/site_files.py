@@ -32,3 +32,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
     """Return the page with its links as seen from docs/ and, in the changelog, from above it."""
     return _OUTSIDE.sub(r"](\1", markdown).replace("](docs/", "](")
+
+
+def on_page_content(html: str, page: Page, config: MkDocsConfig, files: Files) -> str:
+    """Return the page whose long names in tables may be broken after / : . and _ only."""
+    return re.sub(r"(?<=<code>)[^<]{28,}(?=</code>)", lambda m: re.sub(r"([/:._]+)", r"\1<wbr>", m[0]), html)

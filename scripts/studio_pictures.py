@@ -18,7 +18,6 @@ _WIDTH, _QUALITY = 1280, 70
 PICTURES = {
     "list": "library",
     "view": "correct-seen",
-    "enlarged": "view-enlarged",
     "cycle": "plots-cycle",
     "compare": "compare-difference",
     "correct": "correct-dragged",

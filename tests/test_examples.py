@@ -178,7 +178,7 @@ def test_the_page_of_commands_has_every_command_and_option():
     text = commands_page()
     for name in app.list_commands(None):
         assert f"### hypose {name}\n" in text and f"(#hypose-{name})" in text
-    assert "`--evidence TEXT`" in text and "#### hypose gesture train" in text
+    assert "| `--evidence " in text and "#### hypose gesture train" in text
 
 
 def test_the_picture_of_the_architecture_shows_every_pass():

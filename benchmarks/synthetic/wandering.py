@@ -59,7 +59,7 @@ def wandering(seed: int, settings: WanderingSettings) -> Wandering:
     subject = dress(subjects[sorted(subjects)[seed % len(subjects)]], 0.02, rng)
     seconds = settings.seconds + 2 * (_MARGIN + max(settings.largest / RATE - 1, 0))
     if settings.motion == "wander":
-        performance = _wander(subject, seconds, rng)
+        performance = wander(subject, seconds, rng)
     elif settings.motion == "circle":
         performance = walk(subject, seconds, RATE, rng, radius=rng.uniform(0.8, 1.3))
     else:
@@ -102,7 +102,7 @@ def _rig(rng: np.random.Generator, settings: WanderingSettings) -> CameraRig:
     return CameraRig(tuple(out))
 
 
-def _wander(subject: SyntheticSubject, seconds: float, rng: np.random.Generator) -> Performance:
+def wander(subject: SyntheticSubject, seconds: float, rng: np.random.Generator) -> Performance:
     """Turns to the left and right with gestures between them; of five draws the one that stays most in the middle."""
     best = None
     n = int(seconds * RATE)

@@ -229,8 +229,9 @@ class SyncCommand:
     by: Annotated[str, Option("What is seen or heard in all views.", choices=("motion", "sound", "flash"))] = "motion"
     offsets: Annotated[str | None, Option("Known offsets in frames instead, one per view.", value="0,-2.5,1")] = None
     largest: Annotated[
-        float, Option("Largest offset that is looked for, in seconds.", 0, 600, above=True, unit="seconds")
-    ] = 0.5
+        float | None,
+        Option("Largest offset in seconds. [default: as large as needed]", 0, 600, above=True, unit="seconds"),
+    ] = None
     frames: Annotated[int, Option("Consecutive frames that motion is taken from.", 24, 100_000)] = 250
     out: Annotated[Path | None, Option("New folder for masks, depth maps and key points that are in step.")] = None
 

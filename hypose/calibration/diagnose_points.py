@@ -429,7 +429,7 @@ def judge_extrinsics(rig: CameraRig, pixels: Array, o: Limits) -> Extrinsics | N
 
     pixels: (C, T, K, 3) synchronous distorted px, and confidence.
     o: limits.
-    Returns: None where two views see too few common points.
+    Returns: findings, camera changes and the refined rig; None where two views see too few common points.
     """
     c, frames = pixels.shape[:2]
     uv, confidence = undistorted(rig, pixels)

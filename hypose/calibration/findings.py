@@ -120,12 +120,13 @@ class Trial(Generic[SeenT]):
 class Finding:
     """A fault, or something that the user should know.
 
-    kind: one word or two, for programs.
+    kind: one or two words, for programs.
     views: names of the affected cameras; empty for all.
     text: description with the evidence.
     cure: the next step; empty where there is none.
     size: size of the fault in a unit of its kind.
-    severity: INVALID, the result is not to be trusted; REVIEW, it has to be looked at; INFO, only to be known.
+    severity: INVALID for a result that cannot be trusted, REVIEW for one that must be checked, INFO for information
+        only.
     """
 
     kind: str
@@ -137,22 +138,22 @@ class Finding:
 
     @property
     def fault(self) -> bool:
-        """Whether it makes a result invalid."""
+        """Whether the finding makes a result invalid."""
         return self.severity == INVALID
 
     @property
     def sentence(self) -> str:
-        """Return the fault and the next step."""
+        """Description of the fault and the next step."""
         text = self.text if self.text.endswith((".", ":")) else f"{self.text}."
         return f"{text} Next: {self.cure}." if self.cure else text
 
     def document(self) -> dict[str, Any]:
-        """Return the finding as JSON values."""
+        """Convert the finding to JSON values."""
         return {**vars(self), "views": list(self.views)}
 
     @staticmethod
     def of_document(kept: Mapping[str, Any]) -> Finding:
-        """Read what `document` gave."""
+        """Restore a finding from the JSON values of `document`."""
         texts = {name: str(kept[name]) for name in ("kind", "text", "cure", "severity")}
         return Finding(views=tuple(map(str, kept["views"])), size=float(kept["size"]), **texts)
 

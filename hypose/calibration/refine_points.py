@@ -317,6 +317,8 @@ class PointBundle(SharedProblem[_Shared]):
     def rows(self, cameras: list[Camera], radial: Array, points: Array) -> tuple[Array, Array, Array, Array]:
         """Compute residuals and derivatives.
 
+        radial: (C,) radial term of each camera.
+        points: (N, 3) m.
         Returns: residuals (C, N, 2), px; weights (C, N); derivatives with respect to the cameras' unknowns (C, N, 2, P)
             and to the points (C, N, 2, 3).
         """

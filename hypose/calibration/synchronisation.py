@@ -43,7 +43,7 @@ _MASK_SHARE = 0.25  # weight of silhouettes relative to key points, whose errors
 
 
 class FrameSequence(Protocol):
-    """Interface of a sequence of frames."""
+    """Interface of frames that are accessed by their number, with a length."""
 
     def __len__(self) -> int: ...
 

@@ -18,11 +18,13 @@ from hypose.app.reports.report import drawn_of, report_html
 from hypose.app.studio.view_bundle import load_view, view_bundle
 from hypose.app.studio.view_pictures import ViewPictures
 from hypose.body.joint_angles import ANGLE_NAMES
+from hypose.calibration.findings import Finding
 from hypose.errors import InputError
 from hypose.geometry import so3_exp
 from hypose.io.motions.results import load_motion, save_motion
 from hypose.io.recordings.recording import load_recording
 from hypose.io.videos.video import VideoWriter, open_video
+from hypose.pipeline.assessment import Assessment
 from tests.bundles import read_bundle
 
 
@@ -268,7 +270,7 @@ def test_doubts_their_verdict_and_the_sd_of_angles_come_with_the_motion(folder):
     np.testing.assert_allclose(arrays["angle_sd"][knee], 2, rtol=1e-6)  # degrees, as the angles are
     np.testing.assert_allclose(arrays["angle_sd"][tx], np.radians(2), rtol=1e-6)  # metres
     assert header["assessment"]["word"] == "look" and "left wrist may be wrong" in header["assessment"]["sentence"]
-    kept = {"assessment": "not to be trusted", "because": ["the camera moved"], "frames": []}
+    kept = Assessment("not to be trusted", (Finding("moved", (), "the camera moved"),)).document()
     (folder / "assessment.json").write_text(json.dumps(kept))
     reported = read_bundle(view_bundle(load_view(folder)))[0]["assessment"]
     assert reported == {"word": "not to be trusted", "sentence": "Not to be trusted, because: the camera moved."}

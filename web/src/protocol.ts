@@ -35,8 +35,11 @@ export interface ViewInfo {
   keypoints: string | null; depth: string | null;
 }
 export type MaskSettings = Record<string, number | boolean | string>;
-export interface Finding { fault: boolean; sentence: string; views: string[]; kind: string; cure?: string }
+/** done: it has been put right since. */
+export interface Finding { done?: boolean; fault: boolean; sentence: string; views: string[]; kind: string; cure?: string }
+/** stale: the recording has been changed since. */
 export interface Check {
+  stale: boolean;
   healthy: boolean; facts: string[]; warnings: string[]; findings: Finding[]; page: string | null;
   views: { name: string; residual_px: number | null; left_out_px: number | null; tangency_px: number | null }[];
 }
@@ -47,6 +50,10 @@ export interface Recording {
   subject: { stature_m: number; sizes_cm: Record<string, number> } | null; results: Id[]; starts: string[];
   /** Views that were left out; a refined calibration that is not used yet. */
   left_out: string[]; refined: string | null;
+  /** Kind of the next job on the way to a motion, null: the user is to act; the same recording on one clock. */
+  next: JobKind | null; in_step: Id | null;
+  /** Frames by which each view is late. */
+  offsets: number[] | null;
   /** Clips of a calibration board: their cameras; whether these are calibrated; when the sheet of what was seen was made. */
   board: { cameras: string[]; calibrated: boolean; sheet: number | null } | null;
   /** How many frames late each view was found to be. */
@@ -78,6 +85,8 @@ export interface Stage {
   left_s: number | null; unit: string;
 }
 export interface Job {
+  /** The next job on the way to a motion follows by itself. */
+  go_on: boolean;
   id: Id; kind: JobKind; title: string; command: string; recording: Id | null; result: Id | null; makes?: Id | null; state: JobState;
   options: Record<string, unknown>; stages: Stage[]; lines: string[]; error: string | null; created: number;
   began: number | null; ended: number | null; resumable: boolean;

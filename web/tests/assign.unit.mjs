@@ -62,9 +62,7 @@ for (const order of orders(files, 20)) {
 const one = (name, role, camera = "") => ({ name, role, camera });
 const ready = [one("c.toml", "calibration"), one("a.mp4", "video", "cam1"), one("b.mp4", "video", "cam2")];
 assert.equal(obstacle(ready), "");
-assert.match(obstacle(ready.slice(1)), /calibration is missing/);
-assert.equal(obstacle(ready.slice(1), true), ""); // from the person, whose height is given
-assert.match(obstacle(ready.slice(1, 2), true), /calibration is missing/);
+assert.equal(obstacle(ready.slice(1)), ""); // the cameras are found from the person, or by a board that comes later
 assert.match(obstacle([...ready, one("d.toml", "calibration")]), /2 calibrations/);
 assert.match(obstacle([...ready, one("c.mp4", "video", "cam2")]), /Two videos are of the camera cam2/);
 assert.match(obstacle([...ready, one("r.png", "background")]), /Of which camera is r\.png/);

@@ -48,7 +48,7 @@ await walk(
     cpSync(at("calibration.toml"), at("results", "calibration_refined.toml"));
     await open();
     await page.locator("[data-step=check]").click();
-    await page.getByText("2 things should be mended.").waitFor();
+    await page.getByText("2 things should be put right.").waitFor();
     const found = await page.locator(".finding").allInnerTexts();
     assert.ok(found.findIndex((t) => /moved since/.test(t)) < found.findIndex((t) => /come late/.test(t)), "the cause comes first");
     assert.ok(!found.some((t) => /Next:|hypose check/.test(t)), "a line to be typed stands beside the button that does it");

@@ -64,11 +64,11 @@ await walk(
     await everybody([[390, 844], [1024, 700], [1280, 720], [1440, 900]]);
 
     // in step: side by side, moved by hand and back
-    await click(button("Next: In step"));
+    await click(button("Next: Synchronise"));
     await shown(".sync-pictures img");
     await click(button("Find out"));
     await done("sync");
-    await page.getByText(/The cameras are in step: they differ by 0\.\d+ frames at most/).waitFor();
+    await page.getByText(/The cameras are synchronised: they differ by 0\.\d+ frames at most/).waitFor();
     const source = () => page.locator(".sync-pictures img").nth(1).getAttribute("src");
     const before = await source();
     const slider = page.getByRole("slider", { name: "Frames that cam2 is late" });
@@ -78,7 +78,7 @@ await walk(
     await shown(".sync-pictures img");
     await picture("raw-moved");
     await button("As found").click(); // what a test moves it puts back; it is no click of the way
-    await page.getByText(/The cameras are in step/).waitFor();
+    await page.getByText(/The cameras are synchronised/).waitFor();
     await shown(".sync-pictures img");
     await picture("raw-in-step");
     assert.deepEqual(await staysCutOff(page), []);
@@ -107,9 +107,9 @@ await walk(
     await page.goBack();
     await page.locator("[data-step=sync]").click();
     for (let k = 0; k < 8; k++) await slider.press("ArrowRight");
-    await button("Bring it in step").click();
+    await button("Synchronise the cameras").click();
     await done("in_step");
-    await page.getByRole("link", { name: "Go on with what is in step" }).click();
+    await page.getByRole("link", { name: "Go on with what is synchronised" }).click();
     await page.getByRole("heading", { name: "mine in step" }).waitFor();
     await page.getByText("4 cameras · 30 frames").waitFor();
   },

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -29,13 +30,14 @@ from hypose.evidence.detector import openpose_document
 from hypose.evidence.frame import Silhouettes
 from hypose.geometry import Array
 from hypose.io.calibrations.calibration_text import write_calibration
-from hypose.io.file_names import folder_for
+from hypose.io.file_names import file_name, folder_for
 from hypose.io.files import check_writable, claimed, write_text
 from hypose.io.recordings.frames import mask_folder, write_frame_masks
 from hypose.io.recordings.recording import Recording, load_recording, write_recording
 from hypose.io.recordings.recording_people import RecordedPerson
+from hypose.io.recordings.recording_views import ViewSettings
 from hypose.io.sensors.depth import write_depth_png
-from hypose.io.videos.video import frame_size, list_images, open_video, read_sound
+from hypose.io.videos.video import VideoWriter, frame_size, list_images, open_video, read_sound
 from hypose.pipeline.one_of_several import frames_to_examine
 from hypose.pipeline.recording_diagnostics import (
     Refinement,
@@ -192,9 +194,9 @@ def sync(c: SyncCommand) -> None:
         if c.offsets is not None:
             late, words = _given(c.offsets, loaded), ["as given"] * len(loaded.views)
         elif c.by == "motion":
-            late, words = _by_motion(loaded, c.largest * loaded.frame_rate, c.frames, progress)
+            late, words = _by_motion(loaded, c.largest, c.frames, progress)
         elif c.by == "sound":
-            late, words = _by_sound(loaded, c.largest)
+            late, words = _by_sound(loaded, c.largest or _LARGEST_S[-1])
         else:
             late, words = _by_light(loaded, progress)
     for view, x, word in zip(loaded.views, late, words, strict=True):
@@ -208,17 +210,22 @@ def sync(c: SyncCommand) -> None:
     say(f"Evidence in step: {path}", "green")
 
 
-def keep_offsets(recording: Recording, by: str, late: list[float], words: list[str]) -> None:
-    """results/sync.json, for the studio; where it cannot be written, the printed text has to do."""
+def keep_offsets(
+    recording: Recording, by: str, late: list[float], words: list[str], folder: Path | None = None
+) -> None:
+    """results/sync.json, for the studio, in the recording's folder or another; where it cannot be written, the printed
+    text has to do."""
     views = [{"name": v.name, "late": x, "told": w} for v, x, w in zip(recording.views, late, words, strict=True)]
     with contextlib.suppress(OSError, InputError):
-        write_text(recording.folder / "results" / "sync.json", json.dumps({"by": by, "views": views}) + "\n")
+        write_text(
+            (folder or recording.folder) / "results" / "sync.json", json.dumps({"by": by, "views": views}) + "\n"
+        )
 
 
 def _unfinished(folder: Path) -> bool:
     """True for an empty folder, and for one that this command has begun and not finished."""
     return folder.is_dir() and all(
-        p.name in ("masks", "depth", "keypoints") or p.name[0] == "." for p in folder.iterdir()
+        p.name in ("masks", "depth", "keypoints", "videos", "results") or p.name[0] == "." for p in folder.iterdir()
     )
 
 
@@ -240,10 +247,29 @@ def _given(text: str, recording: Recording) -> list[float]:
     return out
 
 
+_LARGEST_S = (0.5, 2.0, 10.0)
+"""Offsets that are looked for one after the other, seconds, where the user names none."""
+
+
 def _by_motion(
-    recording: Recording, largest: float, frames: int, progress: ProgressCall
+    recording: Recording, largest_s: float | None, frames: int, progress: ProgressCall
 ) -> tuple[list[float], list[str]]:
-    seen = observe_recording(recording, frames, progress)
+    rate = recording.frame_rate
+    within = [largest_s] if largest_s else [s for s in _LARGEST_S if 3 * s * rate <= len(recording.frames)]
+    *nearer, last = within or _LARGEST_S[:1]
+    for seconds in nearer:
+        with contextlib.suppress(EvidenceError):
+            late, words, sure = _by_motion_within(recording, seconds * rate, frames, progress)
+            if sure:
+                return late, words
+    return _by_motion_within(recording, last * rate, frames, progress)[:2]
+
+
+def _by_motion_within(
+    recording: Recording, largest: float, frames: int, progress: ProgressCall
+) -> tuple[list[float], list[str], bool]:
+    """How late each view is, frames, within `largest` frames, what is said of it, and whether all lie well within."""
+    seen = observe_recording(recording, max(frames, math.ceil(4 * largest)), progress)
     points = None if seen.keypoints is None else undistorted(seen.rig, seen.keypoints)
     found = offsets_from_motion(seen.rig.pinhole(), points, seen.silhouettes, largest=largest)
     if found.gain < 0:
@@ -260,10 +286,11 @@ def _by_motion(
     ]
     total = points[0].shape[1] if points is not None else len(seen.silhouettes or ())
     reach = offsets_within(largest, total)
-    if at_the_end(found, reach):
+    ended = at_the_end(found, reach)
+    if ended:
         what = "a larger --largest" if reach >= largest - 0.5 else "more frames, and a larger --largest"
         words[0] += f"; views are {reach:.1f} frames apart or more: give {what}"
-    return [float(x) for x in found.frames], words
+    return [float(x) for x in found.frames], words, all(reported) and not ended
 
 
 def _by_sound(recording: Recording, largest: float) -> tuple[list[float], list[str]]:
@@ -313,28 +340,38 @@ def _write(recording: Recording, late: list[float], folder: Path, progress: Prog
             maps = _depth_in_step(view.depth, recording.frames, late[c], folder_for(folder / "depth", view.name))
             views.append(replace(view, depth=maps, keypoints=keypoints))
             continue
-        views.append(
-            replace(
-                view,
-                video=None,
-                images=None,
-                background=None,
-                masks=masks[c],
-                keypoints=keypoints,
-                image_shift=(0.0, 0.0),
-                accept_scaled=False,
-            )
-        )
+        video = None if view.source is None else _video_in_step(view, recording, late[c], folder / "videos")
+        views.append(replace(view, video=video, images=None, background=None, masks=masks[c], keypoints=keypoints))
+    first, stop = math.ceil(max(0.0, -min(late))), len(recording.frames) - math.ceil(max(0.0, *late))
     made = replace(
         recording,
         views=tuple(views),
-        frame_range=None,
+        frame_range=(first, stop) if (first, stop) != (0, len(recording.frames)) else None,
         n_frames=len(recording.frames),
         keypoint_lag=0,
         keypoint_pixels="calibration",
         name=f"{recording.name} in step",
     )
+    keep_offsets(made, "given", [0.0] * len(views), ["in step"] * len(views), folder)
     return write_recording(made, folder)
+
+
+def _video_in_step(view: ViewSettings, recording: Recording, late: float, folder: Path) -> Path:
+    """Pictures of a view on the common clock, of the nearest frame, to look at; returns where they are."""
+    assert view.source is not None
+    path, frames = folder / f"{file_name(view.name)}.mp4", recording.frames
+    folder.mkdir(parents=True, exist_ok=True)
+    with (
+        open_video(view.source, rate=view.rate) as reader,
+        VideoWriter(path, recording.frame_rate, reader.size) as writer,
+    ):
+        before, image = -1, None
+        for i in range(len(frames)):
+            nearest = min(max(round(i + late), 0), len(frames) - 1)
+            if image is None or nearest != before:
+                before, image = nearest, reader.read(frames[nearest])
+            writer.write(image)
+    return path
 
 
 def _depth_in_step(depth: Path, frames: range, late: float, folder: Path) -> Path:

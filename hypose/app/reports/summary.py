@@ -34,6 +34,7 @@ DESCRIPTIONS = {
     "report.html": "this report",
 }
 """Description of each file of a results folder."""
+OPENSIM_FILES = ("motion.osim", "motion.mot", "motion_sd.sto", "motion.trc", "motion_markers.trc", "motion_ik.xml")
 
 
 @dataclass(frozen=True)

@@ -57,8 +57,8 @@ def first_picture(catalog: Catalog, where: str) -> bytes:
 
 def make_recording(catalog: Catalog, wanted: Mapping[str, Any]) -> Path:
     """Write the recording.toml that a page asks for (docs/studio-protocol.md) into a folder; the files in it stay where
-    they are. Returns the folder. Nothing is left when it cannot be used; one that is to be calibrated by the clips of a
-    board, or by the person, is looked at no further."""
+    they are. Returns the folder. Nothing is left when it cannot be used; one without a calibration, whose cameras are
+    found later by a board or from the person, is looked at no further."""
     folder = catalog.inside(text(wanted.get("folder"), "folder", 1000, "choose one"))
     target = folder / "recording.toml"
     if target.exists():
@@ -68,7 +68,7 @@ def make_recording(catalog: Catalog, wanted: Mapping[str, Any]) -> Path:
         raise InputError("A recording needs at least one video; choose a folder that holds one.")
     calibration, boards = wanted.get("calibration"), [v for v in views if v.get("board") is not None]
     cameras = [text(v.get("camera"), "camera of a video", 200, "choose it") for v in views]
-    if calibration is None and (boards or len(views) < 2):
+    if calibration is None and boards:
         missing = [c for c, v in zip(cameras, views, strict=True) if v not in boards]
         if missing:
             raise InputError(f"There is no clip of the board of {missing[0]}; add it, or a calibration of all cameras.")

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,11 +19,14 @@ from hypose.app.commands import commands_data, commands_results, commands_track
 from hypose.app.jobs.correct import read_correction
 from hypose.app.studio.catalog import Catalog, Item
 from hypose.errors import HyposeError, InputError
-from hypose.io.files import read_toml
+from hypose.io.files import read_json, read_toml
+from hypose.io.recordings.recording import Recording
 from hypose.options import Declared, declared
 
 CALIBRATION = "calibration.toml"
 """Where a recording keeps the calibration that is made of clips of a board, or of the person."""
+IN_STEP = 0.5
+"""frames: cameras that differ by less show the same instant, for a person who walks."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +51,7 @@ _KINDS: Mapping[str, tuple[str, Callable[..., Any], str]] = {
         "chessboard charuco square marker dictionary inverted fisheye floor height yes",
     ),
     "sync": ("How late are the cameras of {}?", options.SyncCommand, "by largest frames"),
-    "in_step": ("Bring {} in step", options.SyncCommand, "offsets"),
+    "in_step": ("Synchronise {}", options.SyncCommand, "offsets"),
     "check": ("Check {}", options.CheckCommand, "samples frames"),
     "refine": ("Refine the calibration of {}", options.CheckCommand, "using far focal height"),
     "keypoints": ("Find the person in the videos of {}", commands_data.keypoints, "yes"),
@@ -159,6 +162,84 @@ def _inside(catalog: Catalog, item: Item, out: Path) -> Path:
 def fused_in(skeletons: Path) -> Path:
     """Where a recording of live sensors is fused to."""
     return skeletons / "results" / "fuse-fit"
+
+
+def next_step(
+    folder: Path, recording: Recording, after: str = "", anyway: bool = False
+) -> tuple[str, dict[str, Any]] | None:
+    """Kind and options of the next job on the way from the videos in a recording's folder to a motion.
+
+    after: kind of the job that has just ended, which is not tried again.
+    anyway: whatever the check finds.
+    None when the user is to act (a board, a finding that is to be put right), or the motion is there."""
+    views = recording.views
+    if uncalibrated(folder):
+        person = len(views) > 1 and recording.subject_height is not None and not board_files(folder)
+        return ("calibrate", {"yes": True}) if person and after != "calibrate" else None
+    if len(views) > 1:
+        bare = all(v.video and not (v.masks or v.background or v.keypoints or v.depth) for v in views)
+        if bare and after != "keypoints":
+            return "keypoints", {"yes": True}
+        late = found_offsets(folder, [v.name for v in views])
+        if late is None and after != "sync":
+            return "sync", {}
+        if late is not None and max(late) - min(late) >= IN_STEP:
+            return "in_step", {"offsets": late}
+    check = read_found(folder, "check.json")
+    if check is None or check["stale"]:
+        return ("check", {}) if after != "check" else None
+    masked = {v.name for v in views if v.masks}
+    if after == "track" or (not anyway and any(_waits_for_user(f, masked) for f in check.get("findings", []))):
+        return None
+    detected = any(v.keypoints for v in views)
+    subject = (folder / "subject" / "subject.toml").is_file()
+    return "track", {"evidence": "both" if detected else "silhouettes", "subject": subject}
+
+
+def _waits_for_user(finding: Mapping[str, Any], masked: Set[str]) -> bool:
+    """Whether a finding is a fault that a button of the page puts right; masked: views whose masks are given, which
+    do not move with their pictures."""
+    cure = str(finding.get("cure"))
+    moves = "set image_shift" in cure and not masked.intersection(finding.get("views", []))
+    button = moves or "--refine" in cure or "set keypoint_" in cure or finding.get("kind") == "size"
+    return bool(finding.get("fault")) and not finding.get("done") and button
+
+
+def uncalibrated(folder: Path) -> bool:
+    """Whether the cameras of a recording are still to be found, by a board or from the person."""
+    with contextlib.suppress(HyposeError):
+        lost = not (folder / CALIBRATION).is_file()
+        return lost and read_toml(folder / "recording.toml").get("calibration") == CALIBRATION
+    return False
+
+
+def found_offsets(folder: Path, names: Sequence[str]) -> list[float] | None:
+    """(C,) frames by which each view was found to be late, from the one in the middle, so that few frames are lost; 0
+    where it is less than its error. None where `hypose sync` has not found them."""
+    found = read_found(folder, "sync.json") or {}
+    views = found.get("views", [])
+    if [v["name"] for v in views] != list(names):
+        return None
+    middle = sorted(v["late"] for v in views)[len(views) // 2]
+    out = []
+    for view in views:
+        late, told = view["late"] - middle, view["told"]
+        sd = re.match(r"sd ([\d.]+)", told)
+        unknown = told.startswith("no motion") or (sd is not None and abs(late) <= 2 * float(sd[1]))
+        out.append(0.0 if unknown else round(late, 2))
+    return out
+
+
+def read_found(folder: Path, name: str) -> dict[str, Any] | None:
+    """Read the JSON object that `hypose check` or `hypose sync` last wrote to results/`name`, with whether the
+    recording has been changed since (`stale`); None if there is none."""
+    path = folder / "results" / name
+    with contextlib.suppress(InputError, OSError):
+        value = read_json(path, "what a command found")
+        toml = folder / "recording.toml"
+        changed = toml.is_file() and toml.stat().st_mtime > path.stat().st_mtime
+        return {**value, "stale": changed or value.get("stale") is True} if isinstance(value, dict) else None
+    return None
 
 
 def board_files(folder: Path) -> list[Path]:

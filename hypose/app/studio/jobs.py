@@ -26,14 +26,19 @@ from hypose.app.commands.console import COUNTED_IN_FRAMES, JSON_PROGRESS
 from hypose.app.studio.catalog import Catalog, NotFound
 from hypose.app.studio.http import NotNow
 from hypose.app.studio.hub import Hub, Message, Topic
-from hypose.app.studio.job_kinds import JOB_KINDS, Plan, plan_job, with_result_name
+from hypose.app.studio.job_kinds import JOB_KINDS, Plan, next_step, plan_job, uncalibrated, with_result_name
+from hypose.app.studio.recordings import edit_recording
 from hypose.app.studio.view_bundle import json_values
 from hypose.errors import HyposeError
 from hypose.io.files import read_json, write_text
+from hypose.io.recordings.recording import load_recording
 from hypose.json_text import parse_json
 from hypose.pipeline.assessment import EXIT_UNTRUSTED
 
 NAME = ".studio-jobs.json"
+GO_ON = "go_on"
+"""In place of a kind: the next job on the way from videos to a motion, and then the others."""
+_USE = {"what": "use_refined"}
 JobState = Literal["queued", "running", "done", "failed", "cancelled"]
 ENDED: tuple[JobState, ...] = ("done", "failed", "cancelled")
 _KEPT_JOBS, _MOST_WAITING, _KEPT_LINES = 100, 20, 200
@@ -81,6 +86,7 @@ class _StudioJob:
             "makes": self.plan.makes,
             "state": self.state,
             "options": self.request.get("options") or {},
+            "go_on": self.request.get("go_on") is True,
             "stages": list(self.stages.values()),
             "lines": list(self.lines),
             "error": self.error,
@@ -144,6 +150,8 @@ class Jobs(Topic):
         request: recording or result id, and the options of the job.
         An InputError for an unknown kind or invalid options. NotNow when the queue is full, or when the same job for
         the same result is waiting or running."""
+        if kind == GO_ON:
+            kind, request = self._next(request, "")
         request = with_result_name(kind, request, self._catalog)
         return self._queue(kind, request, plan_job(kind, request, self._catalog))
 
@@ -225,16 +233,39 @@ class Jobs(Topic):
     def _work(self) -> None:
         while True:
             with self._lock:
-                self._lock.wait_for(lambda: self._closed or self._next() is not None)
-                job = self._next()
+                self._lock.wait_for(lambda: self._closed or self._waiting_job() is not None)
+                job = self._waiting_job()
                 if job is None:
                     return
                 job.state, job.began = "running", time.time()
             self._changed(job)
             self._run(job)
             self._changed(job)
+            self._go_on(job)
 
-    def _next(self) -> _StudioJob | None:
+    def _go_on(self, job: _StudioJob) -> None:
+        """Start what follows a job on the way to a motion, where the page has asked for all of it."""
+        if job.request.get("go_on") is not True or not (
+            job.state == "done" or (job.kind, job.state) == ("sync", "failed")
+        ):
+            return
+        with contextlib.suppress(HyposeError):
+            if job.kind == "refine":
+                edit_recording(self._catalog.find("recording", str(job.plan.recording)).path, None, _USE, self._catalog)
+            asked = {**job.request, "recording": job.plan.makes or job.plan.recording}
+            self.start(*self._next(asked, job.kind))
+
+    def _next(self, request: Mapping[str, Any], after: str) -> tuple[str, Mapping[str, Any]]:
+        """Kind and request of the next job of a recording on the way to a motion, after one of this kind."""
+        item = self._catalog.find("recording", str(request.get("recording")))
+        recording = load_recording(item.path, uncalibrated=uncalibrated(item.path))
+        anyway = request.get("anyway") is True
+        step = next_step(item.path, recording, after, anyway)
+        if step is None:
+            raise NotNow(f"{item.path.name} needs you first: see its steps.")
+        return step[0], {"recording": item.id, "options": step[1], "go_on": True, "anyway": anyway}
+
+    def _waiting_job(self) -> _StudioJob | None:
         waiting = [j for j in self._jobs.values() if j.state == "queued"]
         return min(waiting, key=lambda j: j.created, default=None)
 

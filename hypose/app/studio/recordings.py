@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import math
 import re
 import threading
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 from hypose.app.studio.catalog import Catalog, Item, NotFound
 from hypose.app.studio.http import request_choice, text, whole
 from hypose.app.studio.http import request_number as number_of
-from hypose.app.studio.job_kinds import CALIBRATION, board_files
+from hypose.app.studio.job_kinds import CALIBRATION, board_files, found_offsets, next_step, read_found, uncalibrated
 from hypose.app.studio.lru_cache import LruCache
 from hypose.app.studio.view_pictures import AnyFrame
 from hypose.calibration.views import find_sources
@@ -29,7 +30,7 @@ from hypose.errors import HyposeError, InputError
 from hypose.evidence.background import BackgroundModel
 from hypose.evidence.silhouettes import SilhouetteSettings, make_segmenter
 from hypose.geometry import Image, Mask
-from hypose.io.files import read_json, read_text, read_toml, toml_value, write_text
+from hypose.io.files import read_text, read_toml, toml_value, write_text
 from hypose.io.recordings.frames import build_backgrounds, working_rig
 from hypose.io.recordings.recording import (
     SILHOUETTE_KEYS,
@@ -48,8 +49,8 @@ from hypose.json_text import parse_json
 
 
 _KINDS = (
-    "accept_scaled", "leave_out", "take_back", "background", "use_refined", "keypoint_lag", "keypoint_pixels",
-    "image_shift",
+    "accept_scaled", "leave_out", "take_back", "background", "board", "height", "use_refined", "keypoint_lag",
+    "keypoint_pixels", "image_shift",
 )  # fmt: skip
 _AWAY = "#left out# "
 """Stands before every line of a view that is left out, so that it can be taken back."""
@@ -71,6 +72,9 @@ def edit_recording(folder: Path, recording: Recording | None, asked: dict[str, A
         return _try(path, before, "\n".join(line.removeprefix(_AWAY) for line in before.split("\n")))
     if what == "keypoint_pixels":
         return _try(path, before, _at_top(before, "keypoint_pixels", "image"))
+    if what == "height":
+        metres = number_of(asked.get("metres"), "the height of the person (m)", 0.4, 2.8)
+        return write_text(path, _at_top(before, "subject_height", metres))
     if what == "keypoint_lag":
         frames = whole(asked.get("frames"), "the frames by which the key points are moved", -10_000, 10_000)
         lag = frames + (0 if recording is None else recording.keypoint_lag)
@@ -86,11 +90,21 @@ def edit_recording(folder: Path, recording: Recording | None, asked: dict[str, A
         old = (0.0, 0.0) if recording is None else recording.views[number].image_shift
         by = (number_of(asked.get(k), f"the shift of the pictures in {k} (px)", -1e4, 1e4) for k in ("x", "y"))
         value = [round(a + b, 1) for a, b in zip(old, by, strict=True)]
-    if what == "background":
-        room = catalog.inside(text(asked.get("path"), "picture of the empty room", 1000, "choose one"), folder)
+    if what in ("background", "board"):
+        room = catalog.inside(text(asked.get("path"), "file of a view", 1000, "choose one"), folder)
         value = (room.relative_to(folder) if room.is_relative_to(folder) else room).as_posix()
     line = f"{what} = {toml_value(value)}"
-    _try(path, before, _changed(before, number, lambda b: [*_set_aside(b, what), line]))
+    after = _changed(before, number, lambda b: [*_set_aside(b, what), line])
+    _try(path, before, after) if what != "board" else write_text(path, after)
+
+
+def tick_findings(folder: Path, numbers: Sequence[Any]) -> None:
+    """Mark findings of the last check, by their numbers, as put right; the check is no longer of now."""
+    found = read_found(folder, "check.json")
+    if found is not None:
+        for number, finding in enumerate(found["findings"]):
+            finding["done"] = number in numbers or finding.get("done") is True
+        write_text(folder / "results" / "check.json", json.dumps({**found, "stale": True}))
 
 
 def _names(path: Path, recording: Recording | None) -> list[str]:
@@ -236,7 +250,9 @@ class Recordings:
 
     def shown(self, item: Item, results: Sequence[str]) -> dict[str, Any]:
         """All there is to say about a recording; results: ids."""
+        made = item.path.with_name(f"{item.path.name}-in-step")
         common = {
+            "in_step": self._catalog.id_of("recording", made) if (made / "recording.toml").is_file() else None,
             "id": item.id,
             "path": self._catalog.shown(item.path),
             "results": list(results),
@@ -253,10 +269,13 @@ class Recordings:
         except HyposeError as error:
             nothing: dict[str, Any] = {k: [] for k in ("views", "cameras", "notes")}
             nothing |= {"frame_rate": 0.0, "frames": 0, "frame_range": None, "subject_height": None}
-            nothing |= {"mask_settings": asdict(SilhouetteSettings())}
+            nothing |= {"mask_settings": asdict(SilhouetteSettings()), "next": None, "offsets": None}
             return {**nothing, **common, "name": item.path.name, "problem": str(error)}
+        step = next_step(item.path, r)
         return {
             **common,
+            "next": step and step[0],
+            "offsets": found_offsets(item.path, [v.name for v in r.views]),
             "name": r.name,
             "problem": None,
             "frame_rate": r.frame_rate,
@@ -332,7 +351,9 @@ class Recordings:
         self._open.drop()
 
     def _opened(self, item: Item) -> AbstractContextManager[_Open]:
-        return self._open.use((item.id, _stamp(item.path)), lambda: _Open(load_recording(item.path)))
+        return self._open.use(
+            (item.id, _stamp(item.path)), lambda: _Open(load_recording(item.path, uncalibrated=uncalibrated(item.path)))
+        )
 
     @staticmethod
     def _mask(opened: _Open, view: int, frame: int, options: SilhouetteSettings) -> Mask:
@@ -389,25 +410,15 @@ def without_table(text: str, name: str) -> str:
     return "\n".join(out) + "\n"
 
 
-def read_found(folder: Path, name: str) -> dict[str, Any] | None:
-    """Read the JSON object that `hypose check` or `hypose sync` last wrote to results/`name`; None if there is none."""
-    with contextlib.suppress(InputError):
-        value = read_json(folder / "results" / name, "what a command found")
-        return value if isinstance(value, dict) else None
-    return None
-
-
 def board_of(folder: Path) -> dict[str, Any] | None:
     """The cameras of which there are clips of a calibration board, none where cameras are to be found from the person;
     whether they have been calibrated; when the picture of what was seen was made, s, None without one."""
-    sheet, names, lost = folder / "results" / "calibration.png", list[str](), False
+    sheet, names = folder / "results" / "calibration.png", list[str]()
     with contextlib.suppress(HyposeError):
         names = [s.name for s in find_sources(board_files(folder))]
-    calibrated = (folder / CALIBRATION).is_file()
-    with contextlib.suppress(HyposeError):
-        lost = not calibrated and read_toml(folder / "recording.toml").get("calibration") == CALIBRATION
     made = sheet.stat().st_mtime if sheet.is_file() else None
-    return {"cameras": names, "calibrated": calibrated, "sheet": made} if names or lost else None
+    calibrated = (folder / CALIBRATION).is_file()
+    return {"cameras": names, "calibrated": calibrated, "sheet": made} if names or uncalibrated(folder) else None
 
 
 def _unused(folder: Path) -> str | None:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import io
 import shutil
 import threading
+import zipfile
 from collections.abc import AsyncIterator, Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -24,7 +26,8 @@ from starlette.staticfiles import StaticFiles
 
 from hypose import __version__
 from hypose.app.live.servers import quiet_logs
-from hypose.app.reports.summary import DESCRIPTIONS
+from hypose.app.reports.board_sheet import board_sheet
+from hypose.app.reports.summary import DESCRIPTIONS, OPENSIM_FILES
 from hypose.app.studio import clicks
 from hypose.app.studio.catalog import Catalog, Item, Kind, NotFound, is_recording
 from hypose.app.studio.folders import first_picture, list_folder, make_recording
@@ -46,7 +49,7 @@ from hypose.app.studio.hub import MAX_MESSAGE, Hub
 from hypose.app.studio.job_kinds import fused_in, is_name
 from hypose.app.studio.jobs import Jobs
 from hypose.app.studio.live_topics import CameraTopic, FuseTopic
-from hypose.app.studio.recordings import Recordings, edit_recording
+from hypose.app.studio.recordings import Recordings, edit_recording, tick_findings
 from hypose.app.studio.results import Results
 from hypose.body.default_body import human
 from hypose.errors import HyposeError, InputError
@@ -367,6 +370,7 @@ def _of_recordings(studio: Studio, item_of: ItemOf) -> list[Route]:
         except HyposeError:
             recording = None
         edit_recording(item.path, recording, body, catalog)
+        tick_findings(item.path, body.get("findings", []))
         return one(request)
 
     def folder(request: Request) -> Any:
@@ -384,7 +388,13 @@ def _of_recordings(studio: Studio, item_of: ItemOf) -> list[Route]:
         catalog.items("recording", fresh=True)
         return recordings.shown(catalog.find("recording", catalog.id_of("recording", made)), [])
 
+    def board(request: Request) -> Response:
+        headers = {"Content-Disposition": 'inline; filename="hypose-board.pdf"'}
+        sheet = board_sheet(request.query_params.get("paper", "a4"))
+        return Response(sheet, media_type="application/pdf", headers=headers)
+
     return [
+        route("/api/board.pdf", board),
         route("/api/folder", folder),
         route("/api/folder/picture.jpg", first),
         route("/api/recordings", make, "POST", 201),
@@ -427,6 +437,15 @@ def _of_results(studio: Studio, item_of: ItemOf) -> list[Route]:
         with results.pictures(item_of("result", request)) as opened:
             return {"views": opened.outlines(row_of(request))}
 
+    def opensim(request: Request) -> Response:
+        item, packed = item_of("result", request), io.BytesIO()
+        with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+            for name in OPENSIM_FILES:
+                if (path := item.path / name).is_file() and catalog.contains(path):
+                    archive.write(path, name)
+        headers = {"Content-Disposition": 'attachment; filename="opensim.zip"'}
+        return Response(packed.getvalue(), media_type="application/zip", headers=headers)
+
     def small(request: Request) -> Response:
         return jpeg_answer(results.thumbnail(item_of("result", request)), 600)
 
@@ -444,6 +463,7 @@ def _of_results(studio: Studio, item_of: ItemOf) -> list[Route]:
         route("/api/results/{id}/outlines/{row}", outlines),
         route("/api/results/{id}/thumbnail.jpg", small),
         route("/api/results/{id}/files/{name}", file),
+        route("/api/results/{id}/opensim.zip", opensim),
         route("/api/results/{id}/gait", gait),
         route("/api/results/{id}/export", export, "POST", 201),
     ]

@@ -163,7 +163,7 @@ def _checked(mesh: PersonMesh) -> PersonMesh:
         raise InputError(f"{source} has {bad} vertices that are not finite; repair the scan and export it again.")
     if f.min() < 0 or f.max() >= len(v):
         raise InputError(f"{source} has {len(v)} vertices but a face refers to vertex {int(f.max())}; export it again.")
-    if mesh.rig is not None and not np.isfinite(mesh.rig.weights).all() | np.isfinite(mesh.rig.joints).all():
+    if mesh.rig is not None and not (np.isfinite(mesh.rig.weights).all() and np.isfinite(mesh.rig.joints).all()):
         raise InputError(f"{source}: its joints or weights are not finite; export it again.")
     return mesh
 

@@ -30,9 +30,8 @@ MAX_PEOPLE = 16
 """Largest number of people that one sensor may report at a time."""
 MAX_JOINTS = 64
 REORDER_S = 0.2
+"""A time that is further back than this, s, means that the clock was set back; otherwise the row came late."""
 _SLOWEST_S = 5.0  # largest usual step of a sensor, s: a larger one means that milliseconds were given as seconds
-"""REORDER_S: a time that is further back than this, s, means that the clock was set back; otherwise the row came
-late."""
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,8 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from hypose.app.commands.commands_live import view
 from hypose.app.studio import server as studio_server
 from hypose.app.studio.http import token_for
+from hypose.calibration.findings import Finding
+from hypose.pipeline.assessment import Assessment
 from tests.app.studio.conftest import serving
 from tests.bundles import read_bundle
 from tests.conftest import HANG_S
@@ -57,7 +59,7 @@ def test_what_lies_beside_a_motion_is_read_again_when_it_changes(own_studio, fol
     before = header()
     assert before["complete"] and "motion.trc" in {f["name"] for f in before["files"]}
     (results / "motion.trc").unlink()
-    kept = {"assessment": "not to be trusted", "because": ["the camera moved"], "frames": []}
+    kept = Assessment("not to be trusted", (Finding("moved", (), "the camera moved"),)).document()
     (results / "assessment.json").write_text(json.dumps(kept))
     (results / "checkpoint.npz").write_bytes(b"")
     toml = folder / "walk" / "recording.toml"

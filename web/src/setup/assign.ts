@@ -59,7 +59,7 @@ export function assign(files: readonly Seen[], cameras: readonly string[]): Assi
 }
 
 /** The camera of each file of one kind; "" where the names do not tell. */
-function match(paths: readonly string[], cameras: readonly string[]): string[] {
+export function match(paths: readonly string[], cameras: readonly string[]): string[] {
   const found = paths.map((p) => named(p, cameras));
   return found.some((c) => c) ? found : told(paths, cameras);
 }
@@ -119,13 +119,11 @@ const CALLED: Record<Role, readonly [string, string]> = {
   keypoints: ["set of key points", "sets of key points"], board: ["clip of the board", "clips of the board"], calibration: ["calibration", "calibrations"], none: ["", ""],
 };
 
-/** Why no recording can be made of the files yet, as a sentence; "" when it can. tall: the person's height is given, so several cameras can be found from the person. */
-export function obstacle(files: readonly (Assigned & { name: string })[], tall = false): string {
+/** Why no recording can be made of the files yet, as a sentence; "" when it can. */
+export function obstacle(files: readonly (Assigned & { name: string })[]): string {
   const of = (role: Role): (Assigned & { name: string })[] => files.filter((f) => f.role === role);
   const [calibrations, boards] = [of("calibration"), of("board")];
   const shown = files.filter((f) => f.role === "video" || f.role === "masks" || f.role === "keypoints");
-  const person = tall && !boards.length && shown.length > 1;
-  if (!calibrations.length && !boards.length && !person) return "The calibration is missing: put the file that says where the cameras stand into the folder, or a clip of a calibration board for every camera. Or give the height of the person who walks about before several cameras: these are found from the person then.";
   if (calibrations.length > 1) return `There are ${calibrations.length} calibrations; choose one, and set the others to “not used”.`;
   if (!shown.length) return "The videos are missing: choose a folder that holds one per camera.";
   for (const role of OF_A_CAMERA) {
@@ -139,7 +137,7 @@ export function obstacle(files: readonly (Assigned & { name: string })[], tall =
     const alone = role === "background" || role === "board" ? mine.find((r) => !shown.some((v) => v.camera === r.camera)) : undefined;
     if (alone) return `${alone.name} is the ${one} of ${alone.camera}, which has no video; set the file to “not used”.`;
   }
-  const bare = calibrations.length || person ? undefined : shown.find((f) => !boards.some((b) => b.camera === f.camera));
+  const bare = calibrations.length || !boards.length ? undefined : shown.find((f) => !boards.some((b) => b.camera === f.camera));
   return bare ? `There is no clip of the board of ${bare.camera}: add it, or set ${bare.name} to “not used”.` : "";
 }
 

@@ -1,8 +1,10 @@
-import { address } from "../api";
-import type { Job, Recording } from "../protocol";
+import { address, get, post } from "../api";
+import type { FolderEntry, Job, Recording } from "../protocol";
 import { button, select } from "../ui/buttons";
 import { h } from "../ui/dom";
 import { icon } from "../ui/icons";
+import { toast } from "../ui/toast";
+import { assign, match } from "./assign";
 import { begin } from "./check";
 
 const SQUARES_MM = [20, 25, 30, 35, 40, 45, 50, 60, 70, 80, 100, 115, 150];
@@ -27,7 +29,7 @@ export const usualBoard = (): BoardWish => ({ kind: "chessboard", square: null, 
 export function calibrateStep(recording: Recording, wish: BoardWish, jobs: readonly Job[]): HTMLElement {
   const board = recording.board!;
   const last = jobs.find((j) => j.kind === "calibrate");
-  if (!board.cameras.length) return fromPerson(recording, last);
+  if (!board.cameras.length) return withoutBoard(recording, last);
   const go = button(board.calibrated ? "Calibrate again" : "Calibrate", () => void begin(recording, "calibrate", options(wish)), {
     icon: "fit", ...(board.calibrated ? {} : { kind: "primary" as const }),
   });
@@ -50,21 +52,38 @@ export function calibrateStep(recording: Recording, wish: BoardWish, jobs: reado
   );
 }
 
-/** The cameras from the person who walks about; without a height the recording's is taken. */
-function fromPerson(recording: Recording, last: Job | undefined): HTMLElement {
-  const height = h("input", { type: "number", min: 40, max: 280, step: 0.5, placeholder: "as given", "aria-label": "Height of the person in cm" });
-  const go = button("Find the cameras", () => {
-    if (height.reportValidity()) void begin(recording, "calibrate", { yes: true, ...(height.value ? { height: Number(height.value) / 100 } : {}) });
-  }, { icon: "fit", kind: "primary" });
+/** The cameras from the person who walks about (the card above does that), or from a board that is filmed later. */
+function withoutBoard(recording: Recording, last: Job | undefined): HTMLElement {
+  const sheet = (paper: string): HTMLElement => h("a", { class: "button", href: address("/api/board.pdf", { paper }), target: "_blank" }, icon("download"), `A board to print, ${paper.toUpperCase()}`);
   return h(
     "div",
     { class: "step" },
-    h("h2", {}, "Calibrate from the person"),
-    h("p", { class: "dim" }, "Finds places and lenses of the cameras, and how late each is, from the person. It must walk about irregularly for 10 s or more: turn both ways, raise an arm now and then. Without key points the detector finds the person first; its models are fetched once (36 MB)."),
-    h("div", { class: "fields" }, h("div", { class: "field" }, h("span", { class: "field-name" }, "Height"), h("div", { class: "row wrap" }, height, h("span", { class: "dim" }, "cm, of the person")))),
-    h("div", { class: "row wrap" }, go),
+    h("h2", {}, "Calibrate"),
     ...result(recording, last),
+    h("h3", {}, "From the person"),
+    h("p", { class: "dim" }, "The person walks about irregularly for 10 s or more before all cameras: turns both ways, raises an arm now and then, uses one to two metres of the floor. Places and lenses of the cameras are found, and how late each is."),
+    h("h3", {}, "With a board"),
+    h("p", { class: "dim" }, "More exact, and the person may do what they like. The recording stays as it is: as long as the cameras stand where they stood, the board may be filmed after the person. The second page says how."),
+    h("div", { class: "row wrap" }, sheet("a4"), sheet("a3"), button("Look for clips of the board", () => void findBoards(recording), { icon: "follow", title: "Clips in the recording's folder, for example board/cam1.mp4" })),
   );
+}
+
+/** Takes the clips of a board that have been put into the recording's folder. */
+async function findBoards(recording: Recording): Promise<void> {
+  try {
+    const { files, path } = await get<FolderEntry>(`/api/folder?recording=${recording.id}`);
+    const cameras = recording.views.map((v) => v.name);
+    const found = assign(files.map((f) => ({ path: f.path, kind: f.kind })), []);
+    const boards = files.flatMap((f, k) => (found[k]!.role === "board" ? [f.path] : []));
+    const named = match(boards, cameras);
+    const missing = cameras.filter((c) => !named.includes(c));
+    if (missing.length) return toast(`No clip of the board of ${missing.join(", ")}: put it into the folder ${path}, for example as board/${missing[0]}.mp4.`, "error");
+    for (const [k, view] of named.entries()) if (view) await post(`/api/recordings/${recording.id}/repair`, { what: "board", view, path: boards[k] });
+    toast("The clips of the board are found.", "done");
+    document.dispatchEvent(new CustomEvent("hypose-mended"));
+  } catch (error) {
+    toast((error as Error).message, "error");
+  }
 }
 
 function options(wish: BoardWish): Record<string, unknown> {

@@ -1,7 +1,7 @@
 import { post } from "../api";
 import type { Job, Stage } from "../protocol";
 import { button } from "../ui/buttons";
-import { h, setText } from "../ui/dom";
+import { h, plain, setText } from "../ui/dom";
 import { toast } from "../ui/toast";
 import { active } from "./feed";
 
@@ -26,7 +26,7 @@ export class JobCard {
       this.stages,
       this.error,
       this.actions,
-      h("details", { class: "job-more" }, h("summary", { class: "dim" }, "What it does"), h("code", {}, job.command), this.said),
+      h("details", { class: "job-more" }, h("summary", { class: "dim" }, "The same on the command line"), h("code", {}, job.command), this.said),
     );
     this.show(job);
   }
@@ -39,7 +39,7 @@ export class JobCard {
     this.element.toggleAttribute("data-unknown", !known);
     this.state.textContent = known ? STATES[job.state] : "not known";
     this.state.className = `chip ${job.state === "failed" ? "bad" : job.state === "done" ? "good" : ""}`;
-    this.error.textContent = job.error ?? "";
+    this.error.textContent = plain(job.error ?? "");
     this.showStages(job.stages);
     setText(this.said, job.lines.join("\n")); // of many lines only the last come, so their number says nothing
     const key = `${job.state} ${job.result} ${job.resumable} ${known}`;
@@ -49,7 +49,7 @@ export class JobCard {
       ...(active(job) && known ? [button("Stop", () => void act(job, "cancel"), { icon: "close", title: "Stop it; what is done is kept" })] : []),
       ...(job.resumable && !active(job) && job.state !== "done" ? [button("Go on", () => void act(job, "resume"), { icon: "play", kind: "primary" })] : []),
       ...(job.state === "done" && job.result ? [h("a", { class: "button primary", href: `#/view/${job.result}` }, "Open in View")] : []),
-      ...(job.state === "done" && job.makes ? [h("a", { class: "button primary", href: `#/setup/${job.makes}` }, "Go on with what is in step")] : []),
+      ...(job.state === "done" && job.makes ? [h("a", { class: "button primary", href: `#/setup/${job.makes}` }, "Go on with what is synchronised")] : []),
       ...(job.state === "failed" && job.kind === "refine" && /10 degrees or 0\.5 m/.test(job.error ?? "") ? [button("Take it all the same", () => void farther(job), { icon: "done", title: "Refine again, and let the cameras move as far as they have to" })] : []),
       ...(job.state === "done" && !job.result && !job.makes && job.recording && !location.hash.includes(job.recording) ? [h("a", { class: "button", href: `#/setup/${job.recording}` }, "Go on with the recording")] : []),
     );
@@ -89,7 +89,7 @@ export function duration(seconds: number): string {
 
 async function farther(job: Job): Promise<void> {
   try {
-    await post("/api/jobs", { kind: "refine", recording: job.recording, options: { ...job.options, far: true } });
+    await post("/api/jobs", { kind: "refine", recording: job.recording, options: { ...job.options, far: true }, go_on: job.go_on });
   } catch (error) {
     toast((error as Error).message, "error");
   }

@@ -22,7 +22,7 @@ export async function begin(recording: Recording, kind: Job["kind"], options: Re
 export function checkStep(recording: Recording): HTMLElement {
   const { check } = recording;
   const again = button(check ? "Check again" : "Check the recording", () => void begin(recording, "check"), {
-    ...(check ? {} : { kind: "primary" as const }),
+    ...(check && !check.stale ? {} : { kind: "primary" as const }),
     icon: "doctor",
   });
   return h(
@@ -43,24 +43,53 @@ function found(recording: Recording, check: Check): HTMLElement {
   const refine = button("Refine the calibration", () => void begin(recording, "refine"), { icon: "fit", title: "Move the cameras so that they agree with what they see of the person" });
   let offered = false;
   const shown = [...check.findings].sort((a, b) => order(a) - order(b)).map((f) => {
+    if (f.done) return sentence("good", withoutNext(f.sentence), f.views, [h("span", { class: "good" }, "Put right")]);
     const mends = f.fault ? cures(recording, f) : [];
-    const refines = f.fault && /--refine/.test(f.cure ?? "");
+    const refines = f.fault && REFINES.test(f.cure ?? "");
     if (refines && !offered) mends.unshift(refine); // one button, where it is said first
     offered ||= refines;
     return sentence(f.fault ? "bad" : "dim", refines || mends.some((b) => !LEAVES.test(b.textContent ?? "")) ? withoutNext(f.sentence) : f.sentence, f.views, mends);
   });
+  const open = faults.filter((f) => !f.done).length;
+  const words = sure ? "Nothing speaks against this calibration." : faults.length && !open ? "All of it is put right. Check again to see what is left." : `${open || "Some"} ${open === 1 ? "thing" : "things"} should be put right.`;
   return h(
     "div",
     { class: "found" },
-    h("p", { class: `assessment ${sure ? "good" : "warn"}` }, icon(sure ? "done" : "warning"), sure ? "Nothing speaks against this calibration." : `${faults.length || "Some"} ${faults.length === 1 ? "thing" : "things"} should be mended.`),
+    h("p", { class: `assessment ${sure || (faults.length && !open) ? "good" : "warn"}` }, icon(sure || (faults.length && !open) ? "done" : "warning"), words),
     ...shown,
     ...folded(check.warnings.map((w) => sentence("warn", w, []))),
-    faults.length && !offered ? h("div", { class: "row" }, refine) : null,
+    open && !offered ? h("div", { class: "row" }, refine) : null,
     check.views.length ? residuals(check) : null,
     check.facts.length ? h("details", {}, h("summary", { class: "dim" }, `${check.facts.length} facts`), ...check.facts.map((f) => h("p", {}, f))) : null,
-    check.page ? h("a", { href: address(`/api/recordings/${recording.id}/file/${check.page}`), target: "_blank" }, "The whole page with pictures") : null,
+    check.page ? h("div", { class: "row" }, h("a", { class: "button", href: address(`/api/recordings/${recording.id}/file/${check.page}`), target: "_blank" }, "The whole page with pictures")) : null,
   );
 }
+
+/** Whether a button puts right any of what was found. */
+export function canPutRight(recording: Recording): boolean {
+  return open(recording).some((f) => REFINES.test(f.cure ?? "") || edits(recording, f).some((e) => !e.leaves));
+}
+
+/** Puts right all that can be, refines where that is said, and goes on the way to a motion. */
+export async function putAllRight(recording: Recording): Promise<void> {
+  const faults = open(recording).sort((a, b) => order(a) - order(b));
+  try {
+    for (const finding of faults) {
+      const [edit] = edits(recording, finding).filter((e) => !e.leaves);
+      if (edit) await post(`/api/recordings/${recording.id}/repair`, { ...edit.wish, findings: [number(recording, finding)] });
+    }
+    const refine = faults.some((f) => REFINES.test(f.cure ?? ""));
+    await post<Job>("/api/jobs", { kind: refine ? "refine" : "go_on", recording: recording.id, options: {}, go_on: true, anyway: true });
+    document.dispatchEvent(new CustomEvent("hypose-mended"));
+  } catch (error) {
+    toast((error as Error).message, "error");
+  }
+}
+
+const REFINES = /--refine/;
+/** Faults that are not put right yet. */
+const open = (recording: Recording): Finding[] => (recording.check?.findings ?? []).filter((f) => f.fault && !f.done);
+const number = (recording: Recording, finding: Finding): number => recording.check!.findings.indexOf(finding);
 
 /** A finding without the line to be typed that ends it: its buttons do that. */
 const withoutNext = (text: string): string => text.replace(/ Next: .*$/s, "");
@@ -77,7 +106,7 @@ function sentence(kind: string, text: string, views: readonly string[], mend: re
   return h(
     "div",
     { class: "finding" },
-    h("span", { class: kind }, icon(kind === "dim" ? "help" : "warning")),
+    h("span", { class: kind }, icon(kind === "dim" ? "help" : kind === "good" ? "done" : "warning")),
     h("span", {}, text, mend.length ? h("span", { class: "row wrap cures" }, ...mend) : null),
     ...views.map((v) => h("span", { class: "chip" }, v)),
   );
@@ -90,38 +119,45 @@ function order(finding: Finding): number {
   return (finding.fault ? 0 : 100) + (at < 0 ? CAUSES.length : at);
 }
 
-/** Buttons that mend what was found, in place of a line to be typed. */
-function cures(recording: Recording, finding: Finding): HTMLElement[] {
+/** A change of recording.toml that puts a finding right; leaves: by doing without a camera. */
+interface Edit { label: string; wish: Record<string, string | number>; said: string; leaves?: boolean }
+
+function edits(recording: Recording, finding: Finding): Edit[] {
   const { kind, views, cure = "" } = finding;
-  const out: HTMLElement[] = [];
+  const out: Edit[] = [];
   const [, lag] = /set keypoint_lag = (-?\d+)/.exec(cure) ?? [];
   if (lag) {
     const frames = `${Math.abs(Number(lag))} ${Math.abs(Number(lag)) === 1 ? "frame" : "frames"}`;
-    out.push(button(`Move the key points by ${frames}`, () => void mend(recording, { what: "keypoint_lag", frames: Number(lag) }, `The key points are moved by ${frames}.`), { icon: "done" }));
+    out.push({ label: `Move the key points by ${frames}`, wish: { what: "keypoint_lag", frames: Number(lag) }, said: `The key points are moved by ${frames}.` });
   }
   if (/set keypoint_pixels = "image"/.test(cure)) {
-    out.push(button("They are pixels of the pictures as stored", () => void mend(recording, { what: "keypoint_pixels" }, "The key points are taken as pixels of the stored pictures."), { icon: "done" }));
+    out.push({ label: "They are pixels of the pictures as stored", wish: { what: "keypoint_pixels" }, said: "The key points are taken as pixels of the stored pictures." });
   }
   const [view] = views;
   if (!view || views.length > 1 || !recording.views.some((v) => v.name === view)) return out;
   if (kind === "size") {
-    out.push(button("It was stretched: accept it", () => void mend(recording, { what: "accept_scaled", view }, `${view} is taken as stretched.`), { icon: "done" }));
+    out.push({ label: "It was stretched: accept it", wish: { what: "accept_scaled", view }, said: `${view} is taken as stretched.` });
   }
   const [, x, y] = /set image_shift = \[(-?[\d.e-]+), (-?[\d.e-]+)\]/.exec(cure) ?? [];
-  if (x && y) {
-    out.push(button("Move its pictures", () => void mend(recording, { what: "image_shift", view, x: Number(x), y: Number(y) }, `The pictures of ${view} are moved by ${x}, ${y} px.`), { icon: "done" }));
+  if (x && y && !recording.views.find((v) => v.name === view)?.masks) {
+    out.push({ label: "Move its pictures", wish: { what: "image_shift", view, x: Number(x), y: Number(y) }, said: `The pictures of ${view} are moved by ${x}, ${y} px.` });
   }
-  if (recording.views.length > 2) {
-    out.push(button(`Leave ${view} out`, () => void mend(recording, { what: "leave_out", view }, `${view} is left out.`), { icon: "close", title: "Track without this camera; it can be taken back" }));
-  }
+  if (recording.views.length > 2) out.push({ label: `Leave ${view} out`, wish: { what: "leave_out", view }, said: `${view} is left out.`, leaves: true });
   return out;
 }
 
-/** Changes recording.toml; the page reads it again. */
-async function mend(recording: Recording, wish: Record<string, string | number>, said: string): Promise<void> {
+/** Buttons that put right what was found, in place of a line to be typed. */
+function cures(recording: Recording, finding: Finding): HTMLElement[] {
+  return edits(recording, finding).map(({ label, wish, said, leaves }) =>
+    button(label, () => void mend(recording, wish, said, [number(recording, finding)]), leaves ? { icon: "close", title: "Track without this camera; it can be taken back" } : { icon: "done" }),
+  );
+}
+
+/** Changes recording.toml; the page reads it again. findings: numbers of those that it puts right. */
+export async function mend(recording: Recording, wish: Record<string, string | number>, said: string, findings: number[] = []): Promise<void> {
   try {
-    await post(`/api/recordings/${recording.id}/repair`, wish);
-    toast(`${said} Check again to see what it changes.`, "done");
+    await post(`/api/recordings/${recording.id}/repair`, { ...wish, findings });
+    toast(said, "done");
     document.dispatchEvent(new CustomEvent("hypose-mended"));
   } catch (error) {
     toast((error as Error).message, "error");
@@ -145,7 +181,7 @@ function mended(recording: Recording): HTMLElement[] {
     out.push(sentence("dim", `Left out: ${recording.left_out.join(", ")}.`, [], [button("Take back", () => void mend(recording, { what: "take_back" }, "All cameras are used again."), { icon: "undo" })]));
   }
   if (recording.refined) {
-    out.push(sentence("dim", "A refined calibration is there and is not used yet.", [], [button("Use the refined calibration", () => void mend(recording, { what: "use_refined" }, "The refined calibration is used from now on."), { kind: "primary", icon: "done" })]));
+    out.push(sentence("dim", "A refined calibration is there and is not used yet.", [], [button("Use the refined calibration", () => void mend(recording, { what: "use_refined" }, "The refined calibration is used from now on.", open(recording).filter((f) => REFINES.test(f.cure ?? "")).map((f) => number(recording, f))), { kind: "primary", icon: "done" })]));
   }
   return out;
 }

@@ -49,7 +49,6 @@ export class NewRecordingForm {
 
   constructor(private readonly made: (recording: Recording) => void) {
     this.make.type = "submit";
-    this.height.addEventListener("input", () => this.draw());
     this.form.addEventListener("submit", (event) => {
       event.preventDefault();
       void this.submit();
@@ -63,7 +62,7 @@ export class NewRecordingForm {
       "section",
       { class: "card", "aria-label": "New recording" },
       h("h2", {}, "New recording"),
-      h("p", { class: "dim" }, "Choose the folder with what you have filmed: a video per camera; clips of a calibration board, or a calibration (Pose2Sim, anipose, OpenCV, Qualisys, …), or neither when a person whose height you know walks about; the empty room, key points and masks if there are any. The files stay where they are."),
+      h("p", { class: "dim" }, "Choose the folder with what you have filmed: a video per camera; clips of a calibration board, or a calibration (Pose2Sim, anipose, OpenCV, Qualisys, …), or neither; the empty room, key points and masks if there are any. The files stay where they are."),
       this.folders,
       where,
       this.list,
@@ -120,13 +119,14 @@ export class NewRecordingForm {
       ...folders.map((f) => row(f.name, f.path, "folder")),
     );
     this.list.replaceChildren(...this.files.map((f) => this.row(f)));
-    const missing = obstacle(this.files.filter((f) => f.kind !== "other").map((f) => ({ ...f, name: f.path })), this.height.value !== "");
+    const missing = obstacle(this.files.filter((f) => f.kind !== "other").map((f) => ({ ...f, name: f.path })));
     this.form.hidden = !this.files.length;
     this.world.hidden = !this.files.some((f) => f.role === "calibration");
     this.make.disabled = missing !== "";
     const without = this.cameras.filter((c) => !this.files.some((f) => SHOWS.includes(f.role) && f.camera === c));
     this.error.classList.toggle("bad", missing !== "");
-    this.error.textContent = missing || (without.length ? `No video of ${without.join(", ")}: the recording is made without.` : "");
+    const bare = !this.files.some((f) => f.role === "calibration" || f.role === "board");
+    this.error.textContent = missing || (bare ? "No calibration and no clips of a board are here, which need not be: the cameras are found from the person, who walks about and whose height you give, or by a board that you film later." : "") || (without.length ? `No video of ${without.join(", ")}: the recording is made without.` : "");
   }
 
   private row(f: Ready): HTMLElement {

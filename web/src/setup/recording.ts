@@ -12,9 +12,10 @@ import { personStep } from "./person";
 import { SyncStep } from "./sync";
 import { trackStep } from "./track";
 import { LiveFigure } from "./watch";
+import { wayCard } from "./way";
 
 type Step = "calibrate" | "sync" | "check" | "masks" | "person" | "track";
-const TITLES: Record<Step, string> = { calibrate: "Calibrate", sync: "In step", check: "Check", masks: "Masks", person: "Person", track: "Track" };
+const TITLES: Record<Step, string> = { calibrate: "Calibrate", sync: "Synchronise", check: "Check", masks: "Masks", person: "Person", track: "Track" };
 const STEP_OF: Partial<Record<Job["kind"], Step>> = {
   calibrate: "calibrate", sync: "sync", in_step: "sync", check: "check", refine: "check", keypoints: "masks", silhouettes: "masks", subject: "person", track: "track", correct: "track",
 };
@@ -27,6 +28,8 @@ export class RecordingPage {
   private readonly side = h("aside", { class: "setup-jobs", "aria-label": "Jobs" });
   private readonly cards = new Map<string, JobCard>();
   private readonly notes = h("div");
+  private readonly way = h("div");
+  private readonly opened = Date.now() / 1000;
   private readonly facts = h("span", { class: "dim" });
   private step: Step;
   private masks: MaskStep | null = null;
@@ -49,6 +52,7 @@ export class RecordingPage {
         { class: "setup-main" },
         h("div", { class: "setup-title" }, h("a", { class: "dim", href: "#/setup" }, "Recordings"), h("h1", {}, recording.name), this.facts),
         this.notes,
+        this.way,
         this.nav,
         this.content,
       ),
@@ -87,6 +91,10 @@ export class RecordingPage {
     if (!same || !this.side.children.length) {
       this.side.replaceChildren(h("h2", {}, "Jobs"), ...(elements.length ? elements : [h("p", { class: "dim" }, "What you begin at the left runs here; it goes on when the page is closed.")]));
     }
+    this.drawWay();
+    // the way to a motion goes on with the recording that is on one clock
+    const made = jobs.find((j) => j.go_on && j.makes && j.state === "done" && (j.ended ?? 0) > this.opened)?.makes;
+    if (made) location.hash = `#/setup/${made}`;
     this.showFigure(jobs.find((j) => (j.kind === "track" && active(j)) || j.id === this.figure?.id));
     this.drawNav();
   }
@@ -121,11 +129,12 @@ export class RecordingPage {
     const steps = this.steps();
     if (!steps.includes(this.step)) this.step = firstStep(recording);
     this.notes.replaceChildren(
-      ...(recording.problem && !this.uncalibrated ? [h("div", { class: "card bad", role: "alert" }, recording.problem, h("div", { class: "row wrap cures" }, ...rescue(recording)))] : []),
+      ...(recording.problem ? [h("div", { class: "card bad", role: "alert" }, recording.problem, h("div", { class: "row wrap cures" }, ...rescue(recording)))] : []),
       ...recording.notes.map((n) => h("p", { class: "dim note" }, n)),
     );
     this.drawNav();
-    if (recording.problem && this.step !== "calibrate") return this.content.replaceChildren();
+    this.drawWay();
+    if (recording.problem) return this.content.replaceChildren();
     if (this.step === "masks") {
       this.masks = new MaskStep(recording, this.counters, () => {
         this.masks = null;
@@ -145,6 +154,17 @@ export class RecordingPage {
     );
   }
 
+  private drawWay(): void {
+    const { recording } = this;
+    if (recording.problem) return this.way.replaceChildren();
+    const jobs = this.feed.of(recording.id);
+    const results = this.state.results.filter((r) => r.recording === recording.id);
+    const key = JSON.stringify([recording, results, jobs.map((j) => [j.kind, j.state])]);
+    if (this.way.dataset["key"] === key) return;
+    this.way.dataset["key"] = key;
+    this.way.replaceChildren(wayCard(recording, results, jobs, this.uncalibrated));
+  }
+
   /** The steps that this recording has. */
   private steps(): Step[] {
     const { board, views } = this.recording;
@@ -157,7 +177,7 @@ export class RecordingPage {
 
   private onward(): HTMLElement[] {
     const steps = this.steps();
-    const next = this.recording.problem ? undefined : steps[steps.indexOf(this.step) + 1];
+    const next = this.recording.problem || this.uncalibrated ? undefined : steps[steps.indexOf(this.step) + 1];
     return next ? [h("div", { class: "row step-next" }, button(`Next: ${TITLES[next]}`, () => this.go(next), { icon: "next" }))] : [];
   }
 

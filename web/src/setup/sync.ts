@@ -14,7 +14,7 @@ export class SyncStep {
   private readonly late: number[];
   private readonly found: readonly number[] | null;
   private by = "motion";
-  private largest = 0.5;
+  private largest = 0;
   private readonly pictures: CameraPictures;
   private readonly numbers: HTMLElement[];
   private readonly sliders: HTMLInputElement[];
@@ -23,10 +23,9 @@ export class SyncStep {
 
   constructor(private readonly recording: Recording) {
     const { sync } = recording;
-    const known = sync && sync.views.length === recording.views.length && sync.views.every((v, k) => v.name === recording.views[k]!.name);
-    this.found = known ? offsets(sync.views) : null;
+    this.found = recording.offsets;
     this.late = this.found ? [...this.found] : recording.views.map(() => 0);
-    this.by = known && sync.by !== "given" ? sync.by : "motion";
+    this.by = ["sound", "flash"].find((by) => by === sync?.by) ?? "motion";
     this.pictures = new CameraPictures(recording, "Picture", (k) => ({
       frame: Math.min(recording.frames - 1, Math.max(0, this.pictures.frame + Math.round(this.late[k]!))),
     }));
@@ -40,21 +39,21 @@ export class SyncStep {
       });
       return input;
     });
-    this.write = button("Bring it in step", () => void begin(this.recording, "in_step", { offsets: this.late }), {
+    this.write = button("Synchronise the cameras", () => void begin(this.recording, "in_step", { offsets: this.late }), {
       icon: "done", title: "Makes a recording of masks and key points on one clock; this one stays as it is",
     });
-    const seconds = select("How far apart at most", [0.5, 2, 10, 60].map((s) => ({ value: s, label: `up to ${s} s apart` })), this.largest, (v) => (this.largest = v));
+    const seconds = select("How far apart at most", [0, 0.5, 2, 10, 60].map((s) => ({ value: s, label: s ? `up to ${s} s apart` : "however far apart" })), this.largest, (v) => (this.largest = v));
     this.element = h(
       "div",
       { class: "step" },
-      h("h2", {}, "In step"),
+      h("h2", {}, "Synchronise"),
       h("p", { class: "dim" }, "All cameras should show the same instant. How late each one is can be found by how the person moves, by the sound (a clap), or by the light (a flash); or move the sliders until the pictures agree."),
       h(
         "div",
         { class: "row wrap" },
         select("Found by", [{ value: "motion", label: "by motion" }, { value: "sound", label: "by sound" }, { value: "flash", label: "by light" }], this.by, (v) => (this.by = v)),
         seconds,
-        button(this.found ? "Find out again" : "Find out", () => void begin(this.recording, "sync", { by: this.by, largest: this.largest }), { icon: "follow", ...(this.found ? {} : { kind: "primary" as const }) }),
+        button(this.found ? "Find out again" : "Find out", () => void begin(this.recording, "sync", { by: this.by, ...(this.largest ? { largest: this.largest } : {}) }), { icon: "follow", ...(this.found ? {} : { kind: "primary" as const }) }),
       ),
       this.assessment,
       h("div", { class: "row" }, ...this.pictures.chooser),
@@ -96,7 +95,7 @@ export class SyncStep {
     this.assessment.className = `assessment ${ready ? "good" : "warn"}`;
     this.assessment.replaceChildren(
       icon(ready ? "done" : "warning"),
-      ready ? `The cameras are in step: they differ by ${apart.toFixed(2)} frames at most.` : `The cameras differ by ${apart.toFixed(1)} frames (${(apart / Math.max(1, this.recording.frame_rate)).toFixed(2)} s). Bring the recording in step, and go on with that.`,
+      ready ? `The cameras are synchronised: they differ by ${apart.toFixed(2)} frames at most.` : `The cameras differ by ${apart.toFixed(1)} frames (${(apart / Math.max(1, this.recording.frame_rate)).toFixed(2)} s). Synchronise them, and go on with that.`,
     );
     this.write.disabled = apart === 0;
     this.write.classList.toggle("primary", !ready);
@@ -104,17 +103,7 @@ export class SyncStep {
   }
 }
 
-/** Counted from the view that is in the middle, so that few frames are lost; what is less than its error is nothing. */
-function offsets(views: NonNullable<Recording["sync"]>["views"]): number[] {
-  const sorted = views.map((v) => v.late).sort((a, b) => a - b);
-  const middle = sorted[Math.floor(sorted.length / 2)] ?? 0;
-  return views.map(({ late, told }) => {
-    const sd = Number(/^sd ([\d.]+)/.exec(told)?.[1] ?? 0);
-    return /^no motion/.test(told) || Math.abs(late - middle) <= 2 * sd ? 0 : Math.round(100 * (late - middle)) / 100;
-  });
-}
-
 function words(late: number): string {
   const frames = Math.abs(late).toFixed(2).replace(/\.?0+$/, "");
-  return Math.abs(late) < 0.005 ? "in step" : `${frames} ${frames === "1" ? "frame" : "frames"} ${late > 0 ? "late" : "early"}`;
+  return Math.abs(late) < 0.005 ? "synchronised" : `${frames} ${frames === "1" ? "frame" : "frames"} ${late > 0 ? "late" : "early"}`;
 }

@@ -86,3 +86,9 @@ export const memory = {
     }
   },
 };
+
+/** A sentence of the server without the parts that name an option or a command to be typed: the page has buttons. */
+export function plain(text: string): string {
+  const parts = text.split(/(?<=[;,.:])\s+/).filter((part) => !/(^|\s)--[a-z]|\bhypose [a-z]+/.test(part));
+  return parts.join(" ").replace(/; or /g, "; ").replace(/[;,:]$/, ".");
+}

@@ -111,7 +111,7 @@ class Library {
 }
 
 /** The person in the middle of the result, or a sign where there are no pictures. */
-function thumbnail(result: ResultEntry): HTMLElement {
+export function thumbnail(result: ResultEntry): HTMLElement {
   const box = h("span", { class: "thumbnail result-picture" }, icon("skeleton"));
   if (!result.pictured) return box;
   const picture = h("img", { src: address(`/api/results/${result.id}/thumbnail.jpg`, { v: Math.round(result.changed) }), alt: "", loading: "lazy", width: 96, height: 72 });
@@ -125,7 +125,7 @@ function worse(result: ResultEntry): number {
 }
 
 /** How good a result is: the assessment, and the figures behind it. */
-function quality(result: ResultEntry): HTMLElement {
+export function quality(result: ResultEntry): HTMLElement {
   const [tone, word] = result.assessment ? ASSESSMENTS[result.assessment] : ["", ""];
   const figures = [
     result.iou ? `overlap ${result.iou.toFixed(2)}` : "",
