@@ -19,7 +19,7 @@ from hypose.body.motion import Motion
 from hypose.body.skeleton import Skeleton
 from hypose.calibration.findings import INVALID, REVIEW, Finding
 from hypose.compute.parts import projected, touched_area
-from hypose.evidence.frame import Frame, Keypoints, Silhouettes
+from hypose.evidence.frame import Frame, Keypoints, Silhouettes, pieces_of
 from hypose.evidence.prefetch import prepared_masks
 from hypose.geometry import Array
 from hypose.pipeline.settings import SETTINGS
@@ -42,10 +42,8 @@ def looked_at(
     change: result of `mask_change`, where known from masks of several people; None: it is computed.
     """
     seen = view_statistics(estimate, tracker.body, frame, last, change)
-    pictures = frame.silhouettes or frame.keypoints
-    if pictures is None or (
-        len(pictures.rig) == 1 and frame.depth is None
-    ):  # the alternative poses of one camera are judged elsewhere
+    views = max((len(pictures.rig) for pictures in (*frame.of(Silhouettes), *frame.of(Keypoints))), default=0)
+    if views < frame.fewest_views:  # one camera's other poses are judged otherwise
         return replace(estimate, seen=seen)
     wanted = tracker.settings.evidence
     own = replace(
@@ -81,19 +79,16 @@ def view_statistics(
     change: column 1 where already known.
     Returns: (0, 3) without silhouettes.
     """
-    silhouettes, before = frame.silhouettes, None if last is None else last.silhouettes
-    if silhouettes is None:
-        return np.zeros((0, 3), np.float32)
-    out = np.full((len(silhouettes.masks), 3), np.nan, np.float32)
-    seen = (
-        frame.visible_share[: len(estimate.overlap)] >= SETTINGS.doubts_shown
-    )  # the overlap of a body that others mostly hide is not significant
-    out[: len(estimate.overlap), 0] = np.where(seen, estimate.overlap, np.nan)
-    change = mask_change(frame, last) if change is None else change
-    if before is not None and change is not None:
-        out[:, 1] = change
-        if not (estimate.lost or estimate.extrapolated):
-            out[:, 2] = unexplained_share(silhouettes, before, body.skeleton, body.joints(estimate.pose))
+    out, change = np.zeros((0, 3), np.float32), mask_change(frame, last) if change is None else change
+    for silhouettes in frame.of(Silhouettes):
+        out = np.full((len(silhouettes.masks), 3), np.nan, np.float32)
+        # an arm's breadth among others is not significant
+        seen = silhouettes.visible_share[: len(estimate.overlap)] >= SETTINGS.doubts_shown
+        out[: len(estimate.overlap), 0] = np.where(seen, estimate.overlap, np.nan)
+        for before in pieces_of([last] if last else [], Silhouettes) if change is not None else ():
+            out[:, 1] = change
+            if not (estimate.lost or estimate.extrapolated):
+                out[:, 2] = unexplained_share(silhouettes, before, body.skeleton, body.joints(estimate.pose))
     return out
 
 
@@ -102,15 +97,16 @@ def mask_change(frame: Frame, last: Frame | None) -> NDArray[np.float32] | None:
 
     Returns: (C,), NaN where a mask is not usable; None without silhouettes of both frames.
     """
-    silhouettes, before = frame.silhouettes, None if last is None else last.silhouettes
-    if silhouettes is None or before is None or before.masks.shape != silhouettes.masks.shape:
-        return None
-    out = np.full(len(silhouettes.masks), np.nan, np.float32)
-    now, then = prepared_masks(silhouettes), prepared_masks(before)  # packed already, for the tracker
-    for c in np.flatnonzero(silhouettes.usable & before.usable):
-        differ = int(np.bitwise_count(now.bits[c] ^ then.bits[c]).sum())
-        out[c] = differ / max(int(now.areas[c]), int(then.areas[c]), 1)
-    return out
+    for masks, before in zip(frame.of(Silhouettes), pieces_of([last] if last else [], Silhouettes), strict=False):
+        if before.masks.shape != masks.masks.shape:
+            continue
+        out = np.full(len(masks.masks), np.nan, np.float32)
+        now, then = prepared_masks(masks), prepared_masks(before)  # packed already, for the tracker
+        for c in np.flatnonzero(masks.usable & before.usable):
+            differ = int(np.bitwise_count(now.bits[c] ^ then.bits[c]).sum())
+            out[c] = differ / max(int(now.areas[c]), int(then.areas[c]), 1)
+        return out
+    return None
 
 
 def as_now(own: Frame, before: Frame) -> Frame | None:

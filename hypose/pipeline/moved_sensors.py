@@ -68,10 +68,11 @@ def moved_sensors(
     Returns: corrected places, and findings; both empty where all places are right or there are fewer than two depth
         cameras.
     """
-    depth = source.frame(0).depth
+    depths = source.frame(0).of(Depth)
     count, least = len(poses), max(round(SETTINGS.moved_least_s * frame_rate), 3)
-    if depth is None or depth.usable.sum() < 2 or count < least:
+    if count < least or all(depth.usable.sum() < 2 for depth in depths):
         return (), ()
+    depth = depths[0]
     reported = _cameras(depth)
 
     def places(frames: range, count: int = SETTINGS.moved_frames, iterations: int = 12) -> Array:

@@ -261,14 +261,14 @@ class ColourDetections:
     def frame(self, index: int, /) -> Frame:
         """Return frame number index with its detections."""
         frame = self.source.frame(index)
-        silhouettes = frame.silhouettes
-        centre = None if silhouettes is None else centre_of(silhouettes)
-        if silhouettes is None or centre is None:
-            return frame
-        images = self._images(index, silhouettes)
-        maps = np.stack([skin_map(i, m, self._colours) for i, m in zip(images, silhouettes.masks, strict=True)])
-        detections, _ = detect_ends(silhouettes, maps, centre, self.body.stature)
-        return replace(frame, detections=detections)
+        for silhouettes in frame.of(Silhouettes):
+            centre = centre_of(silhouettes)
+            if centre is not None:
+                images = self._images(index, silhouettes)
+                maps = np.stack([skin_map(i, m, self._colours) for i, m in zip(images, silhouettes.masks, strict=True)])
+                detections, _ = detect_ends(silhouettes, maps, centre, self.body.stature)
+                return replace(frame, detections=detections)
+        return frame
 
     def close(self) -> None:
         """Release the videos."""
@@ -533,10 +533,9 @@ def image_deviation(body: Body, poses: Array, frames: Iterable[Frame]) -> Array:
     for t, frame in enumerate(frames):
         if not np.isfinite(poses[t]).all():
             continue
-        if frame.keypoints is not None:
-            out[t] = _far(body, poses[t], frame.keypoints)
-        elif frame.silhouettes is not None:
-            out[t] = _outside(body, poses[t], frame.silhouettes)
+        by_masks = [_outside(body, poses[t], masks) for masks in frame.of(Silhouettes)]
+        for found in [_far(body, poses[t], points) for points in frame.of(Keypoints)] or by_masks:
+            out[t] = found
     return out
 
 

@@ -127,7 +127,7 @@ def people_frames(recording: Recording, options: TrackOptions, progress: StagePr
 
     Raises: InputError for key points together with depth cameras.
     """
-    depth = [v.name for v in recording.views if v.depth is not None]
+    depth = [v.name for v in recording.depth_views]
     if depth and options.looks_at != "silhouettes":
         raise InputError(
             f"Several people before depth cameras ({', '.join(depth)}) are told apart by what these measure, and not "
@@ -145,7 +145,7 @@ def frames_to_examine(recording: Recording, progress: StageProgress | None = Non
     Returns: the frames, and whether several people are in the masks.
     """
     one = FrameStream(recording, progress=progress)
-    depth = any(view.depth is not None for view in recording.views)
+    depth = bool(recording.depth_views)
     alone = depth and len(recording.views) == 1
     if one.options.silhouettes is None or not recording.has_pictures or one.tells_apart or alone:
         return one, False
@@ -180,7 +180,7 @@ def with_all_people(source: FrameStream, options: TrackOptions) -> FrameStream |
     views = source.recording.views
     if settings.silhouettes is None or options.of_picture or len(source.rig) < 2 or source.tells_apart:
         return None
-    if any(view.depth is not None for view in views):
+    if source.recording.depth_views:
         # one depth camera keeps the largest person; several depth cameras, and pictures, may show other people;
         # masks made by other programs may be of one person
         if any(view.masks is not None for view in views) or options.looks_at != "silhouettes":

@@ -108,14 +108,13 @@ def observe_recording(recording: Recording, most: int = 100, progress: _Progress
     few = window(recording, most)
     person = raw_person(few)
     points, names = (None, ()) if person is None else (person.raw, person.keypoints[0].names)
-    silhouettes: list[Silhouettes | None] | None = None
+    silhouettes = list[Silhouettes | None]()
     depths: list[Depth] = []
     together = False
     blind = replace(few, views=tuple(replace(v, keypoints=None) for v in few.views), keypoint_set=None)
-    if all(v.source is not None or v.masks is not None for v in few.views):
+    if all(v.has_pictures for v in few.views):
         stream, together = frames_to_examine(blind, progress)
         with stream:
-            silhouettes = []
             for i in range(len(stream)):
                 progress("masks", i, len(stream))
                 frame = stream.frame(i)
@@ -124,7 +123,7 @@ def observe_recording(recording: Recording, most: int = 100, progress: _Progress
             progress("masks", len(stream), len(stream))
         if person is not None and (together or person.one.several):
             silhouettes = [
-                None if s is None else _near(s, k) for s, k in zip(silhouettes, person.keypoints, strict=True)
+                None if s is None else _near(s, k) for s, k in zip(silhouettes, person.keypoints, strict=False)
             ]
     clips = tuple(replace(_clip(v), accepted=v.accept_scaled) for v in recording.views)
     notes = () if person is None else person.one.notes
@@ -157,7 +156,7 @@ def _near(silhouettes: Silhouettes, keypoints: Keypoints) -> Silhouettes:
 
 
 def _clip(view: ViewSettings) -> ViewFile:
-    if view.source is None and view.masks is None:
+    if not view.has_pictures:
         return ViewFile()
     with open_pictures(view) as reader:
         return ViewFile(reader.size, reader.frame_rate, reader.n_frames)

@@ -110,11 +110,10 @@ def contact_terms(contacts: Contacts, soles: Soles, settings: ContactSettings | 
 
 @dataclass(frozen=True)
 class FootMotion:
-    """What feet do that they should not: sliding, mm/s, mean horizontal speed of points in contact; sinking, mm: mean
-    depth of points in contact under their place; contacts: share of the frames with any."""
+    """What feet do that they should not: sliding, mm/s, mean horizontal speed of points in contact; contacts:
+    share of the frames with any."""
 
     sliding: float
-    sinking: float
     contacts: float
 
 
@@ -122,10 +121,8 @@ def foot_motion(positions: Array, contacts: Contacts, frame_rate: float) -> Foot
     """Of the soles' points (T, 4, 3) m, over given contacts: the same for all motions that are compared."""
     both = contacts.touching[1:] & contacts.touching[:-1]
     speed = np.linalg.norm(np.diff(positions[..., :2], axis=0), axis=-1) * frame_rate
-    depth = np.maximum(contacts.place[..., 2] - positions[..., 2], 0.0)[contacts.touching]
     return FootMotion(
         1e3 * float(speed[both].mean()) if both.any() else 0.0,
-        1e3 * float(depth.mean()) if len(depth) else 0.0,
         float(contacts.touching.any(1).mean()),
     )
 

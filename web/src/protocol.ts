@@ -11,7 +11,7 @@ export interface ResultEntry {
   /** There are pictures beside it. */
   pictured: boolean;
   /** Absent where the motion cannot be read; lost: share of the frames. */
-  assessment?: "good" | "look" | "not to be trusted" | null; iou?: number | null; sd_mm?: number | null; lost?: number;
+  assessment?: "good" | "look" | "not to be trusted" | null; sentence?: string | null; iou?: number | null; sd_mm?: number | null; lost?: number;
 }
 export interface SessionEntry { id: Id; name: string; path: string; gesture: string; frames: number }
 /** A recording of live sensors; result: what it was fused to. */

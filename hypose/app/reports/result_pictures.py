@@ -89,10 +89,9 @@ class ViewImages:
 
     def __init__(self, view: ViewSettings, camera: Camera) -> None:
         self.view, self.camera = view, camera
-        shown = view.source is not None or view.masks is not None
         # with small pictures several threads are no faster, and slow down the one that writes the video
         threads = 1 if math.prod(camera.size) <= _SMALL else None
-        self._reader: VideoReader | ObjectMasks | None = open_pictures(view, threads) if shown else None
+        self._reader: VideoReader | ObjectMasks | None = open_pictures(view, threads) if view.has_pictures else None
         self.size: tuple[int, int] = self._reader.size if self._reader is not None else camera.size
         self._memory: Image | None = None
 

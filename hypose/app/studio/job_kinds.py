@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import re
 from collections.abc import Callable, Mapping, Sequence, Set
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -88,6 +88,16 @@ def form_of(kind: str) -> tuple[Declared, ...]:
     _, declares, names = _KINDS[kind]
     known = {option.name: option for option in declared(declares)}
     return tuple(known[name] for name in names.split())
+
+
+def forms() -> dict[str, list[dict[str, Any]]]:
+    """The options of every job that a page may set, as JSON."""
+    return {
+        kind: [
+            {"name": o.name, "kind": o.kind.__name__, "default": o.default, **asdict(o.option)} for o in form_of(kind)
+        ]
+        for kind in JOB_KINDS
+    }
 
 
 def _arguments(kind: str, given: Mapping[str, Any]) -> list[str]:
@@ -202,7 +212,8 @@ def next_step(
     check = read_found(folder, "check.json")
     if check is None or check["stale"]:
         return ("check", {}) if after != "check" else None
-    masked = {v.name for v in views if v.masks}
+    named = zip(views, recording.rig.names, strict=True)
+    masked = {name for v, camera in named if v.masks for name in (v.name, camera)}
     if after == "track" or (not anyway and any(_waits_for_user(f, masked) for f in check.get("findings", []))):
         return None
     detected = any(v.keypoints for v in views)
@@ -216,7 +227,7 @@ def _waits_for_user(finding: Mapping[str, Any], masked: Set[str]) -> bool:
     masked: views with given masks, which do not move with their pictures.
     """
     cure = str(finding.get("cure"))
-    moves = "set image_shift" in cure and not masked.intersection(finding.get("views", []))
+    moves = "set image_shift" in cure and masked.isdisjoint(finding.get("views", []))
     button = moves or "--refine" in cure or "set keypoint_" in cure or finding.get("kind") == "size"
     return bool(finding.get("fault")) and not finding.get("done") and button
 

@@ -11,7 +11,7 @@ import re
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -27,21 +27,20 @@ from hypose.app.studio.lru_cache import LruCache
 from hypose.app.studio.view_pictures import AnyFrame
 from hypose.calibration.views import find_sources
 from hypose.cameras.camera import Camera
-from hypose.compute import mask_runs
 from hypose.errors import HyposeError, InputError
-from hypose.evidence.background import BackgroundModel
-from hypose.evidence.silhouettes import SilhouetteSettings, make_segmenter
+from hypose.evidence.silhouettes import SilhouetteSettings
 from hypose.geometry import Image, Mask
 from hypose.io.files import read_text, read_toml, toml_value, write_text
-from hypose.io.recordings.frames import build_backgrounds, working_rig
+from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import (
     SILHOUETTE_KEYS,
     Recording,
     load_recording,
     silhouette_lines,
     silhouette_options,
+    write_recording,
 )
-from hypose.io.recordings.view_source import Preparer, ViewSource
+from hypose.io.recordings.view_source import Preparer
 from hypose.json_text import parse_json
 
 # ---- edits ---------------------------------------------------------------------------------------------------------
@@ -69,9 +68,7 @@ def edit_recording(folder: Path, recording: Recording | None, asked: dict[str, A
     Raises: InputError names the cause.
     """
     what = request_choice(asked.get("what"), "way to repair", _KINDS)
-    path = folder / "recording.toml"
-    if not path.is_file():
-        raise InputError(f"{folder.name} has no recording.toml to be changed; a Pose2Sim project is only read.")
+    path = described(folder, recording)
     before = read_text(path, "a recording.toml")
     if what == "use_refined":
         return _try(path, before, _with_calibration(before, newest_refined_calibration(folder)))
@@ -112,6 +109,13 @@ def tick_findings(folder: Path, numbers: Sequence[Any]) -> None:
         for number, finding in enumerate(found["findings"]):
             finding["done"] = number in numbers or finding.get("done") is True
         write_text(folder / "results" / "check.json", json.dumps({**found, "stale": True}))
+
+
+def described(folder: Path, recording: Recording | None) -> Path:
+    """Return the path of a recording's recording.toml; for a Pose2Sim project without one, write it first."""
+    if not (folder / "recording.toml").is_file() and recording is not None:
+        write_recording(recording, folder)
+    return folder / "recording.toml"
 
 
 def _names(path: Path, recording: Recording | None) -> list[str]:
@@ -197,39 +201,52 @@ _EDGE = (70, 60, 255)  # BGR; the same pink as in the report
 class _Open:
     """Recording that is open, for one thread at a time.
 
-    images, masks: readers by view.
+    images: readers by view.
+    stored: frame number and picture that each reader read last.
+    masks: stream that makes the masks.
     lenses: undistortion maps by (view, width).
-    backgrounds: backgrounds by view.
     """
 
     recording: Recording
     lock: threading.Lock = field(default_factory=threading.Lock)
     images: dict[int, AnyFrame] = field(default_factory=dict)
-    masks: dict[int, ViewSource] = field(default_factory=dict)
+    stored: dict[int, tuple[int, Image]] = field(default_factory=dict)
+    masks: FrameStream | None = None
     lenses: dict[tuple[int, int], Preparer] = field(default_factory=dict)
-    backgrounds: dict[int, BackgroundModel | None] = field(default_factory=dict)
 
     def image(self, view: int, frame: int, small: Camera) -> Image:
         """Return the undistorted picture of a view, of the size of the camera `small`."""
         v, key = self.recording.views[view], (view, small.size[0])
-        if view not in self.images:
-            self.images[view] = AnyFrame(v)
         if key not in self.lenses:
             while self.lenses and self._of_lenses + _PER_LENS_PIXEL * math.prod(small.size) > _LENSES:
                 del self.lenses[next(iter(self.lenses))]
             self.lenses[key] = Preparer(self.recording.rig[view], small, v.image_shift)
-        stored = self.images[view].read(frame)
-        if stored is None:
-            raise InputError(f"{v.name} has no frame {frame}.")
-        return self.lenses[key](stored)
+        return self.lenses[key](self._read(view, frame))
+
+    def mask(self, view: int, frame: int, settings: SilhouetteSettings) -> Mask:
+        """Compute the mask at working size that tracking would get with these settings."""
+        if self.masks is None:
+            self.masks = FrameStream(replace(self.recording, frame_range=None))
+        stored = self._read(view, frame) if self.recording.views[view].source else None
+        return self.masks.mask(view, frame, stored, settings)
+
+    def _read(self, view: int, frame: int) -> Image:
+        """Read the stored picture of a view; the last one of each view is kept."""
+        if view not in self.images:
+            self.images[view] = AnyFrame(self.recording.views[view])
+        if self.stored.get(view, (-1,))[0] != frame:
+            stored = self.images[view].read(frame)
+            if stored is None:
+                raise InputError(f"{self.recording.views[view].name} has no frame {frame}.")
+            self.stored[view] = frame, stored
+        return self.stored[view][1]
 
     @property
     def held(self) -> int:
         """Approximate memory in use, bytes."""
         r = self.recording
-        videos = sum(math.prod(r.rig[v].size) for v in (*self.images, *self.masks))
-        small = working_rig(r.rig) if self.backgrounds else ()
-        working = sum(math.prod(small[v].size) for v in list(self.backgrounds))
+        videos = sum(math.prod(r.rig[v].size) for v in self.images)
+        working = 0 if self.masks is None else sum(math.prod(c.size) for c in self.masks.rig)
         return self._of_lenses + _PER_PIXEL * videos + _PER_WORKING_PIXEL * working
 
     @property
@@ -240,10 +257,10 @@ class _Open:
     def close(self) -> None:
         """Release the files."""
         with self.lock:
-            for source in (*self.images.values(), *self.masks.values()):
+            for source in (*self.images.values(), *([] if self.masks is None else [self.masks])):
                 source.close()
             self.images.clear()
-            self.masks.clear()
+            self.masks = None
 
 
 class Recordings:
@@ -344,7 +361,7 @@ class Recordings:
             small = full.scaled((w, max(1, round(full.size[1] * w / full.size[0])))).pinhole()
             with opened.lock:
                 image = opened.image(view, frame, small) if r.views[view].source else None
-                mask = None if shown == "none" else self._mask(opened, view, frame, options)
+                mask = None if shown == "none" else opened.mask(view, frame, options)
         if image is None:
             if mask is None:
                 raise NotFound(f"{camera} has masks only, no pictures.")
@@ -354,10 +371,8 @@ class Recordings:
 
     def save_settings(self, item: Item, settings: Mapping[str, Any]) -> dict[str, Any]:
         """Write the table [silhouettes] into recording.toml, without a change of other lines; return all settings."""
-        path = item.path / "recording.toml"
-        if not path.is_file():
-            raise InputError(f"{item.path.name} has no recording.toml to keep settings in; a Pose2Sim project is read.")
         options = silhouette_options("The settings", settings)
+        path = described(item.path, self.load(item))
         read_toml(path)
         text = without_table(read_text(path, "a recording.toml"), "silhouettes").rstrip("\n")
         write_text(path, "\n".join([text, *silhouette_lines(options)]) + "\n")
@@ -371,23 +386,6 @@ class Recordings:
         return self._open.use(
             (item.id, _stamp(item.path)), lambda: _Open(load_recording(item.path, uncalibrated=uncalibrated(item.path)))
         )
-
-    @staticmethod
-    def _mask(opened: _Open, view: int, frame: int, options: SilhouetteSettings) -> Mask:
-        """Compute the mask at working size as for tracking, but without the band around key points."""
-        r = opened.recording
-        small = working_rig(r.rig)[view]
-        if view not in opened.backgrounds:  # one view at a time, since each needs many pictures
-            opened.backgrounds[view] = build_backgrounds(r, views=(view,))[view]
-        background = opened.backgrounds[view]
-        if background is not None:
-            return make_segmenter(background, options)(opened.image(view, frame, small))
-        if view not in opened.masks:  # masks made by other programs have no settings
-            opened.masks[view] = ViewSource(r.views[view], r.rig[view], small)
-        runs, reason = opened.masks[view].mask(frame, None)
-        if runs is None:
-            raise InputError(reason)
-        return mask_runs.draw(runs)
 
 
 def _draw_mask(image: Image, mask: Mask, shown: str) -> Image:

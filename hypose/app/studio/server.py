@@ -46,7 +46,7 @@ from hypose.app.studio.http import (
     token_for,
 )
 from hypose.app.studio.hub import MAX_MESSAGE, Hub
-from hypose.app.studio.job_kinds import fused_in, is_name
+from hypose.app.studio.job_kinds import forms, fused_in, is_name
 from hypose.app.studio.jobs import Jobs
 from hypose.app.studio.live_topics import CameraTopic, FuseTopic
 from hypose.app.studio.recordings import Recordings, edit_recording, tick_findings
@@ -344,6 +344,7 @@ def _of_jobs(studio: Studio) -> list[Route]:
     return [
         route("/api/jobs", lambda request: [j.shown() for j in jobs.every()]),
         route("/api/jobs", start, "POST", 201),
+        route("/api/job-forms", lambda request: forms()),
         route("/api/jobs/{id}", lambda request: jobs.find(request.path_params["id"]).shown()),
         route("/api/jobs/{id}/cancel", lambda r, _: jobs.cancel(r.path_params["id"]).shown(), "POST"),
         route("/api/jobs/{id}/resume", lambda r, _: jobs.resume(r.path_params["id"]).shown(), "POST", 201),

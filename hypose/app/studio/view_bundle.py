@@ -445,7 +445,9 @@ def _assessment(path: Path, motion: Motion) -> Assessment | None:
 
 
 def quality_of(folder: Path, motion: Motion) -> dict[str, Any]:
-    """Summarize the quality of a result for a list: assessment (word or None), iou, sd_mm, lost (share of frames)."""
+    """Summarize the quality of a result for a list: assessment (word or None) and its sentence, iou, sd_mm, lost (share
+    of frames)."""
     reported, s = _assessment(folder / "assessment.json", motion), summarize(motion)
     lost = (s.lost + s.extrapolated) / max(1, s.frames)
-    return {"assessment": reported and reported.word, "iou": s.iou, "sd_mm": s.sd_mm, "lost": lost}
+    word, sentence = (reported.word, reported.sentence) if reported else (None, None)
+    return {"assessment": word, "sentence": sentence, "iou": s.iou, "sd_mm": s.sd_mm, "lost": lost}

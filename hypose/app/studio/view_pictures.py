@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from hypose.app.reports.result_pictures import image_points, jpeg, mask_outline
 from hypose.app.studio.lru_cache import LruCache
 from hypose.errors import InputError
+from hypose.evidence.frame import Silhouettes
 from hypose.geometry import Array, Image
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.object_masks import ObjectMasks
@@ -150,13 +151,12 @@ class ViewPictures:
         with self._mask_lock:
             if self._stream is None:
                 self._stream = FrameStream(self._recording)
-            silhouettes = self._stream.frame(row).silhouettes
-        if silhouettes is None:
-            return [[] for _ in self._views]
-        found = []
-        for c, (view, camera) in enumerate(zip(self._recording.views, self._recording.rig, strict=True)):
-            lines = mask_outline(view, camera, silhouettes.rig[c], silhouettes.masks[c], camera.size)
-            found.append([_pixels(line) for line in lines])
+            masks = self._stream.frame(row).of(Silhouettes)
+        found: list[list[list[float]]] = [[] for _ in self._views]
+        for silhouettes in masks:
+            for c, (view, camera) in enumerate(zip(self._recording.views, self._recording.rig, strict=True)):
+                lines = mask_outline(view, camera, silhouettes.rig[c], silhouettes.masks[c], camera.size)
+                found[c] = [_pixels(line) for line in lines]
         return found
 
     def close(self) -> None:

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import percentile_filter
 
 from hypose.cameras.camera import Camera, CameraRig
+from hypose.compute import mask_runs
 from hypose.compute.threads import default_threads
 from hypose.errors import InputError
 from hypose.evidence.background import (
@@ -221,7 +222,7 @@ def working_rig(rig: CameraRig, options: FrameSettings | None = None, depth: Seq
 
 def _rig_of(recording: Recording, options: FrameSettings | None = None) -> CameraRig:
     """Make the cameras of the working size for the views of a recording."""
-    return working_rig(recording.rig, options, [v.depth is not None for v in recording.views])
+    return working_rig(recording.rig, options, [v in recording.depth_views for v in recording.views])
 
 
 def load_keypoints(recording: Recording, options: FrameSettings | None = None) -> list[Keypoints] | None:
@@ -573,6 +574,22 @@ class FrameStream:
         if not self._lanes:
             raise InputError("This stream was opened without silhouettes and decodes no images.")
         return self._lanes[view].submit(self._sources[view].image, self.frames[index]).result()
+
+    def mask(self, view: int, number: int, picture: Image | None, settings: SilhouetteSettings) -> Mask:
+        """Make the mask of one view with other settings, in any frame, as `frame` has it but for what other frames say.
+
+        number: of the frame in the recording; picture: as it is stored, None where there are masks only.
+        Returns (h, w) 0/1 of the working size. An InputError says why there is none."""
+        if not self._sources:
+            raise InputError(f"{self.recording.name} has key points alone, from which no masks are made.")
+        source, background = self._sources[view], self.backgrounds[view]
+        source.given = None if picture is None else (number, picture)
+        if background is not None:
+            source.segment = make_segmenter(background, settings)
+        runs, reason = self._mask(view, number)
+        if runs is None:
+            raise InputError(reason)
+        return mask_runs.draw(runs)
 
     def _mask(self, view: int, frame: int) -> tuple[MaskRuns | None, str]:
         band = None

@@ -10,7 +10,7 @@ import os
 import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from typing import Any, TypeVar
@@ -24,6 +24,7 @@ from hypose.body.default_body import human
 from hypose.calibration.sync_motion import mask_tracks, silhouette_curves, solve_offsets
 from hypose.cameras.camera import CameraRig
 from hypose.errors import EvidenceError
+from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.frame import Expected, Frame, Silhouettes
 from hypose.geometry import Array
 from hypose.pipeline.live.background_models import PackedDepth
@@ -51,14 +52,14 @@ class PackedMasks:
     reasons: tuple[str, ...]
     ignored: NDArray[np.uint8] | None = None
     expected: Expected | None = None
-    depth: PackedDepth | None = None
+    depth: tuple[PackedDepth, ...] = ()
 
     @staticmethod
     def of(frame: Frame) -> PackedMasks:
         """Pack the masks of a frame, which must have some."""
         s = frame.the(Silhouettes)
         ignored = None if s.ignored is None else np.packbits(s.ignored, axis=-1)
-        depth = None if frame.depth is None else PackedDepth.of(frame.depth)
+        depth = tuple(PackedDepth.of(maps) for maps in frame.of(Depth))
         return PackedMasks(frame.time, np.packbits(s.masks, axis=-1), s.usable, s.reasons, ignored, s.expected, depth)
 
     def frame(self, number: int, rig: CameraRig) -> Frame:
@@ -68,16 +69,16 @@ class PackedMasks:
         rig: cameras of the masks.
         """
         silhouettes = self.silhouettes(rig)
-        depth = None if self.depth is None else self.depth.depth(silhouettes)
-        return Frame(self.time, number, silhouettes, depth=depth)
+        frame = Frame(self.time, number, silhouettes)
+        for packed in self.depth:
+            frame = replace(frame, depth=packed.depth(silhouettes))
+        return frame
 
     def silhouettes(self, rig: CameraRig) -> Silhouettes:
         """Unpack the masks."""
         width = int(rig.sizes[:, 0].max())
-        masks, ignored = (
-            None if bits is None else np.unpackbits(bits, axis=-1, count=width) for bits in (self.bits, self.ignored)
-        )
-        assert masks is not None
+        masks = np.unpackbits(self.bits, axis=-1, count=width)
+        ignored = None if self.ignored is None else np.unpackbits(self.ignored, axis=-1, count=width)
         return Silhouettes(masks, rig, self.usable, self.reasons, ignored, self.expected)
 
 

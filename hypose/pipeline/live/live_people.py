@@ -28,7 +28,7 @@ from hypose.pipeline.live.live_search import FoundPerson, LivePersonOptions, Liv
 from hypose.pipeline.settings import SETTINGS
 from hypose.tracking.costs import mean_overlap
 from hypose.tracking.covariance_calibration import beyond_usual, with_fitted_joints
-from hypose.tracking.error_model import as_mixture, evidence_of, judged
+from hypose.tracking.error_model import as_mixture, judged
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.refinement import SETTLING, refine
 from hypose.tracking.several import BLIND, shape_of
@@ -85,7 +85,7 @@ class Stepped:
         """Return the pose with the newest error probabilities."""
         motion = self.doubt.reported(self.tracker, self.estimate, self.frame)
         joints = np.asarray(motion.joints[0], np.float64)
-        views = np.zeros(0, np.bool_) if self.frame.silhouettes is None else self.frame.silhouettes.usable
+        views = self.frame.usable_views
         if self.shift is not None:
             joints = joints + self.shift
         now, body = self.frame, self.tracker.body
@@ -328,7 +328,7 @@ class LiveErrorModel:
         if p is None or low_confidence is None or estimate.lost:
             p = np.maximum(np.zeros(count, np.float32) if p is None else p, np.float32(0.5))
             low_confidence = np.ones(count, np.bool_)
-        now = with_fitted_joints(now, "silhouettes" if frame.depth is None else "depth", self._beyond)
+        now = with_fitted_joints(now, frame.kind, self._beyond)
         now = replace(now, error_probability=p, low_confidence_joints=low_confidence)
         return as_mixture(now) if frame.depth is None else now  # regions from depth include other places
 
@@ -351,8 +351,8 @@ class LiveErrorModel:
             self._looked = frame.time
             window = motion_of(tracker.body, np.array([t for t, _ in known]), [e for _, e in known])
             audits = np.stack([e.audit for _, e in known])
-            p, joints = judged(window, window.joints, audits, known="depth" if frame.depth is not None else None)
-            self._beyond = beyond_usual(audits, evidence_of(audits) if frame.depth is None else "depth")
+            p, joints = judged(window, window.joints, audits, known=frame.kind)
+            self._beyond = beyond_usual(audits, frame.kind)
             self._p, self._doubtful = p[-1:], joints[-1:]
 
 

@@ -118,7 +118,7 @@ def _played(recording: Recording | None, rig: CameraRig, path: Path, rate: float
         )
     # masks made by other programs do not exist for live pictures
     shown = replace(recording, keypoint_set=None, views=tuple(replace(v, masks=None) for v in recording.views))
-    small = working_rig(rig, depth=[v.depth is not None for v in recording.views])
+    small = working_rig(rig, depth=[v in recording.depth_views for v in recording.views])
     views = tuple(
         LiveView(v.name, str(v.source), v.image_shift, b, v.accept_scaled)
         if v.depth is None
