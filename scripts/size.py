@@ -25,6 +25,9 @@ PLAIN = {0, 1, 2, 0.5}
 MOST_PARAMETERS = 8
 COMPUTE = "hypose/compute/"
 CLOSURES = {"closure_tracker": "hypose.tracking.tracker", "closure_run": "hypose.pipeline.run"}
+EVIDENCE = "hypose/evidence/"
+CUES = {"silhouettes", "masks", "mask", "keypoints", "depth", "colours", "joints", "sensor_joints"}
+"""Names of cues; only EVIDENCE may ask whether one of them is there."""
 Trees = Mapping[str, ast.Module]
 """Syntax trees by the file's path from the root."""
 
@@ -82,6 +85,19 @@ def long_signatures(files: Trees) -> list[str]:
     ]
 
 
+def cue_questions(files: Trees) -> list[str]:
+    """List where code outside EVIDENCE compares a cue with None."""
+    found = []
+    for path, tree in files.items():
+        for node in ast.walk(tree) if not path.startswith(EVIDENCE) else ():
+            if isinstance(node, ast.Compare) and isinstance(node.ops[0], ast.Is | ast.IsNot):
+                asked = node.left.value if isinstance(node.left, ast.NamedExpr) else node.left
+                name, _, _ = ast.unparse(asked)[::-1].partition(".")
+                if name[::-1] in CUES and ast.unparse(node.comparators[0]) == "None":
+                    found.append(f"{path}:{node.lineno} {ast.unparse(node)}")
+    return found
+
+
 def _parameters(given: ast.arguments) -> int:
     several = [*given.posonlyargs, *given.args, *given.kwonlyargs]
     return sum(a.arg not in ("self", "cls") for a in several)
@@ -101,6 +117,7 @@ def sizes() -> dict[str, int]:
         "twice": len(twice(package)),
         **{name: len(graph.find_upstream_modules(module)) + 1 for name, module in CLOSURES.items()},
         "parameters": len(long_signatures(package)),
+        "cue_questions": len(cue_questions(package)),
     }
 
 

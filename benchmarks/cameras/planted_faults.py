@@ -105,11 +105,9 @@ def _camera(o: Observed, c: int, camera: Camera) -> Observed:
     return replace(o, rig=CameraRig(tuple(cameras)), silhouettes=_same_pixels(o, CameraRig(tuple(cameras))))
 
 
-def _same_pixels(o: Observed, rig: CameraRig) -> list[Silhouettes | None] | None:
+def _same_pixels(o: Observed, rig: CameraRig) -> list[Silhouettes | None]:
     """The masks as they are undistorted with another rig's lenses; the poses are the other rig's."""
-    if o.silhouettes is None:
-        return None
-    maps = [_between(a, b, s) for a, b, s in zip(o.rig, rig, _small(o), strict=True)]
+    maps = [_between(a, b, s) for a, b, s in zip(o.rig, rig, _small(o), strict=True)] if o.silhouettes else []
     out: list[Silhouettes | None] = []
     for s in o.silhouettes:
         if s is None:
@@ -128,7 +126,7 @@ def _same_pixels(o: Observed, rig: CameraRig) -> list[Silhouettes | None] | None
 
 
 def _small(o: Observed) -> CameraRig:
-    return next(s.rig for s in o.silhouettes or () if s is not None)
+    return next(s.rig for s in o.silhouettes if s is not None)
 
 
 def _between(true: Camera, given: Camera, small: Camera) -> tuple[np.ndarray, np.ndarray] | None:
@@ -189,7 +187,7 @@ def _cropped(o: Observed, c: int, rng: np.random.Generator) -> Planted:
     small = _small(o)[c].size
     a = np.array([[w / (w - cut), 0, -left * small[0] / (w - cut)], [0, 1, 0]])
     masks = []
-    for s in o.silhouettes or ():
+    for s in o.silhouettes:
         new = s
         if s is not None:
             m = s.masks.copy()
@@ -207,7 +205,7 @@ def _frame_rate(o: Observed, c: int, rng: np.random.Generator) -> Planted:
 
 
 def _frame_count(o: Observed, c: int, rng: np.random.Generator) -> Planted:
-    frames = len(o.silhouettes or ()) - int(rng.integers(5, 20))
+    frames = len(o.silhouettes) - int(rng.integers(5, 20))
     return Planted("frame_count", _clip(o, c, replace(o.clips[c], frames=frames)), ("frame_count",), (o.rig.names[c],))
 
 
@@ -229,7 +227,7 @@ def _keypoint_shift(o: Observed, c: int, rng: np.random.Generator) -> Planted:
     move = -shift * np.array(small) / np.array(o.rig[c].size)
     a = np.array([[1, 0, move[0]], [0, 1, move[1]]])
     masks = []
-    for s in o.silhouettes or ():
+    for s in o.silhouettes:
         new = s
         if s is not None:
             m = s.masks.copy()
@@ -288,7 +286,7 @@ def _flipped(o: Observed, c: int, kind: str, xy: Array, order: list[int] | None,
     made = o if o.keypoints is None else _points(o, c, xy, order)
     w, h = _small(o)[c].size
     masks = []
-    for s in o.silhouettes or ():
+    for s in o.silhouettes:
         new = s
         if s is not None:
             m = s.masks.copy()

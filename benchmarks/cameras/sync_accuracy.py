@@ -72,7 +72,7 @@ def sync(options: BenchOptions) -> BenchReport:
             points, masks = seen_points(scene, shown), seen_masks(scene, shown)
             rig = scene.rig.pinhole()
             for name, evidence in (
-                ("keypoints", (points, None)),
+                ("keypoints", (points, ())),
                 ("silhouettes", (None, masks)),
                 ("both", (points, masks)),
             ):

@@ -21,7 +21,7 @@ from hypose.body.default_body import JOINT_NAMES, human
 from hypose.compute.part_colours import shown_parts
 from hypose.evidence.colours import colour_codes, colour_edges
 from hypose.evidence.frame import Colours, Frame
-from hypose.evidence.limb_maps import LIMBS, LimbMaps, limb_of_joints
+from hypose.evidence.limb_maps import LABELS, LimbMaps, limb_of_joints
 from hypose.geometry import Array
 from hypose.inference.layer import Recipe
 from hypose.pipeline.first_frame import SubjectOptions, find_subject
@@ -122,17 +122,15 @@ def _with_limbs(frame: Frame, scene: Scene) -> Frame:
     """The frame with label images of its limbs, as a network would make them of its pictures."""
     assert frame.silhouettes is not None
     subject, vertices, labels = scene.subject, scene.vertices(frame.index), np.zeros_like(frame.silhouettes.masks)
-    joint = subject.dense_weights.argmax(1)[subject.faces]
-    of_joint = limb_of_joints(JOINT_NAMES)
-    of_face = of_joint[np.where(joint[:, 1] == joint[:, 2], joint[:, 1], joint[:, 0])]
-    half = len(LIMBS) // 2
+    of_face = limb_of_joints(JOINT_NAMES)[subject.dense_weights.argmax(1)[subject.faces[:, 0]]]
+    half = len(LABELS) // 2
     for c, camera in enumerate(scene.rig.pinhole()):
         rng = np.random.default_rng([scene.seed, frame.index, c])
         shown = shown_parts(vertices, subject.faces, of_face, camera.projection, (camera.size[1], camera.size[0]))[0]
-        kind = np.arange(len(LIMBS) + 2)
+        kind = np.arange(len(LABELS) + 2)
         for k in range(2, len(kind)):
             missing, exchanged = rng.random(2) < (_LABEL_MISSING, _LABEL_EXCHANGED)
-            kind[k] = 0 if missing else 2 + (k - 2 + half) % len(LIMBS) if exchanged else k
+            kind[k] = 0 if missing else 2 + (k - 2 + half) % len(LABELS) if exchanged else k
         at = np.indices(shown.shape) + np.rint(rng.normal(0.0, _LABEL_SHIFT_PX, (2, *shown.shape))).astype(int)
         h, w = shown.shape
         labels[c, :h, :w] = kind[shown[np.clip(at[0], 0, h - 1), np.clip(at[1], 0, w - 1)]]

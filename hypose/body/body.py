@@ -84,6 +84,12 @@ class Mesh:
         best = self.skin_weight.argmax(1)[:, None]
         return np.take_along_axis(self.skin_index, best, 1)[:, 0].astype(np.int64)
 
+    @cached_property
+    def face_joint(self) -> NDArray[np.int64]:
+        """Return (F,) the joint of two corners of a face, or else of its first: the body part a face belongs to."""
+        a, b, c = self.main_joint[self.faces].T
+        return np.where(b == c, b, a)
+
     def dense_weights(self, n_joints: int) -> Array:
         """Return the skinning weights as a dense matrix (V, J)."""
         v = len(self.vertices)

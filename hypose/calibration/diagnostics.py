@@ -379,7 +379,7 @@ class Observed:
     rig: CameraRig
     keypoints: Array | None = None
     names: tuple[str, ...] = ()
-    silhouettes: Sequence[Silhouettes | None] | None = None
+    silhouettes: Sequence[Silhouettes | None] = ()
     clips: tuple[ViewFile, ...] = ()
     frame_rate: float = 25.0
     height: float | None = None
@@ -440,11 +440,6 @@ def examine_and_cure(observed: Observed, limits: Limits | None = None) -> tuple[
     by_depth = depth_findings(observed.depths)
     findings += by_depth
     if observed.keypoints is None or (observed.keypoints[..., 2] > 0.3).any((1, 2)).sum() < 2:
-        if observed.silhouettes is None:
-            raise EvidenceError(
-                "There are neither key points of two views nor silhouettes; give the recording one of them to check "
-                "its calibration."
-            )
         found, views, late = examine_silhouettes(observed.rig, observed.silhouettes, o)
         # for depth cameras, masks give no better information: their faults follow from those of the depth maps
         findings += [] if any(f.fault for f in by_depth) else found
@@ -501,10 +496,8 @@ def _against_masks(
         where none was found).
     """
     shift = np.zeros((len(observed.rig), 2))
-    if observed.silhouettes is None or observed.keypoints is None:
-        return None, 0, shift
     small = next((s.rig for s in observed.silhouettes if s is not None), None)
-    if small is None:
+    if small is None or observed.keypoints is None:
         return None, 0, shift
     scaled = {name for f in state.findings if f.kind in ("scaled", "cropped") for name in f.views}
     uv, confidence = undistorted(observed.rig, observed.keypoints)
@@ -612,12 +605,11 @@ def _views(
     inside = point_residual(observed.rig, flat, seen) if c > 1 else np.full(seen.shape, np.nan)
     outside = left_out_residual(observed.rig, flat, seen)
     masks = np.full(c, np.nan)
-    if observed.silhouettes is not None:
-        small = next((s.rig for s in observed.silhouettes if s is not None), None)
-        if small is not None and c > 1:
-            tracks = mask_tracks(observed.silhouettes[:: max(1, len(observed.silhouettes) // 20)])
-            masks = tangency_by_view(tangency(small, tracks), c)
-            masks = masks * observed.rig.sizes[:, 0] / small.sizes[:, 0]
+    small = next((s.rig for s in observed.silhouettes if s is not None), None)
+    if small is not None and c > 1:
+        tracks = mask_tracks(observed.silhouettes[:: max(1, len(observed.silhouettes) // 20)])
+        masks = tangency_by_view(tangency(small, tracks), c)
+        masks = masks * observed.rig.sizes[:, 0] / small.sizes[:, 0]
     out = []
     for k, name in enumerate(observed.rig.names):
         change = None if extrinsics is None else extrinsics.changes[k]

@@ -55,7 +55,7 @@ class FrameSequence(Protocol):
 def offsets_from_motion(
     rig: CameraRig,
     keypoints: tuple[Array, Array] | None,
-    silhouettes: Sequence[Silhouettes | None] | None,
+    silhouettes: Sequence[Silhouettes | None] = (),
     *,
     largest: float = 12.0,
 ) -> Offsets:
@@ -72,11 +72,11 @@ def offsets_from_motion(
     if keypoints is not None:
         pixels, confidence = keypoints
         curves = keypoint_curves(rig, pixels, confidence, largest, point_sd(pixels, confidence))
-    masks = None if silhouettes is None else next((s for s in silhouettes if s is not None), None)
-    if masks is not None and silhouettes is not None:
+    rig_of_masks = next((s.rig for s in silhouettes if s is not None), None)
+    if rig_of_masks is not None:
         tracks = mask_tracks(silhouettes)
         extent = np.nanmedian([np.ptp(h, axis=0).max() for t in tracks for h in t.outline if h is not None])
-        more = silhouette_curves(masks.rig, tracks, largest, max(float(extent) / 130, 0.5))
+        more = silhouette_curves(rig_of_masks, tracks, largest, max(float(extent) / 130, 0.5))
         curves = more if curves is None else curves + replace(more, cost=_MASK_SHARE * more.cost)
     if curves is None:
         raise EvidenceError("There are neither key points nor silhouettes to take the timing from.")

@@ -257,10 +257,8 @@ def seen_depth(depth: Depth, tall: int = TALL) -> tuple[NDArray[np.bool_], SeenD
     return views, SeenDepth(out, sizes, stacked, np.array(counts, dtype=np.int64))
 
 
-def silhouette_evidence(silhouettes: Silhouettes | None, weight: float) -> list[Evidence]:
-    """Masks prepared for tracking; nothing where no view has an outline. weight: of a contour row."""
-    if silhouettes is None:
-        return []
+def silhouette_evidence(silhouettes: Silhouettes, weight: float) -> list[Evidence]:
+    """Prepare masks for tracking; nothing where no view has an outline. weight: of a contour row."""
     masks = prepared_masks(silhouettes)
     try:
         contours = contour_term(silhouettes, weight=weight, working_height=WORKING_HEIGHT)
@@ -269,25 +267,24 @@ def silhouette_evidence(silhouettes: Silhouettes | None, weight: float) -> list[
     return [SilhouetteEvidence(masks.usable, (contours,), masks)]
 
 
-def depth_evidence(depth: Depth | None) -> list[Evidence]:
-    """What depth cameras see of the person; nothing where none does."""
-    if depth is None or (term := depth_term(depth)) is None:
+def depth_evidence(depth: Depth) -> list[Evidence]:
+    """Prepare depth maps for tracking; nothing where none shows the person."""
+    term = depth_term(depth)
+    if term is None:
         return []
     views, maps = seen_depth(depth)
     return [DepthEvidence(views, (term,), maps)]
 
 
-def keypoint_evidence(term: KeypointTerm | None, weaker: KeypointTerm | None) -> list[Evidence]:
-    """Key points of a frame, and as solves weigh them; nothing where none is known and confident."""
-    if term is None or weaker is None:
-        return []
-    return [KeypointEvidence(np.asarray((term.points[..., 2] > 0).any(1)), (weaker,), term)]
+def keypoint_evidence(term: KeypointTerm, weaker: KeypointTerm) -> KeypointEvidence:
+    """Prepare key points as they are, and as solves weigh them."""
+    return KeypointEvidence(np.asarray((term.points[..., 2] > 0).any(1)), (weaker,), term)
 
 
 def surface_evidence(frame: Frame) -> list[Term]:
     """What a frame tells of a body's surface, for fits of its shape: outlines, and depth where there is any."""
-    outlines: list[Term] = [] if frame.silhouettes is None else [contour_term(frame.silhouettes)]
-    return outlines + [term for one in depth_evidence(frame.depth) for term in one.terms]
+    outlines: list[Term] = [contour_term(masks) for masks in frame.of(Silhouettes)]
+    return outlines + [term for depth in frame.of(Depth) for one in depth_evidence(depth) for term in one.terms]
 
 
 class OwnEvidence(Protocol):

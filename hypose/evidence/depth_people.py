@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from hypose.errors import EvidenceError
 from hypose.evidence.depth_evidence import JUMP_M, Depth, back_projected, in_world, smooth_surface
 from hypose.evidence.frame import Expected, Frame, Silhouettes
-from hypose.evidence.hull import Hull
+from hypose.evidence.hull import Hull, visual_hull
 from hypose.evidence.hull_people import PART_OF_LARGER_M, SMALL, VOXEL, HullPerson, people_in_hull, people_of_hull
 from hypose.evidence.shared_masks import DrawnShape, Other, StandingShape, own_silhouettes
 from hypose.geometry import Array
@@ -67,6 +67,14 @@ _BEHIND_M = 0.4
 """m behind the visible part of a person: others there do not hide them"""
 _LEAST_PX, _PER_VOXEL = 50, 2
 _EDGE = np.ones((5, 5), np.uint8)
+
+
+def occupied_space(frame: Frame, bounds: Array | None = None) -> Hull:
+    """Find where the person of a frame may be, inside bounds (2, 3) m: by depth where there is depth, else the visual
+    hull of the masks."""
+    if frame.depth is not None:
+        return space_behind(frame.depth, bounds)
+    return visual_hull(frame.the(Silhouettes), bounds)
 
 
 def people_seen(frame: Frame, known: Sequence[Other] = (), *, floor: float = 0.0) -> list[HullPerson]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +14,6 @@ from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.depth_evidence import Depth
 from hypose.geometry import Array
-
-if TYPE_CHECKING:
-    from hypose.body.body import Body
 
 _Piece = TypeVar("_Piece")
 NOT_TRACKED, INFERRED, TRACKED = 0, 1, 2
@@ -215,18 +212,10 @@ class Colours:
     edges: NDArray[np.uint8] | None = None
 
 
-class Piece(Protocol):
-    """What a frame carries of one more cue, as it was measured: a file that defines it is all that a new cue needs."""
-
-    def prepared(self, body: Body) -> Any:  # noqa: ANN401 (an Evidence, whose module imports this one)
-        """Prepare it for a search and for solves of a body."""
-        ...
-
-
 @dataclass(frozen=True)
 class Frame:
     """One instant. time: s, index: frame number; the pieces are None when this frame has no such evidence; more: pieces
-    of further cues, such as `hypose.evidence.limb_maps.LimbMaps`."""
+    of further cues (`hypose.evidence.terms.Piece`), such as `hypose.evidence.limb_maps.LimbMaps`."""
 
     time: float
     index: int
@@ -237,7 +226,7 @@ class Frame:
     picture: Picture | None = None
     colours: Colours | None = None
     depth: Depth | None = None
-    more: tuple[Piece, ...] = ()
+    more: tuple[Any, ...] = ()
 
     @property
     def pieces(self) -> dict[str, Any]:
@@ -265,6 +254,16 @@ class Frame:
     def visible_share(self) -> Array:
         """(C,) how much of the person each mask shows that others do not hide; (0,) without masks."""
         return np.zeros(0) if self.silhouettes is None else self.silhouettes.visible_share
+
+    @property
+    def kind(self) -> str:
+        """What a pose in the frame is judged by where several cues are there: depth, silhouettes or keypoints."""
+        return next((name for name in ("depth", "silhouettes", "keypoints") if name in self.pieces), "keypoints")
+
+    @property
+    def usable_views(self) -> NDArray[np.bool_]:
+        """(C,) the views whose masks are usable; (0,) without masks."""
+        return np.zeros(0, np.bool_) if self.silhouettes is None else self.silhouettes.usable
 
     @property
     def fewest_views(self) -> int:

@@ -1,8 +1,7 @@
 """Limb segmentation maps: a label image per view that says which limb of the person each pixel shows.
 
-Such maps come from human-parsing networks. An outline does not tell an arm before the trunk from one behind it, nor the
-left leg from the right; labels do. A search counts the labelled pixels where a body shows another limb; a solve draws
-the bones of each limb into its region. Both are hypose's own.
+Human-parsing networks make such maps. Labels tell an arm before the trunk from one behind it; outlines do not. A search
+counts the pixels where a body shows another limb; a solve draws bones into their regions. Both are hypose's own.
 """
 
 from __future__ import annotations
@@ -23,37 +22,46 @@ from hypose.evidence.terms import Evidence, Limb, RowTerm
 from hypose.geometry import Array
 
 _OF_ONE_SIDE = (("shoulder",), ("elbow", "wrist"), ("hip",), ("knee", "ankle"))
-LIMBS = tuple(tuple(f"{side}_{n}" for n in names) for side in ("left", "right") for names in _OF_ONE_SIDE)
+LABELS = tuple(tuple(f"{side}_{n}" for n in names) for side in ("left", "right") for names in _OF_ONE_SIDE)
 """The joints whose skin is a limb: upper arm, forearm, thigh and shank of the left side, then of the right side. A
-pixel of LIMBS[k] has the label k + 2; 1 is the trunk with the head, 0 says nothing."""
-WRONG = 0.5
-"""What a pixel of the wrong limb costs in a search, against one outside the mask."""
-ALONG = (0.1, 0.3, 0.5, 0.7, 0.9, 1.1, 1.3)
-"""Places on a limb's bone that are drawn to the middle of its region, in lengths of the bone; the last are in a hand"""
-WEIGHT, SD_OF_HEIGHT = 0.05, 0.02
-"""Weight of one such place in one view; standard deviation of its offset, in heights of the person in the view.
-The weight was chosen on folded arms and serves of the seeds 500 and 503 (benchmark `arms`)."""
-FEW, MIDDLES = 12, 12
-"""Pixels that a limb must show in a view to have a region; pixels of its middle line that are used"""
+pixel of LABELS[k] has the label k + 2; 1 is the trunk with the head, 0 says nothing."""
+
+
+@dataclass(frozen=True)
+class LimbSettings:
+    """How much labels count. Chosen on folded arms and serves of the seeds 500 and 503 (benchmark `arms`).
+
+    wrong: what a pixel of the wrong limb costs in a search, against one outside the mask.
+    along: places on a limb's bone that a solve draws to the middle of its region, in lengths of the bone, hand too.
+    weight: of such a place in one view; sd_of_height: sd of its offset, in heights of the person.
+    few: pixels that a limb must show to have a region; middles: pixels of its middle line that are used.
+    """
+
+    wrong: float = 0.5
+    along: tuple[float, ...] = (0.1, 0.3, 0.5, 0.7, 0.9, 1.1, 1.3)
+    weight: float = 0.05
+    sd_of_height: float = 0.02
+    few: int = 12
+    middles: int = 12
+
+
+_SETTINGS = LimbSettings()
 
 
 @dataclass(frozen=True)
 class LimbMaps:
-    """Label images of one instant, one per view.
-
-    labels: (C, h, w) uint8, see LIMBS; undistorted, padded with 0 to the common size.
-    rig: the pinhole cameras of these images.
-    """
+    """Label images of one instant: labels (C, h, w) uint8, see LABELS, undistorted, padded with 0 to the common size;
+    rig: the pinhole cameras of these images."""
 
     labels: NDArray[np.uint8]
     rig: CameraRig
 
     def __post_init__(self) -> None:
-        (w, h), shape = self.rig.sizes.max(0), np.shape(self.labels)
-        if shape != (len(self.rig), h, w) or np.max(self.labels) > len(LIMBS) + 1:
+        needed = len(self.rig), *self.rig.sizes.max(0)[::-1].tolist()
+        if np.shape(self.labels) != needed or np.max(self.labels) > len(LABELS) + 1:
             raise InputError(
-                f"Limb maps of {len(self.rig)} views need labels 0 to {len(LIMBS) + 1} of shape {len(self.rig), h, w}, "
-                f"got {shape} and labels up to {np.max(self.labels)}."
+                f"Limb maps need labels 0 to {len(LABELS) + 1} of shape {needed}, got {np.shape(self.labels)} "
+                f"and labels up to {np.max(self.labels)}."
             )
 
     def prepared(self, body: Body) -> LimbEvidence:
@@ -64,52 +72,48 @@ class LimbMaps:
 
     def _term(self, body: Body) -> RowTerm:
         """Build the rows of a solve: from the middle line of each limb's region to the nearest points of its bone."""
-        s, targets, view, joint, offset, scale = body.skeleton, [], [], [], [], []
+        s, along, targets, view, joint, scale = body.skeleton, _SETTINGS.along, [], [], [], []
         for c, labels in enumerate(self.labels):
             height = cv2.boundingRect((labels > 0).view(np.uint8))[3]
-            for k, names in enumerate(LIMBS):
+            for k, names in enumerate(LABELS):
                 middle = _middle_line((labels == k + 2).view(np.uint8))
-                root = s.joint(names[0])
                 if len(middle):
                     targets.append(middle)
-                    view += [c]
-                    joint += [root] * len(ALONG)
-                    offset += [share * s.rest_offsets[s.parents == root][0] for share in ALONG]
-                    scale += [SD_OF_HEIGHT * height]
+                    view.append(c)
+                    joint.append(s.joint(names[0]))
+                    scale.append(_SETTINGS.sd_of_height * height)
+        bones = [share * s.rest_offsets[s.parents == j][0] for j in joint for share in along]
         projections = self.rig.projections[np.array(view, dtype=np.int64)]
 
         def residuals(points: Array) -> tuple[Array, Array]:
-            return _to_bones(points.reshape(len(targets), len(ALONG), 3), projections, targets, np.array(scale))
+            return _to_bones(points.reshape(len(targets), len(along), 3), projections, targets, np.array(scale))
 
-        weight = np.full(len(joint), WEIGHT)
-        return RowTerm(np.array(joint, dtype=np.int64), residuals, np.array(offset).reshape(-1, 3), weight)
+        carrier = np.repeat(np.array(joint, dtype=np.int64), len(along))
+        return RowTerm(carrier, residuals, np.reshape(bones, (-1, 3)), np.full(len(carrier), _SETTINGS.weight))
 
 
-def _middle_line(region: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """Find at most MIDDLES pixels (M, 2) on the middle line of a region (h, w); none where it is too small."""
+def _middle_line(region: NDArray[np.uint8]) -> Array:
+    """Find at most `middles` pixels (M, 2) on the middle line of a region (h, w); none where it is too small."""
     x, y, w, h = cv2.boundingRect(region)
-    if w * h < FEW:
+    if w * h < _SETTINGS.few:
         return np.zeros((0, 2))
     inside = cv2.distanceTransform(np.pad(region[y : y + h, x : x + w], 1), cv2.DIST_L2, 5)
     row, column = np.nonzero((inside > 1) & (inside == cv2.dilate(inside, np.ones((5, 5), np.uint8))))
-    every = np.unique(np.linspace(0, max(len(row) - 1, 0), min(MIDDLES, len(row))).astype(int))
+    every = np.unique(np.linspace(0, max(len(row) - 1, 0), min(_SETTINGS.middles, len(row))).astype(int))
     return np.column_stack([column, row])[every].astype(np.float64) + (x - 1, y - 1)
 
 
-def _to_bones(
-    points: Array, projections: Array, targets: list[NDArray[np.float64]], scale: Array
-) -> tuple[Array, Array]:
+def _to_bones(points: Array, projections: Array, targets: Sequence[Array], scale: Array) -> tuple[Array, Array]:
     """Compute the offset (P, 2) of points on bones from the mean of the pixels that are nearest to each, and its
     derivative (P, 2, 3), in sd; NaN where no pixel is nearest.
 
-    points (G, A, 3) of G bones, each in one view; projections (G, 3, 4); targets: of each bone pixels (M, 2); scale
-    (G,) px.
+    points (G, A, 3) of G bones, each in one view; projections (G, 3, 4); targets: G x (M, 2) px; scale (G,) px.
     """
     h = np.einsum("gij,gaj->gai", projections[:, :, :3], points) + projections[:, None, :, 3]
     with np.errstate(divide="ignore", invalid="ignore"):
         uv = np.where(h[..., 2:] > 0, h[..., :2] / h[..., 2:], np.nan)
     r = np.full(uv.shape, np.nan)
-    for g in np.flatnonzero(np.isfinite(uv).all((1, 2))):
+    for g in np.flatnonzero(np.isfinite(uv).all((1, 2))).tolist():
         nearest = np.linalg.norm(targets[g][:, None] - uv[g], axis=-1).argmin(1)
         for a in np.unique(nearest):
             r[g, a] = uv[g, a] - targets[g][nearest == a].mean(0)
@@ -126,22 +130,20 @@ class LimbEvidence(Evidence):
     labels: NDArray[np.uint16]
 
     def energy(self, body: Body, poses: Array, limb: Limb | None = None) -> Array:
-        """(N,) share of the labelled pixels where a body shows another limb, sum over the views, times WRONG."""
-        count, use = len(LIMBS) + 2, self.masks.usable
+        """(N,) share of the labelled pixels where a body shows another limb, sum over the views, times `wrong`."""
+        count, use = len(LABELS) + 2, self.masks.usable
         wrong = 1.0 - np.eye(count, dtype=np.float32)[1:]
         wrong[:, 0] = 0
         table = np.repeat(wrong[None], len(use), 0)
         sums = colour_sums(body.skin(poses), body.coarse.faces, limb_of_faces(body), self.masks, self.labels, table)[0]
-        return WRONG * (sums[:, use] / np.maximum(self.masks.areas[use], 1)).sum(1)
+        return _SETTINGS.wrong * (sums[:, use] / np.maximum(self.masks.areas[use], 1)).sum(1)
 
 
 def limb_of_faces(body: Body) -> NDArray[np.uint8]:
     """(F,) label, less 1, of the limb of each face of the body's coarse mesh."""
-    number = limb_of_joints(body.skeleton.joint_names)
-    joint = body.coarse.main_joint[body.coarse.faces]
-    return number[np.where(joint[:, 1] == joint[:, 2], joint[:, 1], joint[:, 0])]
+    return limb_of_joints(body.skeleton.joint_names)[body.coarse.face_joint]
 
 
 def limb_of_joints(names: Sequence[str]) -> NDArray[np.uint8]:
     """(J,) label, less 1, of the limb whose skin is that of each joint."""
-    return np.array([next((k + 1 for k, own in enumerate(LIMBS) if n in own), 0) for n in names], dtype=np.uint8)
+    return np.array([next((k + 1 for k, own in enumerate(LABELS) if n in own), 0) for n in names], dtype=np.uint8)

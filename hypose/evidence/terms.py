@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -66,6 +66,14 @@ class Evidence:
 
     def same(self, body: Body, pose: Array, other: Array) -> None:
         """What has been found out about a pose (D,) holds for another, which differs from it in its last digits."""
+
+
+class Piece(Protocol):
+    """What a frame carries of one more cue, as it was measured. The file that defines it is all that a cue needs."""
+
+    def prepared(self, body: Body) -> Evidence:
+        """Prepare it for a search and for solves of a body."""
+        ...
 
 
 @dataclass(frozen=True)

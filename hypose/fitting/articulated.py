@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from hypose.body.body import Body
 from hypose.compute import solver
@@ -79,7 +79,6 @@ class PoseFit:
     evaluations: number of evaluations of F.
     converged: whether the last step was below the tolerance.
     rows: number of rows of evidence (0: only the priors determine the pose).
-    view_rows: (C, 2) number of contour rows of each view, forward and reverse.
     """
 
     pose: Array
@@ -91,7 +90,6 @@ class PoseFit:
     evaluations: int
     converged: bool
     rows: int
-    view_rows: NDArray[np.int64]
 
     @cached_property
     def information(self) -> Array:
@@ -247,7 +245,6 @@ class _Problem:
         out = self._solve(q, self.priors(q), workspace_for(self.body, self.cues))
         pose = out.pose.copy()
         pose[3:6] = nearest_branch(pose[3:6], np.asarray(start, dtype=np.float64)[3:6])
-        counts = out.evaluation.counts
         return PoseFit(
             pose,
             out.pose,
@@ -257,8 +254,7 @@ class _Problem:
             out.iterations,
             out.evaluations,
             out.converged,
-            int(counts.sum()),
-            counts[: len(self.cues.contours.sdf)].copy(),
+            int(out.evaluation.counts.sum()),
         )
 
     def _solve(self, q: Array, priors: PriorArrays, ws: Workspace) -> Solution:

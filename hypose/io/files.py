@@ -158,16 +158,21 @@ def _cells(line: str) -> list[str]:
 
 @contextmanager
 def numbers_of(where: str) -> Iterator[None]:
-    """Turn errors of number conversion within a with block into an InputError.
+    """Turn the errors of parsing within a with block into an InputError: a missing key or cell, or another type.
 
     where: start of the message, such as the file and its line.
-    Raises: InputError where a cell is missing or is not a number.
+    Raises: InputError where the content is not as the block expects.
+    Why: a reader then uses what it needs without a test of each value. Blocks may be nested; the innermost one names
+        the place.
     """
     try:
         yield
-    except (ValueError, OverflowError, IndexError):
+    except KeyError as error:
+        raise InputError(f"{where} has no {str(error.args[0])[:60]!r}; export the file again.") from None
+    except (ValueError, TypeError, LookupError, ArithmeticError, AttributeError, RecursionError, MemoryError) as error:
+        reason = f" ({str(error)[:100]})" if isinstance(error, ValueError) else ""
         raise InputError(
-            f"{where} holds something that is not a number, or is cut off; export the file again."
+            f"{where} holds something that is not what is expected there{reason}, or is cut off; export the file again."
         ) from None
 
 

@@ -1,1 +1,1 @@
-"""Pipeline: one recording from start to end, for the command line, the benchmarks and people who import hypose."""
+"""Process one recording from start to end; used by the command line, the benchmarks and users of `import hypose`."""

@@ -1,4 +1,4 @@
-"""How a run ends, in words: good, look at some frames, or not to be trusted, and why."""
+"""Assess a finished motion: good, some frames to be reviewed, or not to be trusted, with reasons."""
 
 from __future__ import annotations
 
@@ -20,21 +20,22 @@ from hypose.tracking.error_model import LOOK_P
 
 GOOD, LOOK, UNTRUSTED = "good", "look", "not to be trusted"
 EXIT_UNTRUSTED = 3
-"""The exit code of a command whose result is not to be trusted."""
+"""Exit code of a command whose result is not to be trusted."""
 LIMB_S = 2 * AROUND_S
-"""s that a limb must be doubtful for it: a joint is judged by neighbouring frames, so that a few bad frames make
-all of a shorter clip doubtful; they are worth a look"""
+"""Least time (s) for which a limb must be doubtful to make a clip untrusted. Why: a joint is judged with neighbouring
+frames, so a few bad frames make all of a shorter clip doubtful; these are only to be reviewed.
+"""
 _ALONE = ("neck", "head")
-"""joints on which no other depends: key points without a head leave the rest to be looked at"""
+"""Joints on which no other joint depends: without key points of the head, the rest of the body can still be good."""
 
 
 @dataclass(frozen=True)
 class Assessment:
-    """Judgement of a result.
+    """Assessment of a result.
 
-    word: GOOD, LOOK or UNTRUSTED
-    findings: what it rests on
-    frames: to look at; of a good result those of low confidence
+    word: GOOD, LOOK or UNTRUSTED.
+    findings: reasons for it, and remarks.
+    frames: frames to review; of a good result those of low confidence.
     """
 
     word: str
@@ -43,12 +44,12 @@ class Assessment:
 
     @property
     def because(self) -> tuple[str, ...]:
-        """Sentences on what makes the result invalid, and then on what has to be reviewed."""
+        """Sentences with the reasons: first those that make the result invalid, then those to be reviewed."""
         return (*sentences(self.findings, INVALID), *sentences(self.findings, REVIEW))
 
     @property
     def sentence(self) -> str:
-        """The judgement in one paragraph."""
+        """The assessment as one paragraph."""
         return " ".join((self._judgement, *sentences(self.findings, INFO)))
 
     @property
@@ -73,7 +74,7 @@ class Assessment:
         }
 
     def with_joints(self, motion: Motion) -> dict[str, Any]:
-        """`document`, and the frames in which each joint is doubtful."""
+        """Return `document` with, for each joint, the frames of low confidence."""
         joints = motion.low_confidence_joints
         names = motion.skeleton.joint_names
         found = {} if joints is None else {n: runs(joints[:, j]) for j, n in enumerate(names) if joints[:, j].any()}
@@ -81,20 +82,25 @@ class Assessment:
 
     @staticmethod
     def of_document(kept: Mapping[str, Any]) -> Assessment:
-        """Read what `document` gave."""
+        """Read the assessment from the JSON values of `document`."""
         frames = tuple(range(int(a), int(b)) for a, b in kept["frames"])
         return Assessment(str(kept["assessment"]), tuple(map(Finding.of_document, kept["findings"])), frames)
 
 
 def not_shown(joints: Sequence[str]) -> Finding:
-    """Say which joints have no key point of their own."""
+    """Make the finding that names the joints without a key point of their own."""
     which = ", ".join(j.replace("_", " ") for j in joints)
     text = f"Note: the key points have none for {which}; where these are follows from the rest of the body"
     return Finding("not shown", (), text, severity=INFO)
 
 
 def other_people_note(more: int, where: str, command: str) -> Finding:
-    """Say how many other people are in the masks, or the key points, and which command tracks them."""
+    """Make the finding that counts the other people in the masks or key points.
+
+    more: number of other people.
+    where: "masks" or "key points".
+    command: option of the command that tracks all people.
+    """
     who = "another person is" if more == 1 else f"{more} other people are"
     text = f"Note: {who} in the {where} and left out; {command} tracks everybody"
     return Finding("other people", (), text, size=more, severity=INFO)
@@ -108,9 +114,9 @@ def assess(
 ) -> Assessment:
     """Assess a motion as good, to be reviewed, or not to be trusted.
 
-    findings: on the whole motion, of the checks before and the passes
-    cure: next step when too many joints are likely wrong
-    most_lost: share of frames without the person above which the motion is not to be trusted
+    findings: on the whole motion, of the checks before tracking and of the passes.
+    cure: next step for the user where too many joints are likely wrong.
+    most_lost: share of frames without the person above which the motion is not to be trusted.
     """
     found, gone = list(findings), motion.lost | motion.extrapolated
     looks = any(f.severity == REVIEW for f in findings)
@@ -137,7 +143,7 @@ def assess(
 
 
 def _worth_a_look(motion: Motion, low_confidence: NDArray[np.bool_] | None, stretch: range) -> bool:
-    """Is more than a joint that is a little likelier wrong than others seen in a stretch of doubtful frames?"""
+    """Return whether doubtful frames are worth a review: the expected number of wrong joints reaches LOOK_P."""
     at = np.array(stretch)
     if low_confidence is None or motion.error_probability is None or not low_confidence[at].any(1).all():
         return True
@@ -147,8 +153,13 @@ def _worth_a_look(motion: Motion, low_confidence: NDArray[np.bool_] | None, stre
 def _too_doubtful(
     motion: Motion, low_confidence: NDArray[np.bool_], seen: NDArray[np.bool_], least: float, cure: str
 ) -> list[Finding]:
-    """Findings on joints that are too doubtful in the frames in which the person is seen; least: how likely a limb
-    must be wrong for it; cure: of `assess`."""
+    """Make findings on joints that are too doubtful in the frames in which the person is seen.
+
+    low_confidence: (T, J).
+    seen: (T,) frames in which the person is seen.
+    least: probability of an error from which a limb counts.
+    cure: as for `assess`.
+    """
     assert motion.error_probability is not None
     names = motion.skeleton.joint_names
     share, often = float(motion.error_probability[seen].mean()), low_confidence[seen].mean(0)
@@ -171,14 +182,14 @@ def _too_doubtful(
 
 
 def _cure(motion: Motion) -> str:
-    """What to do when too many joints before cameras are likely wrong; without masks a motion has no cost."""
+    """Return the next step where too many joints are likely wrong. A motion without masks has no cost."""
     points = bool(np.isnan(motion.cost).all())
     more, other = ("a background for masks", "key points") if points else ("key points", "masks")
     return f"compare the overlay with the images, and give {more}, --start with the first pose, or other {other}"
 
 
 def _what(motion: Motion, low_confidence: NDArray[np.bool_] | None, stretches: Sequence[range]) -> Finding:
-    """Name the joints of low confidence in some frames."""
+    """Make the finding that names the joints of low confidence in some frames."""
     at = np.concatenate([np.arange(r.start, r.stop) for r in stretches])
     often = np.zeros(len(motion.skeleton.joint_names)) if low_confidence is None else low_confidence[at].mean(0)
     which = [motion.skeleton.joint_names[j].replace("_", " ") for j in np.argsort(-often)[:4] if often[j] > 0.2]

@@ -1,9 +1,9 @@
-"""Arms of a tracked clip, looked for backwards in time where they have jumped: what was lost is known once it is found.
+"""Track arms backwards in time from where they jumped, and correct the frames before.
 
-Forwards, an arm that is lost stays so until the masks show it clearly, frames after it could have been seen. From there
-backwards it is followed from a good pose. So where an arm has jumped, tracking begins again behind the jump and goes
-back until both ways are one; the poses that are alive either way are compared in each frame, and the path through
-them that explains the masks best without jumping is the clip's. What else is likely stays as a rival.
+Forwards, a lost arm stays lost until the masks show it clearly, although it could have been seen some frames before. So
+tracking begins again after the jump and goes backwards, until both directions agree. In each frame the candidates of
+both directions are compared; the path through them that explains the masks best without jumping becomes the motion
+(Viterbi). Other likely poses stay as rivals.
 """
 
 from __future__ import annotations
@@ -39,13 +39,19 @@ _ENDS = ("left_elbow", "left_wrist", "right_elbow", "right_wrist")
 
 @dataclass(frozen=True)
 class BackwardPassSettings:
-    """When and how it is looked back. Frames are those of 25 frames/s; at more they are more. jump: m, by which an
-    elbow or a wrist must leave its straight line from one frame to the next; after: frames behind a jump at which
-    tracking backwards begins; met, met_frames: m, how near all arms must be for so many frames, for both ways to be
-    one; longest: frames that are looked at from one jump; apart: m, nearer arms are one pose; softness: mismatch per
-    unit of log-likelihood; motion: mismatch per mean square of a step in large steps (three usual motions).
+    """Settings of the backward pass. Frame counts hold at 25 frames/s and grow with the frame rate.
 
-    Chosen on scenes (walk, box, run, combo) of the seeds 500 to 507."""
+    jump: displacement by which an elbow or wrist must leave its straight line between two frames to count as a jump, m.
+    after: frames after a jump at which backward tracking begins.
+    met: distance of the farthest elbow or wrist below which both directions agree, m.
+    met_frames: frames for which they must agree to end.
+    longest: most frames to go back from one jump.
+    apart: arms nearer than this are one pose, m.
+    softness: mismatch per unit of log-likelihood.
+    motion: mismatch per mean squared step, in units of three usual steps.
+
+    Chosen on synthetic scenes (walk, box, run, combo) with the seeds 500 to 507.
+    """
 
     jump: float = 0.1
     after: int = 2
@@ -59,8 +65,13 @@ class BackwardPassSettings:
 
 @dataclass(frozen=True)
 class _Seen:
-    """One frame and its candidate poses. prepared, last: the frame and the one before; poses (N, D): alive either way,
-    best first; costs (N,): their mismatches."""
+    """One frame and its candidate poses.
+
+    prepared: evidence of the frame.
+    last: the frame before.
+    poses: (N, D) candidates of both directions, best first.
+    costs: (N,) their mismatches.
+    """
 
     prepared: PreparedFrame
     last: Frame | None
@@ -77,9 +88,14 @@ def backward_pass(
     settings: BackwardPassSettings | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> tuple[list[FrameEstimate], int]:
-    """The estimates of frames 0, 1, ... with those replaced for which the later frames give a better one, and in how
-    many an arm has moved. memory: what has been remembered of the person; progress(done, total):
-    frames."""
+    """Track backwards from each jump of an arm, and replace estimates for which the later frames give a better pose.
+
+    estimates: of the frames 0, 1, ...
+    frames: reads a range of frames.
+    memory: what the recipe has learned about the person.
+    progress: called with frames done, total.
+    Returns: the estimates, and the number of frames in which an arm moved.
+    """
     o, out = settings or BackwardPassSettings(), list(estimates)
     if not tracker.recipe.rivals or tracker.settings.evidence not in ("silhouettes", "both") or len(out) < 3:
         return out, 0
@@ -107,7 +123,7 @@ def backward_pass(
 
 
 def backward_pass_notes(moved: int) -> tuple[str, ...]:
-    """A sentence for the user; none where nothing was."""
+    """Return a sentence for the user; none where no arm moved."""
     return (f"arms were found elsewhere in {moved} frames by tracking backwards",) if moved else ()
 
 
@@ -116,17 +132,17 @@ def _known(estimate: FrameEstimate) -> bool:
 
 
 def _arms(body: Body, poses: Array) -> Array:
-    """(N, 4, 3) m: elbows and wrists."""
+    """Compute the positions (N, 4, 3) m of elbows and wrists."""
     return body.joints(poses)[:, [body.skeleton.joint(n) for n in _ENDS]]
 
 
 def _farthest(a: Array, b: Array) -> Array:
-    """(...,) m: by how much the farthest of ends (..., E, 3) is off the other's."""
+    """Compute the largest distance (...,) m between corresponding points (..., E, 3)."""
     return np.linalg.norm(a - b, axis=-1).max(-1)
 
 
 def _jumps(body: Body, estimates: Sequence[FrameEstimate], least: float) -> NDArray[np.bool_]:
-    """(T,) an arm leaves its straight line in this frame, or has just left it."""
+    """Find the frames (T,) in which an arm leaves its straight line, and the frame after each."""
     ends = _arms(body, np.stack([e.pose for e in estimates]))
     off = _farthest(ends[2:] - ends[1:-1], ends[1:-1] - ends[:-2]) > least
     known = np.array([_known(e) for e in estimates])
@@ -146,7 +162,10 @@ def _looked_back(
     memory: Memory | None,
     o: BackwardPassSettings,
 ) -> list[_Seen]:
-    """Evidence of frame `stop` and those before it, last first, until both ways are one."""
+    """Track backwards from frame `stop` until both directions agree.
+
+    Returns: evidence and candidates of each frame, last frame first.
+    """
     out, met, pace = list[_Seen](), 0, pace_of(tracker)
     state = _turned(tracker, old, stop, memory)
     most = range(stop, max(-1, stop - round(o.longest * pace)), -1)
@@ -166,7 +185,7 @@ def _looked_back(
 
 
 def _evidence_ahead(frames: Iterator[tuple[Frame, Frame | None]]) -> Iterator[tuple[Frame, Frame | None]]:
-    """The same, with what tracking wants of their masks made once, by another thread."""
+    """Pass the frames on while another thread prepares the masks of the next one."""
     before = list[Frame | None]()
 
     def alone() -> Iterator[Frame]:
@@ -180,7 +199,7 @@ def _evidence_ahead(frames: Iterator[tuple[Frame, Frame | None]]) -> Iterator[tu
 
 
 def _turned(tracker: Tracker, old: Sequence[FrameEstimate], stop: int, memory: Memory | None) -> TrackerState:
-    """The state that tracking backwards has before it comes to frame `stop`."""
+    """Return the tracker state that a backward track has just before frame `stop`."""
     after = old[min(stop + 1, len(old) - 1)].pose
     state = tracker.start(after, memory)
     if stop + 2 < len(old) and all(_known(e) for e in old[stop + 1 : stop + 3]):
@@ -196,8 +215,9 @@ def _seen(
     last: Frame | None,
     o: BackwardPassSettings,
 ) -> _Seen:
-    """The poses of both estimates of a frame and their rivals, those that are much the same once, by what masks, and
-    pictures where their colours are known, say of them."""
+    """Collect the candidate poses of a frame: both estimates and their rivals, without near duplicates, best first.
+    Their cost comes from the masks, and from the colours of the pictures where known.
+    """
     s = body.skeleton
     alive = [old.pose[None], old.rivals, back.pose[None], back.rivals]
     poses = np.concatenate([p.reshape(-1, s.dof) for p in alive]).astype(np.float64)
@@ -213,7 +233,7 @@ def _seen(
 def _chosen(
     tracker: Tracker, old: Sequence[FrameEstimate], first: int, seen: Sequence[_Seen], o: BackwardPassSettings
 ) -> list[FrameEstimate]:
-    """The estimates of the frames from the first one on, along the best path that begins and ends as it was."""
+    """Return the estimates along the cheapest path through the candidates; frames before and after are fixed ends."""
     s, stop = tracker.body.skeleton, first + len(seen)
     poses, costs = [x.poses for x in seen], [x.costs / o.softness for x in seen]
     fixed = np.zeros(1)
@@ -231,11 +251,11 @@ def _chosen(
     path, weights = likeliest_path(costs, [step(a, b) for a, b in zip(poses[:-1], poses[1:], strict=True)])
     rows = zip(seen, path[before:], weights[before:], range(first, stop), strict=False)
     begun = [in_background(partial(_estimate, tracker, old[t], x, n, w)) for x, n, w, t in rows]
-    return [result() for result in reversed(begun)][::-1]  # others begin at the other end
+    return [result() for result in reversed(begun)][::-1]  # other threads begin at the other end
 
 
 def _estimate(tracker: Tracker, old: FrameEstimate, seen: _Seen, best: int, weights: Array) -> FrameEstimate:
-    """The estimate of a frame whose pose is this one of those that have been seen, of these weights (N,)."""
+    """Make the estimate of a frame from candidate number `best`; the others become rivals with weights (N,)."""
     if len(seen.poses) == 1 and np.array_equal(seen.poses[0], old.pose):
         return old
     order = [best, *(n for n in np.argsort(-weights, kind="stable").tolist() if n != best)][: tracker.recipe.rivals]

@@ -1,11 +1,11 @@
-"""A motion held against another one of the same movement: in step, in the same place, and joint by joint.
+"""Compare a motion with another motion of the same movement, joint by joint, after alignment in time and space.
 
-The other motion is resampled to our times, its clock and its place are found (or given), and the remaining difference
-is split into a constant offset of every joint - two programs rarely mean the same point by a hip - and an error.
-Offsets are constant in the segment that carries the joint, so that they turn with the person.
+The other motion is resampled at our times; its clock offset and its rigid placement are estimated (or given). The
+remaining difference is split into a constant offset of each joint (two programs rarely mean the same point by a hip)
+and an error. Offsets are constant in the segment that carries the joint, so they turn with the person.
 
-Sources: the rigid alignment is Umeyama's (1991) in iterated reweighting; limits of agreement are Bland and Altman's
-(1986): mean +- 1.96 standard deviations of the difference.
+Sources: rigid alignment of Umeyama (1991), iteratively reweighted; limits of agreement of Bland and Altman (1986): mean
+    +- 1.96 standard deviations of the difference.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ from hypose.pipeline.track_options import CompareOptions
 from hypose.synthetic.metrics import carriers, coverage, joint_errors, population_offsets
 
 # ---- compared files ------------------------------------------------------------------------------------------------
-# Motions of any program to compare with: results of hypose, C3D, TRC, and MOT or STO of OpenSim, as points and angles
-# by hypose's names.
+# Read motions of other programs: results of hypose, C3D, TRC, and MOT or STO of OpenSim, as points and angles with
+# hypose's names.
 #
 # Points that are named like joints (RKnee, left_knee, LKJC) are those joints. Two markers on either side of a joint are
 # its centre (r_knee_study and r_mknee_study of OpenCap's and Pose2Sim's augmenter; others by `joint=marker+marker`).
@@ -46,8 +46,13 @@ _CENTRES = {"s": "shoulder", "e": "elbow", "w": "wrist", "h": "hip", "k": "knee"
 
 @dataclass(frozen=True)
 class OtherMotion:
-    """times (T,) s; points by joint name (T, 3) m, NaN where not seen; angles by OpenSim's name (T,) rad, or m; notes:
-    sentences on what was left out."""
+    """Motion read from a file of any program, to compare with.
+
+    times: (T,) s.
+    points: (T, 3) m by joint name, NaN where not seen.
+    angles: (T,) rad or m by OpenSim's name.
+    notes: sentences on what was left out.
+    """
 
     path: Path
     times: Array
@@ -61,9 +66,10 @@ def read_other(
 ) -> OtherMotion:
     """Read another motion to compare with: results of hypose, .c3d, .trc, .mot or .sto.
 
-    joints: marker names by joint name; their mean is the joint. For markers whose names are not known.
-    subject: the person to read, where a file names points SUBJECT:POINT.
-    An InputError when no joint or angle is known, or when it is not clear which person is meant."""
+    joints: marker names by joint name, for markers whose names are not known; the mean of the markers is the joint.
+    subject: person to read, where the file names points SUBJECT:POINT.
+    Raises: InputError where no joint or angle is known, or where it is not clear which person is meant.
+    """
     ending = path.suffix.lower()
     if path.is_dir() or ending == ".npz":
         motion = load_result(path)
@@ -90,7 +96,7 @@ def read_other(
 
 
 def angles_of(motion: Motion) -> dict[str, Array]:
-    """Joint angles (T,) rad, or m, by OpenSim's name; none when the motion holds joint positions only."""
+    """Compute the joint angles (T,) rad (positions m) by OpenSim's name; empty where the motion has no poses."""
     if motion.poses is None:
         return {}
     names, values = joint_angles(motion.skeleton, motion.poses)
@@ -98,7 +104,7 @@ def angles_of(motion: Motion) -> dict[str, Array]:
 
 
 def _of_subject(path: Path, names: tuple[str, ...], subject: str | None) -> tuple[tuple[str, ...], list[int]]:
-    """The point names of one person, or of a file without persons, without the person's prefix, and their indices."""
+    """Select the point names of one person, without the person's prefix, and their indices."""
     whose = {i: n.split(":")[0].strip() for i, n in enumerate(names) if ":" in n and not n.startswith("*")}
     people = list(dict.fromkeys(whose.values()))
     if subject is not None and subject not in people:
@@ -122,7 +128,7 @@ def _joints_of(path: Path, names: tuple[str, ...], points: Array, given: Mapping
             raise InputError(f"{path} has no marker {missing[0]!r}; it has {shown}.")
         out[joint] = np.mean([points[:, column[m]] for m in markers], 0)
     for side, letter in (("left", "l"), ("right", "r")):
-        for part in ("knee", "ankle"):  # the augmenter's: the outer and the inner side
+        for part in ("knee", "ankle"):  # names of the augmenter: outer and inner side
             pair = [_lower(column, f"{letter}_{m}{part}_study") for m in ("", "m")]
             if f"{side}_{part}" not in out and None not in pair:
                 out[f"{side}_{part}"] = 0.5 * (points[:, pair[0]] + points[:, pair[1]])
@@ -144,7 +150,7 @@ def _lower(column: Mapping[str, int], name: str) -> int | None:
 
 
 def _joint_name(name: str) -> str | None:
-    """The joint that a point is named after; None for other markers."""
+    """Return the joint that a point is named after; None for other markers."""
     bare = name.split(":")[-1].strip()
     centre = re.fullmatch(r"([LR])([SEWHKA])JC(_study)?", bare, re.IGNORECASE)
     if centre:
@@ -160,11 +166,18 @@ _BONES = (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "
 
 @dataclass(frozen=True)
 class Agreement:
-    """Of one joint (mm) or angle (degrees; mm for positions). n: frames. median, p95, rmse: of the distance (angles:
-    absolute difference). offset: length of the constant part; median_left, p95_left, rmse_left: without it. bias, low,
-    high: mean difference (other - ours) and limits of agreement per axis (1 for angles, 3 for joints), without rigid
-    motion but with the offset. r: Pearson's correlation per axis. covered: share of frames in which the other lies in
-    our region of each of LEVELS, after the offset; NaN where we state none."""
+    """Agreement of one joint (mm) or one angle (degrees; mm for positions) between both motions.
+
+    n: number of frames.
+    median, p95, rmse: of the distance; for angles of the absolute difference.
+    offset: length of the constant part.
+    median_left, p95_left, rmse_left: the same without the constant part.
+    bias, low, high: mean difference (other - ours) and limits of agreement per axis (1 for angles, 3 for joints), after
+        the rigid alignment, with the constant part.
+    r: Pearson's correlation per axis.
+    covered: share of frames in which the other lies in our confidence region, per level of SETTINGS.compare_levels,
+        after the constant part; NaN where we have no region.
+    """
 
     name: str
     unit: str
@@ -185,8 +198,15 @@ class Agreement:
 
 @dataclass(frozen=True)
 class Comparison:
-    """offset: s that were added to the other's times. ours_from_other: (4, 4). joints, angles: agreements, and errors:
-    distance (T, J) mm after the offsets, NaN where not compared, at our `times`."""
+    """Result of a comparison.
+
+    times: (T,) our times, s.
+    offset: seconds that were added to the other's times.
+    ours_from_other: (4, 4) rigid transform.
+    joints, angles: agreements.
+    errors: (T, J) distances after the offsets, mm; NaN where not compared.
+    notes: sentences for the user.
+    """
 
     times: Array
     offset: float
@@ -198,13 +218,16 @@ class Comparison:
 
     @property
     def left_mm(self) -> tuple[float, float, float]:
-        """Median, 95th percentile and RMSE of all joints together, without offsets; NaN without joints."""
+        """Median, 95th percentile and RMSE of all joints together without offsets, mm; NaN without joints."""
         found = self.errors[np.isfinite(self.errors)]
         return _spread(found) if len(found) else (float("nan"), float("nan"), float("nan"))
 
 
 def compare_motions(ours: Motion, other: OtherMotion, options: CompareOptions | None = None) -> Comparison:
-    """Ours against the other's points and angles. An InputError when they have nothing in common."""
+    """Compare our motion with the points and angles of another.
+
+    Raises: InputError where both have no joint, angle or time in common.
+    """
     o = options or CompareOptions()
     notes = list(other.notes)
     other = _in_metres(ours, _without_sentinels(other, notes), notes)
@@ -260,8 +283,9 @@ def compare_motions(ours: Motion, other: OtherMotion, options: CompareOptions | 
 
 
 def resampled(times: Array, points: Array, at: Array) -> Array:
-    """Points (T, ..., D) at other times (S, ..., D): linear between neighbours that are seen and close in time, NaN
-    elsewhere."""
+    """Interpolate points (T, ..., D) linearly at other times (S, ..., D); NaN where the neighbours are not seen or too
+    far apart in time.
+    """
     p = np.asarray(points, dtype=np.float64)
     after = np.clip(np.searchsorted(times, at), 1, max(1, len(times) - 1))
     if len(times) < 2:
@@ -273,13 +297,13 @@ def resampled(times: Array, points: Array, at: Array) -> Array:
     near = (t1 - t0 <= max(SETTINGS.compare_longest_gap, 1.5 * step)) | (share == 0) | (share == 1)
     fine = (share >= 0) & (share <= 1) & near
     w = np.clip(share, 0, 1).reshape(-1, *[1] * (p.ndim - 1))
-    # exactly on a frame, the neighbour need not be seen
+    # exactly on a frame its neighbour is not needed
     out = np.where(w <= 0, p[after - 1], np.where(w >= 1, p[after], (1 - w) * p[after - 1] + w * p[after]))
     return np.where(fine.reshape(w.shape), out, np.nan)
 
 
 def _rigid(source: Array, target: Array) -> Array:
-    """(4, 4) that takes source (T, J, 3) onto target where both are seen; far points count less."""
+    """Estimate the rigid transform (4, 4) from source (T, J, 3) to target where both are seen, with robust weights."""
     both = np.asarray(np.isfinite(source).all(-1) & np.isfinite(target).all(-1))
     if both.sum() < 4:
         return np.eye(4)
@@ -295,8 +319,12 @@ def _rigid(source: Array, target: Array) -> Array:
 
 
 def _unlike(mine: Array, moved: Array, o: CompareOptions, name: str) -> list[str]:
-    """A sentence when the joints (T, J, 3) m of both do not move alike side by side: wherever people go, one
-    place and time never make another movement explain ours."""
+    """Return a sentence where both motions do not have the same joint movements; none where they do.
+
+    mine, moved: (T, J, 3) joints of both, m.
+
+    Only joints relative to each other are compared. Why: people who walk to the same places would seem to move alike.
+    """
     seen = np.isfinite(mine).all(-1) & np.isfinite(moved).all(-1)
     seen &= (seen.sum(1) >= SETTINGS.compare_least_joints)[:, None]
     if seen.any(1).sum() < SETTINGS.compare_least_frames:
@@ -318,8 +346,8 @@ def _unlike(mine: Array, moved: Array, o: CompareOptions, name: str) -> list[str
     )
     worlds = "" if o.align else ", or has another frame of reference (leave out --no-align)"
     return [
-        f"{tried} do the joints of {name} move as ours do: beside each other they move by {1000 * moves:.0f} mm, and "
-        f"{1000 * left:.0f} mm are left. It is hardly the same movement, or exchanges left and right{worlds}; the "
+        f"{tried} do the joints of {name} move as ours do: relative to each other they move by {1000 * moves:.0f} mm, "
+        f"and {1000 * left:.0f} mm are left. It is hardly the same movement, or exchanges left and right{worlds}; the "
         "figures say nothing of accuracy."
     ]
 
@@ -333,8 +361,10 @@ def _offset(
     their_angles: Array | None,
     align: bool,
 ) -> tuple[float, float]:
-    """Find the seconds to add to their times, where joints and angles agree best, constant offsets aside, and the cost
-    there."""
+    """Find the seconds to add to their times, at which joints and angles agree best apart from constant offsets.
+
+    Returns: the seconds, and the cost there.
+    """
 
     def cost(offset: float) -> float:
         at = times - offset
@@ -359,7 +389,7 @@ def _offset(
         return value / max(1, count)
 
     with np.errstate(all="ignore"), warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # medians of points never seen
+        warnings.simplefilter("ignore", RuntimeWarning)  # medians of points that are never seen
         step = _frame(times)
         same = times[0] - their_times[0]  # both began together
         lags = np.arange(-SETTINGS.compare_most_lag, SETTINGS.compare_most_lag + step, 2 * step)
@@ -371,24 +401,24 @@ def _offset(
         near = best + step * np.linspace(-1.5, 1.5, 13)
         squares = np.array([cost(lag) for lag in near]) ** 2
         if np.isfinite(squares).all():
-            # of a parabola: between frames interpolation averages noise away, which draws the minimum itself there
+            # minimum of a parabola: interpolation between frames reduces noise, which would attract the minimum itself
             curve = np.polyfit(near - best, squares, 2)
             vertex = -curve[1] / (2 * curve[0]) if curve[0] > 0 else np.inf
             best += float(vertex) if abs(vertex) <= 1.5 * step else float(near[squares.argmin()] - best)
         plain = min((c for c in (cost(0.0), cost(same)) if np.isfinite(c)), default=np.inf)
-    # a movement that hardly moves says nothing about time
+    # a person who hardly moves does not determine the time
     if plain <= 1.1 * cost(best):
         best = 0.0 if cost(0.0) <= 1.1 * cost(best) else same
     return best, cost(best)
 
 
 def _frame(times: Array) -> float:
-    """The duration of a frame in s."""
+    """Return the duration of a frame, s."""
     return max(float(np.median(np.diff(times))), 1 / 120) if len(times) > 1 else 0.02
 
 
 def _without_sentinels(other: OtherMotion, notes: list[str]) -> OtherMotion:
-    """Drop positions that stand for "not seen": the same three numbers, to the last digit, in many frames."""
+    """Set positions to NaN that stand for "not seen": the same three numbers, to the last digit, in many frames."""
     points, dropped = dict(other.points), list[str]()
     for name, p in other.points.items():
         _, which, count = np.unique(p, axis=0, return_inverse=True, return_counts=True, equal_nan=True)
@@ -405,7 +435,7 @@ def _without_sentinels(other: OtherMotion, notes: list[str]) -> OtherMotion:
 
 
 def _in_metres(ours: Motion, other: OtherMotion, notes: list[str]) -> OtherMotion:
-    """Rescale the other's points where its bones are as much too long or too short as a wrong unit makes them."""
+    """Rescale the other's points where its bones show that they are in a wrong unit."""
     bones = [(f"{side}_{a}", f"{side}_{b}") for side in ("left", "right") for a, b in _BONES]
     ratios = []
     with warnings.catch_warnings():
@@ -429,7 +459,7 @@ def _in_metres(ours: Motion, other: OtherMotion, notes: list[str]) -> OtherMotio
 
 
 def _joints(ours: Motion, names: list[str], index: list[int], mine: Array, moved: Array) -> tuple[tuple, Array]:
-    """Agreements of all joints, and the distances (T, J) mm that offsets leave."""
+    """Compute the agreement of each joint, and the distances (T, J) mm without the constant offsets."""
     difference = moved - mine
     seen = np.asarray(np.isfinite(difference).all(-1))
     difference = np.where(seen[..., None], difference, np.nan)
@@ -458,7 +488,9 @@ def _joints(ours: Motion, names: list[str], index: list[int], mine: Array, moved
 
 
 def _segment_axes(ours: Motion, index: list[int]) -> Array:
-    """(T, J, 3, 3) world_from_segment of what carries each joint; the world's axes where there are no poses."""
+    """Compute the rotation (T, J, 3, 3) world_from_segment of the segment that carries each joint; identity where the
+    motion has no poses.
+    """
     skeleton = ours.skeleton
     if ours.poses is None or tuple(skeleton.joint_names) != tuple(JOINT_NAMES):
         return np.broadcast_to(np.eye(3), (len(ours), len(index), 3, 3))
@@ -479,7 +511,7 @@ def _covered(ours: Motion, index: list[int], mine: Array, theirs: Array) -> tupl
 
 
 def _angle(name: str, mine: Array, theirs: Array) -> Agreement | None:
-    """None when there are fewer than three frames in common."""
+    """Compute the agreement of one angle; None with fewer than three frames in common."""
     scale, unit = (1000.0, "mm") if is_length(name) else (180 / np.pi, "deg")
     d = scale * (theirs - mine)
     if unit == "deg":
@@ -525,7 +557,7 @@ def _agreement(
 
 
 def _spread(values: Array) -> tuple[float, float, float]:
-    """Median, 95th percentile, root mean square."""
+    """Compute median, 95th percentile and root mean square."""
     return float(np.median(values)), float(np.percentile(values, 95)), float(np.sqrt((values**2).mean()))
 
 
@@ -534,7 +566,7 @@ def _spread(values: Array) -> tuple[float, float, float]:
 
 
 _MAX_BYTES = 1 << 30
-"""that a truth.npz may unpack to."""
+"""Largest unpacked size of a truth.npz."""
 NOTE = (
     "The truth is another body (its shape does not come from the tracker's), so joint definitions are aligned once by "
     "fixed offsets, measured between the mean bodies and not on this recording."
@@ -543,8 +575,15 @@ NOTE = (
 
 @dataclass(frozen=True)
 class Truth:
-    """What a synthetic recording knows: distances (T, K) m between true and found joints, their names (K), and the true
-    pelvis path (T, 3) m; joints (T, J, 3) m, world, and their parents (J), when there are more than the pelvis."""
+    """Comparison of a tracked motion with the true motion of a synthetic recording.
+
+    distances: (T, K) distances between true and tracked joints, m.
+    names: (K) names of the joints.
+    pelvis: (T, 3) true path of the pelvis, m.
+    note: how the distances were measured.
+    joints: (T, J, 3) true joints, m, world; None: only the pelvis is known.
+    parents: (J) parents of these joints.
+    """
 
     distances: Array
     names: tuple[str, ...]
@@ -555,17 +594,20 @@ class Truth:
 
     @property
     def mean_mm(self) -> float:
-        """Mean over frames and joints, mm."""
+        """Mean distance over frames and joints, mm."""
         return float(np.nanmean(self.distances)) * 1000
 
 
 def compare_with(path: str | Path, first: int = 0) -> Callable[[Motion, Body], Truth]:
-    """A function that measures a motion, whose row 0 is frame `first`, against the truth in a truth.npz."""
+    """Make a function that compares a motion, whose row 0 is frame `first`, with the truth in a truth.npz."""
     return lambda motion, body: compare_with_truth(path, motion, first)
 
 
 def compare_with_truth(path: str | Path, motion: Motion, first: int = 0) -> Truth:
-    """A motion, whose row 0 is frame `first`, against the truth in a truth.npz."""
+    """Compare a motion, whose row 0 is frame `first`, with the truth in a truth.npz.
+
+    Raises: InputError where the file is no truth of hypose, or the motion has no poses.
+    """
     path = Path(path)
     step = "make the recording again"
     data = load_archive(path, "truth", step, ("joints", "stature"), _MAX_BYTES)

@@ -1,4 +1,6 @@
-"""Key points of a recording's videos by a detector, one file per frame and view, and masks where it gives them."""
+"""Detect key points in the videos of a recording, one file per frame and view, and masks where the
+detector gives them.
+"""
 
 from __future__ import annotations
 
@@ -28,8 +30,9 @@ from hypose.io.videos.video import open_video
 
 
 def wants_detector(recording: Recording) -> bool:
-    """Whether a recording has pictures of several cameras and nothing that tells the person in them: neither key
-    points, masks, a picture of the empty room nor depth."""
+    """Return whether a recording needs a detector: several cameras with pictures, and no key points, masks, background
+    or depth.
+    """
     views = recording.views
     reported = any(v.keypoints or v.masks or v.background or v.depth for v in views)
     return len(views) > 1 and not reported and all(v.source is not None for v in views)
@@ -44,13 +47,18 @@ def detect_keypoints(
     frames: range | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> DetectedKeypoints:
-    """Look at frames (default: all) of every view and write folder/VIEW/VIEW_FRAME_keypoints.json, in pixels of the
-    calibrated cameras, and folder/VIEW/masks/FRAME.png, undistorted; returns what was written, complete.
+    """Detect key points in every view of a recording and write them to a folder.
 
-    resume: frames that have a file are not looked at again. progress(done, total) is called after every picture;
-    raising KeyboardInterrupt in it stops the run with its files kept. An InputError when a view has no pictures, or
-    the folder holds something else, or, with resume, another detector's points; an EvidenceError when no person was
-    found in any picture."""
+    Files: folder/VIEW/VIEW_FRAME_keypoints.json in pixels of the calibrated cameras, and, where the detector gives
+        masks, folder/VIEW/masks/FRAME.png, undistorted.
+    resume: skip frames that have a file.
+    frames: frames to detect; default: all.
+    progress: called with done, total after every picture; raising KeyboardInterrupt in it stops the run and keeps its
+        files.
+    Returns: description of what was written.
+    Raises: InputError where a view has no pictures, or the folder holds other files, or, with resume, another
+        detector's points; EvidenceError where no person was found in any picture.
+    """
     for view in recording.views:
         if view.source is None:
             raise InputError(
@@ -69,7 +77,7 @@ def detect_keypoints(
         ]
         for lane in lanes:
             stack.callback(lane.close)
-        # the user's own detector may know one thread only
+        # the user's own detector may not be thread-safe
         pool = stack.enter_context(ThreadPoolExecutor(default_threads() if detector.gives_masks else 1))
         for frame in wanted:
             for found in [pool.submit(lane.look, frame) for lane in lanes]:
@@ -88,7 +96,7 @@ def detect_keypoints(
 
 
 class _Lane:
-    """The pictures of one view, looked at in their order."""
+    """Pictures of one view, detected one after the other."""
 
     def __init__(
         self, work: DetectedKeypoints, detector: PoseDetector, view: ViewSettings, camera: Camera, small: Camera
@@ -106,7 +114,7 @@ class _Lane:
         self._places = places_in_stored(camera, small.size, view.image_shift, self._reader.size)
 
     def look(self, frame: int) -> bool:
-        """Look at a frame, unless its files are there; whether a person is seen."""
+        """Detect key points in a frame, unless its files exist; return whether a person is seen."""
         name, work = self._view.name, self._work
         path = work.file(name, frame)
         if path.exists() and (not work.with_masks or work.mask(name, frame).exists()):
@@ -134,12 +142,12 @@ class _Lane:
 
 
 def _people(path: Path) -> list[dict[str, list[float]]]:
-    """The people in a file that was written here."""
+    """Read the people in a file that was written here."""
     return read_json(path, "key points of a frame")["people"]
 
 
 def _crops(path: Path) -> list[Crop]:
-    """Where the people of a frame are expected in the next one."""
+    """Read the image regions in which the people of a frame are expected in the next one."""
     if not path.exists():
         return []
     numbers = [np.array(p["following"]) for p in _people(path) if "following" in p]
@@ -147,7 +155,7 @@ def _crops(path: Path) -> list[Crop]:
 
 
 def _make_room(work: DetectedKeypoints, resume: bool) -> DetectedKeypoints:
-    """An own folder, empty or with the same detector's points, whose frames are added."""
+    """Prepare the output folder: empty, or with points of the same detector, to which frames are added."""
     if work.folder.is_file():
         raise InputError(f"{work.folder} is a file; give a folder with --out.")
     before = load_detected(work.folder)
@@ -157,7 +165,7 @@ def _make_room(work: DetectedKeypoints, resume: bool) -> DetectedKeypoints:
         if (before.keypoint_set, dict(before.identity)) != (work.keypoint_set, dict(work.identity)):
             raise InputError(
                 f"The key points in {work.folder} are those of another model, version or setting; run without --resume "
-                "to detect anew, or give another folder with --out."
+                "to detect again, or give another folder with --out."
             )
     elif before is not None:
         for path in (*work.folder.glob("*/*_keypoints.json"), *work.folder.glob(f"*/{MASKS}/*.png")):
@@ -167,13 +175,15 @@ def _make_room(work: DetectedKeypoints, resume: bool) -> DetectedKeypoints:
 
 
 def _calibrated(people: Array, size: tuple[int, int], camera: Camera, view: ViewSettings) -> Array:
-    """People (P, K, 3) in a stored picture of a size (width, height) -> pixels of the calibrated camera."""
+    """Convert people (P, K, 3) from pixels of a stored picture of a size (width, height) to pixels of the calibrated
+    camera.
+    """
     out = np.array(people, dtype=np.float64)
     if not out.size:
         return out
     scale = np.array(camera.size) / np.array(size)
     moved = (out[..., :2] + 0.5) * scale - 0.5 + view.image_shift
-    # OpenPose's files say "missing" with (0, 0): a point that happens to lie there would be lost
+    # (0, 0) means "missing" in files of OpenPose: move a real point that lies there
     moved[(moved == 0).all(-1)] = 1e-3
     out[..., :2] = np.where(out[..., 2:] > 0, moved, 0.0)
     return out

@@ -1,4 +1,4 @@
-"""Who is in the recording and how they stand in the first frame: the subject's body and the start pose."""
+"""Find the subject of a recording: the body, and the start pose in the first frame."""
 
 from __future__ import annotations
 
@@ -37,9 +37,15 @@ GIVEN = "the subject's body is given"
 
 @dataclass(frozen=True)
 class TrackedSubject:
-    """body; where key points sit on it (None without key points); the start pose (D,) in the first frame; how it was
-    found, in words; the other poses that the start allows, where one camera leaves several; unsure: that of
-    `Starts` (None: not known)."""
+    """Person who is tracked: body and start pose.
+
+    body: the body.
+    keypoints: positions of key points on the body; None without key points.
+    start: (D,) pose in the first frame.
+    notes: sentences on how it was found.
+    rivals: other possible start poses, where one camera leaves several.
+    unsure: (2, J) probability that a joint is elsewhere at the start, see `Starts`; None: not known.
+    """
 
     body: Body
     keypoints: KeypointModel | None
@@ -51,10 +57,18 @@ class TrackedSubject:
 
 @dataclass(frozen=True)
 class SubjectOptions:
-    """start: 'auto', 'keypoints', 'hull' or a known pose's name. height: m, None = from key points or the hull.
-    girths: fit those of a body from key points to the silhouettes. body: the template, or with `known` the subject's
-    own body, of which only the start pose is looked for. frame_rate: Hz. seed. shared, tried: as for `best_ways`, the
-    masks show others as well, and starts that may be right."""
+    """Options of finding the subject.
+
+    start: 'auto', 'keypoints', 'hull' or the name of a known pose.
+    height: m; None: from key points or the visual hull.
+    girths: fit girths to the silhouettes where the body comes from key points.
+    body: the template; with `known` the subject's own body.
+    frame_rate: Hz.
+    seed: of random numbers.
+    known: the body is kept, and only the start pose is searched.
+    shared: the masks also show other people, see `best_ways`.
+    tried: frame numbers and starts that may be right, see `best_ways`.
+    """
 
     start: str = "auto"
     height: float | None = None
@@ -73,10 +87,12 @@ class SubjectOptions:
 
 
 def find_subject(frame_at: _FrameAt, n_frames: int, options: SubjectOptions) -> TrackedSubject:
-    """Subject and start pose from the frames of a recording.
+    """Find body and start pose of the subject from the frames of a recording.
 
-    With key points: lengths and start from their robust triangulation, girths from the silhouettes. Without: start from
-    the known poses at the hull, then lengths, girths and clothes from the silhouettes of the first three seconds.
+    With key points: lengths and start from their robust triangulation, girths from the silhouettes.
+    Without: start in a known pose at the visual hull; then lengths, girths and clothes from the silhouettes of the
+        first seconds.
+    Raises: InputError where the start 'keypoints' has no key points; EvidenceError where no start is found.
     """
     template = options.body or human()
     sampled = np.unique(np.linspace(0, n_frames - 1, min(n_frames, 40)).astype(int))
@@ -115,7 +131,7 @@ def find_subject(frame_at: _FrameAt, n_frames: int, options: SubjectOptions) -> 
 def _by_points(
     template: Body, frame_at: _FrameAt, sampled: np.ndarray, n_frames: int, options: SubjectOptions
 ) -> TrackedSubject:
-    """The subject by key points, which also say where it stands; a body that is known stays as it is."""
+    """Find the subject by key points, which also give the start pose; a known body is not changed."""
     seen = [f for f in map(frame_at, sampled.tolist()) for _ in f.of(Keypoints)]
     if not seen:
         raise EvidenceError("No frame has key points to start from; use the start 'hull'.")
@@ -131,7 +147,7 @@ def _by_points(
             shaped = with_outlines(fitted, seen)
             body, note = shaped or (body, "girths of the template: no frame has a usable silhouette of the person")
             notes.append(note)
-    # where they sit on the body as it is now, for landmarks on the skin move with its girths
+    # positions on the final body, since landmarks on the skin move with its girths
     model = calibrate_keypoints(body, keypoint_model(body, keypoints[0].names), keypoints, poses)
     model = weigh_against_masks(body, model, seen)
     assert model.sd is not None
@@ -145,11 +161,14 @@ def _by_points(
 
 
 def first_start(body: Body, model: KeypointModel, frame_at: _FrameAt, last: int) -> tuple[Array, int]:
-    """The pose in the first of the frames before `last` whose key points can be triangulated, and its number; it stands
-    for the frames before it, which lie within a second.
+    """Find the start pose by key points: solve the frame before `last` whose views agree best, and track back from
+    there.
 
-    It is looked for in the frame whose views agree best, for in a single frame nothing tells that a detector has
-    exchanged the sides in half of the views, and is followed back from there."""
+    Returns: pose (D,) in the first frame that can be solved, and the number of that frame.
+    Raises: EvidenceError where no frame can be solved.
+
+    Why not the first frame: a single frame does not show that a detector exchanged left and right in half of the views.
+    """
     frames = [(i, k) for i in range(last) for k in frame_at(i).of(Keypoints)]
     error: EvidenceError | None = None
     for n in _agreeing([k for _, k in frames], model):
@@ -165,8 +184,9 @@ def first_start(body: Body, model: KeypointModel, frame_at: _FrameAt, last: int)
 
 
 def _agreeing(frames: Sequence[Keypoints], model: KeypointModel) -> list[int]:
-    """The numbers of frames, best first: those in which hardly fewer points than in any can be triangulated, by the
-    share of the detections that agree with each other; then the others."""
+    """Sort frame numbers, best first: by the share of detections that agree between views, among the frames with nearly
+    as many points as the best; then the others.
+    """
     if not frames:
         return []
     points, _, used = triangulate_keypoints(frames, worse=model.worse(len(frames[0].rig)))
@@ -174,7 +194,7 @@ def _agreeing(frames: Sequence[Keypoints], model: KeypointModel) -> list[int]:
     seen = np.stack([((k.points[..., 2] > MIN_CONFIDENCE) & model.known).sum() for k in frames])
     agree = (used * model.known).sum(1) / np.maximum(seen, 1)
     many = count >= SETTINGS.first_as_many * count.max()
-    # the first is kept unless another is clearly better: less is to be followed back
+    # an early frame is kept unless another is clearly better: fewer frames are tracked backwards
     steps = np.ceil((agree[many].max(initial=0.0) - agree) / SETTINGS.first_as_well)
     return np.lexsort((np.arange(len(frames)), steps, ~many)).tolist()
 
@@ -182,7 +202,9 @@ def _agreeing(frames: Sequence[Keypoints], model: KeypointModel) -> list[int]:
 def _followed_back(
     body: Body, model: KeypointModel, frames: Sequence[tuple[int, Keypoints]], pose: Array
 ) -> tuple[Array, int]:
-    """The pose in the first of the frames that has enough points, from that in the last of them, and its number."""
+    """Track backwards from the last frame with `pose`; return the pose in the first frame that has enough points, and
+    its number.
+    """
     prior, at = (anatomical_prior(body.skeleton, keypoints=True),), frames[-1][0]
     options = SolveSettings(iterations=12, coarse_iterations=0)
     for i, keypoints in reversed(frames[:-1]):
@@ -198,7 +220,7 @@ _MODEL = ("joint", "offset", "known", *_OPTIONAL)
 
 
 def keep_subject(subject: TrackedSubject, results: ResultsFolder, identity: Mapping[str, Any]) -> None:
-    """Write body.npz, and subject.npz with everything else."""
+    """Write body.npz, and subject.npz with everything else, for a run that may be resumed."""
     body = results.file("body.npz")
     save_body(subject.body, body)
     arrays = {"start": subject.start}
@@ -215,7 +237,9 @@ def keep_subject(subject: TrackedSubject, results: ResultsFolder, identity: Mapp
 
 
 def kept_subject(results: ResultsFolder, identity: Mapping[str, Any]) -> TrackedSubject | None:
-    """The subject that the same run kept; None when there is none, or its body is gone or another one."""
+    """Load the subject that `keep_subject` wrote in the same run; None where there is none, or body.npz is missing or
+    changed.
+    """
     body = results.file("body.npz")
     try:
         saved = Checkpoint.load(results.file(SUBJECT), identity)

@@ -1,10 +1,9 @@
-"""Where the evidence of a clip speaks against itself: pictures that repeat, jump or disagree with the other views, or
-show another person as well.
+"""Find frames whose evidence contradicts itself: pictures that repeat, jump, disagree with other views or show others.
 
-A tracker explains whatever it is shown: frames that come twice, a camera that lags, a gap in the recording all give
-poses that fit their masks well enough. What gives them away is how masks change from frame to frame, how well the body
-overlaps one view, compared with the others, and what lies apart from it in them. Those frames are marked, and it is
-said why; nothing is corrected."""
+A tracker fits whatever masks it gets: repeated frames, a late camera and a gap in the recording all give poses with a
+good fit. They show in the change of the masks between frames, in the overlap of the body with one view compared with
+the others, and in mask parts that the body does not touch. These frames are marked with a reason; nothing is corrected.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +19,7 @@ from hypose.body.motion import Motion
 from hypose.body.skeleton import Skeleton
 from hypose.calibration.findings import INVALID, REVIEW, Finding
 from hypose.compute.parts import projected, touched_area
-from hypose.evidence.frame import Frame, Keypoints, Silhouettes
+from hypose.evidence.frame import Frame, Keypoints, Silhouettes, pieces_of
 from hypose.evidence.prefetch import prepared_masks
 from hypose.geometry import Array
 from hypose.pipeline.settings import SETTINGS
@@ -37,13 +36,14 @@ def looked_at(
     last: Frame | None,
     change: NDArray[np.float32] | None = None,
 ) -> FrameEstimate:
-    """The estimate of a frame with what was seen in it and its audit; last: the frame before; change: `mask_change`
-    where it is known (of the masks of several people)."""
+    """Add statistics of the views and the features of the error model to a frame's estimate.
+
+    last: frame before.
+    change: result of `mask_change`, where known from masks of several people; None: it is computed.
+    """
     seen = view_statistics(estimate, tracker.body, frame, last, change)
-    pictures = frame.silhouettes or frame.keypoints
-    if pictures is None or (
-        len(pictures.rig) == 1 and frame.depth is None
-    ):  # one camera's other poses are judged otherwise
+    views = max((len(pictures.rig) for pictures in (*frame.of(Silhouettes), *frame.of(Keypoints))), default=0)
+    if views < frame.fewest_views:  # one camera's other poses are judged otherwise
         return replace(estimate, seen=seen)
     wanted = tracker.settings.evidence
     own = replace(
@@ -52,7 +52,7 @@ def looked_at(
         keypoints=frame.keypoints if wanted != "silhouettes" else None,
     )
     rivals = estimate.rivals, estimate.rival_weights
-    # key points tell which way round the body is; that masks alone may not is no doubt then
+    # with key points an exchange of sides that masks allow is no reason for doubt
     exchanged = estimate.exchanged if own.keypoints is None else float("nan")
     audit = audit_frame(tracker.body, estimate.pose, own, tracker.keypoints_on_body, rivals, exchanged)
     return replace(estimate, seen=seen, audit=audit)
@@ -61,49 +61,58 @@ def looked_at(
 def looked_again(
     tracker: Tracker, estimate: FrameEstimate, old: FrameEstimate, frame: Frame, last: Frame | None
 ) -> FrameEstimate:
-    """`looked_at` for another estimate of a frame than the old one: how the masks change depends on neither."""
+    """Apply `looked_at` to a new estimate of a frame that has an old estimate; the mask change is taken from the old
+    one.
+    """
     return looked_at(tracker, estimate, frame, last, old.seen[:, 1] if len(old.seen) else None)
 
 
 def view_statistics(
     estimate: FrameEstimate, body: Body, frame: Frame, last: Frame | None, change: NDArray[np.float32] | None = None
 ) -> NDArray[np.float32]:
-    """(C, 3) of a tracked frame, NaN where not known: the body's overlap with each view's mask; the difference of the
-    mask from that of the frame before (XOR over the larger area; None: there is none); how much of it is another person
-    (`strangers_share`). (0, 3) without silhouettes."""
-    silhouettes, before = frame.silhouettes, None if last is None else last.silhouettes
-    if silhouettes is None:
-        return np.zeros((0, 3), np.float32)
-    out = np.full((len(silhouettes.masks), 3), np.nan, np.float32)
-    seen = (
-        frame.visible_share[: len(estimate.overlap)] >= SETTINGS.doubts_shown
-    )  # an arm's breadth among others is not significant
-    out[: len(estimate.overlap), 0] = np.where(seen, estimate.overlap, np.nan)
-    change = mask_change(frame, last) if change is None else change
-    if before is not None and change is not None:
-        out[:, 1] = change
-        if not (estimate.lost or estimate.extrapolated):
-            out[:, 2] = unexplained_share(silhouettes, before, body.skeleton, body.joints(estimate.pose))
+    """Compute three statistics (C, 3) per view of a tracked frame, NaN where not known.
+
+    Column 0: overlap of the body with the mask.
+    Column 1: change of the mask since the frame before, see `mask_change`.
+    Column 2: unexplained part of the mask, see `unexplained_share`.
+    last: frame before.
+    change: column 1 where already known.
+    Returns: (0, 3) without silhouettes.
+    """
+    out, change = np.zeros((0, 3), np.float32), mask_change(frame, last) if change is None else change
+    for silhouettes in frame.of(Silhouettes):
+        out = np.full((len(silhouettes.masks), 3), np.nan, np.float32)
+        # an arm's breadth among others is not significant
+        seen = silhouettes.visible_share[: len(estimate.overlap)] >= SETTINGS.doubts_shown
+        out[: len(estimate.overlap), 0] = np.where(seen, estimate.overlap, np.nan)
+        for before in pieces_of([last] if last else [], Silhouettes) if change is not None else ():
+            out[:, 1] = change
+            if not (estimate.lost or estimate.extrapolated):
+                out[:, 2] = unexplained_share(silhouettes, before, body.skeleton, body.joints(estimate.pose))
     return out
 
 
 def mask_change(frame: Frame, last: Frame | None) -> NDArray[np.float32] | None:
-    """(C,) difference of each view's mask from that of the frame before, XOR over the larger area, NaN where one is not
-    usable; None without silhouettes of both."""
-    silhouettes, before = frame.silhouettes, None if last is None else last.silhouettes
-    if silhouettes is None or before is None or before.masks.shape != silhouettes.masks.shape:
-        return None
-    out = np.full(len(silhouettes.masks), np.nan, np.float32)
-    now, then = prepared_masks(silhouettes), prepared_masks(before)  # packed already, for the tracker
-    for c in np.flatnonzero(silhouettes.usable & before.usable):
-        differ = int(np.bitwise_count(now.bits[c] ^ then.bits[c]).sum())
-        out[c] = differ / max(int(now.areas[c]), int(then.areas[c]), 1)
-    return out
+    """Compute how much each view's mask differs from that of the frame before: XOR over the larger area.
+
+    Returns: (C,), NaN where a mask is not usable; None without silhouettes of both frames.
+    """
+    for masks, before in zip(frame.of(Silhouettes), pieces_of([last] if last else [], Silhouettes), strict=False):
+        if before.masks.shape != masks.masks.shape:
+            continue
+        out = np.full(len(masks.masks), np.nan, np.float32)
+        now, then = prepared_masks(masks), prepared_masks(before)  # packed already, for the tracker
+        for c in np.flatnonzero(masks.usable & before.usable):
+            differ = int(np.bitwise_count(now.bits[c] ^ then.bits[c]).sum())
+            out[c] = differ / max(int(now.areas[c]), int(then.areas[c]), 1)
+        return out
+    return None
 
 
 def as_now(own: Frame, before: Frame) -> Frame | None:
-    """The frame before with the pixels ignored now: what was then may have been ignored otherwise. None without
-    silhouettes of both."""
+    """Return the frame before with the ignored pixels of `own`, so that their masks can be compared; None without
+    silhouettes of both.
+    """
     s, then = own.silhouettes, before.silhouettes
     if s is None or then is None:
         return None
@@ -111,8 +120,11 @@ def as_now(own: Frame, before: Frame) -> Frame | None:
 
 
 def with_anomalies(motion: Motion, seen: Sequence[NDArray[np.float32]]) -> tuple[Motion, list[str]]:
-    """The motion with its doubtful frames marked, and sentences that say which and why. seen: of each frame, as
-    `view_statistics` gives it."""
+    """Mark the doubtful frames of a motion as low confidence.
+
+    seen: per frame the result of `view_statistics`.
+    Returns: the motion, and sentences on which frames and why.
+    """
     if not seen or any(len(s) == 0 for s in seen):
         return motion, []
     table = np.stack(seen).astype(np.float64)
@@ -123,8 +135,10 @@ def with_anomalies(motion: Motion, seen: Sequence[NDArray[np.float32]]) -> tuple
 
 
 def with_repeated_points(motion: Motion, keypoints: Sequence[Keypoints | None]) -> tuple[Motion, list[str]]:
-    """The motion with the frames marked in which key points come twice, to the last digit, although the person moves,
-    and sentences that say which."""
+    """Mark frames whose key points repeat to the last digit although the person moves.
+
+    Returns: the motion, and sentences on which frames.
+    """
     first = next((k for k in keypoints if k is not None), None)
     if first is None or len(keypoints) < round(motion.frame_rate):
         return motion, []
@@ -144,7 +158,7 @@ def with_repeated_points(motion: Motion, keypoints: Sequence[Keypoints | None]) 
 
 
 def _marked(motion: Motion, found: Sequence[tuple[str, NDArray[np.bool_]]]) -> tuple[Motion, list[str]]:
-    """The motion with its frames marked for what was found, and sentences."""
+    """Mark frames of a motion as low confidence; `found` holds the reason and the frames (T,)."""
     marked = np.zeros(len(motion), dtype=bool) if motion.low_confidence is None else motion.low_confidence.astype(bool)
     for _, frames in found:
         marked |= frames
@@ -162,21 +176,27 @@ def find_anomalies(
     frame_rate: float,
     names: Sequence[str],
 ) -> list[tuple[str, NDArray[np.bool_]]]:
-    """Find anomalies: their names, and their frames (T,). overlap, change, others (T, C): see `view_statistics`;
-    known (T,): frames in which the person was found."""
+    """Find anomalies in the statistics of the views.
+
+    overlap, change, others: (T, C) columns of `view_statistics`.
+    known: (T,) frames in which the person was found.
+    frame_rate: Hz.
+    names: of the views.
+    Returns: description and frames (T,) of each anomaly.
+    """
     overlap, change = np.asarray(overlap, dtype=np.float64), np.asarray(change, dtype=np.float64)
     known = np.asarray(known, dtype=bool)
     if len(change) < round(frame_rate):
         return []
     same, jumps = _repeats(change, frame_rate), _jumps(change, frame_rate)
     repeated = _repeated(same, change, frame_rate, names)
-    # a gap in all cameras shows in most of them; a person who moves along a camera's line of sight hardly moves in it
+    # a gap shows in most cameras, except where the person moves along the line of sight
     views = np.maximum(np.isfinite(change).sum(1), 1)
     all_jump = (jumps.sum(1) >= np.maximum(2, 0.5 * views)) & ~_in_all(same, change)
     out = [*repeated[:1], ("time jumps", _during(all_jump, frame_rate))]
     gone = np.asarray(binary_opening(~known, np.ones(3)), dtype=bool)
-    out.append(("somebody has just been found again", _during(gone, frame_rate) & known))
-    out.append(("somebody or something else is in the masks", _strangers(others, known, frame_rate)))
+    out.append(("the person has just been found again", _during(gone, frame_rate) & known))
+    out.append(("another person or an object is in the masks", _strangers(others, known, frame_rate)))
     worse = _worse(overlap, known, frame_rate)
     for c, name in enumerate(names):
         out += [repeated[1 + c], (f"{name} disagrees with the other views", worse[:, c])]
@@ -190,15 +210,16 @@ def _numbered(count: int) -> list[str]:
 
 
 def _repeats(change: Array, frame_rate: float, still: float = SETTINGS.doubts_still) -> NDArray[np.bool_]:
-    """(T, C): the view repeats the frame before, although the person moves; where nothing else is seen for
-    longer than a second, the usual change of the clip decides."""
+    """Find frames (T, C) in which a view repeats the frame before although the person moves. Where nothing changes for
+    longer than a second, the usual change of the clip decides.
+    """
     some = np.where(change > 0, change, np.nan)
     usual, ever = _local(some, frame_rate), _local(some, len(change))
     return (change == 0) & (np.where(np.isfinite(usual), usual, ever) > still)
 
 
 def _in_all(same: NDArray[np.bool_], change: Array) -> NDArray[np.bool_]:
-    """(T,): all views that are known repeat themselves (same, change (T, C))."""
+    """Find frames (T,) in which all usable views repeat; same, change: (T, C)."""
     seen = np.isfinite(change)
     return (same.sum(1) == np.maximum(seen.sum(1), 1)) & seen.any(1)
 
@@ -206,7 +227,7 @@ def _in_all(same: NDArray[np.bool_], change: Array) -> NDArray[np.bool_]:
 def _repeated(
     same: NDArray[np.bool_], change: Array, frame_rate: float, names: Sequence[str]
 ) -> list[tuple[str, NDArray[np.bool_]]]:
-    """That all views repeat themselves, and that each does alone, and during which frames (T,)."""
+    """List the repeats in all views together, then in each view alone, with their frames (T,)."""
     everywhere = _in_all(same, change)
     out = [("all cameras repeat pictures", _during(everywhere, frame_rate))]
     for c, name in enumerate(names):
@@ -216,8 +237,9 @@ def _repeated(
 
 
 def _jumps(change: Array, frame_rate: float) -> NDArray[np.bool_]:
-    """(T, C): the mask changes far more than within a second around, and all at once: who turns from a camera's line of
-    sight moves more and more in it."""
+    """Find frames (T, C) in which a mask changes far more than within a second around, and suddenly. Why suddenly: the
+    mask of a person who turns changes gradually more.
+    """
     usual = _local(np.where(change > 0, change, np.nan), frame_rate)
     before = np.concatenate([change[:1], change[:-1]])
     sudden = ~(change < SETTINGS.doubts_sudden * before)  # the frame before may not be known
@@ -225,7 +247,7 @@ def _jumps(change: Array, frame_rate: float) -> NDArray[np.bool_]:
 
 
 def _local(values: Array, frame_rate: float) -> Array:
-    """(T, C): median of the known values within a second before and after; NaN where there is none."""
+    """Compute the median (T, C) of the known values within a second before and after; NaN where there is none."""
     half = max(1, round(frame_rate))
     out = np.full_like(values, np.nan)
     for t in range(len(values)):
@@ -236,15 +258,16 @@ def _local(values: Array, frame_rate: float) -> Array:
 
 
 def _during(at: NDArray[np.bool_], frame_rate: float) -> NDArray[np.bool_]:
-    """From the first to the last of events that lie close together, and a little after: tracking has to catch up."""
+    """Fill short gaps between events, and extend them a little, since tracking needs time to recover."""
     gap = max(1, round(SETTINGS.doubts_after_s * frame_rate))
     closed = np.asarray(binary_closing(np.pad(at, gap), np.ones(gap + 1))[gap:-gap], dtype=bool) | at
     return np.convolve(closed, np.ones(gap + 1))[: len(at)] > 0
 
 
 def _strangers(others: ArrayLike, known: NDArray[np.bool_], frame_rate: float) -> NDArray[np.bool_]:
-    """(T,): parts of the masks lie apart from the body in several views, for at least a fifth of a second; where they
-    touch it for a moment, they are still there."""
+    """Find frames (T,) in which mask parts apart from the body last for a fifth of a second in several views. Short
+    gaps, in which they touch the body, are filled.
+    """
     share = np.where(known[:, None], np.asarray(others, dtype=np.float64), np.nan)
     views = np.isfinite(share).sum(1)
     at = ((share > SETTINGS.doubts_stranger).sum(1) >= np.maximum(2, 0.5 * views)) & (views > 0)
@@ -257,8 +280,9 @@ def _strangers(others: ArrayLike, known: NDArray[np.bool_], frame_rate: float) -
 def _not_back(
     overlap: Array, doubted: NDArray[np.bool_], known: NDArray[np.bool_], frame_rate: float
 ) -> NDArray[np.bool_]:
-    """(T,): from the end of each stretch of doubtful frames as long as the overlap, over half a second, lies below that
-    of the good frames before it: whatever it was may have turned the body around, or taken an arm away."""
+    """Find frames (T,) after doubtful frames in which the overlap stays below that of the good frames before. Why: the
+    disturbance may have turned the body around or displaced an arm.
+    """
     out = np.zeros(len(known), dtype=bool)
     half = max(3, round(0.5 * frame_rate))
     seen = known & np.isfinite(overlap).any(1)
@@ -274,7 +298,9 @@ def _not_back(
 
 
 def _worse(overlap: Array, known: NDArray[np.bool_], frame_rate: float) -> NDArray[np.bool_]:
-    """(T, C): the view's overlap is far below its usual one, and not because all views' are."""
+    """Find frames (T, C) in which one view's overlap is far below its usual one while that of the other
+    views is not.
+    """
     if known.sum() < frame_rate or overlap.shape[1] < 2:
         return np.zeros(overlap.shape, dtype=bool)
     values = np.where(known[:, None], overlap, np.nan)
@@ -289,18 +315,20 @@ def _worse(overlap: Array, known: NDArray[np.bool_], frame_rate: float) -> NDArr
 
 
 def in_words(found: Sequence[range]) -> str:
-    """Runs of frames in words: 'frames 10-19, 40' of the clip, the first five."""
+    """Write ranges of frames as text, at most five: 'frames 10-19, 40'."""
     shown = [f"{r.start}-{r.stop - 1}" if len(r) > 1 else str(r.start) for r in found[:5]]
     more = f" and {len(found) - 5} more" if len(found) > 5 else ""
     return f"frame{'s' if sum(map(len, found)) > 1 else ''} {', '.join(shown)}{more}"
 
 
 def against_the_clip(audit: ArrayLike, n_views: ArrayLike, evidence: str) -> tuple[Finding, ...]:
-    """Find what speaks against a clip as a whole.
+    """Find what speaks against a clip as a whole: views that contradict each other, and masks that are larger than the
+    body.
 
-    audit: (T, J, A) features of the error model
-    n_views: (T,)
-    evidence: of the clip; with key points, which say where limbs are and which view is wrong, nothing is found
+    audit: (T, J, A) features of the error model.
+    n_views: (T,) number of views.
+    evidence: kind of evidence; only 'silhouettes' is checked. Why: key points show where limbs are and which view is
+        wrong.
     """
     if evidence != "silhouettes":
         return ()
@@ -319,16 +347,18 @@ def against_the_clip(audit: ArrayLike, n_views: ArrayLike, evidence: str) -> tup
         )
         found.append(Finding("larger masks", (), text, size=more, severity=REVIEW))
     if all(f.severity == REVIEW for f in found) and len(found) > 1:
-        # things in the masks do not set views apart; late or wrong cameras do both (seeds 600 to 617)
+        # objects in the masks do not make views disagree; late or wrong cameras cause both (seeds 600 to 617)
         return tuple(replace(f, severity=INVALID) for f in found)
     return tuple(found)
 
 
 def unexplained_share(now: Silhouettes, before: Silhouettes, skeleton: Skeleton, joints: Array) -> NDArray[np.float32]:
-    """(C,) area of the largest part of each view's mask that the body does not touch, over the area of what it touches;
-    NaN where it touches nothing, or the mask is not usable. joints (J, 3): m, world, of the tracked body.
+    """Compute per view the largest mask part that the body does not touch, relative to the area that it touches.
 
-    Only what was there in the frame before as well is looked at: noise comes and goes."""
+    now, before: masks of this frame and the one before; only pixels that are in both count, since noise changes.
+    joints: (J, 3) m, world, of the tracked body.
+    Returns: (C,); NaN where the body touches nothing or a mask is not usable.
+    """
     points = _points(skeleton, joints)
     cameras, seen, then = now.rig, prepared_masks(now), prepared_masks(before)
     step = max(1, round(int(cameras.sizes.max()) / SETTINGS.stranger_looked_at))
@@ -343,7 +373,7 @@ def unexplained_share(now: Silhouettes, before: Silhouettes, skeleton: Skeleton,
 
 
 def _points(skeleton: Skeleton, joints: Array) -> Array:
-    """(N, 3) joints, and points along the bones between them."""
+    """Return the joints and points along the bones between them, (N, 3)."""
     child = np.flatnonzero(np.asarray(skeleton.parents) >= 0)
     parent = np.asarray(skeleton.parents)[child]
     return np.concatenate(

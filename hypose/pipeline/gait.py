@@ -1,12 +1,14 @@
-"""Gait of a tracked motion: when feet strike and leave the ground, steps, cadence, speed, each with its uncertainty.
+"""Compute the gait of a tracked motion: foot strikes and lifts, steps, cadence and speed, each with an uncertainty.
 
-A foot strikes where its heel is farthest in front of the pelvis, and leaves the ground where its toe is farthest back,
-along the direction that the person faces. Uncertainties follow from the covariances of ankles and pelvis, without what
-their definitions add, which moves with the foot: of a length along its own direction; of an event's time from how
-sharply the foot turns around, with errors that are taken as correlated over CORRELATION seconds. How far the definition
-is from touching the ground is in no interval. Source: Zeni, Richards & Higginson 2008, Two simple methods for
-determining gait events during treadmill and overground walking using kinematic data. Deviation: the toe is the front of
-the sole, and the times are refined between frames by a parabola.
+A foot strikes where its heel is farthest in front of the pelvis, and leaves the ground where its toe is farthest behind
+it, along the direction that the person faces. Uncertainties come from the covariances of ankles and pelvis without
+their constant part: for a length along its own direction; for an event's time from how sharply the foot turns around,
+with errors correlated over SETTINGS.gait_correlation. The difference between this definition and real ground contact is
+not included.
+
+Source: Zeni, Richards & Higginson 2008, Two simple methods for determining gait events during treadmill and overground
+    walking using kinematic data. Deviation: the toe is the front of the sole, and times are refined between frames by a
+    parabola.
 """
 
 from __future__ import annotations
@@ -29,7 +31,14 @@ from hypose.tracking.contacts import soles_of
 
 @dataclass(frozen=True)
 class GaitEvent:
-    """time s (of the motion's times), sd s; side left or right; kind strike or off; place (3,) m of heel or toe."""
+    """Strike or lift of a foot.
+
+    time: in the motion's times, s.
+    sd: standard deviation of the time, s.
+    side: "left" or "right".
+    kind: "strike" or "off".
+    place: (3,) position of heel (strike) or toe (off), m.
+    """
 
     time: float
     sd: float
@@ -40,9 +49,15 @@ class GaitEvent:
 
 @dataclass(frozen=True)
 class GaitStep:
-    """From the other foot's strike to this one's. side: of the foot that strikes; time s of that; duration s;
-    length, width m between the heels along and across the facing direction; sds; double_support: s with both feet on
-    the ground, NaN when it is not known."""
+    """Step from the other foot's strike to this foot's strike.
+
+    side: of the foot that strikes.
+    time: of the strike, s.
+    duration: s.
+    length, width: between the heels along and across the facing direction, m.
+    duration_sd, length_sd, width_sd: standard deviations.
+    double_support: time with both feet on the ground, s; NaN where not known.
+    """
 
     side: str
     time: float
@@ -57,7 +72,12 @@ class GaitStep:
 
 @dataclass(frozen=True)
 class GaitFigure:
-    """The mean of n values, the sd between them, and the 90 % interval of the mean."""
+    """Mean of a gait parameter over all steps.
+
+    mean: mean of n values.
+    sd: standard deviation between the values.
+    low, high: 90 % interval of the mean.
+    """
 
     name: str
     unit: str
@@ -70,7 +90,7 @@ class GaitFigure:
 
 @dataclass(frozen=True)
 class Gait:
-    """Events and steps by time, and the figures of all steps."""
+    """Gait of a motion: events and steps in the order of time, and the figures of all steps."""
 
     events: tuple[GaitEvent, ...]
     steps: tuple[GaitStep, ...]
@@ -78,8 +98,11 @@ class Gait:
 
 
 def gait_of(motion: Motion, body: Body) -> Gait:
-    """The gait of a motion; no events where no person walks. Frames that are lost or predicted, or next to such, give
-    none. An InputError when the motion has no poses."""
+    """Compute the gait of a motion; empty where the person does not walk.
+
+    Lost or predicted frames, and frames next to them, give no events.
+    Raises: InputError where the motion has no poses.
+    """
     if motion.poses is None:
         raise InputError("The motion holds joint positions only, and gait needs poses; track again.")
     known = np.asarray(np.isfinite(motion.poses).all(1) & ~(motion.lost | motion.extrapolated).astype(bool))
@@ -105,7 +128,9 @@ def gait_of(motion: Motion, body: Body) -> Gait:
 
 
 def _moving(motion: Motion, joint: int) -> Array:
-    """(T, 3, 3) covariance of a joint without what does not change over the clip; at least 1 % is left."""
+    """Return the covariance (T, 3, 3) of a joint without the part that is constant over the clip; at least 1 % of that
+    part stays.
+    """
     whole = np.array(motion.joint_covariance[:, joint], dtype=np.float64)
     if motion.systematic_covariance is None:
         return whole
@@ -113,8 +138,11 @@ def _moving(motion: Motion, joint: int) -> Array:
 
 
 def facing_of(rotations: Array, rate: float) -> Array:
-    """(T, 3) horizontal unit vectors that a pelvis of world_from_pelvis (T, 3, 3) faces at rate Hz; the model looks
-    along -y."""
+    """Compute the smoothed horizontal direction (T, 3) that the pelvis faces; the model looks along -y.
+
+    rotations: (T, 3, 3) world_from_pelvis.
+    rate: Hz.
+    """
     forward = -rotations[:, :, 1] * [1, 1, 0]
     smooth = uniform_filter1d(
         np.nan_to_num(forward), max(1, round(SETTINGS.gait_facing * rate)), axis=0, mode="nearest"
@@ -125,8 +153,15 @@ def facing_of(rotations: Array, rate: float) -> Array:
 def turns(
     series: Array, times: Array, sd: Array, rate: float, known: NDArray[np.bool_]
 ) -> list[tuple[float, float, int]]:
-    """Times s, their sd and frames of the maxima of a series (T,) m that is known to sd (T,) m; none next to frames
-    that are not known."""
+    """Find the maxima of a series with their times refined by a parabola.
+
+    series: (T,) m.
+    times: (T,) s.
+    sd: (T,) standard deviation of the series, m.
+    rate: Hz.
+    known: (T,) frames next to unknown ones give no maximum.
+    Returns: time s, its standard deviation s, and frame of each maximum.
+    """
     filled = np.where(np.isfinite(series), series, np.nanmin(series) if np.isfinite(series).any() else 0.0)
     from scipy.signal import find_peaks  # takes long to import
 
@@ -153,7 +188,7 @@ def turns(
 
 
 def _swings(series: Array, peaks: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Which peaks of a series stand out by a foot's swing on both sides, as far as the clip shows them."""
+    """Select the peaks that stand out by a foot's swing on both sides, as far as the clip shows them."""
     from scipy.signal import peak_prominences
 
     _, *bases = peak_prominences(series, peaks)
@@ -238,8 +273,12 @@ PERCENT = np.linspace(0.0, 100.0, 101)
 
 @dataclass(frozen=True)
 class AngleCycle:
-    """One angle over the cycle: mean (101,) rad of n strides, sd (101,) between them (NaN for one stride), and
-    uncertainty (101,), the standard deviation of the mean by the tracking alone (NaN where it is not known)."""
+    """Mean of one joint angle over the gait cycle.
+
+    mean: (101,) rad, mean of n strides at 0 to 100 % of the cycle.
+    sd: (101,) standard deviation between strides; NaN for one stride.
+    uncertainty: (101,) standard deviation of the mean from tracking alone; NaN where not known.
+    """
 
     name: str
     mean: Array
@@ -249,7 +288,7 @@ class AngleCycle:
 
 
 def strides(events: Sequence[GaitEvent], motion: Motion, side: str) -> list[tuple[float, float]]:
-    """Times (s) from a strike to the same foot's next, of those whose frames are all known."""
+    """List the strides of one side, from strike to strike (s), in which all frames are known."""
     strikes = [e.time for e in events if e.side == side and e.kind == "strike"]
     known = ~(motion.lost | motion.extrapolated).astype(bool)
     if motion.poses is not None:
@@ -263,7 +302,7 @@ def strides(events: Sequence[GaitEvent], motion: Motion, side: str) -> list[tupl
 
 
 def angle_cycles(events: Sequence[GaitEvent], motion: Motion) -> list[AngleCycle]:
-    """The cycle of every joint angle that has one; none without a whole stride. The motion needs poses."""
+    """Compute the mean gait cycle of every joint angle; empty without a whole stride or without poses."""
     if motion.poses is None:
         return []
     _, values = joint_angles(motion.skeleton, motion.poses)
@@ -272,12 +311,12 @@ def angle_cycles(events: Sequence[GaitEvent], motion: Motion) -> list[AngleCycle
     out = []
     for k, name in enumerate(ANGLE_NAMES):
         spans = whole["left" if name.endswith("_l") else "right"]
-        if is_length(name) or name == "pelvis_rotation" or not spans:  # where a person walks is no cycle
+        if is_length(name) or name == "pelvis_rotation" or not spans:  # the path of a person who walks has no cycle
             continue
         begin, end = np.array(spans).T[..., None]
         at = begin + PERCENT / 100 * (end - begin)
         curves, sds = (np.interp(at, motion.times, a[:, k]) for a in (values, given))
-        # strides lie farther apart than an error lasts, so each counts again
+        # strides are longer than errors are correlated, so each counts as nearly independent
         apart = min(1.0, SETTINGS.gait_correlation / np.mean([b - a for a, b in spans]))
         count = max(1.0, len(spans) * (1 - apart) + apart)
         sd = curves.std(axis=0, ddof=1) if len(spans) > 1 else np.full(len(PERCENT), np.nan)

@@ -1,10 +1,12 @@
-"""Gestures on disk: model files (one .npz without pickle) and recordings of sessions.
+"""Read and write gestures on disk: model files (one .npz without pickle) and recordings of sessions.
 
-A recording is a folder: session.json {"format": "hypose-gesture-session", "version": 1, "gestures": [names], "lens":
-[fx, fy, cx, cy], "size": [width, height], "settings": {...}}; frames.csv frame,time,file,phase,segment,gesture,x,y (one
-row per depth picture: the phase it was taken in; the number of its learning segment, 0 = none; the gesture, from 1 on,
-and the box's centre where it was learned as one); actions.csv time,action,detail (everything the user did; "undo N"
-takes segment N back); depth/ with 16-bit PNG in millimetres. It can be learned from again, offline or online.
+A recording is a folder from which gestures can be learned again, offline or online:
+session.json: {"format": "hypose-gesture-session", "version": 1, "gestures": [names], "lens": [fx, fy, cx, cy], "size":
+    [width, height], "settings": {...}}.
+frames.csv: frame,time,file,phase,segment,gesture,x,y, one row per depth picture: phase in which it was taken, number of
+    its learning segment (0 = none), gesture (from 1) and the box's centre where it was learned as one.
+actions.csv: time,action,detail, everything the user did; "undo N" takes segment N back.
+depth/: 16-bit PNG in millimetres.
 """
 
 from __future__ import annotations
@@ -43,7 +45,10 @@ def save_model(model: GestureModel, path: str | Path) -> None:
 
 
 def load_model(path: str | Path) -> GestureModel:
-    """Read a model file; an InputError names the cause. A growing forest goes on growing bit for bit."""
+    """Load a model file; its forest can continue to learn exactly as before.
+
+    Raises: InputError names the cause.
+    """
     path = Path(path)
     step = "give a model that `hypose gesture train` wrote"
     arrays = load_archive(path, "gesture model", step)
@@ -55,8 +60,9 @@ def load_model(path: str | Path) -> GestureModel:
 
 
 def content_of(folder: Path) -> str:
-    """What tells a session from others, whatever its folder is called, as soon as it has begun: the hash of its first
-    pictures, "" where there are none."""
+    """Compute an identity of a session from its first pictures: their hash, independent of the folder's name; "" where
+    there are none.
+    """
     pictures = list_images(folder / "depth")[: SETTINGS.gesture_telling] if (folder / "depth").is_dir() else []
     digest = hashlib.sha256()
     for picture in pictures:
@@ -66,7 +72,7 @@ def content_of(folder: Path) -> str:
 
 @dataclass(frozen=True)
 class RecordedFrame:
-    """One depth picture of a recording: its file, and what it was for (see the module)."""
+    """One depth picture of a recording: its file and its use; fields are the columns of frames.csv."""
 
     index: int
     time: float
@@ -78,13 +84,23 @@ class RecordedFrame:
     y: float
 
     def depth(self) -> DepthImage:
-        """The picture (h, w) uint16 mm; InputError names the file when it cannot be read."""
+        """Read the picture (h, w), uint16 mm.
+
+        Raises: InputError names the file that cannot be read.
+        """
         return np.rint(read_depth_png(self.file) * 1000).astype(np.uint16)
 
 
 @dataclass(frozen=True)
 class GestureRecording:
-    """A recorded session: frames in the order of time; undone: segments that were taken back."""
+    """Recorded gesture session.
+
+    gestures: names; gesture number n is gestures[n - 1].
+    size: (width, height), px.
+    frames: in the order of time.
+    undone: numbers of the segments that were taken back.
+    settings: settings of the session.
+    """
 
     folder: Path
     gestures: tuple[str, ...]
@@ -95,22 +111,25 @@ class GestureRecording:
     settings: Mapping[str, Any]
 
     def number(self, name: str) -> int:
-        """Number of a gesture by its name; an InputError lists the names."""
+        """Return the number of a gesture by its name.
+
+        Raises: InputError lists the names.
+        """
         if name not in self.gestures:
             raise InputError(f"{self.folder} has no gesture {name!r}; it has {', '.join(self.gestures)}.")
         return self.gestures.index(name) + 1
 
     @property
     def content(self) -> str:
-        """See `content_of`."""
+        """Identity of the session, see `content_of`."""
         return content_of(self.folder)
 
     def learned(self) -> list[RecordedFrame]:
-        """Frames of learning segments that were not taken back."""
+        """Return the frames of learning segments that were not taken back."""
         return [f for f in self.frames if f.phase in ("positive", "negative") and f.segment not in self.undone]
 
     def examples(self, name: str) -> Iterator[Example]:
-        """What a forest for one gesture learns from, in the order of time: others are background."""
+        """Yield the training examples of one gesture in the order of time; other gestures are background."""
         number = self.number(name)
         for f in self.learned():
             depth = self.picture(f)
@@ -120,12 +139,15 @@ class GestureRecording:
                 yield Example(depth, self.lens)
 
     def pictures(self) -> Iterator[tuple[RecordedFrame, DepthImage]]:
-        """Every frame with its picture."""
+        """Yield every frame with its picture."""
         for f in self.frames:
             yield f, self.picture(f)
 
     def picture(self, frame: RecordedFrame) -> DepthImage:
-        """A frame's picture (h, w) uint16 mm; InputError when it is no depth in millimetres or of another size."""
+        """Read a frame's picture (h, w), uint16 mm.
+
+        Raises: InputError where it is no depth in millimetres, or has another size than the recording.
+        """
         depth = millimetres(frame.depth(), str(frame.file))
         if depth.shape != (self.size[1], self.size[0]):
             raise InputError(
@@ -136,7 +158,10 @@ class GestureRecording:
 
 
 def read_recording(folder: str | Path) -> GestureRecording:
-    """Read a recording; an InputError names the file and line that cannot be used."""
+    """Read a recording of a gesture session.
+
+    Raises: InputError names the file and line that cannot be used.
+    """
     folder = Path(folder)
     if not folder.is_dir():
         raise InputError(f"{folder} is not a folder; give the folder of a recorded gesture session.")
@@ -188,7 +213,7 @@ def _read_frames(folder: Path, gestures: int) -> list[RecordedFrame]:
                 int(frame), float(time), folder / file, phase, int(segment), int(gesture), float(x), float(y)
             )
         except ValueError:
-            if number == len(lines):  # the line that was being written when the power went
+            if number == len(lines):  # a line that was not completely written
                 break
             raise InputError(f"{path}, line {number}: {line!r} is no frame; it must be {','.join(_FRAMES)}.") from None
         finite = all(math.isfinite(v) for v in (row.time, row.x, row.y))
@@ -216,10 +241,11 @@ def _undone(path: Path) -> frozenset[int]:
 
 
 class SessionWriter:
-    """Records a session while it goes on; what was written so far can be read at any time.
+    """Writer of a gesture session while it is recorded; what was written so far can be read at any time.
 
-    Pictures are packed and written by a thread of its own, in order and at most _WAITING behind, since that takes as
-    long as learning from them. What goes wrong there is raised by the next call."""
+    A thread of its own compresses and writes the pictures in order, at most SETTINGS.gesture_waiting behind. Why:
+    writing takes as long as learning from them. An error there is raised by the next call.
+    """
 
     def __init__(
         self,
@@ -257,7 +283,7 @@ class SessionWriter:
         gesture: int = 0,
         at: tuple[float, float] = (-1.0, -1.0),
     ) -> None:
-        """One picture (h, w) uint16 mm of a time (s), with what it was for."""
+        """Add one picture (h, w), uint16 mm, taken at `time` (s), with its use (see frames.csv)."""
         file = f"depth/{self._count:06d}.png"
         row = f"{self._count},{time:.6f},{file},{phase},{segment},{gesture},{float(at[0])!r},{float(at[1])!r}\n"
         self._settle(SETTINGS.gesture_waiting - 1)
@@ -271,18 +297,21 @@ class SessionWriter:
             self._frames.flush()
 
     def _settle(self, left: int) -> None:
-        """Wait until at most so many pictures are still to be written."""
+        """Wait until at most `left` pictures are still to be written."""
         while len(self._waiting) > left:
             self._waiting.popleft().result()
 
     def act(self, time: float, action: str, detail: str = "") -> None:
-        """Something the user did; "undo" with the number of the segment."""
+        """Record an action of the user; "undo" with the number of the segment."""
         with self._folder.writing():
             self._actions.write(f"{time:.6f},{action},{detail}\n")
             self._actions.flush()
 
     def close(self) -> None:
-        """Write what waits, and close the files; an InputError when the recording was removed meanwhile."""
+        """Write the waiting pictures and close the files.
+
+        Raises: InputError where the recording was removed meanwhile.
+        """
         try:
             self._settle(0)
         finally:

@@ -1,4 +1,4 @@
-"""A recording folder from what depth cameras recorded: maps in millimetres, lenses, and where the cameras stood."""
+"""Make a recording folder from files of depth cameras: maps in millimetres, lenses and camera poses."""
 
 from __future__ import annotations
 
@@ -56,14 +56,23 @@ def import_depth(
     seed: int = 0,
     progress: StageProgress | None = None,
 ) -> tuple[Path, tuple[str, ...]]:
-    """Writes a recording folder; returns recording.toml's path and sentences for the user.
+    """Convert recordings of depth cameras into a recording folder.
 
-    sources: recordings of the cameras, one each (`hypose.io.sensors.depth`); empty: those of the empty room in
-    the same order, or none. frame_rate (None: unknown, 30 per s are taken), millimetres that one step of a value stands
-    for: of folders of maps, which do not tell. Each camera finds the floor in its maps; several are brought
-    together by the person who moves before them, clocks included, and frames before the last one began are left out.
-    Map k is what was seen at k / frame rate: where frames were lost there are empty maps. An InputError names what
-    cannot be used; then, as when it is interrupted, nothing of it is left in the folder."""
+    sources: one recording per camera (`hypose.io.sensors.depth`).
+    folder: new folder.
+    empty: recordings of the empty room in the same order, or none.
+    frame_rate: Hz of folders of maps, which do not contain it; None: 30 Hz.
+    millimetres: millimetres per step of a value, of folders of maps.
+    seed: of random numbers.
+    progress: called with stage, done, total.
+    Returns: path of recording.toml, and sentences for the user.
+    Raises: InputError names the input that cannot be used; then, and after an interruption, the folder is left as it
+        was.
+
+    Each camera finds the floor in its own maps. Several cameras are registered by the person who moves in front of
+    them, including their clocks; frames before the last camera began are left out. Map k is the map at time k / frame
+    rate; lost frames become empty maps.
+    """
     if empty and len(empty) != len(sources):
         raise InputError(f"Give the empty room of every camera, in the same order: {len(sources)}, not {len(empty)}.")
     _all_different(sources)
@@ -73,7 +82,7 @@ def import_depth(
         raise InputError(f"{folder} holds {', '.join(there)} already; give a new folder.")
     try:
         return _imported(sources, folder, empty, frame_rate, millimetres, seed, progress or (lambda *_: None))
-    except BaseException:  # half of it would be tracked as if it were whole
+    except BaseException:  # an incomplete folder would be tracked as if it were complete
         for name in _MADE:
             shutil.rmtree(folder / name, ignore_errors=True)
             with contextlib.suppress(OSError):
@@ -82,7 +91,7 @@ def import_depth(
 
 
 def _all_different(given: Sequence[str | Path]) -> None:
-    """An InputError for a recording that is given twice: two cameras would be one."""
+    """Raise InputError where a recording is given twice; two cameras would be one."""
     seen = set[Path]()
     for one in given:
         if (real := Path(one).resolve()) in seen:
@@ -169,7 +178,7 @@ def _imported(
 
 
 def _written(source: str | Path, folder: Path, frame_rate: float | None, millimetres: float) -> tuple[Camera, Array]:
-    """The camera of a recording whose maps are written to a folder, and their times (T,) s, which increase."""
+    """Write the maps of a recording to a folder; return the camera, and the increasing times (T,) s of the maps."""
     opened: DepthFile = open_depth(source, frame_rate or FOLDER_RATE, millimetres)
     folder.mkdir(parents=True, exist_ok=True)
     times, read = list[float](), 0
@@ -186,8 +195,9 @@ def _written(source: str | Path, folder: Path, frame_rate: float | None, millime
 
 
 def _on_floor(source: str | Path, folder: Path, camera: Camera) -> Array:
-    """camera_from_world (4, 4) by the floor in what a camera saw in most of its first maps, holes filled from others;
-    an error names the source."""
+    """Estimate camera_from_world (4, 4) from the floor in the median of the camera's first maps; an error names the
+    source.
+    """
     maps = DepthSource(ViewSettings(camera.name, depth=folder), camera, camera.pinhole())
     first = np.stack([maps.map(k) for k in range(min(SETTINGS.placing_calm, len(list_images(folder))))])
     first[first <= 0] = np.nan
@@ -208,7 +218,7 @@ def _on_floor(source: str | Path, folder: Path, camera: Camera) -> Array:
 
 
 def _rate(times: Array, source: str | Path) -> float:
-    """Frames per second, lost ones included."""
+    """Compute the frame rate, Hz, counting lost frames."""
     if len(times) < 2:
         return FOLDER_RATE
     steps = np.diff(times)
@@ -226,7 +236,7 @@ def _rate(times: Array, source: str | Path) -> float:
 
 
 def _in_step(times: Array, rate: float) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Which of the maps seen at times (T,) s is that of instant k / rate after the first, and whether there is one."""
+    """Assign to each instant k / rate the nearest map of those at times (T,) s, and whether it is near enough."""
     after = times - times[0]
     at = np.arange(round(after[-1] * rate) + 1) / rate
     right = np.minimum(np.searchsorted(after, at), len(after) - 1)
@@ -238,7 +248,7 @@ def _in_step(times: Array, rate: float) -> tuple[NDArray[np.int64], NDArray[np.b
 def _moved(
     read: Path, folder: Path, number: NDArray[np.int64], known: NDArray[np.bool_], size: tuple[int, int]
 ) -> None:
-    """Moves the maps of these numbers to a folder, in this order; an empty one where it is not known."""
+    """Move maps to a folder in the order of `number`; write an empty map where `known` is False."""
     files = list_images(read)
     folder.mkdir(parents=True, exist_ok=True)
     for k, n in enumerate(number.tolist()):
@@ -258,8 +268,9 @@ def _recording(folder: Path, rig: CameraRig, views: Sequence[ViewSettings], rate
 
 
 def _clip(recording: Recording) -> list[Frame]:
-    """The first frames of a camera in which a person is seen, without those at both ends that show little of them: who
-    starts the cameras has to walk in first."""
+    """Read the first frames of a camera in which a person is seen, without those at both ends that show little of the
+    person. Why: the person who starts the cameras walks in first.
+    """
     found, areas = list[Frame](), list[int]()
     with FrameStream(recording) as frames:
         for frame in frames:
@@ -272,7 +283,7 @@ def _clip(recording: Recording) -> list[Frame]:
                 break
     if not found:
         raise EvidenceError(
-            f"{recording.views[0].name} shows nobody; record somebody who walks about and turns before all cameras."
+            f"{recording.views[0].name} shows no person; record a person who walks about and turns before all cameras."
         )
     shown = np.array(areas)
     whole = np.flatnonzero(shown > 0.5 * np.median(shown[shown > 0]))
@@ -280,14 +291,14 @@ def _clip(recording: Recording) -> list[Frame]:
 
 
 def _several(folder: Path, view: ViewSettings, camera: Camera, rate: float) -> bool:
-    """Do the frames by which a camera is placed show several people? The empty room is known."""
+    """Return whether several people are seen in the frames by which a camera is registered; the empty room is known."""
     recording = _recording(folder, CameraRig((camera,)), [view], rate)
     with FrameStream(recording, FrameSettings(silhouettes=recording.silhouettes, people=True)) as frames:
         return count_people(frames.frame, min(len(frames), SETTINGS.placing_looked_at)) > 1
 
 
 def _without_first(view: ViewSettings, count: int) -> None:
-    """Takes the first maps of a view away, so that all views begin at the same instant."""
+    """Remove the first `count` maps of a view, so that all views begin at the same instant."""
     assert view.depth is not None
     files = list_images(view.depth)
     if count >= len(files):
@@ -299,15 +310,20 @@ def _without_first(view: ViewSettings, count: int) -> None:
 
 
 def _free(name: str, taken: Sequence[str]) -> str:
-    """The name, or with a number that makes it another than those that are taken."""
+    """Return the name, with a number where it is taken."""
     numbered = (f"{name}_{n}" for n in range(2, len(taken) + 3))
     return name if name not in taken else next(n for n in numbered if n not in taken)
 
 
 @dataclass(frozen=True)
 class RegisteredSensors:
-    """rig: the sensors in the world of the first; seconds (C,): to add to each one's times; body; rough: what each of
-    the others was found by at first."""
+    """Depth cameras in one common world.
+
+    rig: cameras in the world of the first.
+    seconds: (C,) to add to each camera's times, s.
+    body: the person's body.
+    rough: first alignment of each of the other cameras.
+    """
 
     rig: CameraRig
     seconds: Array
@@ -318,12 +334,18 @@ class RegisteredSensors:
 def register_depth(
     clips: Sequence[Sequence[Frame]], frame_rate: float, *, seed: int = 0, progress: StageProgress | None = None
 ) -> RegisteredSensors:
-    """The places of depth cameras from what each alone saw of one person.
+    """Register depth cameras by the motion of one person that each of them saw.
 
-    clips: frames of each sensor, whose rig is that sensor alone in a world of its own with z up and the floor at z = 0
-    (`hypose.evidence.depth_floor.camera_on_floor`); times on its own clock. The first one's world is kept. An
-    InputError with fewer than two; a CalibrationError when the movements do not belong together; errors name the
-    sensors. A KeyboardInterrupt in progress ends it."""
+    clips: frames of each sensor; its rig is that sensor alone, in a world of its own with z up and the floor at z = 0
+        (`hypose.evidence.depth_floor.camera_on_floor`); times are on its own clock.
+    frame_rate: Hz.
+    progress: called with stage, done, total; raising KeyboardInterrupt in it ends the work.
+    Returns: the cameras in the first one's world.
+    Raises: InputError with fewer than two sensors or a clip without depth; CalibrationError where the movements do not
+        belong together; errors name the sensors.
+
+    Each sensor is tracked alone; the motions give a first alignment; then places and poses are solved together.
+    """
     if len(clips) < 2:
         raise InputError("Bringing depth cameras together needs at least two; one stands where it stands.")
     report = progress or (lambda stage, done, total: None)
@@ -376,7 +398,7 @@ def register_depth(
 
 @contextmanager
 def _named(who: str) -> Iterator[None]:
-    """Errors within name the sensor that they are about."""
+    """Add the sensor's name to errors that are raised inside."""
     try:
         yield
     except HyposeError as error:
@@ -384,14 +406,16 @@ def _named(who: str) -> Iterator[None]:
 
 
 def _whole(found: TrackResult) -> Motion:
-    """The motion; a run that was interrupted gives the part before, with which nothing goes on."""
+    """Return the motion; raise KeyboardInterrupt where the run was interrupted."""
     if not found.complete:
         raise KeyboardInterrupt
     return found.motion
 
 
 def _pairs(times: Sequence[Array], seconds: Array, frame_rate: float) -> list[list[int]]:
-    """Per frame of the first sensor which all see: the frame of each that is nearest in time."""
+    """Find, for each frame of the first sensor, the frames of all sensors that are nearest in time; instants that one
+    of them lacks are left out.
+    """
     out = []
     for k, t in enumerate(times[0]):
         row = [k]
@@ -407,13 +431,13 @@ def _pairs(times: Sequence[Array], seconds: Array, frame_rate: float) -> list[li
 
 
 def _surface(frame: Frame) -> SurfacePoints:
-    """What a sensor's frame shows, in the sensor's own frame."""
+    """Return the surface points of a sensor's frame, in the sensor's own frame of reference."""
     depth = frame.the(Depth)
     return in_camera(depth.surface, depth.rig[0].camera_from_world)
 
 
 def _together(clips: Sequence[Sequence[Frame]], row: Sequence[int], rig: CameraRig) -> Frame:
-    """One frame of all sensors."""
+    """Combine one frame of each sensor into one frame of all."""
     own = [clip[k].the(Depth) for clip, k in zip(clips, row, strict=True)]
     sizes = rig.sizes
     h, w = int(sizes[:, 1].max()), int(sizes[:, 0].max())

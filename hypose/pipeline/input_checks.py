@@ -1,8 +1,8 @@
-"""A look at some frames before tracking: is the calibration plainly not that of these pictures, or the key points'
-set another one?
+"""Check some frames for gross faults of the calibration and of the key points' names before tracking.
 
-The doctor's checks of gross faults, on a dozen frames. Findings are printed before the work begins and again at
-its end; nothing is changed, since the cure is the user's to choose."""
+These are checks of `hypose check` for gross faults, on a dozen frames. Findings are printed before and after the run;
+nothing is changed, since the correction is the user's choice.
+"""
 
 from __future__ import annotations
 
@@ -32,15 +32,21 @@ from hypose.tracking.subject import shape_from_keypoints
 def check_inputs(
     source: FrameSource, evidence: str, height: float | None = None, frame_rate: float = 25.0
 ) -> tuple[Finding, ...]:
-    """Check the calibration and the key points of a source for gross faults, of a source of frames that will be tracked
-    from `evidence`; height of the person, m, when known. Nothing of one camera."""
+    """Check the calibration and the key points of a source for gross faults; nothing is checked with one camera.
+
+    evidence: evidence that will be tracked from.
+    height: of the person, m, where known.
+    frame_rate: Hz.
+    """
     rows, frames = _rows(len(source)), _some(source)
-    doubted: Sequence[Keypoints] | None = getattr(source, "doubted", None)  # those that did not fit are the question
+    doubted: Sequence[Keypoints] | None = getattr(
+        source, "doubted", None
+    )  # key points that were left out because they did not fit
     points = pieces_of(frames, Keypoints)
     if doubted is not None:
         points = [doubted[i] for i in rows.tolist() if i < len(doubted)]
     shown = pieces_of(frames, Silhouettes) if evidence != "keypoints" else []
-    masks = [s for s in shown if s.ignored is None]  # half of a person tells nothing of cameras
+    masks = [s for s in shown if s.ignored is None]  # parts of a person do not show where cameras stand
     limits = Limits()
     by_depth = depth_findings(pieces_of(frames, Depth))
     found: list[Finding] = []
@@ -49,24 +55,24 @@ def check_inputs(
         held = [f.keypoints for f in source.frames] if isinstance(source, FrameList) else doubted
         if held is not None and not any(f.fault for f in found):
             found += _in_step(held, frame_rate, limits)
-    elif masks and len(masks[0].rig) > 1 and not any(f.kind == "holes" for f in by_depth):  # masks have them, too
+    elif masks and len(masks[0].rig) > 1 and not any(f.kind == "holes" for f in by_depth):  # masks have the same holes
         found += _by_masks(masks, frames, limits)
     return (*found, *by_depth)
 
 
 def check_depth_inputs(source: FrameSource) -> tuple[Finding, ...]:
-    """What the depth maps alone say, of frames with several people in them, too."""
+    """Check the depth maps alone, also of frames with several people."""
     with contextlib.suppress(HyposeError):
-        if source.frame(0).depth is None:  # frames from all over videos take long to read
+        if source.frame(0).depth is None:  # frames spread over videos take long to read
             return ()
     return depth_findings(pieces_of(_some(source), Depth))
 
 
 def _some(source: FrameSource) -> list[Frame]:
-    """FRAMES frames from all over a source."""
+    """Read SETTINGS.look_frames frames spread over a source."""
     frames = list[Frame]()
     for i in _rows(len(source)).tolist():
-        with contextlib.suppress(HyposeError):  # what cannot be read is reported when its turn comes
+        with contextlib.suppress(HyposeError):  # an unreadable frame is reported when it is tracked
             frames.append(source.frame(i))
     return frames
 
@@ -76,22 +82,22 @@ def _rows(total: int) -> NDArray[np.int64]:
 
 
 def of_measured(stature: float) -> tuple[Finding, ...]:
-    """What the height, m, of a person says who was measured in masks or depth, after the first look."""
+    """Check whether the height (m) of a person measured from masks or depth is plausible."""
     return tuple(height_findings(stature, None, Limits()))
 
 
 def places_refuted(found: Sequence[Finding]) -> bool:
-    """Do the cameras not stand where they are said to? Then people cannot be separated."""
+    """Return whether a finding refutes the places of the cameras; then people cannot be separated."""
     return any(f.fault and f.kind in REFUTED_PLACES for f in found)
 
 
 def sentences(found: Sequence[Finding], severity: str = INVALID) -> tuple[str, ...]:
-    """List the findings of a severity as sentences, each with its next step."""
+    """List the findings of one severity as sentences, each with its next step."""
     return tuple(f.sentence for f in found if f.severity == severity)
 
 
 def _in_step(keypoints: Sequence[Keypoints | None], frame_rate: float, o: Limits) -> Iterator[Finding]:
-    """Of the key points of consecutive frames: a view that is late, or early."""
+    """Find views that are late or early, from the key points of consecutive frames."""
     begin = max(0, (len(keypoints) - SETTINGS.look_in_step) // 2)
     some = keypoints[begin : begin + SETTINGS.look_in_step]
     first = next((k for k in some if k is not None), None)
@@ -105,7 +111,7 @@ def _in_step(keypoints: Sequence[Keypoints | None], frame_rate: float, o: Limits
 
 
 def _by_points(keypoints: Sequence[Keypoints], height: float | None, o: Limits) -> Iterator[Finding]:
-    """Of the key points of some frames."""
+    """Check the key points of some frames."""
     rig, names = keypoints[0].rig, keypoints[0].names
     pixels = np.stack([np.nan_to_num(k.points) for k in keypoints], 1)
     if (pixels[..., 2] > 0.3).any((1, 2)).sum() < 2:
@@ -116,7 +122,7 @@ def _by_points(keypoints: Sequence[Keypoints], height: float | None, o: Limits) 
         agreed = trial is not None and before > o.gross and after < o.gross_cured * before
         if trial is not None and agreed:
             yield gross_finding(rig, trial, before, after)
-            rig, pixels = trial.rig, trial.seen  # what else is wrong follows from points that agree
+            rig, pixels = trial.rig, trial.seen  # check the rest with points that agree
         else:
             text = f"All cameras: the views' key points disagree by {100 * apart:.0f} % of the person's size"
             yield Finding("scatter", (), text, "run hypose check, which looks for the cause camera by camera", apart)
@@ -136,7 +142,7 @@ def _by_points(keypoints: Sequence[Keypoints], height: float | None, o: Limits) 
     if other is not None and (agreed or "keypoint_set = " in other.cure):
         yield other
     if other is not None or not agreed:
-        return  # nothing else can be checked of points with other names, or that lie anywhere
+        return  # nothing else can be checked with wrong names or contradicting points
     yield from wrong_way_up(world, names, pixels, rig)
     if rig is keypoints[0].rig:  # nothing else was wrong
         yield from focal_findings(focal_by_points(rig, pixels))
@@ -149,7 +155,7 @@ def _by_points(keypoints: Sequence[Keypoints], height: float | None, o: Limits) 
 
 
 def _by_masks(silhouettes: Sequence[Silhouettes], frames: Sequence[Frame], o: Limits) -> Iterator[Finding]:
-    """Of the masks of some frames."""
+    """Check the masks of some frames."""
     yield from up_by_cameras(silhouettes[0].rig)
     rig = silhouettes[0].rig
     gross = gross_silhouettes(rig, silhouettes, replace(o, gross=0.04))

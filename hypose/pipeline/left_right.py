@@ -1,9 +1,9 @@
-"""Stretches of a tracked clip in which left and right had been exchanged, or the body lost, tracked again.
+"""Find stretches of a tracked clip in which left and right were exchanged or the body was lost, and track them again.
 
-While a person is tracked, the body turned around and the body with its legs exchanged are compared with the tracked one
-twice a second (before depth cameras once), and a body that is lost is looked for (`FrameEstimate.exchanged`). Where one
-of them is better, tracking begins again from it, forwards and backwards in time, as long as that explains the evidence
-better than before; frame by frame the better one is kept.
+During tracking, the body turned around and the body with exchanged legs are compared with the tracked one twice a
+second (with depth cameras once), and a lost body is searched for (`FrameEstimate.exchanged`). Where one of them is
+better, tracking starts again from it, forwards and backwards in time, as long as it explains the evidence better than
+before. In each frame the better estimate is kept.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from hypose.tracking.contacts import runs
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState
 
 FrameRange = Callable[[range], Iterable[Frame]]
-"""The frames of a range of numbers, one after the other."""
+"""Function that reads the frames with the given numbers, one after the other."""
 
 _LIMBS = ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
 
@@ -35,15 +35,20 @@ def correct_left_right(
     sure_start: bool = False,
     memory: Memory | None = None,
 ) -> tuple[list[FrameEstimate], list[range]]:
-    """The estimates of frames 0, 1, ... with those replaced whose sides were exchanged, and which these are. With
-    sure_start frame 0 is the right way round, whatever the masks say, and so is what follows from it. memory: what has
-    been remembered of the person."""
+    """Track stretches again in which left and right were exchanged.
+
+    estimates: of the frames 0, 1, ...
+    frames: reads a range of frames.
+    sure_start: frame 0 is known to be the right way round; what follows from it is kept.
+    memory: what the recipe has learned about the person.
+    Returns: the corrected estimates, and the ranges of frames that were replaced.
+    """
     out = list(estimates)
     tried, replaced = set[int](), np.zeros(len(out), dtype=bool)
     while (at := _most_suspicious(out, tried)) is not None:
         retracked = _retracked_from(tracker, out, at, frames, memory)
         if retracked.won < SETTINGS.sides_least * pace_of(tracker) or (sure_start and retracked.first == 0):
-            tried.update(retracked.compared)  # what fits as well both ways is gone through once
+            tried.update(retracked.compared)  # frames that fit equally well both ways are tried once
             continue
         tried.add(at)
         out[retracked.first : retracked.first + len(retracked.better)] = retracked.better
@@ -54,15 +59,18 @@ def correct_left_right(
 def retrack_start(
     tracker: Tracker, estimates: Sequence[FrameEstimate], frames: FrameRange, *, memory: Memory | None = None
 ) -> tuple[list[FrameEstimate], range]:
-    """The estimates with those of the first frames replaced that tracking backwards explains better, from where it had
-    found its way, and which these are: what a start got wrong is put right by what came after it."""
+    """Track the first frames backwards from a frame in which the person had been found, and keep that where it explains
+    them better.
+
+    Returns: the estimates, and the range of frames that were replaced.
+    """
     out, pace = list(estimates), pace_of(tracker)
     at = min(round(SETTINGS.sides_found_by * pace), len(out) - 1)
     if at < 1 or tracker.recipe.recover is None:
         return out, range(0)
     start = tracker.start(out[at].pose, memory)
     better, won, _ = _while_better(tracker, start, out, range(at - 1, -1, -1), reversed_frames(frames, at), False)
-    if len(better) < at or won < SETTINGS.sides_least_back * pace:  # not as far as the first frame
+    if len(better) < at or won < SETTINGS.sides_least_back * pace:  # it does not reach the first frame
         return out, range(0)
     moved = [t for t in range(at) if _apart(tracker.body, out[t], better[at - 1 - t]) > SETTINGS.sides_met_m]
     out[:at] = better[::-1]
@@ -70,7 +78,7 @@ def retrack_start(
 
 
 def left_right_notes(replaced: Sequence[range]) -> tuple[str, ...]:
-    """A sentence for the user; none where nothing was exchanged."""
+    """Return a sentence for the user; none where nothing was exchanged."""
     if not replaced:
         return ()
     return (
@@ -79,21 +87,27 @@ def left_right_notes(replaced: Sequence[range]) -> tuple[str, ...]:
 
 
 def start_notes(replaced: range) -> tuple[str, ...]:
-    """A sentence for the user; none where nothing was replaced."""
+    """Return a sentence for the user; none where nothing was replaced."""
     return (f"the start was wrong in {in_words([replaced])}; tracked again backwards",) if replaced else ()
 
 
 def _most_suspicious(estimates: Sequence[FrameEstimate], tried: set[int]) -> int | None:
-    """The frame in which the body with its sides exchanged, or found again, is better by most; None when there is none
-    left."""
+    """Return the frame in which the body with exchanged sides, or found again, is better by most; None where none is
+    left.
+    """
     better = [(e.exchanged, t) for t, e in enumerate(estimates) if e.exchanged > 0 and t not in tried]
     return max(better)[1] if better else None
 
 
 @dataclass(frozen=True)
 class _Retracked:
-    """won: sum over frames of 1 - IoU by which the estimates `better`, from frame `first` on, lie below the old ones;
-    compared: all frames that were tracked for it."""
+    """Frames that were tracked again.
+
+    first: number of the first frame of `better`.
+    better: new estimates.
+    won: sum over their frames of the decrease of 1 - IoU.
+    compared: all frames that were tracked for it.
+    """
 
     first: int
     better: list[FrameEstimate]
@@ -104,8 +118,7 @@ class _Retracked:
 def _retracked_from(
     tracker: Tracker, old: Sequence[FrameEstimate], at: int, frames: FrameRange, memory: Memory | None
 ) -> _Retracked:
-    """Cost won over the old estimates around frame `at`, from the body with its sides exchanged there, or from
-    where it was found."""
+    """Track again in both directions from frame `at`, from the body with exchanged sides or where it was found."""
     start = tracker.start(tracker.rival(old[at].pose, next(iter(frames(range(at, at + 1))))), memory)
     ahead, back = range(at, len(old)), range(at - 1, -1, -1)
     later, won, after = _while_better(tracker, start, old, ahead, _forwards(frames, at, len(old)))
@@ -122,8 +135,11 @@ def _while_better(
     frames: Iterable[tuple[Frame, Frame | None]],
     until_met: bool = True,
 ) -> tuple[list[FrameEstimate], float, int]:
-    """Estimates from the state `start` on, up to the frame where most is won over the old ones, without those at
-    their end that are much the same; how much is won, and how many frames were tracked."""
+    """Track from the state `start` until the cost won over the old estimates is largest.
+
+    until_met: end where both tracks are one, and leave out the last estimates that are nearly the same as the old ones.
+    Returns: new estimates, cost won, and number of frames tracked.
+    """
     state, new = start, list[FrameEstimate]()
     won = best = 0.0
     kept = met = 0
@@ -146,12 +162,12 @@ def _while_better(
 
 
 def pace_of(tracker: Tracker) -> float:
-    """Frames that last as long as one at 25 frames/s, at least one."""
+    """Return the number of frames that last as long as one at 25 Hz, at least one."""
     return max(1.0, tracker.settings.frame_rate / 25)
 
 
 def _forwards(frames: FrameRange, first: int, stop: int) -> Iterator[tuple[Frame, Frame | None]]:
-    """The frames first, first + 1, ... with the one before each."""
+    """Yield the frames first, first + 1, ... with the one before each."""
     begin = max(0, first - 1)
     before: Frame | None = None
     for t, frame in zip(range(begin, stop), frames(range(begin, stop)), strict=True):
@@ -161,7 +177,7 @@ def _forwards(frames: FrameRange, first: int, stop: int) -> Iterator[tuple[Frame
 
 
 def reversed_frames(frames: FrameRange, stop: int) -> Iterator[tuple[Frame, Frame | None]]:
-    """The frames stop - 1, stop - 2, ..., 0 with the one before each."""
+    """Yield the frames stop - 1, stop - 2, ..., 0 with the one before each."""
     while stop > 0:
         begin = max(0, stop - SETTINGS.sides_block)
         yield from list(_forwards(frames, begin, stop))[::-1]
@@ -169,8 +185,9 @@ def reversed_frames(frames: FrameRange, stop: int) -> Iterator[tuple[Frame, Fram
 
 
 def read_once(frames: FrameRange) -> FrameRange:
-    """The same frames, of which those of the last block are kept with what has been made of them: who goes backwards
-    asks for them again from the next place on."""
+    """Wrap a frame reader so that the frames of the last request are kept in memory. Why: a backward pass reads
+    overlapping ranges, and prepared masks stay with their frames.
+    """
     known = dict[int, Frame]()
 
     def of(numbers: range) -> Iterator[Frame]:
@@ -186,7 +203,7 @@ def read_once(frames: FrameRange) -> FrameRange:
 
 
 def _much_the_same(body: Body, a: FrameEstimate, b: FrameEstimate) -> bool:
-    """Do the joints of legs and arms lie on the same sides of each other in both, and all joints near?"""
+    """Return whether two estimates have their limbs on the same sides and their joints near each other."""
     s = body.skeleton
     joints = body.joints(np.stack([a.pose, b.pose]))
     left, right = (joints[:, [s.joint(f"{side}_{name}") for name in _LIMBS]] for side in ("left", "right"))
@@ -195,6 +212,6 @@ def _much_the_same(body: Body, a: FrameEstimate, b: FrameEstimate) -> bool:
 
 
 def _apart(body: Body, a: FrameEstimate, b: FrameEstimate) -> float:
-    """m, mean over the joints."""
+    """Compute the mean distance of the joints, m."""
     joints = body.joints(np.stack([a.pose, b.pose]))
     return float(np.linalg.norm(joints[0] - joints[1], axis=-1).mean())

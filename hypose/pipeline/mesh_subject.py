@@ -1,7 +1,7 @@
-"""A person's own scan, avatar or body model as a trackable body: upright, in metres, with joints, weights and a coarse
-mesh.
+"""Turn a person's scan, avatar or body model into a trackable body: upright, in metres, with joints, weights and a
+coarse mesh.
 
-The scan's pose is undone: the body rests in the template's rest pose, so that limits, priors and named poses hold.
+The scan's pose is removed: the body rests in the template's rest pose, so limits, priors and named poses hold.
 """
 
 from __future__ import annotations
@@ -40,10 +40,14 @@ _UNITS = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.30
 
 @dataclass(frozen=True)
 class MeshSubject:
-    """body: trackable; pose (D,): how it stood in the scan, in the upright frame; skin(pose) of the fine mesh is the
-    scan's surface. upright_from_file (3, 3): turns the file's coordinates upright and scales them to metres. distance:
-    median distance, m, of template and scan (None with a rig of its own); notes: what was
-    done, in sentences."""
+    """Trackable body made from a person's mesh.
+
+    body: the body.
+    pose: (D,) pose of the scan in the upright frame; the skinned fine mesh in this pose is the scan's surface.
+    upright_from_file: (3, 3) turns the file's coordinates upright and scales them to metres.
+    distance: median distance of template and scan, m; None for a mesh with its own rig.
+    notes: sentences on what was done.
+    """
 
     body: Body
     pose: Array
@@ -55,16 +59,23 @@ class MeshSubject:
 def subject_from_mesh(
     mesh: str | Path, out: str | Path, *, unit: str = "m", height: float | None = None
 ) -> MeshSubject:
-    """What `hypose subject --mesh` does: rigs the file and writes out/body.npz, which trackers load."""
+    """Rig a mesh file and write out/body.npz, like `hypose subject --mesh`.
+
+    unit, height: as for `rig_mesh`.
+    """
     subject = rig_mesh(mesh, unit=unit, height=height)
     save_body(subject.body, Path(out) / "body.npz")
     return subject
 
 
 def rig_mesh(mesh: str | Path | PersonMesh | Mesh, *, unit: str = "m", height: float | None = None) -> MeshSubject:
-    """Rig a person's mesh: a file (OBJ, PLY, STL, GLB, SMPL npz), or one in memory; the joints and weights of a skinned
-    file are kept. unit: of the coordinates, one of UNITS; height: m, scales the person to a known stature (arms down)
-    whatever the unit. An InputError names the cause (open, in parts, unit, pose) and the next step."""
+    """Rig a person's mesh; joints and weights of a skinned file are kept.
+
+    mesh: file (OBJ, PLY, STL, GLB, SMPL npz) or mesh in memory.
+    unit: of the coordinates: m, dm, cm, mm, in or ft.
+    height: stature (arms down), m; scales the person whatever the unit.
+    Raises: InputError names the cause (open surface, in parts, unit, pose) and the next step.
+    """
     if unit not in _UNITS:
         raise InputError(f"There is no unit {unit!r}; the units are {', '.join(_UNITS)}.")
     least, most = SETTINGS.mesh_statures
@@ -91,7 +102,7 @@ def _with_new_rig(person: PersonMesh, unit: str, height: float | None) -> MeshSu
     scale = _metres(extent, person.source, unit, height)
     fit, stance = fit_template(replace(surface, points=surface.points * scale), template, stances)
     if height is not None:
-        # arms above the head reach higher than the stature: the fitted body knows
+        # arms above the head reach higher than the stature: scale again by the fitted body
         again = height / fit.body.stature
         if abs(np.log(again)) > 0.01:
             scale *= again
@@ -122,7 +133,7 @@ def _assembled(
     faces: np.ndarray,
     weights: Array,
 ) -> Body:
-    """The body on the skeleton of `frame`, from a surface at a pose with dense weights (V, J)."""
+    """Build the body on the skeleton of `frame` from a surface in a pose, with dense weights (V, J)."""
     rough, rough_faces = coarse_mesh(vertices, faces, SETTINGS.mesh_coarse)
     rough_weights = carried_weights(rough, vertex_normals(rough, rough_faces), vertices, faces, weights)
     meshes = []
@@ -137,7 +148,11 @@ def _assembled(
 
 
 def _metres(extent: float, source: str, unit: str, height: float | None) -> float:
-    """Metres per unit of the file, or an InputError that suggests the unit; extent: height in the file's units."""
+    """Return metres per unit of the file.
+
+    extent: height of the mesh in the file's units.
+    Raises: InputError suggests the unit.
+    """
     if not extent > 0:
         raise InputError(f"{source} is flat: its height is 0; export the scan again.")
     if height is not None:
@@ -183,7 +198,7 @@ def _stance_notes(stance: ScanPose, unit: str, height: float | None) -> list[str
 
 
 def _arms_of(fit: ScanFit) -> str:
-    """The pose of SCAN_POSES that is nearest to the fitted upper arms."""
+    """Return the pose of SCAN_POSES that is nearest to the fitted upper arms."""
     s = fit.body.skeleton
     joints = fit.body.joints(fit.pose)
     drop = []
@@ -225,7 +240,9 @@ def _with_own_rig(person: PersonMesh, unit: str, height: float | None) -> MeshSu
 
 
 def _upright(joints: Array) -> tuple[Array, str]:
-    """The rotation after which z is up and the person faces -y, from joints (19, 3), and the file's up axis."""
+    """Compute the rotation that turns joints (19, 3) so that z is up and the person faces -y, and name the file's up
+    axis.
+    """
     names = human().skeleton.joint_names
 
     def at(*which: str) -> Array:
@@ -244,8 +261,9 @@ def _upright(joints: Array) -> tuple[Array, str]:
 
 
 def _pose_from_joints(joints: Array, vertices: Array) -> tuple[Body, Array]:
-    """The template with bones as long as the joints (19, 3) m demand, and the pose (D,) in which it has just these
-    joints: the rest offsets are the file's, turned back by the pose."""
+    """Fit the template to joints (19, 3) m: bones of their length, and the pose (D,) in which it has exactly these
+    joints.
+    """
     template = human()
     s = template.skeleton
     parents = s.parents
@@ -273,7 +291,7 @@ def _pose_from_joints(joints: Array, vertices: Array) -> tuple[Body, Array]:
     if apart > 0.25 * float(np.ptp(vertices[:, 2])):
         raise EvidenceError(
             f"The rig's joints lie up to {apart:.2f} m from those of a person in any pose; rig the mesh "
-            "anew without its skin."
+            "again without its skin."
         )
     pose = fit.pose.copy()
     pose[:3] = joints[0]

@@ -1,9 +1,8 @@
-"""Depth cameras that stand elsewhere than the calibration says, or are knocked while they record: found and corrected
-from the person's motion.
+"""Find and correct depth cameras that stand elsewhere than the calibration says, or are knocked while they record.
 
-Where a sensor stands shows in how what it measures fits the body that all of them see. The first one keeps its place,
-the others turn about the vertical and move along the floor, as when they are brought together at first
-(`calibration.depth_registration`); one instant is looked for at which places change.
+The place of a sensor follows from how well its measurements fit the body that all of them see. The first sensor keeps
+its place; the others turn about the vertical and move along the floor, as in the first registration
+(`calibration.depth_registration`). One instant is searched at which places change.
 """
 
 from __future__ import annotations
@@ -32,7 +31,10 @@ _LONG_SOLVE = SolveSettings(iterations=12, coarse_iterations=6)
 
 @dataclass(frozen=True)
 class Places:
-    """Where the cameras stand, camera_from_world (C, 4, 4), from frame number `since` on."""
+    """Places of the cameras from frame `since` on.
+
+    camera_from_world: (C, 4, 4).
+    """
 
     since: int
     camera_from_world: Array
@@ -40,7 +42,7 @@ class Places:
 
 @dataclass(frozen=True)
 class PlacedSource:
-    """A source whose cameras stand elsewhere than it says: the last of the places that have begun."""
+    """Source of frames with corrected camera places; in each frame the last of the places that have begun counts."""
 
     source: FrameSource
     places: Sequence[Places]
@@ -49,7 +51,7 @@ class PlacedSource:
         return len(self.source)
 
     def frame(self, index: int, /) -> Frame:
-        """Frame number index."""
+        """Return frame number index."""
         now = [p for p in self.places if p.since <= index]
         found = self.source.frame(index)
         return placed(found, now[-1].camera_from_world) if now else found
@@ -58,13 +60,19 @@ class PlacedSource:
 def moved_sensors(
     source: FrameSource, body: Body, poses: Array, iou: Array, frame_rate: float
 ) -> tuple[tuple[Places, ...], tuple[Finding, ...]]:
-    """Where depth cameras stand that are not where the source says, and findings on it; nothing where all are, or with
-    fewer than two. poses (T, D), as tracked; iou (T,): how well each agrees with what was seen, NaN: it does not
-    tell."""
-    depth = source.frame(0).depth
+    """Find depth cameras that do not stand where the source says.
+
+    poses: (T, D) as tracked.
+    iou: (T,) overlap of each pose with the evidence; NaN: not known.
+    frame_rate: Hz.
+    Returns: corrected places, and findings; both empty where all places are right or there are fewer than two depth
+        cameras.
+    """
+    depths = source.frame(0).of(Depth)
     count, least = len(poses), max(round(SETTINGS.moved_least_s * frame_rate), 3)
-    if depth is None or depth.usable.sum() < 2 or count < least:
+    if count < least or all(depth.usable.sum() < 2 for depth in depths):
         return (), ()
+    depth = depths[0]
     reported = _cameras(depth)
 
     def places(frames: range, count: int = SETTINGS.moved_frames, iterations: int = 12) -> Array:
@@ -111,7 +119,7 @@ def _cameras(depth: Depth) -> Array:
 
 
 def placed(frame: Frame, camera_from_world: Array) -> Frame:
-    """The frame of cameras that stand there, (C, 4, 4)."""
+    """Return the frame with the cameras placed at camera_from_world (C, 4, 4)."""
     depth, silhouettes = frame.the(Depth), frame.the(Silhouettes)
     cameras = (replace(c, camera_from_world=e) for c, e in zip(depth.rig, camera_from_world, strict=True))
     rig = type(depth.rig)(tuple(cameras))
@@ -119,8 +127,11 @@ def placed(frame: Frame, camera_from_world: Array) -> Frame:
 
 
 def _off(reported: Array, found: Array, pose: Array, share: float = 1.0) -> dict[int, tuple[float, float]]:
-    """Degrees, and m where the person stands (pose (D,)), by which cameras are off: those that are, by more than a
-    share of what counts."""
+    """Measure by how much cameras are off, and keep those that are off by more than a share of the limits.
+
+    pose: (D,) of the person.
+    Returns: by camera index, degrees, and metres at the person's place.
+    """
     errors = [place_error(f, t, pose[:3]) for f, t in zip(found, reported, strict=True)]
     return {
         c: e
@@ -132,7 +143,7 @@ def _off(reported: Array, found: Array, pose: Array, share: float = 1.0) -> dict
 def _refined(
     source: FrameSource, body: Body, poses: Array, frames: NDArray[np.intp], reported: Array, iterations: int
 ) -> Array:
-    """The cameras' places (C, 4, 4) by some frames and the poses (F, D) in them."""
+    """Solve the places (C, 4, 4) of the cameras from some frames and the poses (F, D) in them."""
     depths = [source.frame(int(t)).of(Depth) for t in frames]
     views = np.flatnonzero(np.any([np.zeros(len(reported), np.bool_), *(d.usable for own in depths for d in own)], 0))
     seen = [[_surface(own, int(c), reported[c]) for own in depths] for c in views]
@@ -142,8 +153,10 @@ def _refined(
 
 
 def _surface(depths: Sequence[Depth], view: int, camera_from_world: Array) -> SurfacePoints:
-    """Select the points that one camera of a frame shows, and turn them into the camera's own frame. depths: the depth
-    maps of the frame, one or none."""
+    """Select the points that one camera of a frame shows, and turn them into the camera's own frame.
+
+    depths: depth maps of the frame, one or none.
+    """
     none = np.zeros((0, 3))
     alone = SurfacePoints(none, none, np.zeros(0), np.zeros(2, np.int64))
     for s in (depth.surface for depth in depths):
@@ -153,7 +166,7 @@ def _surface(depths: Sequence[Depth], view: int, camera_from_world: Array) -> Su
 
 
 def _changes(source: FrameSource, body: Body, poses: Array, first: Array, last: Array) -> int:
-    """The frame at which cameras went from their first places to the last ones: where both explain most."""
+    """Find the frame at which cameras moved from their first to their last places: where both explain most."""
     gain = np.zeros(len(poses))
     for t, pose in enumerate(poses):
         frame = source.frame(t)

@@ -1,8 +1,8 @@
-"""One camera of a recording: frames with its picture, where a track with it starts, and what of it they contradict.
+"""Prepare tracking with one camera: frames with pictures, the start, and how much of the picture contradicts a result.
 
-A track starts at joints clicked in its first picture (a JSON file), or at a detector's key points.
+A track starts from joints clicked in its first picture (a JSON file), or from key points of a detector.
 
-The file of clicks, pixels of the picture as it was recorded, (0, 0) in the middle of the upper left pixel:
+The file of clicks has pixels of the picture as it was recorded, (0, 0) in the middle of the upper left pixel:
 
     {"camera": "cam1", "frame": 0, "joints": {"left_shoulder": [512.0, 310.5], "left_elbow": [540, 402], ...}}
 
@@ -54,7 +54,10 @@ from hypose.tracking.monocular.settings import MonoSettings
 
 
 def one_view(recording: Recording, camera: str | None) -> Recording:
-    """The recording limited to the named camera (None: its only one); an InputError lists the cameras."""
+    """Limit a recording to the named camera; None: its only one.
+
+    Raises: InputError lists the cameras.
+    """
     names = [v.name for v in recording.views]
     if camera is None and len(names) > 1:
         raise InputError(
@@ -76,8 +79,11 @@ def one_view(recording: Recording, camera: str | None) -> Recording:
 
 
 def working_side(recording: Recording, person_px: float, picture: tuple[int, int]) -> int:
-    """Longer side of the pictures to work on, px, so that a person who is person_px tall in pictures of that size
-    (width, height) is about TARGET_PX tall."""
+    """Compute the longer side (px) of the pictures to work on, so that the person is about SETTINGS.picture_target_px
+    tall.
+
+    person_px: height of the person in pictures of the size `picture` (width, height).
+    """
     longest = max(recording.rig[0].size)
     share = person_px / max(picture)
     return round(
@@ -90,14 +96,18 @@ def working_side(recording: Recording, person_px: float, picture: tuple[int, int
 
 
 def has_masks(recording: Recording) -> bool:
-    """Whether a recording of one camera provides masks; a background learnt from the clip itself holds the person."""
+    """Return whether a recording of one camera has masks, or a background that is not learned from the clip itself.
+    Why: a background learned from the clip contains the person.
+    """
     view = recording.views[0]
     return view.masks is not None or view.background is not None
 
 
 def masks_of(recording: Recording, evidence: str) -> SilhouetteSettings | None:
-    """How the masks of the one camera are made, None without; an InputError when the evidence asks for masks or key
-    points that are not there."""
+    """Return how masks of the one camera are made; None without masks.
+
+    Raises: InputError where the evidence needs masks or key points that the camera does not have.
+    """
     view = recording.views[0]
     if evidence in ("silhouettes", "both") and not has_masks(recording):
         raise InputError(
@@ -113,18 +123,21 @@ def masks_of(recording: Recording, evidence: str) -> SilhouetteSettings | None:
 
 
 class FrameSource(Protocol):
-    """Frames by number: hypose.io.recordings.frames.FrameStream, or any synthetic scene."""
+    """Protocol of a source of frames by number: hypose.io.recordings.frames.FrameStream, or a synthetic scene."""
 
     def __len__(self) -> int: ...
 
     def frame(self, index: int, /) -> Frame:
-        """Frame number index, 0 <= index < len."""
+        """Return frame number index, 0 <= index < len."""
         ...
 
 
 class PictureFrames:
-    """The frames of a source with the picture of its one camera, undistorted, at working size; the mask is a part of
-    it, left out where it shows no person. Frames that are in memory have their pictures already."""
+    """Frames of a source with the undistorted picture of its one camera, at working size.
+
+    The mask becomes a part of the picture, or is left out where it shows no person. Frames in memory have their
+    pictures already.
+    """
 
     def __init__(self, source: FrameSource) -> None:
         self._source, self._pictures = source, None
@@ -134,7 +147,7 @@ class PictureFrames:
             self._pictures = ViewSource(source.recording.views[0], source.recording.rig[0], source.rig[0])
 
     def frame(self, index: int, /) -> Frame:
-        """Frame number index, its picture without the one before."""
+        """Return frame number index with its picture, without the picture before."""
         frame = self._source.frame(index)
         if self._pictures is None or not isinstance(self._source, FrameStream):
             return frame
@@ -145,8 +158,9 @@ class PictureFrames:
         return Frame(frame.time, frame.index, keypoints=frame.keypoints, picture=picture)
 
     def walk(self, indices: range) -> Iterator[Frame]:
-        """The frames one after the other, forwards or backwards; the picture before is the one behind, whether or not
-        it belongs to the walk."""
+        """Yield the frames one after the other, forwards or backwards, with the picture before each in this direction,
+        also at the first frame.
+        """
         behind = indices.start - indices.step
         last = self._read(behind, indices.step) if indices and 0 <= behind < len(self._source) else None
         for index in indices:
@@ -177,7 +191,7 @@ class PictureFrames:
 
 
 def depth_note(motion: Motion, modes: Modes) -> str:
-    """A sentence that says how uncertain the depth is, in mm, and how many poses are still possible."""
+    """Write the sentence that says how uncertain the depth is, in mm, and how many other poses are possible."""
     depth = 1e3 * float(np.nanmedian(modes.depth_sd))
     whole = 3 * np.asarray(motion.joint_sd) ** 2
     across = 1e3 * float(np.nanmedian(np.sqrt(np.maximum(whole - modes.depth_sd**2, 0.0) / 2)))
@@ -189,16 +203,19 @@ def depth_note(motion: Motion, modes: Modes) -> str:
     others = np.median(modes.alive) - 1
     return (
         f"one camera does not measure depth: along its line of sight a joint is known to +-{depth:.0f} mm (1 sd, "
-        f"median), across it to +-{across:.0f} mm; beside the best pose {others:.0f} others explain the pictures "
-        f"nearly as well (median), whose joints lie up to {spread:.0f} mm elsewhere: see modes.npz"
+        f"median), across it to +-{across:.0f} mm; {others:.0f} other poses explain the pictures nearly as "
+        f"well as the best one (median), with joints up to {spread:.0f} mm elsewhere: see modes.npz"
     )
 
 
 def tracked_frames(
     source: FrameSource, indices: range, needs: Sequence[str], subject: TrackedSubject
 ) -> Iterator[Frame]:
-    """The frames that a recipe is to track, with what it needs: the picture of one camera; detections by colour where
-    it needs detections and the recording has neither key points nor anything else that detects ends, but pictures."""
+    """Yield the frames that a recipe tracks, with the evidence that it needs.
+
+    The picture of one camera where the recipe needs pictures. Detections by skin colour where it needs detections and
+    the recording has pictures but no key points. Otherwise the frames as they are.
+    """
     if "picture" in needs:
         with contextlib.closing(PictureFrames(source)) as frames:
             yield from frames.walk(indices)
@@ -216,11 +233,13 @@ def tracked_frames(
 
 
 class ColourDetections:
-    """The frames of a recording with the ends that skin colour shows (`Frame.detections`, unnamed).
+    """Frames of a recording with the detections of hands and head by skin colour (`Frame.detections`, without names).
 
-    The colours are the person's own, learnt in the first frame, whose pose (D,) is known. Every frame is a function of
-    the recording and that pose alone, in whatever order frames are asked for. The pictures are read a second time, in
-    addition to the masks. An InputError when they are grey: there skin has no colour."""
+    The skin colours are learned from the first frame, whose pose (D,) is known. A frame depends on the recording and
+    that pose alone, not on the order in which frames are read. The pictures are read a second time, in addition to the
+    masks.
+    Raises: InputError where the pictures are grey.
+    """
 
     def __init__(self, source: FrameStream, body: Body, start: Array) -> None:
         self.source, self.body = source, body
@@ -240,16 +259,16 @@ class ColourDetections:
         return len(self.source)
 
     def frame(self, index: int, /) -> Frame:
-        """Frame number index with its detections."""
+        """Return frame number index with its detections."""
         frame = self.source.frame(index)
-        silhouettes = frame.silhouettes
-        centre = None if silhouettes is None else centre_of(silhouettes)
-        if silhouettes is None or centre is None:
-            return frame
-        images = self._images(index, silhouettes)
-        maps = np.stack([skin_map(i, m, self._colours) for i, m in zip(images, silhouettes.masks, strict=True)])
-        detections, _ = detect_ends(silhouettes, maps, centre, self.body.stature)
-        return replace(frame, detections=detections)
+        for silhouettes in frame.of(Silhouettes):
+            centre = centre_of(silhouettes)
+            if centre is not None:
+                images = self._images(index, silhouettes)
+                maps = np.stack([skin_map(i, m, self._colours) for i, m in zip(images, silhouettes.masks, strict=True)])
+                detections, _ = detect_ends(silhouettes, maps, centre, self.body.stature)
+                return replace(frame, detections=detections)
+        return frame
 
     def close(self) -> None:
         """Release the videos."""
@@ -257,7 +276,7 @@ class ColourDetections:
             view.close()
 
     def _images(self, index: int, silhouettes: Silhouettes) -> NDArray[np.uint8]:
-        """(C, h, w, 3) at the masks' pixels; black where there is no picture."""
+        """Read the pictures (C, h, w, 3) at the masks' pixels; black where there is no picture."""
         out = np.zeros((*silhouettes.masks.shape, 3), np.uint8)
         for c in np.flatnonzero(silhouettes.usable):
             picture = self._pictures[int(c)].image(self.source.frames[index])
@@ -266,7 +285,7 @@ class ColourDetections:
 
 
 def centre_of(silhouettes: Silhouettes) -> Array | None:
-    """(3,) m: about the middle of the person, where the masks' centroids meet; None with fewer than two views."""
+    """Triangulate the middle of the person (3,) m from the centroids of the masks; None with fewer than two views."""
     middle = np.zeros((len(silhouettes.masks), 1, 2))
     for c, mask in enumerate(silhouettes.masks):
         rows, columns = np.nonzero(mask)
@@ -278,14 +297,17 @@ def centre_of(silhouettes: Silhouettes) -> Array | None:
 
 
 POINT_STARTS = ("auto", "keypoints")
-"""Starts that are no file of clicks."""
+"""Start options that do not name a file of clicks."""
 
 Clicks = Mapping[str, tuple[float, float]]
-"""Joints clicked in a recorded picture: name -> (u, v) px."""
+"""Clicked joints in a recorded picture: name -> (u, v), px."""
 
 
 def load_clicks(path: str | Path, recording: Recording) -> Clicks:
-    """Read a file of clicks for the one camera of a recording; an InputError names the cause."""
+    """Read a file of clicks for the one camera of a recording.
+
+    Raises: InputError names the cause.
+    """
     path = Path(path)
     view = recording.views[0]
     document = read_json(path, "a file of clicks")
@@ -326,7 +348,7 @@ def _click(path: Path, name: str, at: Any, size: tuple[int, int]) -> tuple[float
 
 
 def clicked_pixels(clicks: Clicks, recording: Recording, working: Camera) -> dict[str, tuple[float, float]]:
-    """Clicks in the undistorted pixels of the working camera."""
+    """Convert clicks to undistorted pixels of the working camera."""
     view, camera = recording.views[0], recording.rig[0]
     with open_video(_source(recording)) as reader:
         stored = np.array(reader.size, dtype=np.float64)
@@ -337,7 +359,7 @@ def clicked_pixels(clicks: Clicks, recording: Recording, working: Camera) -> dic
 
 
 def side_to_work_on(recording: Recording, clicks: Clicks | None) -> int:
-    """Longer side of the working pictures, px, by the size of the person at the start."""
+    """Compute the longer side of the working pictures, px, from the size of the person at the start."""
     if clicks is not None:
         with open_video(_source(recording)) as reader:
             return working_side(recording, _extent(np.array(list(clicks.values()))), reader.size)
@@ -355,20 +377,24 @@ def _extent(pixels: Array) -> float:
 
 def _source(recording: Recording) -> Path:
     source = recording.views[0].source
-    assert source is not None  # pictures.one_view saw to it
+    assert source is not None  # `one_view` has checked it
     return source
 
 
 def picture_options(recording: Recording, start: str, evidence: str) -> FrameSettings:
-    """How the pictures of a recording of one camera are read: as large as its person needs, with masks if they are
-    evidence."""
+    """Return how the pictures of a recording of one camera are read: as large as its person needs, with masks if they
+    are evidence.
+    """
     return FrameSettings(
         side_to_work_on(recording, clicks_of(start, recording)), silhouettes=masks_of(recording, evidence)
     )
 
 
 def clicks_of(start: str, recording: Recording) -> Clicks | None:
-    """The clicks that a track starts from; None when it starts from key points."""
+    """Load the clicks that a track starts from; None where it starts from key points.
+
+    Raises: InputError where `start` is neither a file nor one of POINT_STARTS.
+    """
     if start in POINT_STARTS:
         return None
     if not Path(start).is_file():
@@ -389,8 +415,15 @@ def subject_in_picture(
     height: float | None = None,
     floor: float | None = None,
 ) -> TrackedSubject:
-    """The person in the pictures of one camera, with rival starts. body: the person's own (then only poses are looked
-    for); floor: height of the floor in the world, m, None when it is not known."""
+    """Find the person in the pictures of one camera: body and rival start poses.
+
+    start: one of POINT_STARTS, or a file of clicks.
+    evidence: used in the notes.
+    body: the person's own body; None: a body is fitted.
+    height: m, where known.
+    floor: height of the floor in the world, m; None: not known.
+    Raises: InputError or EvidenceError where there is nothing to start from.
+    """
     with contextlib.closing(PictureFrames(source)) as frames:
         template, seen = body or human(), _keypoints_of(source)
         notes = [_evidence_note(source, evidence, any(k is not None for k in seen))]
@@ -437,7 +470,7 @@ def subject_in_picture(
 
 
 def _keypoints_of(source: FrameSource) -> list[Keypoints | None]:
-    """Of every frame, without reading a picture where that can be."""
+    """Return the key points of every frame, without reading pictures where possible."""
     if isinstance(source, FrameStream):
         return [None] * len(source) if source.keypoints is None else list(source.keypoints)
     return [source.frame(i).keypoints for i in range(len(source))]
@@ -453,7 +486,7 @@ def _evidence_note(source: FrameSource, evidence: str, keypoints: bool) -> str:
 
 
 def _later_points(seen: Sequence[Keypoints | None], first: int) -> tuple[PointsOn, ...]:
-    """The key points of LENGTH_FRAMES frames over the whole clip, to measure lengths with."""
+    """Select key points of frames over the whole clip, from which lengths of the body are measured."""
     rows = np.unique(np.linspace(first, len(seen) - 1, SETTINGS.picture_length_frames + 1).astype(int))[1:]
     some = [k for k in (seen[i] for i in rows) if k is not None and _enough(k)]
     return tuple(partial(keypoints_on, names=k.names, keypoints=np.asarray(k.points[0])) for k in some)
@@ -467,7 +500,9 @@ def _enough(seen: Keypoints) -> bool:
 def _first_keypoints(
     source: FrameSource, seen: Sequence[Keypoints | None], frame_rate: float
 ) -> tuple[int, Array, tuple[str, ...]]:
-    """The first frame of the first second with enough key points, its points (K, 3) and their names."""
+    """Find the first frame of the first second with enough key points; return its number, its points (K, 3) and their
+    names.
+    """
     name = source.recording.views[0].name if isinstance(source, FrameStream) else "in memory"
     if not any(k is not None for k in seen):
         raise InputError(
@@ -484,25 +519,28 @@ def _first_keypoints(
 
 
 _LEAST_POINTS, _LIMBS = 4, ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
-"""key points that tell, and of what: a face has many, against which an arm would not count"""
+"""Least number of key points that are compared, and their joints. Why limbs only: the many points of a face would
+outweigh an arm."""
 
 
 def image_deviation(body: Body, poses: Array, frames: Iterable[Frame]) -> Array:
-    """(T,): the share of what one camera shows that poses (T, D) put elsewhere in the picture; NaN where it shows
-    nothing."""
+    """Compute which share of the key points, or joints over the mask, a pose puts elsewhere than the picture shows.
+
+    poses: (T, D).
+    Returns: (T,); NaN where the picture shows nothing.
+    """
     out = np.full(len(poses), np.nan)
     for t, frame in enumerate(frames):
         if not np.isfinite(poses[t]).all():
             continue
-        if frame.keypoints is not None:
-            out[t] = _far(body, poses[t], frame.keypoints)
-        elif frame.silhouettes is not None:
-            out[t] = _outside(body, poses[t], frame.silhouettes)
+        by_masks = [_outside(body, poses[t], masks) for masks in frame.of(Silhouettes)]
+        for found in [_far(body, poses[t], points) for points in frame.of(Keypoints)] or by_masks:
+            out[t] = found
     return out
 
 
 def against_the_picture(share: Array) -> tuple[Finding, ...]:
-    """Find that a motion is not to be trusted, by the shares (T,) of `image_deviation`."""
+    """Make the finding that a motion does not fit the picture, from the shares (T,) of `image_deviation`."""
     if not np.isfinite(share).any() or np.nanmean(share) <= SETTINGS.picture_deviation:
         return ()
     where = in_words(runs(np.nan_to_num(share) > SETTINGS.picture_deviation))
@@ -515,7 +553,7 @@ def against_the_picture(share: Array) -> tuple[Finding, ...]:
 
 
 def doubt_of_depth(modes: Modes) -> Finding:
-    """Say how well depth is known, which no picture contradicts."""
+    """Make the finding that says how well depth is known, which one picture cannot show."""
     sd = 1e3 * float(np.nanmedian(modes.depth_sd))
     text = (
         f"one camera does not measure depth, which is known to +-{sd:.0f} mm (1 sd, median) as far as the lens and the "

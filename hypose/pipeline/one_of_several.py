@@ -1,8 +1,9 @@
-"""One person of a recording that shows several: they are tracked together, and one result is kept.
+"""Track one person of a recording that shows several: all are tracked together, and one result is kept.
 
-Never a mixture of both: what others cover is left out of the evidence for the one who was chosen.
+Each person's evidence leaves out what the others cover, so a result never mixes two people.
 
-Whether masks show several people is decided view by view, without a calibration: the calibration may be under check.
+Whether masks show several people is decided view by view, without a calibration, since the calibration may be the thing
+that is checked.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ from hypose.pipeline.tracked_people import Wanted, said_of_places
 
 
 def several_apart(silhouettes: Sequence[Silhouettes], often: float = SETTINGS.several_often) -> bool:
-    """Whether so many of these frames, a share of them, show people side by side in two views or more."""
+    """Return whether a share of these frames (more than `often`) shows people side by side in at least two views."""
     if not silhouettes:
         return False
     usable = np.array([s.usable for s in silhouettes])
@@ -49,7 +50,7 @@ def several_apart(silhouettes: Sequence[Silhouettes], often: float = SETTINGS.se
 
 
 def _others_in_view(mask: NDArray[np.uint8]) -> int:
-    """How many large parts of a mask (h, w) stand side by side; what stands above another is the same one."""
+    """Count the large parts of a mask (h, w) that stand side by side; parts above each other count as one."""
     _, _, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
     parts = stats[1:]
     if not len(parts):
@@ -69,7 +70,7 @@ _COUNT = re.compile(r"[1-9][0-9]?")
 
 
 def wanted_of(recording: Recording) -> list[Wanted]:
-    """What recording.toml says of people."""
+    """Read what recording.toml says about people."""
     first = recording.frames.start / recording.frame_rate
     return [
         Wanted(
@@ -84,15 +85,18 @@ def wanted_of(recording: Recording) -> list[Wanted]:
 
 
 def wanted_first(recording: Recording, options: TrackOptions) -> list[Wanted]:
-    """Prior knowledge of the one person who is tracked: the first of recording.toml's people, with the body or height
-    that was asked for."""
+    """Return the prior knowledge of the one person to track: the first person of recording.toml, with the requested
+    body or height.
+    """
     first = (wanted_of(recording) or [Wanted("person-1")])[0]
     body = first.body if options.subject is None else load_subject(options.subject)
     return [replace(first, height=first.height or options.height, body=body)]
 
 
 def keypoint_people(recording: Recording, small: CameraRig) -> KeypointPeople | None:
-    """The people that a recording's key points show, where rays tell them apart; None when there are none."""
+    """Load the people that a recording's key points show, where they are separated by their rays; None where there are
+    none.
+    """
     found = load_person(recording, small)
     if found is None or recording.keypoint_set is None or not found.one.by_rays:
         return None
@@ -100,8 +104,11 @@ def keypoint_people(recording: Recording, small: CameraRig) -> KeypointPeople | 
 
 
 def chosen_people(text: str, wanted: Sequence[Wanted]) -> tuple[int | None, str | None]:
-    """How many people at most (None: all), and the name of the only one whose results are wanted; from 'all', a number
-    or a name in recording.toml."""
+    """Parse the option --people: 'all', a number, or a name in recording.toml.
+
+    Returns: maximum number of people (None: all), and the only name whose results are wanted (None: all).
+    Raises: InputError for other texts.
+    """
     if text == "all":
         return None, None
     if _COUNT.fullmatch(text):
@@ -116,9 +123,11 @@ def chosen_people(text: str, wanted: Sequence[Wanted]) -> tuple[int | None, str 
 
 
 def people_frames(recording: Recording, options: TrackOptions, progress: StageProgress | None = None) -> FrameStream:
-    """The frames of a recording with all people in the masks, if masks are wanted. An InputError for key points
-    together with depth cameras."""
-    depth = [v.name for v in recording.views if v.depth is not None]
+    """Open the frames of a recording with all people in the masks, where masks are wanted.
+
+    Raises: InputError for key points together with depth cameras.
+    """
+    depth = [v.name for v in recording.depth_views]
     if depth and options.looks_at != "silhouettes":
         raise InputError(
             f"Several people before depth cameras ({', '.join(depth)}) are told apart by what these measure, and not "
@@ -129,16 +138,20 @@ def people_frames(recording: Recording, options: TrackOptions, progress: StagePr
 
 
 def frames_to_examine(recording: Recording, progress: StageProgress | None = None) -> tuple[FrameStream, bool]:
-    """The frames of a recording whose calibration is in doubt, with all people in the masks when several stand side by
-    side there, and whether they do: which person a view shows is not known before the calibration is right."""
+    """Open the frames of a recording whose calibration is in doubt.
+
+    Where several people stand side by side, the masks keep all of them. Why: which person a view shows is not known
+    before the calibration is right.
+    Returns: the frames, and whether several people are in the masks.
+    """
     one = FrameStream(recording, progress=progress)
-    depth = any(view.depth is not None for view in recording.views)
+    depth = bool(recording.depth_views)
     alone = depth and len(recording.views) == 1
     if one.options.silhouettes is None or not recording.has_pictures or one.tells_apart or alone:
         return one, False
     whole = replace(one.options, people=True)
     all_people = FrameStream(recording, whole, one.backgrounds or None)
-    if depth:  # each alone keeps the largest part, or the one most like a person
+    if depth:  # a single depth camera keeps the largest part, or the one most like a person
         several = count_people(all_people.frame, len(all_people)) > 1
         (one if several else all_people).close()
         return (all_people, True) if several else (one, False)
@@ -147,28 +160,29 @@ def frames_to_examine(recording: Recording, progress: StageProgress | None = Non
     several = several_apart(masks)
     if not several and several_apart(
         masks, SETTINGS.several_now_and_then
-    ):  # who pass behind each other: if the cameras agree on it
+    ):  # people who pass behind each other: counted if the cameras agree
         several = count_people(all_people.frame, len(all_people)) > 1
     (one if several else all_people).close()
     return (all_people, True) if several else (one, False)
 
 
 def several_seen(source: FrameSource, options: TrackOptions) -> bool:
-    """Do the masks of a source show several people, if these are looked at?"""
+    """Return whether the masks of a source show several people; False where masks are not used."""
     looked_at = options.looks_at != "keypoints" and not options.of_picture
     return looked_at and count_people(source.frame, len(source)) > 1
 
 
 def with_all_people(source: FrameStream, options: TrackOptions) -> FrameStream | None:
-    """The frames of a recording with all people in the masks, when these show several; None when they do not, or masks
-    are not all that is looked at."""
+    """Open the frames of a recording with all people in the masks; None where the masks do not show several, or are not
+    the only evidence.
+    """
     settings = source.options
     views = source.recording.views
     if settings.silhouettes is None or options.of_picture or len(source.rig) < 2 or source.tells_apart:
         return None
-    if any(view.depth is not None for view in views):
-        # one depth camera keeps the largest person; several, and pictures, may show other people; masks
-        # that were made elsewhere may be of one person
+    if source.recording.depth_views:
+        # one depth camera keeps the largest person; several depth cameras, and pictures, may show other people;
+        # masks made by other programs may be of one person
         if any(view.masks is not None for view in views) or options.looks_at != "silhouettes":
             return None
     elif len(views) < 3:
@@ -194,9 +208,14 @@ def track_one_of(
     progress: StageProgress | None = None,
     command: str = "--people all",
 ) -> TrackResult:
-    """The person who is wanted first, or stands nearest to where the cameras look; of the others it is said that they
-    are there, and that the `command` tracks them. Not to be trusted where no person was found at the place of who is
-    wanted. Everything else as for `track_source`."""
+    """Track all people together and return the result of one.
+
+    wanted: prior knowledge of the person; without it the person nearest to the middle of the cameras' view is taken.
+    points: key points sorted by person.
+    command: named in the note that other people are there.
+    The other arguments: as for `track_source`.
+    Returns: result of the person; not to be trusted where no person was found at the wanted place.
+    """
     report = progress or (lambda stage, done, total: None)
     run = PeopleRun(
         source,

@@ -1,7 +1,7 @@
 """Passes of a run over one person's clip, from its frames to a motion that has been judged.
 
-`PASSES` lists them in the order in which they run. A pass takes the clip as the pass before left it and returns it
-changed. What each of them moved, by how much and why, is recorded in the clip's trace.
+`PASSES` lists them in the order in which they run. Each pass takes the clip (`ClipState`) as the pass before left it
+and returns a changed copy. `run_pass` records in the clip's trace which joints a pass moved, by how much and why.
 """
 
 from __future__ import annotations
@@ -75,31 +75,32 @@ MODES = "modes.npz"
 
 @dataclass(frozen=True)
 class ClipState:
-    """One person's clip between two passes.
+    """State of one person's clip between two passes.
 
-    source, frame_rate: frames, Hz
-    options: what the user chose
-    body: the subject's own body, None: a fitted one
-    method: recipe instead of the options' one
-    own: evidence in addition to that of the frames
-    results: folder that results and checkpoints are written to
-    record: provenance
-    resume: go on from a checkpoint
-    find_places: find depth cameras that stand elsewhere than the source says
-    shared_masks: the masks show others too
-    progress: called with stage, done, total
-    subject, tracker: None before `find_person`
-    given: the caller gave the subject and its start
-    tracked: estimates of the frames, None before `track_clip` and where all frames are solved together
-    motion: None before `to_motion`
-    one_by_one: (T, D) poses as each frame was tracked
-    audit: (T, J, A) features of the error model
-    covariance: (T, D, D) of the poses
-    modes: poses that one camera allows
-    notes: sentences for the user
-    findings: reasons why the motion is not to be trusted or to be reviewed, and remarks
-    places: of depth cameras that stand elsewhere
-    trace: what the passes moved
+    source: frames of the clip.
+    frame_rate: Hz.
+    options: options of the run, as the user chose them.
+    body: the subject's own body; None: a body is fitted.
+    method: recipe that replaces the recipe of the options.
+    own: evidence in addition to that of the frames.
+    results: folder for results and checkpoints; None: nothing is written.
+    record: provenance of the motion.
+    resume: continue from a checkpoint.
+    find_places: look for depth cameras that stand elsewhere than the source says.
+    shared_masks: the masks also show other people.
+    progress: called with stage, done, total.
+    subject, tracker: None before `find_person`.
+    given: the caller gave the subject and its start pose.
+    tracked: estimates of the frames; None before `track_clip`, and where all frames are solved together instead.
+    motion: None before `to_motion`, or before `track_clip` where all frames are solved together.
+    one_by_one: (T, D) poses as each frame was tracked, before smoothing.
+    audit: (T, J, A) features of the error model.
+    covariance: (T, D, D) covariances of the poses.
+    modes: alternative poses that one camera allows.
+    notes: sentences for the user.
+    findings: reasons to distrust or review the motion, and remarks.
+    places: corrected places of depth cameras.
+    trace: changes that the passes made so far.
     """
 
     source: FrameSource
@@ -130,13 +131,13 @@ class ClipState:
 
     @property
     def who(self) -> TrackedSubject:
-        """The subject, after `find_person`."""
+        """The subject; only after `find_person` has run."""
         assert self.subject is not None
         return self.subject
 
     @property
     def with_tracker(self) -> Tracker:
-        """The tracker, after `find_person`."""
+        """The tracker; only after `find_person` has run."""
         assert self.tracker is not None
         return self.tracker
 
@@ -147,12 +148,12 @@ class ClipState:
 
     @property
     def smooths(self) -> bool:
-        """Whether all frames are solved together at the end."""
+        """Whether all frames are solved together after tracking."""
         return self.options.smooth and self.with_tracker.recipe.smooth is not None and self.complete
 
     @property
     def joints(self) -> Array | None:
-        """(T, J, 3) m: joints as they are now; None before tracking."""
+        """(T, J, 3) m: the current joint positions; None before tracking."""
         if self.motion is not None:
             return self.motion.joints
         if self.tracked is None or not self.tracked.estimates:
@@ -160,11 +161,11 @@ class ClipState:
         return self.who.body.joints(np.stack([e.pose for e in self.tracked.estimates]))
 
     def frames(self, numbers: range) -> Iterator[Frame]:
-        """Read frames of the clip once more, forwards or backwards."""
+        """Read the frames with these numbers once more, forwards or backwards."""
         return tracked_frames(self.source, numbers, self.with_tracker.recipe.needs, self.who)
 
     def with_findings(self, *found: Finding) -> ClipState:
-        """Add findings."""
+        """Return the clip with more findings."""
         return replace(self, findings=(*self.findings, *found))
 
 
@@ -172,7 +173,10 @@ Pass = Callable[[ClipState], ClipState]
 
 
 def run_pass(step: Pass, clip: ClipState) -> ClipState:
-    """Run a pass and record in the trace what it moved."""
+    """Run one pass, and record in the trace which joints it moved.
+
+    Only passes that have a row in `REASONS` move joints; nothing is recorded for the others.
+    """
     before, after = clip.joints, step(clip)
     now, reason = after.joints, REASONS.get(step.__name__)
     if reason is None or before is None or now is None or len(before) != len(now):
@@ -185,13 +189,13 @@ def run_pass(step: Pass, clip: ClipState) -> ClipState:
 
 
 def check_evidence(clip: ClipState) -> ClipState:
-    """Check masks, key points and cameras against each other before anything is tracked."""
+    """Check masks, key points and cameras against each other before tracking, and add the findings."""
     options = clip.options
     clip.progress("look", 0, 1)
     found = ()
     if not options.of_picture:
         found = input_checks.check_inputs(clip.source, options.looks_at, options.height, clip.frame_rate)
-    # of one person wrong cameras make two
+    # wrong cameras can make one person look like two
     more = 0 if input_checks.places_refuted(found) else getattr(clip.source, "others", 0)
     others = (other_people_note(more, "key points", "--people all"),) if more else ()
     clip.progress("look", 1, 1)
@@ -199,7 +203,11 @@ def check_evidence(clip: ClipState) -> ClipState:
 
 
 def find_person(clip: ClipState) -> ClipState:
-    """Find the person's body and start, unless the caller gave them, and make the tracker."""
+    """Find the person's body and start pose, unless the caller gave them, and build the tracker.
+
+    Raises: HyposeError where no person is found; where the checks found faults, the message names them as a possible
+        cause.
+    """
     if clip.subject is None:
         try:
             clip = replace(clip, subject=_subject(clip, clip.results if clip.resume else None))
@@ -209,17 +217,17 @@ def find_person(clip: ClipState) -> ClipState:
             why = [
                 *([guessed] if guessed else []),
                 *input_checks.sentences(clip.findings),
-            ]  # masks of no person speak against cameras, too
+            ]  # wrong cameras may also be why the masks show no person
             if not why:
                 raise
             raise type(error)(f"{' '.join(why)} That may be why: {error}") from error
-    if clip.results is not None:  # before the motion, so that the kept part of an interrupted run can be looked at
+    if clip.results is not None:  # before the motion, so that the result of an interrupted run can be viewed
         keep_subject(clip.who, clip.results, provenance_identity(clip.record))
     return replace(clip, notes=(*clip.notes, *clip.who.notes), tracker=_tracker(clip))
 
 
 def _subject(clip: ClipState, results: ResultsFolder | None) -> TrackedSubject:
-    """Find the subject: the one that this run kept in `results`, or else by the frames."""
+    """Load the subject that an interrupted run saved in `results`, or find it in the frames."""
     o, body = clip.options, clip.body
     clip.progress("subject", 0, 1)
     subject = None if results is None else kept_subject(results, provenance_identity(clip.record))
@@ -244,10 +252,10 @@ def tracker_of(
     method: Recipe | None = None,
     own: Sequence[OwnEvidence] = (),
 ) -> Tracker:
-    """Make the tracker of a run.
+    """Build the tracker of a run.
 
-    method: recipe instead of the options' one
-    own: evidence in addition to that of the frames
+    method: recipe that replaces the recipe of the options.
+    own: evidence in addition to that of the frames.
     """
     about = {"frame_rate": frame_rate, "particles": options.particles, "refine": options.refine}
     made = method or recipe(options.recipe, subject.body, **about, **options.own)
@@ -259,7 +267,10 @@ def tracker_of(
 
 
 def track_clip(clip: ClipState) -> ClipState:
-    """Track the frames one after the other, or solve those of a clip of key points together."""
+    """Track the frames one after the other; solve them together where the clip has key points only.
+
+    Raises: HyposeError where a frame fails; the frames before it are written to the results folder first.
+    """
     results, key = clip.results, provenance_identity(clip.record)
     if clip.options.whole_clip and clip.method is None:
         return _solve_keypoints(clip)
@@ -269,7 +280,7 @@ def track_clip(clip: ClipState) -> ClipState:
     done = clip.tracked
     assert done is not None
     if done.error is not None and results is not None:
-        with contextlib.suppress(HyposeError):  # the first error is the one to tell
+        with contextlib.suppress(HyposeError):  # the first error is the one to report
             keep_motion(to_motion(clip))
         raise type(done.error)(
             f"{done.error} The {len(done.estimates)} frames before are kept in {results.path}; see --resume."
@@ -278,7 +289,7 @@ def track_clip(clip: ClipState) -> ClipState:
 
 
 def _track(clip: ClipState, keep: Keep | None = None, before: Tracked | None = None) -> ClipState:
-    """Track frame by frame from the subject's start."""
+    """Track frame by frame from the subject's start pose."""
     tracker, subject = clip.with_tracker, clip.who
     begin = tracker.start(subject.start if subject.rivals is None else subject.rivals)
     kept = {"keep": keep, "before": before, "progress": clip.progress}
@@ -286,7 +297,7 @@ def _track(clip: ClipState, keep: Keep | None = None, before: Tracked | None = N
 
 
 def _changes_within_frames(clip: ClipState, done: Tracked) -> tuple[Change, ...]:
-    """List where the search in a frame found joints elsewhere than the solve from the prediction."""
+    """List where a frame's search put joints elsewhere than the solve from the predicted pose."""
     if not done.estimates or any(not len(e.moved) for e in done.estimates):
         return ()
     names, moved = clip.who.body.skeleton.joint_names, np.stack([e.moved for e in done.estimates]).astype(np.float64)
@@ -326,11 +337,12 @@ def track_keypoints(
     *,
     sure_start: bool = False,
 ) -> tuple[Smoothed, NDArray[np.float32]]:
-    """Solve the key points of all frames together (hypose.tracking.keypoint_clip).
+    """Solve the key points of all frames together (hypose.tracking.keypoint_clip); masks are not used.
 
-    sure_start: the start is the right way round
-    Returns: the motion, and the features of the error model (T, J, A).
-    Raises: EvidenceError when the frames have no key points.
+    own: evidence in addition to that of the frames.
+    sure_start: the start pose has left and right the right way round.
+    Returns: the solved motion, and the features of the error model (T, J, A).
+    Raises: EvidenceError where no frame has key points.
     """
     frames = [replace(source.frame(i), silhouettes=None) for i in range(len(source))]
     seen = [f.keypoints for f in frames]
@@ -350,7 +362,7 @@ def track_keypoints(
 
 
 def place_sensors(clip: ClipState) -> ClipState:
-    """Put depth cameras right that stand elsewhere than the source says, and track everything again."""
+    """Correct the places of depth cameras that stand elsewhere than the source says, and track all frames again."""
     done = clip.tracked
     if not clip.find_places or done is None or not done.complete or clip.options.of_picture:
         return clip
@@ -359,14 +371,16 @@ def place_sensors(clip: ClipState) -> ClipState:
     if not places:
         return clip
     clip = replace(clip, source=PlacedSource(clip.source, places), places=places, findings=(*clip.findings, *moved))
-    if places[0].since == 0 and not clip.given:  # the body was found before cameras that stood elsewhere
+    if places[0].since == 0 and not clip.given:  # the body was fitted with wrong camera places
         clip = replace(clip, subject=_subject(clip, None))
         clip = replace(clip, notes=clip.who.notes, tracker=_tracker(clip))
     return _track(clip)
 
 
 def check_height(clip: ClipState) -> ClipState:
-    """Compare the height of the body with the given one, and with the height that masks or depth show."""
+    """Check whether the body's height is plausible, and compare a given height or body with the height that masks or
+    depth show; add the findings.
+    """
     subject, o = clip.who, clip.options
     if o.of_picture or clip.given or clip.tracked is None or subject.keypoints is not None:
         return clip
@@ -389,7 +403,7 @@ def check_height(clip: ClipState) -> ClipState:
 
 
 def correct_sides(clip: ClipState) -> ClipState:
-    """Track stretches again in which left and right were exchanged, or the body was lost."""
+    """Find stretches in which left and right were exchanged or the body was lost, and track them again."""
     done = clip.tracked
     if done is None or not done.complete:
         return clip
@@ -407,7 +421,7 @@ def correct_sides(clip: ClipState) -> ClipState:
 
 
 def correct_beginning(clip: ClipState) -> ClipState:
-    """Track the first frames backwards from where the person was found, when others were in the masks."""
+    """Track the first frames backwards from a frame in which the person was found, where the masks also show others."""
     done = clip.tracked
     if done is None or not done.complete or not clip.shared_masks or clip.options.sure_start:
         return clip
@@ -419,7 +433,7 @@ def correct_beginning(clip: ClipState) -> ClipState:
 
 
 def track_backwards(clip: ClipState) -> ClipState:
-    """Track arms backwards in time from where they jumped."""
+    """Track arms backwards in time from the frames in which they jumped."""
     done = clip.tracked
     if done is None or not clip.smooths:
         return clip
@@ -436,7 +450,7 @@ def track_backwards(clip: ClipState) -> ClipState:
 
 
 def to_motion(clip: ClipState) -> ClipState:
-    """Make the motion of the estimates; time 0 is the first tracked frame."""
+    """Make the motion from the estimates; time 0 is the first tracked frame."""
     done = clip.tracked
     if done is None:
         return clip
@@ -446,7 +460,7 @@ def to_motion(clip: ClipState) -> ClipState:
 
 
 def smooth(clip: ClipState) -> ClipState:
-    """Solve all frames together, with feet that stand still on the floor."""
+    """Solve all frames together; feet that stand are held still on the floor."""
     done, motion, recipe = clip.tracked, clip.motion, clip.with_tracker.recipe
     if done is None or motion is None or recipe.smooth is None or not clip.smooths:
         return clip
@@ -456,7 +470,7 @@ def smooth(clip: ClipState) -> ClipState:
 
 
 def mark_anomalies(clip: ClipState) -> ClipState:
-    """Mark frames whose pictures repeat or jump, and views that disagree."""
+    """Mark frames of low confidence: pictures that repeat or jump, and views that disagree with the others."""
     if clip.tracked is None or clip.motion is None:
         return clip
     motion, said = with_anomalies(clip.motion, [e.seen for e in clip.tracked.estimates])
@@ -465,7 +479,9 @@ def mark_anomalies(clip: ClipState) -> ClipState:
 
 
 def judge_joints(clip: ClipState) -> ClipState:
-    """Estimate how likely each joint is wrong and how far, and what speaks against the clip as a whole."""
+    """Estimate the probability and size of the error of each joint, and find what speaks against the
+    clip as a whole.
+    """
     if clip.motion is None:
         return clip
     if clip.modes is not None:
@@ -491,7 +507,7 @@ def judge_joints(clip: ClipState) -> ClipState:
 
 
 def _assess_picture(clip: ClipState) -> ClipState:
-    """Judge the motion of one camera by its picture; its modes say what else is possible."""
+    """Judge the motion of one camera by its picture; the modes give the other possible poses."""
     motion = clip.motion
     assert motion is not None and motion.poses is not None and clip.modes is not None
     deviation = image_deviation(clip.who.body, motion.poses, clip.frames(range(len(motion))))
@@ -503,10 +519,10 @@ def _assess_picture(clip: ClipState) -> ClipState:
 
 
 def _with_errors(clip: ClipState, known: str | None, points: Sequence[Keypoints | None] | None) -> Motion:
-    """Add to the motion the probability that a joint is wrong and standard deviations that hold, of wrong joints too.
+    """Add to the motion the error probability of each joint, and standard deviations that also cover wrong joints.
 
-    known: the evidence, where the audit does not tell it
-    points: key points of the frames, None where there are none in memory
+    known: kind of evidence, where the audit does not show it.
+    points: key points of the frames; None where they are not in memory.
     """
     motion, subject, audit, covariance = clip.motion, clip.who, clip.audit, clip.covariance
     assert motion is not None and audit is not None and covariance is not None and clip.one_by_one is not None
@@ -515,7 +531,7 @@ def _with_errors(clip: ClipState, known: str | None, points: Sequence[Keypoints 
         assert motion.poses is not None
         lasting = systematic_covariance(subject.body, subject.keypoints, points, motion.poses, motion.frame_rate)
         motion = replace(motion, systematic_covariance=lasting.astype(np.float32))
-    # by what the curvature says
+    # covariances follow from the curvature of the cost
     p, joints = judged(motion, subject.body.joints(clip.one_by_one), audit, subject.unsure, known)
     beyond = beyond_usual(audit, evidence)
     motion = with_fitted_angles(with_fitted_joints(motion, evidence, beyond), covariance, evidence, beyond)
@@ -526,14 +542,16 @@ def _with_errors(clip: ClipState, known: str | None, points: Sequence[Keypoints 
 
 
 def keypoints_in_memory(source: FrameSource) -> Sequence[Keypoints | None] | None:
-    """The key points of a source's frames, None of a source that does not hold them in memory."""
+    """Return the key points of a source's frames; None where the source does not hold them in memory."""
     if isinstance(source, FrameStream):
         return source.keypoints
     return [f.keypoints for f in source.frames] if isinstance(source, FrameList) else None
 
 
 def keep_motion(clip: ClipState) -> ClipState:
-    """Write the motion with its trace; when it is complete nothing else of the run is left in the folder."""
+    """Put the trace into the motion, and write it where there is a results folder; delete checkpoint and subject file
+    of the run when the motion is complete.
+    """
     assert clip.motion is not None
     clip = replace(clip, motion=with_trace(clip.motion, clip.trace))
     if clip.results is not None and clip.motion is not None:
@@ -568,7 +586,7 @@ REASONS = {
     "track_backwards": "an arm jumped: tracked backwards in time from behind the jump",
     "smooth": "solved together with the frames around it, feet held where they stand",
 }
-"""Why a pass moves joints, by its name; the others move none."""
+"""Reason why a pass moves joints, by the name of the pass; passes without a row move none."""
 
 SEARCHES = {
     **dict(
@@ -585,4 +603,4 @@ SEARCHES = {
     ),
     RECOVERED: "the body was lost, and found again by a search in the masks",
 }
-"""Why the search in a frame moved joints, by where its best hypothesis comes from."""
+"""Reason why the search in a frame moved joints, by the origin of the best hypothesis."""

@@ -1,8 +1,8 @@
-"""Several people of one recording: found in the hull, fitted and tracked together, each with a result of their own.
+"""Track several people of one recording: find them in the visual hull, fit and track them together, one result each.
 
-They are found where the hull stands without being explained (`hypose.evidence.hull_people`), at the first frames and
-again and again, for people come. Each is tracked by a tracker of their own (`hypose.tracking.several`), and
-finished as one person alone is, on what the final bodies of the others leave of the masks.
+People are found where no tracked body explains the hull (`hypose.evidence.hull_people`), in the first frames and
+repeatedly later, since people come. Each has a tracker of their own (`hypose.tracking.several`). At the end each is
+finished like a single person, on what the final bodies of the others leave of the masks.
 """
 
 from __future__ import annotations
@@ -69,11 +69,17 @@ from hypose.tracking.tracker import Tracker
 
 @dataclass(frozen=True)
 class PeopleRun:
-    """Tracks the people of a source. count: results of so many at most, None: of all there are; wanted: prior
-    knowledge of some of them; points: key points sorted by person, for the evidence 'keypoints' and 'both'; floor: m;
-    under: folder in the results that holds all people's. Everything else as for `track_source`.
+    """Run that tracks the people of a source; call it to start.
 
-    All people who are there are tracked, also those beyond `count`: they hide the others all the same."""
+    count: most results; None: all people.
+    wanted: prior knowledge of some of them.
+    points: key points sorted by person, for the evidence 'keypoints' and 'both'.
+    floor: height of the floor, m.
+    under: folder in `results` that holds the results of all people.
+    The other fields: as for `track_source`.
+
+    All people are tracked, also those beyond `count`, since they hide the others.
+    """
 
     source: FrameSource
     frame_rate: float
@@ -89,7 +95,10 @@ class PeopleRun:
     under: str = ""
 
     def __call__(self) -> PeopleResult:
-        """All people tracked and finished; incomplete when it was interrupted, with what was done kept."""
+        """Track and finish all people; an interrupted run is incomplete and keeps what was done.
+
+        Raises: InputError where the evidence cannot separate people; EvidenceError where no person is found.
+        """
         if self.options.of_picture:
             raise InputError("One camera alone cannot tell several people apart; leave out --people, or add cameras.")
         if len(self.source) == 0:
@@ -118,7 +127,7 @@ class PeopleRun:
         return PeopleResult(tuple(done), complete, said, len(people) - len(asked))
 
     def _rank(self, name: str | None) -> int:
-        """Wanted people come first, in their order."""
+        """Return the position of a name among the wanted people; other people come last."""
         return next((k for k, w in enumerate(self.wanted) if w.name == name), len(self.wanted))
 
     def _tracker(self, subject: TrackedSubject) -> Tracker:
@@ -127,7 +136,7 @@ class PeopleRun:
     # ---- key points alone --------------------------------------------------------------------------------------
 
     def _by_points(self) -> PeopleResult:
-        """All people tracked by their key points alone, one after the other."""
+        """Track people by key points alone, one after the other."""
         points = self.points
         if points is None or not points.tracks:
             raise InputError(
@@ -169,11 +178,13 @@ class PeopleRun:
 
     @cached_property
     def looked(self) -> tuple[Finding, ...]:
-        """What depth cameras say of their own places."""
+        """Findings of the depth maps about the places of their cameras."""
         return check_depth_inputs(self.source)
 
     def _begun(self) -> list[Followed]:
-        """The people of the first frames; when there are none, wrong places of the cameras may be the cause."""
+        """Find the people of the first frames; an error names wrong camera places as a possible cause where they were
+        found.
+        """
         try:
             return self._begin()
         except HyposeError as error:
@@ -183,8 +194,9 @@ class PeopleRun:
             raise type(error)(f"{' '.join(why)} That may be why: {error}") from error
 
     def _begin(self) -> list[Followed]:
-        """The people of the first frames: first those who are wanted, then the others, nearest to where the cameras
-        look first."""
+        """Find and fit the people of the first frames: wanted people first, then by distance from the middle of the
+        cameras' view.
+        """
         last = min(len(self.source), max(2, round(SETTINGS.people_start_s * self.frame_rate)))
         looks = np.unique(np.linspace(0, last - 1, min(last, 6)).astype(int)).tolist()
         paths = lasting(self._places([*looks, *range(last, self._named_at + 1, self._look_every)]), looks)
@@ -212,7 +224,7 @@ class PeopleRun:
         for k in order:
             try:
                 people.append(self._fitted(str(names[k]), followed, k, numbers, rough, alone=len(paths) == 1))
-            except HyposeError as error:  # the others may be seen well; who becomes so later is found later
+            except HyposeError as error:  # the others may be seen well; this person is searched again later
                 unclear.append(error)
         if not people:
             raise unclear[0]
@@ -227,22 +239,23 @@ class PeopleRun:
         return people
 
     def _places(self, numbers: Sequence[int]) -> list[Path]:
-        """All people in the hull through the frames `numbers`."""
+        """Follow all people in the hull through the frames `numbers`."""
         return follow_places(self.source.frame, numbers, self.frame_rate, floor=self.floor)
 
     @property
     def _named_at(self) -> int:
-        """The last frame for which a person's place is given."""
+        """Number of the last frame for which a person's place is given."""
         times = [w.time for w in self.wanted if w.place is not None]
         return min(round(max(times, default=0.0) * self.frame_rate), len(self.source) - 1)
 
     def _stood(self, path: Path, t: int) -> Array:
-        """(2,) m: where a person stood in about a frame; NaN where that is not known."""
+        """Return where (2,) m a person stood in about a frame; NaN where not known."""
         return path.axis(t, within=SETTINGS.people_start_s * self.frame_rate)
 
     def _roughly(self, paths: Sequence[Path], names: Sequence[str], numbers: Sequence[int]) -> list[RoughTrack | None]:
-        """Rough body and poses of every person in the frames `numbers`; None for each where key points tell who is
-        where, or one person is alone."""
+        """Track every person roughly through the frames `numbers`; None for each where key points separate the people,
+        or one person is alone.
+        """
         if len(paths) < 2 or self._points is not None:
             return [None] * len(paths)
         known = [self._known(n) for n in names]
@@ -253,11 +266,11 @@ class PeopleRun:
         return next((w for w in self.wanted if w.name == name), Wanted(name))
 
     def _rate_of(self, numbers: Sequence[int]) -> float:
-        """Hz of the frames `numbers`."""
+        """Return the rate of the frames `numbers`, Hz."""
         return self.frame_rate / max(1, numbers[1] - numbers[0]) if len(numbers) > 1 else self.frame_rate
 
     def _middle(self) -> Array:
-        """(2,) m: where the cameras look."""
+        """Return the middle (2,) m of the cameras' common view."""
         s = self.source.frame(0).silhouettes
         with contextlib.suppress(EvidenceError):
             if s is not None:
@@ -272,7 +285,7 @@ class PeopleRun:
         return list(range(first, min(len(self.source), first + round(SETTINGS.people_fit_s * self.frame_rate)), step))
 
     def _followed(self, paths: Sequence[Path], numbers: Sequence[int]) -> list[Path]:
-        """The same people through the frames from which bodies are fitted."""
+        """Find the same people in the frames from which bodies are fitted."""
         found, out = self._places(numbers), list[Path]()
         for p in paths:
             free = [q for q in found if not any(q is o for o in out)]
@@ -289,8 +302,13 @@ class PeopleRun:
         rough: Sequence[RoughTrack | None] | None = None,
         alone: bool = False,
     ) -> Followed:
-        """A person with a body fitted to all that is theirs alone in the frames `numbers`; rough: the rough tracks of
-        all."""
+        """Fit a person's body to the evidence that is theirs alone in the frames `numbers`.
+
+        paths: of all people.
+        who: index of the person.
+        rough: rough tracks of all people.
+        alone: no other person is there.
+        """
         known = self._known(name)
         o, key, results = self.options, provenance_identity(self.record), self._results_of(name)
         subject = kept_subject(results, key) if self.resume and results is not None else None
@@ -313,14 +331,14 @@ class PeopleRun:
             wanted = SubjectOptions(start, height, o.girths, known.body, rate, o.seed, given, not alone, tried)
             subject = find_subject(frame_at, len(seen), wanted)
             earlier = [own[t] for t in sorted(own, reverse=True) if t < seen[0]]
-            if earlier:  # what was fitted begins where the person is seen well
+            if earlier:  # the fitted start is in the first frame that shows the person well
                 tracker = self._tracker(replace(subject, keypoints=None))
                 *_, (state, _) = tracker.follow(tracker.start(subject.start), earlier)
                 subject = replace(subject, start=state.pose)
         return self._placed(name, subject)
 
     def _placed(self, name: str, subject: TrackedSubject, asked_for: bool = True) -> Followed:
-        """A person at their start, whose subject is kept."""
+        """Make the state of a person at the start, and keep the subject for a resumed run."""
         tracker, results = self._tracker(subject), self._results_of(name)
         if results is not None:
             keep_subject(subject, results, provenance_identity(self.record))
@@ -329,7 +347,9 @@ class PeopleRun:
     # ---- the loop ----------------------------------------------------------------------------------------------
 
     def _track(self, people: list[Followed], coming: list[Array]) -> bool:
-        """All frames that are not done; False when it was interrupted. coming: who may be a new person, in place."""
+        """Track all frames that are not done; return False after an interruption. `coming` (possible new people) is
+        changed in place.
+        """
         total, look = len(self.source), self._look_every
         first = saved = len(people[0].estimates)
         before = self.source.frame(first - 1) if first else None
@@ -348,7 +368,7 @@ class PeopleRun:
                     saved = t + 1
             self.progress("track", total, total)
         except KeyboardInterrupt:
-            done = min(len(p.estimates) for p in people)  # it may have come in the middle of a frame
+            done = min(len(p.estimates) for p in people)  # the interruption may have come in the middle of a frame
             for p in people:
                 p.cut(done)
             if done and self.results is not None:
@@ -361,7 +381,7 @@ class PeopleRun:
         return self.points if self.options.looks_at == "both" else None
 
     def _points_of(self, p: Followed, people: Sequence[Followed], t: int) -> Keypoints:
-        """The key points of a person at a frame: from the track used so far, else from the nearest free track."""
+        """Return the key points of a person in a frame: of the track used so far, else of the nearest free track."""
         assert self._points is not None
         if not p.member.present:
             return self._points.nothing
@@ -377,7 +397,7 @@ class PeopleRun:
         members, estimates, seen = step_together([p.member for p in people], frame, points)
         for masks in frame.of(Silhouettes):
             pack_once(masks)
-        change = mask_change(frame, before)  # of the whole masks: the ignored part changes by itself
+        change = mask_change(frame, before)  # of the complete masks, since the ignored part changes too
         looked = [
             looked_at(m.tracker, estimate, own, None if before is None else as_now(own, before), change)
             for m, estimate, own in zip(members, estimates, seen, strict=True)
@@ -406,9 +426,13 @@ class PeopleRun:
     def _look(
         self, people: list[Followed], frame: Frame, t: int, before: Sequence[Array], progress: StageProgress
     ) -> list[Array]:
-        """Look for people in the parts of the masks that no tracked body explains; those seen at the last look too are
-        tracked from now on. Returns of each new person (4,): where they stand, how often no body could be fitted, and
-        the frame from which that is tried again; before: of the last look."""
+        """Look for people in mask parts that no tracked body explains; those who were also seen at the last look are
+        tracked from now on.
+
+        before: result of the last look.
+        Returns: (4,) per possible new person: place (2,) m, number of failed fits, and frame from which the next fit is
+            tried.
+        """
         masks = frame.of(Silhouettes)
         known = [other for s in masks for other in explained_by(people, s)]
         if not any(birth_candidates(known, s, fewest_views(frame)) for s in masks):
@@ -422,7 +446,7 @@ class PeopleRun:
                 own = candidate_evidence(person, frame, known, found)
                 if self._back(people, person, own):
                     return []
-                if t >= again:  # a fit is expensive, and a person who cannot be fitted now may be clear soon
+                if t >= again:  # a fit is expensive, and may succeed in a later frame
                     progress("subject", 0, 1)
                     new = self._new(people, person, frame, t)
                     progress("subject", 1, 1)
@@ -433,7 +457,7 @@ class PeopleRun:
         return coming
 
     def _back(self, people: list[Followed], person: HullPerson, own: Frame) -> bool:
-        """Whether a person who was away is back."""
+        """Return whether a person who was away is back; tracking of that person continues."""
         back = back_again(person, own, people, self.frame_rate)
         if back is None:
             return False
@@ -443,9 +467,9 @@ class PeopleRun:
         return True
 
     def _new(self, people: list[Followed], person: HullPerson, frame: Frame, t: int) -> bool:
-        """Whether a new person is there; False when no body can be fitted."""
+        """Fit a new person and add them to `people`; return False where no body can be fitted."""
         numbers = self._fit_numbers(t)
-        # beyond this frame no person has been tracked yet: people are separated by the hull alone
+        # after this frame nothing is tracked yet: people are separated by the hull alone
         paths = self._places(numbers)
         mine = [k for k, q in enumerate(paths) if t in q.found and np.linalg.norm(q.found[t].axis - person.axis) < 0.4]
         if not mine or len(paths[mine[0]].found) < min(len(numbers), SETTINGS.people_fewest):

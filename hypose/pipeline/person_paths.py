@@ -1,4 +1,4 @@
-"""Where people stand in a recording before they are tracked: who is in the hull, instant after instant."""
+"""Follow where people stand in the visual hull, frame after frame, before they are tracked."""
 
 from __future__ import annotations
 
@@ -24,22 +24,25 @@ from hypose.pipeline.track_loop import FrameSource
 
 @dataclass(eq=False)
 class Path:
-    """A person in the hull over time. found: by frame number, what of the hull is theirs."""
+    """Path of a person in the hull over time.
+
+    found: by frame number, the part of the hull that is this person.
+    """
 
     found: dict[int, HullPerson] = field(default_factory=dict)
 
     @property
     def last(self) -> int:
-        """The last frame in which they were found."""
+        """Number of the last frame in which the person was found."""
         return max(self.found)
 
     @property
     def litres(self) -> float:
-        """Median over the frames."""
+        """Median volume over the frames, litres."""
         return float(np.median([p.litres for p in self.found.values()]))
 
     def expected(self, frame: int) -> Array:
-        """(2,) m: where they are expected in a later frame, going on as they did lately."""
+        """Predict where (2,) m the person stands in a later frame, from the latest motion."""
         known = sorted(self.found)[-4:]
         last = self.found[known[-1]].axis
         if len(known) < 3:
@@ -48,8 +51,9 @@ class Path:
         return last + speed * (frame - known[-1])
 
     def axis(self, frame: int, within: float = np.inf) -> Array:
-        """(2,) m: where they stood in the frame nearest to this one in which they were found; NaN where that is no
-        frame `within` so many."""
+        """Return where (2,) m the person stood in the nearest frame in which they were found; NaN where that is more
+        than `within` frames away.
+        """
         nearest = min(self.found, key=lambda k: abs(k - frame))
         return self.found[nearest].axis if abs(nearest - frame) <= within else np.full(2, np.nan)
 
@@ -61,8 +65,11 @@ def follow_places(
     known: Callable[[int], Sequence[Other]] | None = None,
     floor: float = 0.0,
 ) -> list[Path]:
-    """The paths of people through the frames `numbers` (ascending), the largest first. known(number): who is explained
-    already."""
+    """Find the paths of people through the frames `numbers` (ascending), longest path first.
+
+    known: gives, for a frame number, the people who are tracked already; None: there are none.
+    floor: height of the floor, m.
+    """
     from scipy.optimize import linear_sum_assignment  # takes long to import
 
     paths: list[Path] = []
@@ -73,7 +80,7 @@ def follow_places(
         here = people_seen(frame, () if known is None else known(t), floor=floor)
         known_hulls = [(h.litres, h.hull.height) for p in paths for h in p.found.values()]
         litres, height = np.median(known_hulls, axis=0) if known_hulls else (0.0, 1.0)
-        # a rest of a person is no person's place; children have less, and are less tall
+        # ignore remains of a person's hull; children have a smaller volume, but are less tall too
         here = [h for h in here if h.litres > SETTINGS.path_part * litres * min(1.0, (h.hull.height / height) ** 3)]
         alive = [
             p
@@ -95,12 +102,12 @@ def follow_places(
 
 
 def lasting(paths: Sequence[Path], looks: Sequence[int]) -> list[Path]:
-    """Those who are found in most of the frames `looks`."""
+    """Select the paths that are found in most of the frames `looks`."""
     return [p for p in paths if sum(t in p.found for t in looks) >= max(2, SETTINGS.path_seen_share * len(looks))]
 
 
 def _apart(people: Sequence[HullPerson]) -> int:
-    """How many stand clearly apart from all larger ones."""
+    """Count the people who stand clearly apart from all larger ones."""
     kept: list[HullPerson] = []
     for p in people:
         if all(np.linalg.norm(p.axis - q.axis) > SETTINGS.path_clearly_m for q in kept):
@@ -109,9 +116,11 @@ def _apart(people: Sequence[HullPerson]) -> int:
 
 
 def count_people(frame_at: Callable[[int], Frame], total: int, looks: int = 5) -> int:
-    """How many people stand in the masks of a recording: the median over instants spread over it, without children
-    below a metre, whom a thing may look like. Fewer than three usable views are not counted, unless there is a depth
-    camera."""
+    """Count the people in the masks of a recording: median over frames spread over it.
+
+    Children below a metre do not count, since objects have their size. A frame with fewer than three usable views does
+    not count, unless there is a depth camera.
+    """
     found = []
     for t in np.unique(np.linspace(0, total - 1, min(total, looks)).astype(int)).tolist():
         with contextlib.suppress(HyposeError):
@@ -123,15 +132,15 @@ def count_people(frame_at: Callable[[int], Frame], total: int, looks: int = 5) -
 
 
 # ---- people points -------------------------------------------------------------------------------------------------
-# Several people by their key points, sorted by person (hypose.evidence.association).
+# Key points of several people, sorted by person (hypose.evidence.association).
 
 
 @dataclass(frozen=True)
 class KeypointPeople:
-    """Hold the key points of several people, sorted by person.
+    """Key points of several people, sorted by person.
 
     tracks: one track per person.
-    names (K): names of the key points.
+    names: (K) names of the key points.
     rig: pinhole cameras; the pixels of the key points are in their images.
     """
 
@@ -145,15 +154,18 @@ class KeypointPeople:
         return Keypoints(np.zeros((len(self.rig), len(self.names), 3)), self.names, self.rig)
 
     def lasting(self, total: int) -> list[int]:
-        """The tracks that last a good part of `total` frames; at least the longest one."""
+        """List the tracks that last a good part of `total` frames; at least the longest one."""
         long = [k for k, t in enumerate(self.tracks) if len(t) >= max(5, SETTINGS.points_least_share * total)]
         return long or sorted(range(len(self.tracks)), key=lambda k: -len(self.tracks[k]))[:1]
 
     def at(
         self, frame: int, place: Array, taken: Sequence[int], so_far: int | None = None
     ) -> tuple[int, Keypoints] | None:
-        """Whose key points (the number of a track) are those of a person at a place (2,) m, and these: of the one
-        `so_far`, while that is followed, else of the nearest who is not taken; None when there is no person."""
+        """Find the track of a person at a place (2,) m: the track `so_far` while it lasts, else the nearest that is not
+        taken.
+
+        Returns: number of the track and its key points; None where no track is near.
+        """
         away = [float(np.linalg.norm(t.place(frame)[:2] - place)) for t in self.tracks]
         free = [k for k in range(len(away)) if k not in taken and away[k] < SETTINGS.points_m]
         if not free:
@@ -163,7 +175,7 @@ class KeypointPeople:
         return best, self.of(best, frame)
 
     def of(self, track: int, frame: int) -> Keypoints:
-        """Those of one track at a frame of the clip."""
+        """Return the key points of one track in a frame of the clip."""
         t = self.tracks[track]
         if not 0 <= frame - t.first < len(t):
             return self.nothing
@@ -171,7 +183,7 @@ class KeypointPeople:
 
 
 class PointFrames:
-    """The frames of a source in which one person is followed, with their key points and nothing else."""
+    """Frames of a source in which one person's track lasts, with the key points of that person as the only evidence."""
 
     def __init__(self, source: FrameSource, points: KeypointPeople, track: int) -> None:
         self._source, self._points, self._track = source, points, track
@@ -182,14 +194,15 @@ class PointFrames:
         return self._count
 
     def frame(self, index: int, /) -> Frame:
-        """Frame number index from the first on."""
+        """Return frame number index, counted from the first frame of the track."""
         t = self.first + index
         return replace(self._source.frame(t), silhouettes=None, keypoints=self._points.of(self._track, t))
 
 
 def padded(motion: Motion, first: int, total: int) -> Motion:
-    """The motion of frames first, first + 1, ... of so many: what lies outside of them is its first and last frame,
-    lost and extrapolated."""
+    """Extend a motion of the frames first, first + 1, ... to `total` frames: outside, its first and last frame are
+    repeated and marked as lost and extrapolated.
+    """
     rows = np.clip(np.arange(total) - first, 0, len(motion) - 1)
     outside = (np.arange(total) < first) | (np.arange(total) >= first + len(motion))
     arrays = per_frame(motion, rows) | {"times": np.arange(total) / motion.frame_rate}
@@ -199,5 +212,5 @@ def padded(motion: Motion, first: int, total: int) -> Motion:
 
 
 def per_frame(motion: Motion, rows: np.ndarray) -> dict[str, np.ndarray]:
-    """Everything that a motion has of each frame, of some rows of it."""
+    """Select rows of all arrays that a motion has per frame."""
     return {k: v[rows] for k, v in vars(motion).items() if isinstance(v, np.ndarray) and len(v) == len(motion)}

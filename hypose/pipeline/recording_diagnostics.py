@@ -1,4 +1,6 @@
-"""A recording's calibration examined and refined: from files to the doctor's evidence, and to a refined rig."""
+"""Collect evidence of a recording to check its calibration (`hypose check`), and refine the calibration from the
+person.
+"""
 
 from __future__ import annotations
 
@@ -57,10 +59,18 @@ def _ignore(stage: str, done: int, total: int) -> None:
 
 @dataclass(frozen=True)
 class Refinement:
-    """A refined calibration. rig: in the old one's world, with its lenses; method; used: frames it was found on;
-    changes per camera; before_px, after_px: median distance of key points from the triangulation of all views on frames
-    not used, left_out_before_px, left_out_after_px: from that of the other views (NaN without key points);
-    tangency_before_px, tangency_after_px: disagreement of the silhouettes' tangent planes on those frames; notes."""
+    """Refined calibration of a recording.
+
+    rig: cameras in the old world, with the old lenses.
+    method: keypoints, silhouettes or both.
+    used: frames it was found on.
+    changes: per camera.
+    before_px, after_px: median distance of key points from the triangulation of all views, on frames not used; NaN
+        without key points.
+    left_out_before_px, left_out_after_px: the same from the triangulation of the other views.
+    tangency_before_px, tangency_after_px: disagreement of the silhouettes' tangent planes on those frames.
+    notes: sentences for the user.
+    """
 
     rig: CameraRig
     method: str
@@ -76,13 +86,14 @@ class Refinement:
 
     @property
     def far(self) -> tuple[str, ...]:
-        """Cameras that were turned by more than 10 degrees or moved by more than 0.5 m: rather the evidence is another
-        person's than the calibration so wrong."""
+        """Cameras that were turned by more than 10 degrees or moved by more than 0.5 m. Then the evidence is more
+        likely of another person than the calibration so wrong.
+        """
         return tuple(c.name for c in self.changes if c.turn_deg > FAR_DEG or c.move_m > FAR_M)
 
 
 def window(recording: Recording, most: int) -> Recording:
-    """The recording limited to `most` consecutive frames from the middle of its range."""
+    """Limit a recording to `most` consecutive frames from the middle of its range."""
     frames = recording.frames
     if len(frames) <= most:
         return recording
@@ -91,18 +102,19 @@ def window(recording: Recording, most: int) -> Recording:
 
 
 def observe_recording(recording: Recording, most: int = 100, progress: _Progress = _ignore) -> Observed:
-    """The doctor's evidence of at most `most` consecutive frames: key points as stored, masks made without them."""
+    """Collect the evidence for a check of the calibration, of at most `most` consecutive frames: key points as stored,
+    and masks made without them.
+    """
     few = window(recording, most)
     person = raw_person(few)
     points, names = (None, ()) if person is None else (person.raw, person.keypoints[0].names)
-    silhouettes: list[Silhouettes | None] | None = None
+    silhouettes = list[Silhouettes | None]()
     depths: list[Depth] = []
     together = False
     blind = replace(few, views=tuple(replace(v, keypoints=None) for v in few.views), keypoint_set=None)
-    if all(v.source is not None or v.masks is not None for v in few.views):
+    if all(v.has_pictures for v in few.views):
         stream, together = frames_to_examine(blind, progress)
         with stream:
-            silhouettes = []
             for i in range(len(stream)):
                 progress("masks", i, len(stream))
                 frame = stream.frame(i)
@@ -111,7 +123,7 @@ def observe_recording(recording: Recording, most: int = 100, progress: _Progress
             progress("masks", len(stream), len(stream))
         if person is not None and (together or person.one.several):
             silhouettes = [
-                None if s is None else _near(s, k) for s, k in zip(silhouettes, person.keypoints, strict=True)
+                None if s is None else _near(s, k) for s, k in zip(silhouettes, person.keypoints, strict=False)
             ]
     clips = tuple(replace(_clip(v), accepted=v.accept_scaled) for v in recording.views)
     notes = () if person is None else person.one.notes
@@ -124,8 +136,7 @@ def observe_recording(recording: Recording, most: int = 100, progress: _Progress
 
 
 def _near(silhouettes: Silhouettes, keypoints: Keypoints) -> Silhouettes:
-    """The masks without other people: what lies far outside of the box around the person's key points. How the person's
-    own outline lies to them stays as it is."""
+    """Remove other people from the masks: everything far outside the box around the person's key points."""
     masks, usable = silhouettes.masks.copy(), silhouettes.usable.copy()
     for c, small in enumerate(silhouettes.rig):
         w, h = small.size
@@ -145,19 +156,21 @@ def _near(silhouettes: Silhouettes, keypoints: Keypoints) -> Silhouettes:
 
 
 def _clip(view: ViewSettings) -> ViewFile:
-    if view.source is None and view.masks is None:
+    if not view.has_pictures:
         return ViewFile()
     with open_pictures(view) as reader:
         return ViewFile(reader.size, reader.frame_rate, reader.n_frames)
 
 
 def raw_person(recording: Recording) -> RecordedPerson | None:
-    """The person of a recording whose calibration is in doubt, in full-size pictures; None without key points."""
+    """Load the person's key points of a recording whose calibration is in doubt, in full-size pictures; None without
+    key points.
+    """
     return load_person(recording, recording.rig.pinhole(), keep_misfits=True)
 
 
 def cured_recording(recording: Recording, cured: Cured) -> Recording:
-    """The recording with lag and shift as the doctor measured them."""
+    """Return the recording with the lag and shift that the check measured."""
     views = [
         replace(v, image_shift=(v.image_shift[0] + float(s[0]), v.image_shift[1] + float(s[1])))
         for v, s in zip(recording.views, cured.shift, strict=True)
@@ -177,13 +190,18 @@ def refine_recording(
     disturb: Callable[[Body, Array], Array] | None = None,
     progress: _Progress = _ignore,
 ) -> Refinement:
-    """Refines the poses (and with `focal` the focal lengths) of a recording's cameras from the moving person.
+    """Refine the poses of a recording's cameras (with `focal` the focal lengths) from the moving person.
 
-    recording: lag and shift are cured (`cured_recording`); late (C,): frames by which views are late. method: keypoints
-    (bundle adjustment), silhouettes (contours of the tracked body; key points, if there are any, only give the start),
-    both. fixed: names of cameras that stay. height: of the person, m: sets the scale, which else stays as it was (by
-    the person's limbs). disturb(body, poses) changes the start poses, for tests. An EvidenceError or InputError names
-    the missing input."""
+    recording: with corrected lag and shift (`cured_recording`).
+    method: keypoints (bundle adjustment); silhouettes (contours of the tracked body, with key points only for the
+        start); both.
+    late: (C,) frames by which views are late.
+    fixed: names of cameras that stay.
+    height: of the person, m, sets the scale; None: the length of the person's limbs is kept.
+    most: most frames that are used.
+    disturb: changes the start poses, for tests.
+    Raises: EvidenceError or InputError names the missing input.
+    """
     if method not in _METHODS:
         raise InputError(f"There is no refinement from {method!r}; choose {', '.join(_METHODS)}.")
     if len(recording.rig) < 2:
@@ -234,7 +252,7 @@ def refine_recording(
 
 @dataclass(frozen=True)
 class _Judge:
-    """Key points of frames that were not used."""
+    """Measure of a calibration on the key points of frames that were not used."""
 
     old: CameraRig
     points: Array | None
@@ -264,11 +282,11 @@ def _by_points(
 
 
 def _poses_into(full: CameraRig, refined: CameraRig) -> CameraRig:
-    """The given cameras with the poses and focal factors of refined ones of any working size."""
+    """Return the cameras `full` with the poses and focal factors of refined cameras of any working size."""
     out = []
     for a, b in zip(full, refined, strict=True):
         k = a.K.copy()
-        # the working size scales both focal lengths as the image
+        # both focal lengths scale with the size of the image
         k[0, 0] = b.K[0, 0] * a.size[0] / b.size[0]
         k[1, 1] = b.K[1, 1] * a.size[1] / b.size[1]
         out.append(replace(a, K=k, camera_from_world=b.camera_from_world))
@@ -289,7 +307,7 @@ def _by_body(
     progress: _Progress,
 ) -> tuple[CameraRig, Array, list[Silhouettes | None], list[str]]:
     blind = recording
-    if method == "silhouettes":  # masks that know nothing of the key points
+    if method == "silhouettes":  # masks that do not depend on the key points
         blind = replace(recording, views=tuple(replace(v, keypoints=None) for v in recording.views), keypoint_set=None)
     with FrameStream(blind, progress=progress) as stream:
         source = Resampled(stream, late)
@@ -323,7 +341,9 @@ def _by_body(
             evidence[-1] += [] if mark is None else [mark]
     small = stream.rig
     progress("refine", 0, 1)
-    weight = 0.1 if method == "both" else 1.0  # rows of a contour err together; key points weigh as detections
+    weight = (
+        0.1 if method == "both" else 1.0
+    )  # errors along a contour are correlated; key points have the weight of detections
     settings = BodySettings(contour_weight=weight, focal=focal)
     found = adjust_with_body(body, small, poses[kept], evidence, settings, free)
     progress("refine", 1, 1)
@@ -332,7 +352,7 @@ def _by_body(
 
 
 def _shifted(keypoints: Sequence, c: int, t: int, late: float) -> Array:
-    """Key points (K, 3) of one view at t + late."""
+    """Interpolate the key points (K, 3) of one view at frame t + late."""
     low = int(np.floor(t + late))
     n = len(keypoints)
     if late == 0:
@@ -344,7 +364,7 @@ def _shifted(keypoints: Sequence, c: int, t: int, late: float) -> Array:
 
 
 def _mark_scale(keypoints: Keypoints) -> float:
-    """sd of a detection in px of the working size: 0.8 % of the person's size."""
+    """Return the standard deviation of a detection, px of the working size: 0.8 % of the person's size."""
     seen = keypoints.points[keypoints.points[..., 2] > 0.3]
     return max(0.008 * float(np.ptp(seen[:, 1])) if len(seen) else 2.0, 0.5)
 
@@ -382,9 +402,9 @@ def _scale(
     height: float | None,
     notes: list[str],
 ) -> float:
-    """Factor that keeps the person's limbs as long as they were, or makes the person as tall as is known."""
+    """Compute the scale factor that keeps the length of the person's limbs, or makes the person as tall as given."""
     if points is None:
-        return 1.0  # the body's size has kept it
+        return 1.0  # the size of the body has fixed the scale
     sizes = []
     for rig in (old, new):
         uv, confidence = undistorted(rig, points[:, used])
@@ -401,7 +421,7 @@ def _scale(
 
 
 def _tangency(rig: CameraRig, silhouettes: Sequence[Silhouettes | None]) -> float:
-    """Median disagreement of the tangent planes, px of the calibrated size; NaN without silhouettes."""
+    """Compute the median disagreement of the tangent planes, px of the calibrated size; NaN without silhouettes."""
     known = [s for s in silhouettes if s is not None]
     if not known:
         return float("nan")

@@ -1,8 +1,8 @@
-"""Bodies, roughly, of people who are in each other's masks, so that each can be fitted to what the others leave.
+"""Track people roughly who hide each other in the masks, so that each body can then be fitted to what the others leave.
 
-Hulls of people near each other run together: what of them hides a person is a guess, and it is the arms and feet that
-tell front from back. So all people are first tracked by the template in their size, on what the hulls leave, and then
-looked for again on what the others' bodies leave.
+Hulls of people near each other merge, so which part hides a person is a guess, and only arms and feet show front and
+back. So each person is first tracked with the template, scaled to their size, on what the others' hulls leave. Then
+bodies are fitted on what the others' rough bodies leave.
 """
 
 from __future__ import annotations
@@ -43,20 +43,24 @@ from hypose.tracking.tracker import FrameEstimate
 
 @dataclass(frozen=True)
 class RoughTrack:
-    """A person, roughly: the body, and their poses (D,) by frame number; rivals: other starts, with their frames'
-    numbers."""
+    """Rough track of one person.
+
+    body: body that was used.
+    poses: (D,) by frame number.
+    rivals: other possible starts with their frame numbers.
+    """
 
     body: Body
     poses: Mapping[int, Array]
     rivals: tuple[tuple[int, Start], ...] = ()
 
     def other(self, number: int, rig: CameraRig) -> Other | None:
-        """What of the views they hide in a frame; None when they are not known there."""
+        """Return what this person hides from the views in a frame; None where the pose is not known."""
         pose = self.poses.get(number)
         return None if pose is None else Other(shape_of(self.body, pose, rig), SETTINGS.path_others_widened)
 
     def starts(self, numbers: Sequence[int]) -> tuple[tuple[int, Start], ...]:
-        """Where they are in the first of the frames `numbers`, and the rivals, each with its place among these."""
+        """Return the start in the first of the frames `numbers` and the rivals, each with an index into `numbers`."""
         first = Start(self.body, self.poses[numbers[0]], np.inf)
         near = [(int(np.abs(np.array(numbers) - t).argmin()), s) for t, s in self.rivals]
         return (0, first), *near
@@ -65,8 +69,10 @@ class RoughTrack:
 def frame_of_person(
     frame: Frame, number: int, who: int, paths: Sequence[Path], rough: Sequence[RoughTrack | None] | None = None
 ) -> Frame:
-    """Frame `number` as evidence for one of the people on paths alone; what the others hide, by their rough bodies
-    where these are known, else by their hulls, is left out."""
+    """Return frame `number` as evidence for one of the people on paths; what the others hide is left out.
+
+    The others are known by their rough bodies, else by their hulls.
+    """
     s = frame.silhouettes
     if s is None:
         return frame
@@ -89,12 +95,12 @@ def _hiding(rough: RoughTrack | None, hull: HullPerson | None, number: int, rig:
 
 
 def least_hidden(own: Mapping[int, Frame]) -> list[int]:
-    """In which of the frames a person is seen well, by all views but one; those least hidden, when they are few."""
+    """Select the frames in which all views but one see a person well; where these are few, the least hidden ones."""
     return seen_well({t: frame.visible_share for t, frame in own.items()})
 
 
 def seen_well(shares: Mapping[int, NDArray[np.float64]]) -> list[int]:
-    """The same, by how much of the person each view shows in each of the frames (C,)."""
+    """Select frames as `least_hidden` does, from the visible share of the person (C,) per frame."""
     numbers = sorted(shares)
     share = np.array([np.sort(shares[t]) for t in numbers])
     if not share.size:
@@ -113,8 +119,12 @@ def rough_bodies(
     templates: Sequence[tuple[Body, float | None]],
     seed: int = 0,
 ) -> list[RoughTrack | None]:
-    """The rough tracks of all people on paths in the frames `numbers`, at `rate` Hz; None for whom no start explains.
-    templates: of each, with the height, m, where it is known."""
+    """Track all people on paths roughly through the frames `numbers`.
+
+    rate: of these frames, Hz.
+    templates: per person the template, and the height (m) where known.
+    Returns: one track per person; None where no start explains the masks.
+    """
     return [
         _rough(frame_at, [t for t in numbers if t in p.found], k, paths, rate, *templates[k], seed)
         for k, p in enumerate(paths)
@@ -138,7 +148,7 @@ def _rough(
     except HyposeError:
         return None
     start, at = found.starts.best, found.at
-    if found.ways:  # a start that is wrong at first is put right on its way: it is gone again from where it fits best
+    if found.ways:  # tracking corrects a wrong start: track again from the frame that fits best
         costs = found.ways[0].costs
         at = int(np.where(np.isfinite(costs), costs, np.inf).argmin())
         start = replace(start, pose=found.ways[0].poses[at])
@@ -150,16 +160,16 @@ def _rough(
 
 
 # ---- bodies again --------------------------------------------------------------------------------------------------
-# Bodies of people in each other's masks, fitted once more when the bodies of all people are known.
+# Fit bodies of people in shared masks again when the bodies of all people are known.
 #
-# The first fit of each sees the others as hulls, or as bodies of the template's shape, and what these hide too much or
-# too little becomes arms and legs that are too long or too short. So all people are tracked together through the same
-# frames, there and back, and each body is fitted to what the fitted bodies of the others leave of the masks.
+# In the first fit the others are hulls, or bodies of the template's shape; where these hide too much or too little,
+# arms and legs become too long or too short. So all people are tracked together through the same frames, forwards and
+# backwards, and each body is fitted to what the fitted bodies of the others leave of the masks.
 
 
-AGAIN = "the body was fitted again beside those of the others"
+AGAIN = "the body was fitted again when the bodies of the others were known"
 _Trial = dict[int, tuple[FrameEstimate, NDArray[np.float64]]]
-"""By frame number, a person's estimate and how much of them each view (C,) shows."""
+"""By frame number, a person's estimate and the visible share of the person in each view (C,)."""
 
 
 def fitted_again(
@@ -168,9 +178,13 @@ def fitted_again(
     numbers: Sequence[int],
     known: Callable[[str], Wanted],
 ) -> dict[int, TrackedSubject]:
-    """Of people who stand at their starts in the first of the frames `numbers`: the subjects of those whose bodies were
-    fitted to shared masks once, by their place among the people, with bodies and starts fitted again; as they were but
-    for a note where that explains the masks no better. known: prior knowledge of a person by name."""
+    """Fit bodies again that were fitted in shared masks once, now that the bodies of all people are known.
+
+    people: at their starts in the first of the frames `numbers`.
+    known: gives the prior knowledge of a person by name.
+    Returns: by index, the subjects with new body and start; with only a note added where that explains the masks no
+        better.
+    """
     once = [k for k, p in enumerate(people) if known(p.name).body is None and AGAIN not in p.subject.notes]
     if len(people) < 2 or not once:
         return {}
@@ -199,8 +213,9 @@ def fitted_again(
 
 
 def _put_right(there: _Trial, back: _Trial, numbers: Sequence[int]) -> _Trial:
-    """The way there, with the first frames of the way back as far as most is won, if enough is: a limb that the start
-    got wrong is found on the way, and known from there on back."""
+    """Replace the first frames of the forward track by the backward track where that costs clearly less. Why: a limb
+    that the start got wrong is found later, and known from there backwards.
+    """
     both = [t in there and t in back for t in numbers]
     won = np.cumsum([there[t][0].cost - back[t][0].cost if b else 0.0 for t, b in zip(numbers, both, strict=True)])
     best = int(won.argmax())
@@ -216,7 +231,7 @@ def _again(
     who: int,
     height: float | None,
 ) -> TrackedSubject:
-    """One of them, the person `who`, on their way, whose first frame is that of the start."""
+    """Fit one person's body again on their track, whose first frame is that of the start."""
     template, noted = human(), replace(subject, notes=(*subject.notes, AGAIN))
     seen = seen_well({t: shown for t, (_, shown) in way.items()})
     poses, iou = np.stack([way[t][0].pose for t in seen]), np.array([1 - way[t][0].cost for t in seen])
@@ -238,5 +253,5 @@ def _again(
 
 
 def _overlap(body: Body, poses: Array, frames: Sequence[Frame]) -> float:
-    """Mean IoU of a body with frames in which it stands in poses (F, D)."""
+    """Compute the mean IoU of a body in poses (F, D) with the masks of the frames."""
     return float(np.mean([mean_overlap(body, q, prepare(f, body, q)) for q, f in zip(poses, frames, strict=True)]))

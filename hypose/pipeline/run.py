@@ -1,4 +1,4 @@
-"""Tracks one recording: the passes of a run, with progress, checkpoints and resume."""
+"""Track one recording: run the passes on a clip, with progress, checkpoints and resume."""
 
 from __future__ import annotations
 
@@ -27,12 +27,19 @@ from hypose.pipeline.track_options import TrackOptions
 
 @dataclass(frozen=True)
 class TrackResult:
-    """motion; the subject's body; complete: every frame was tracked; notes for the report; modes: the poses that each
-    frame allows, where the recipe tells them. one_by_one (T, D): the poses as each frame was tracked, audit (T, J, A):
-    what spoke for and against each joint (hypose.tracking.joint_features), None where that was not kept; faults:
-    sentences on what was found wrong before tracking, or with the clip as a whole; looks: on what makes the whole clip
-    worth a look; remarks: on who else is there; places: of depth cameras that stand elsewhere than the source says;
-    unsure: of the `Subject`"""
+    """Result of tracking one person.
+
+    motion: the motion.
+    body: the subject's body.
+    complete: every frame was tracked.
+    notes: sentences for the report.
+    modes: alternative poses of each frame, where the recipe provides them.
+    one_by_one: (T, D) poses as each frame was tracked, before smoothing; None where not kept.
+    audit: (T, J, A) features of the error model (hypose.tracking.joint_features); None where not kept.
+    findings: reasons to distrust or review the motion, and remarks.
+    places: corrected places of depth cameras.
+    unsure: that of the subject (`TrackedSubject`).
+    """
 
     motion: Motion
     body: Body
@@ -47,12 +54,12 @@ class TrackResult:
 
     @property
     def assessment(self) -> Assessment:
-        """Whether the motion is to be trusted, in words."""
+        """Assessment of the motion: good, to be reviewed, or not to be trusted, with reasons."""
         return assess(self.motion, self.findings)
 
     @staticmethod
     def of(clip: ClipState) -> TrackResult:
-        """Make the result of a clip that has run through its passes."""
+        """Make the result of a clip whose passes have run."""
         assert clip.motion is not None
         return TrackResult(
             clip.motion,
@@ -85,14 +92,18 @@ def track_source(
 ) -> TrackResult:
     """Track one person in the frames of a source.
 
-    body: the subject's own body, whose start alone is searched for (None: the human template, fitted)
-    subject: known body and start, which skips both searches
-    results: a checkpoint is written there every `checkpoint_every` frames (later every twentieth of the frames so far),
-        and motion.npz at the end or when interrupted
-    record: the provenance; its identity must match for `resume`
-    method: recipe of the caller's own instead of the options'
-    own: evidence in addition to that of the frames
-    find_places: depth cameras that turn out to stand elsewhere than the source says are put right
+    frame_rate: Hz.
+    body: the subject's own body, for which only the start pose is searched; None: the human template, fitted.
+    subject: known body and start pose; nothing is searched.
+    results: folder for motion.npz, which is written at the end or when interrupted, and for a checkpoint, which is
+        written every `checkpoint_every` frames, later after each twentieth of the frames so far.
+    record: provenance of the motion; to resume a run its identity must match.
+    resume: continue from the checkpoint in `results`.
+    progress: called with stage, done, total.
+    method: recipe of your own that replaces that of the options.
+    own: evidence in addition to that of the frames.
+    find_places: correct depth cameras that stand elsewhere than the source says.
+    Raises: InputError where the source has no frames.
     """
     if len(source) == 0:
         raise InputError("The recording has no frame to track; check the frame range and the videos.")
@@ -110,7 +121,10 @@ def finish(clip: ClipState) -> TrackResult:
 
 
 def run_passes(clip: ClipState, passes: Sequence[Pass]) -> TrackResult:
-    """Run passes one after the other; an interruption after the first tracked frame keeps what was tracked."""
+    """Run passes one after the other and make the result.
+
+    A KeyboardInterrupt after the first tracked frame keeps and writes what was tracked; before it, it is raised.
+    """
     try:
         for step in passes:
             clip = run_pass(step, clip)

@@ -1,9 +1,8 @@
-"""Skeletons that sensors' programs report: solved together with cameras, judged once they are fused, and given poses.
+"""Use the skeletons that sensors' programs report: solve them together with cameras, assess fused ones, and fit poses.
 
-In addition to depth maps and silhouettes there is one solve on all of it. The cameras alone give a first motion and the
-body, which tell where each skeleton's sensor stands, on which side of the body it takes left for right, and where its
-joints sit on the body. Then everything is tracked once more, the skeletons' joints as points in addition to the other
-rows.
+With cameras there is one solve on all evidence. The cameras alone give a first motion and the body. These show where
+each skeleton's sensor stands, where it exchanges left and right, and where its joints sit on the body. Then all frames
+are tracked again with the skeletons' joints as additional points.
 """
 
 from __future__ import annotations
@@ -48,10 +47,13 @@ from hypose.tracking.subject import subject_from_keypoints
 
 @dataclass(frozen=True)
 class SkeletonRows:
-    """Joints of sensors' skeletons as evidence of one's own (`hypose.evidence.cues.OwnEvidence`).
+    """Joints of sensors' skeletons as additional evidence for tracking (`hypose.evidence.cues.OwnEvidence`).
 
-    points (T, P, 3) m, world, NaN where missing; weight (T, P); joint (P,), offset (P, 3) m in the joint's frame: where
-    they sit on the body; row: of a frame's index."""
+    points: (T, P, 3) m, world, NaN where missing.
+    weight: (T, P).
+    joint, offset: (P,) and (P, 3) m in the joint's frame: where the points sit on the body.
+    row: row of the arrays by frame index.
+    """
 
     points: Array
     weight: Array
@@ -60,14 +62,14 @@ class SkeletonRows:
     row: Mapping[int, int]
 
     def rows(self, body: Body, frame: Frame, /) -> PointTerm | None:
-        """For the solver."""
+        """Return the points of a frame as a term for the solver; None where there are none."""
         n = self.row.get(frame.index)
         if n is None or not (self.weight[n] > 0).any():
             return None
         return PointTerm(self.points[n], self.weight[n], self.joint, self.offset, SETTINGS.sensor_scale_m)
 
     def energy(self, body: Body, poses: Array, frame: Frame, /) -> Array:
-        """(N,) for the search: the same cost, in shares of the masks."""
+        """Compute the energy (N,) of poses for the search: the solver's cost in the unit of the masks' energy."""
         n = self.row.get(frame.index)
         used = np.flatnonzero(self.weight[n] > 0) if n is not None else np.zeros(0, np.int64)
         if n is None or not len(used):
@@ -89,13 +91,16 @@ def fuse_mixture(
     results: ResultsFolder | None = None,
     record: Mapping[str, Any] | None = None,
 ) -> TrackResult:
-    """The motion from cameras and skeletons in one solve.
+    """Track a person from cameras and skeletons in one solve.
 
-    source: frames with depth maps, silhouettes or both, in a world with z up; skeletons: one per frame, of K sensors
-    of any set of joints that is known (`hypose.fusion.register.common_joints`), each in its own frame and at the
-    frame's time; or what makes them of the motion that the cameras give alone. results, record: as for `track_source`.
-    A sensor that moves otherwise than the person before the cameras is left out. An InputError when their
-    numbers differ, or when no sensor is left. When interrupted, it gives the motion of the cameras until then."""
+    source: frames with depth maps, silhouettes or both, in a world with z up.
+    skeletons: one per frame, of K sensors, with any known set of joints (`hypose.fusion.register.common_joints`), each
+        in the sensor's frame; or a function that makes them from the motion of the cameras alone.
+    results, record: as for `track_source`.
+    Returns: the motion; when interrupted early, that of the cameras so far.
+    Raises: InputError where the numbers of frames and skeletons differ, or no sensor moves like the person; a single
+        such sensor is left out.
+    """
     made = None if callable(skeletons) else _checked(skeletons, len(source))
     first = track_source(source, frame_rate, options, progress=progress, find_places=False)
     if not first.complete:
@@ -123,7 +128,10 @@ def fuse_mixture(
 
 
 def _checked(skeletons: Sequence[SensorJoints], frames: int) -> list[SensorJoints]:
-    """The common joints of one skeleton per frame."""
+    """Convert one skeleton per frame to the common joints.
+
+    Raises: InputError where frames or sensors are missing.
+    """
     if len(skeletons) != frames:
         raise InputError(f"There are {len(skeletons)} skeletons for {frames} frames; give one per frame.")
     common = [common_joints(s) for s in skeletons]
@@ -135,9 +143,12 @@ def _checked(skeletons: Sequence[SensorJoints], frames: int) -> list[SensorJoint
 def skeleton_rows(
     motion: Motion, skeletons: Sequence[SensorJoints], indices: Sequence[int]
 ) -> tuple[SkeletonRows, Registration]:
-    """Skeletons (T) as evidence in the world of a motion (T) of the same person, and where their sensors stand: sensor
-    0 of the registration is the motion itself; sensors that stay apart from it are not registered, and no evidence.
-    indices (T,): of the frames."""
+    """Make evidence from skeletons (T) in the world of a motion (T) of the same person.
+
+    indices: (T,) of the frames.
+    Returns: the evidence, and the registration of the sensors; its sensor 0 is the motion itself. A sensor that stays
+        apart from the motion is not registered and gives no evidence.
+    """
     assert motion.poses is not None
     known = motion.joints[:, jt.BODY_JOINT]  # (T, 15, 3)
     known = np.where(motion.lost[:, None, None], np.nan, known)
@@ -145,11 +156,11 @@ def skeleton_rows(
     state = np.stack([s.state for s in skeletons])
     states = np.concatenate([np.full_like(state[:, :1], TRACKED), state], axis=1)
     place = register(np.concatenate([known[:, None], seen], axis=1), states)
-    # who sees a back may take left for right
+    # a sensor behind the person may exchange left and right
     world = place.apply(np.concatenate([known[:, None], seen], axis=1))[:, 1:]
     straight, mirrored = (_median_away(w, known) for w in (world, world[:, :, jt.MIRROR]))
     exchanged = (mirrored < 0.7 * straight)[..., None]
-    # who was filmed at another time is registered, too, but stays apart
+    # a person filmed at another time can be registered, but stays apart
     away = np.where(exchanged[..., 0], mirrored, straight)
     alike = [bool(len(a := w[np.isfinite(w)])) and np.median(a) <= LARGEST_RESIDUAL_M for w in away.T]
     place = replace(place, registered=place.registered & np.array([True, *alike]))
@@ -179,8 +190,9 @@ def skeleton_rows(
 
 
 def _median_away(points: Array, known: Array) -> Array:
-    """(T, K) m: median over the joints of how far points (T, K, 15, 3) lie from known (T, 15, 3); infinite where none
-    is seen."""
+    """Compute the median distance (T, K) m over the joints between points (T, K, 15, 3) and known (T, 15, 3); infinite
+    where none is seen.
+    """
     away = np.linalg.norm(points - known[:, None], axis=-1)
     counted = np.isfinite(away)
     middle = np.nanmedian(np.where(counted.any(-1, keepdims=True), away, 1e9), axis=-1)
@@ -188,9 +200,12 @@ def _median_away(points: Array, known: Array) -> Array:
 
 
 def skeletons_at_frames(recording: SkeletonRecording, motion: Motion) -> list[SensorJoints]:
-    """The skeletons of a recording at the frames of a motion of the same person. Their clock is set by the movement:
-    one for all sensors, or one for each where they have their own. Of several persons the one that a sensor sees
-    longest counts. An InputError when a clock cannot be set."""
+    """Resample the skeletons of a recording at the frames of a motion of the same person.
+
+    The clock offset is found from the movement: one for all sensors, or one for each where they have their own clocks.
+    Of several persons the one that a sensor sees longest is taken.
+    Raises: InputError where a clock offset cannot be found.
+    """
     known = np.where(motion.lost[:, None, None], np.nan, motion.joints[:, jt.BODY_JOINT])
     rows = np.arange(len(motion))
     offset: float | None = None
@@ -208,12 +223,12 @@ def skeletons_at_frames(recording: SkeletonRecording, motion: Motion) -> list[Se
 
 
 def _longest(state: NDArray[np.uint8]) -> int:
-    """Who is seen longest, of states (T, P, J)."""
+    """Return the index of the person seen longest, of states (T, P, J)."""
     return int((state > 0).any(2).sum(0).argmax())
 
 
 def _offset(motion: Motion, known: Array, stream: SensorStream) -> float:
-    """s to add to a stream's times."""
+    """Compute the seconds to add to a stream's times."""
     common = jt.joint_set(stream.joint_names).common
     begin = float(motion.times[0] - stream.times[0])
     seen = stream.positions[:, _longest(stream.state)][:, common]
@@ -233,7 +248,12 @@ _CURE = "place the sensors so that one of them sees each side of the person, and
 def assess_fused(
     motion: Motion, clip: Sequence[SensorJoints], registration: Registration, names: Sequence[str]
 ) -> Assessment:
-    """Of one person's fused motion; clip: what the sensors, with these names, reported of them at its times."""
+    """Assess one person's fused motion.
+
+    clip: what the sensors reported of the person at the motion's times.
+    registration: of the sensors.
+    names: of the sensors.
+    """
     late = [Finding("clock", (), t) for t in _of_clocks(motion.times, clip, registration.reference, names)]
     found = [*(Finding("unit", (), text) for text in _of_size(motion)), *late]
     for name, apart in zip(names, registration.residual.tolist(), strict=True):
@@ -245,7 +265,7 @@ def assess_fused(
             )
             severity = INVALID if apart > SETTINGS.sensor_apart_m else REVIEW
             found.append(Finding("sensors disagree", (name,), text, size=apart, severity=severity))
-    # a sensor reports whom it sees: who is away is not there to be found
+    # frames without the person are no failure of the sensors
     if (away := float(motion.lost.mean())) > SETTINGS.verdict_lost_share:
         text = f"no sensor saw the person in {100 * away:.0f} % of the frames"
         found.append(Finding("away", (), text, size=away, severity=REVIEW))
@@ -293,8 +313,9 @@ def _of_clocks(times: Array, clip: Sequence[SensorJoints], reference: int, names
 
 
 def _apart(pair: Array, frames: int) -> float:
-    """m (median) between the joints (T, 2, 15, 3) of two sensors once registered, the second's put so many frames
-    later."""
+    """Compute the median distance (m) between the joints (T, 2, 15, 3) of two registered sensors, with the second's
+    shifted by `frames`.
+    """
     first, second = (
         (pair[frames:, 0], pair[: len(pair) - frames, 1]) if frames >= 0 else (pair[:frames, 0], pair[-frames:, 1])
     )
@@ -323,11 +344,14 @@ SENSOR_JOINT_NAMES = (
 
 
 def pose_fused(fused: Motion, body: Body | None = None, smoothness: float = 1.0) -> tuple[Body, Motion]:
-    """The body with the person's bone lengths, and its motion (T, 36) along fused joints.
+    """Fit a body with the person's bone lengths, and poses (T, 36), to fused joints.
 
-    fused: a motion of points (fusion.fuse.Fused.motion) in a world with z up, m. smoothness: strength of the penalty on
-    acceleration. Frames in which the person is lost are bridged and stay marked as lost. An InputError when too little
-    was seen to find a pose."""
+    fused: motion of points (fusion.fuse.Fused.motion) in a world with z up, m.
+    body: the template; default: human().
+    smoothness: strength of the penalty on acceleration.
+    Returns: body and motion; frames in which the person is lost are interpolated and stay marked as lost.
+    Raises: InputError where no frame has enough joints.
+    """
     points = common_positions(fused)
     points[np.asarray(fused.lost)] = np.nan
     if np.isfinite(points).all(-1).sum(1).max(initial=0) < 8:

@@ -1,8 +1,8 @@
-"""Which of the starts that several frames allow is the right one.
+"""Choose the right start pose among those that several frames allow.
 
-A single frame, and the half second after it, may not tell front from back, above all where others hide an arm or the
-feet. So where the masks are shared with others, the starts of several frames are each tracked through all of them;
-where no other person is, the frame that its start explains best decides.
+A single frame, and the half second after it, may not show front and back, above all where other people hide an arm or
+the feet. So where masks are shared with others, the starts of several frames are each tracked through all of them.
+Where the person is alone, the frame decides that is explained best.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from hypose.tracking.subject import scaled_to_height
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerSettings
 
 # ---- subject checks ------------------------------------------------------------------------------------------------
-# What can be wrong with the silhouettes of a person who is to be measured: units, borders, the pose that was named.
+# Checks of the silhouettes of a person who is to be measured: units, image borders, the named pose.
 
 
 _EDGES = ("left", "right", "top", "bottom")
@@ -37,8 +37,7 @@ _UNITS = {"cm": 0.01, "mm": 0.001, "m": 1.0}
 
 
 def no_two_views(frame: Frame) -> str:
-    """Why a body cannot be measured in a frame with fewer than two usable views, or none of depth cameras, and what to
-    do."""
+    """Write why a body cannot be measured in a frame with too few usable views, and what to do."""
     why = [r for masks in frame.of(Silhouettes) for r in masks.reasons if r]
     first = f" ({why[0].rstrip('.')})" if why else ""
     if frame.depth is not None:
@@ -53,7 +52,9 @@ def no_two_views(frame: Frame) -> str:
 
 
 def check_person_size(frame: Frame) -> None:
-    """An EvidenceError when the person of a frame is a giant or a dwarf, with the calibration's likely unit."""
+    """Raise EvidenceError where the person of a frame is impossibly small or tall, with the
+    calibration's likely unit.
+    """
     heights = [tall for masks in frame.of(Silhouettes) if (tall := apparent_height(masks)) is not None]
     height = heights[0] if heights else SETTINGS.check_smallest
     if SETTINGS.check_smallest <= height <= SETTINGS.check_tallest:
@@ -68,8 +69,10 @@ def check_person_size(frame: Frame) -> None:
 
 
 def apparent_height(silhouettes: Silhouettes) -> float | None:
-    """Extent (m) of what the masks show at the point nearest to the rays through their middles: the median over the
-    usable views; None when there are fewer than two. No hull is made, whose size in cells a wrong unit would blow up.
+    """Compute the height (m) of the mask's extent at the point nearest to the rays through the masks' middles.
+
+    Returns: median over the usable views; None with fewer than two.
+    Why not the hull: with a wrong unit it could have far too many cells.
     """
     rows, extents = [], []
     for c in np.flatnonzero(silhouettes.usable):
@@ -94,18 +97,20 @@ def apparent_height(silhouettes: Silhouettes) -> float | None:
 
 
 def cut_edges(silhouettes: Silhouettes, view: int) -> tuple[str, ...]:
-    """Image borders ('left', 'right', 'top', 'bottom') at which a view cuts the person off."""
+    """Return the image borders ('left', 'right', 'top', 'bottom') at which a view cuts the person off."""
     width, height = (int(n) for n in silhouettes.rig.sizes[view])
     mask = silhouettes.informative[view, :height, :width]
     extent = int(np.ptp(np.flatnonzero(mask.any(1)))) if mask.any() else 0
     along = [int(line.sum()) for line in (mask[:, 0], mask[:, -1], mask[0], mask[-1])]
-    # a speck of noise at the border cuts no person
+    # noise at the border does not count
     return tuple(e for e, n in zip(_EDGES, along, strict=True) if n > max(3, 0.02 * extent))
 
 
 def check_borders(frames: Sequence[Frame], height: float | None) -> tuple[str, ...]:
-    """Notes on views that cut the person off; an EvidenceError when no view ever shows the whole person and the height
-    is unknown."""
+    """Return notes on views that cut the person off.
+
+    Raises: EvidenceError where no view ever shows the whole person and the height is not known.
+    """
     seen: dict[str, list[tuple[str, ...]]] = {}
     for masks in pieces_of(frames, Silhouettes):
         for c in np.flatnonzero(masks.usable):
@@ -126,7 +131,7 @@ def check_borders(frames: Sequence[Frame], height: float | None) -> tuple[str, .
 
 
 def check_start(value: float, frame: int) -> None:
-    """An EvidenceError when the best start explains too little of the silhouettes. value: its mean IoU."""
+    """Raise EvidenceError where the best start explains too little of the silhouettes; value: its mean IoU."""
     if value < SETTINGS.check_least_overlap:
         raise EvidenceError(
             f"Frame {frame}: no body in a known pose explains the silhouettes, the best overlaps {value:.0%} of them; "
@@ -136,7 +141,11 @@ def check_start(value: float, frame: int) -> None:
 
 
 def check_named_pose(named: str, value: float, others: Mapping[str, float], frame: int) -> None:
-    """An EvidenceError when another known pose explains a frame clearly better than the named one; mean IoU of each."""
+    """Raise EvidenceError where another known pose explains a frame clearly better than the named one.
+
+    value: mean IoU of the named pose.
+    others: mean IoU of the other poses by name.
+    """
     best = max(others, key=lambda k: others[k])
     if value < others[best] - SETTINGS.check_worse_pose:
         raise EvidenceError(
@@ -147,7 +156,7 @@ def check_named_pose(named: str, value: float, others: Mapping[str, float], fram
 
 
 def follow(tracker: Tracker, start: Array, frames: Sequence[Frame], tick: Callable[[], None]) -> list[FrameEstimate]:
-    """The frames tracked one after the other, the first from a pose (D,)."""
+    """Track the frames one after the other, the first from a pose (D,); `tick` is called after each."""
     found: list[FrameEstimate] = []
     for _, estimate in tracker.follow(tracker.start(start), frames):
         found.append(estimate)
@@ -157,8 +166,11 @@ def follow(tracker: Tracker, start: Array, frames: Sequence[Frame], tick: Callab
 
 @dataclass(frozen=True)
 class StartTrial:
-    """A start in frame number `at`, tracked through all frames: poses (T, D), and what each costs (T,), 1 - IoU, NaN
-    where nothing is seen."""
+    """Start pose in frame number `at`, tracked through all frames.
+
+    poses: (T, D).
+    costs: (T,) 1 - IoU; NaN where nothing is seen.
+    """
 
     start: Start
     at: int
@@ -167,7 +179,7 @@ class StartTrial:
 
     @property
     def cost(self) -> float:
-        """Mean over the frames."""
+        """Mean cost over the frames; infinite where none is known."""
         known = self.costs[np.isfinite(self.costs)]
         return float(known.mean()) if len(known) else np.inf
 
@@ -175,8 +187,12 @@ class StartTrial:
 def way_of(
     start: Start, at: int, frames: Sequence[Frame], rate: float, seed: int = 0, best: StartTrial | None = None
 ) -> StartTrial | None:
-    """A start tracked through the frames after it and before it, with few particles and without looking for rivals;
-    rate Hz. None as soon as it is clear that it costs more than the `best` one so far."""
+    """Track a start through the frames after it and before it, with few particles.
+
+    at: number of the start's frame.
+    rate: of the frames, Hz.
+    best: cheapest trial so far; None is returned as soon as this one clearly costs more.
+    """
     body = start.body
     recipe = replace(default(body, SETTINGS.choice_particles, rate, rivals=1), recover=Recovery(find=recover))
     tracker = Tracker(body, recipe, TrackerSettings(seed=seed, frame_rate=rate, rival_every=SETTINGS.choice_never_s))
@@ -199,23 +215,28 @@ def way_of(
 
 
 def _mean_more(found: Mapping[int, FrameEstimate], best: StartTrial) -> float:
-    """By how much more the frames cost than on the best way, in the mean."""
+    """Compute the mean additional cost of the frames compared with the best trial."""
     more = np.array([e.cost - best.costs[k] for k, e in found.items()])
     return float(np.nan_to_num(more).mean())
 
 
 @dataclass(frozen=True)
 class BestWays:
-    """starts, and the number of the frame of the best one; ways: those that were tracked through all frames, best
-    first, none where one frame decided."""
+    """Best starts of some frames.
+
+    starts: the starts with their weights.
+    at: number of the best start's frame.
+    ways: starts that were tracked through all frames, best first; none where one frame decided.
+    """
 
     starts: Starts
     at: int
     ways: tuple[StartTrial, ...] = ()
 
     def check(self, frames: Sequence[Frame]) -> None:
-        """An EvidenceError when the best start does not explain its frame (of `frames`). Where its way is known, the
-        pose of the way in that frame is checked: the start itself may be off, and tracking corrects it at once."""
+        """Raise EvidenceError where the best start does not explain its frame. Where it was tracked, the tracked pose
+        in that frame is checked, since tracking corrects small errors of a start at once.
+        """
         best = self.starts.best
         if self.ways:
             best = replace(best, pose=self.ways[0].poses[self.at])
@@ -233,14 +254,18 @@ def best_ways(
     shared: bool = False,
     tried: Sequence[tuple[int, Start]] = (),
 ) -> BestWays:
-    """The starts that explain the silhouettes of frames, at `rate` Hz, best, with how far each is believed, the number
-    of the best one's frame, and the ways of those that were compared.
+    """Find the start poses that explain the silhouettes of frames best, with their weights.
 
-    A hole in one mask cuts the hull, so other frames are looked at where the first one leaves a doubt, and always where
-    the masks are `shared` with others, who hide what would raise it: then all frames decide. The median of their hulls'
-    heights is the person's extent. poses: one, which the first frame shows, or all; height m, when known; tried:
-    numbers of frames, and starts that may be right as well, for which fewer are looked for. An EvidenceError when no
-    frame has a hull."""
+    rate: of the frames, Hz.
+    poses: names of known poses; a single one is expected in the first frame.
+    height: m, where known.
+    shared: the masks also show other people; then starts of several frames are tracked through all frames.
+    tried: frame numbers and starts that may be right as well.
+    Raises: EvidenceError where no frame has a visual hull.
+
+    Why several frames: a hole in one mask cuts the hull, so other frames are used where the first leaves a doubt. The
+    person's extent is the median height of the hulls.
+    """
     numbers = sorted({0, len(frames) // 3, (2 * len(frames)) // 3}) if not tried else [len(frames) // 2]
     extent = _extent(template, frames, sorted({*numbers, 0, len(frames) // 6, len(frames) // 2, len(frames) - 1}))
     named = poses[0] if len(poses) == 1 else None
@@ -249,7 +274,7 @@ def best_ways(
     failed: EvidenceError | None = None
     for k in numbers:
         try:
-            if named is not None and k == 0:  # only the first frame is promised to show the named pose
+            if named is not None and k == 0:  # only the first frame is expected to show the named pose
                 starts = _in_named_pose(template, frames[0], named, height, extent)
             else:
                 starts = _searched(template, frames, k, height, extent)
@@ -281,7 +306,7 @@ def _likely(found: Sequence[tuple[int, Starts]]) -> list[tuple[int, Start]]:
 
 
 def _by_all_frames(frames: Sequence[Frame], rate: float, tried: Sequence[tuple[int, Start]], seed: int) -> BestWays:
-    """The starts by how well they explain all frames."""
+    """Sort the starts by how well their tracks explain all frames."""
     for masks in pieces_of(frames, Silhouettes):
         make_now(masks)
     ways: list[StartTrial] = []
@@ -294,7 +319,7 @@ def _by_all_frames(frames: Sequence[Frame], rate: float, tried: Sequence[tuple[i
 
 
 def _extent(template: Body, frames: Sequence[Frame], numbers: Sequence[int]) -> float | None:
-    """m: the median of the hulls' heights in frames of these numbers; None where there is no hull."""
+    """Compute the median height (m) of the hulls in the frames `numbers`; None where there is no hull."""
     heights = []
     for k in numbers:
         with contextlib.suppress(EvidenceError):
@@ -303,8 +328,7 @@ def _extent(template: Body, frames: Sequence[Frame], numbers: Sequence[int]) -> 
 
 
 def _searched(template: Body, frames: Sequence[Frame], at: int, height: float | None, extent: float | None) -> Starts:
-    """The starts in frame number `at` of the instants looked at, weighed by those that follow, or by those before it
-    where none follow."""
+    """Search starts in frame number `at`, weighted by the frames after it, or before it where none follow."""
     zero = np.zeros(template.skeleton.dof)
     others = [at + k for k in SETTINGS.choice_later if at + k < len(frames)] or [
         at - k for k in SETTINGS.choice_later if at - k >= 0
@@ -315,14 +339,14 @@ def _searched(template: Body, frames: Sequence[Frame], at: int, height: float | 
 
 
 def _in_named_pose(template: Body, frame: Frame, name: str, height: float | None, extent: float | None) -> Starts:
-    """The start in the pose that was named."""
+    """Return the start in the named pose."""
     body, pose, value = named_start(template, frame, name, height, extent)
     start = Start(body, pose, 1 - value)
     return Starts((start,), np.ones(1), np.zeros(len(body.skeleton.joint_names)))
 
 
 def _check_named(template: Body, frame: Frame, name: str, start: Start, extent: float | None) -> None:
-    """An EvidenceError when the frame shows another known pose than the named one, in which the start is."""
+    """Raise EvidenceError where the frame shows another known pose than the named one."""
     others = [p for p in KNOWN_POSES if p != name]
     overlap = {p: named_start(template, frame, p, start.body.stature, extent)[2] for p in others}
     check_named_pose(name, 1 - start.cost, overlap, frame.index)
@@ -335,15 +359,17 @@ def _overlap(start: Start, frame: Frame) -> float:
 def named_start(
     template: Body, frame: Frame, pose: str, height: float | None = None, extent: float | None = None
 ) -> tuple[Body, Array, float]:
-    """The template scaled to the person, its pose in one frame and the mean IoU there: a known pose at the visual hull,
-    at the given height, or at several scales about the hull's (`extent` m, default this frame's), of which the best
-    explained is taken."""
+    """Place the template in a known pose at the visual hull of one frame.
+
+    height: m; None: several heights around `extent` (m; default: the hull's height) are tried.
+    Returns: body, pose (D,) and mean IoU of the height that fits best.
+    """
     prepared = prepare(frame, template, np.zeros(template.skeleton.dof))
     if height is not None:
         heights = [height]
     else:
         extent = extent or hull_of(prepared).height
-        # standing people are as high as their hull, raised arms add up to a third, strides and bends take some away
+        # the hull of a person who stands is as high as the person; raised arms add up to a third, bending reduces it
         heights = [h for h in (extent, extent / 1.05, extent / 1.28, 1.05 * extent) if 0.8 < h < 2.3] or [1.7]
     best: tuple[float, Body, Array] | None = None
     for h in heights:

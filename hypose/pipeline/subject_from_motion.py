@@ -1,8 +1,9 @@
-"""The subject's body from silhouettes of a moving person: track briefly, choose different poses, fit shape and poses.
-With key points, which tell poses and bones, the outlines tell the rest.
+"""Estimate the subject's body from silhouettes of the moving person: track briefly, choose different poses, fit shape
+and poses together. With key points, which give poses and bones, the outlines give the rest.
 
 Source: Alcoverro 2014, section 2.3.3 (placing at the hull, then pose, then shape and pose together). Deviation: several
-frames of ordinary motion instead of one known pose, and a joint gradient solution (hypose.tracking.shape_refinement).
+    frames of ordinary motion instead of one known pose, and a joint gradient solution
+    (hypose.tracking.shape_refinement).
 """
 
 from __future__ import annotations
@@ -43,10 +44,19 @@ _Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class AnthropometryOptions:
-    """frames: how many different poses are fitted; tracked: how many instants are looked at to find them; rate: their
-    rate in Hz; passes: the second one tracks again with the fitted body; height m, mass kg: when known; poses: what the
-    person may be doing at the start; seed; shape: of the solver; shared, tried: of the start, see `best_ways`, tried
-    with the numbers of the frames of the recording."""
+    """Options of estimating a body from silhouettes.
+
+    frames: number of different poses that are fitted.
+    tracked: number of frames that are tracked to find them.
+    rate: of these frames, Hz.
+    particles: of the tracker.
+    passes: with 2, the frames are tracked again with the fitted body.
+    height, mass: m and kg, where known.
+    poses: known poses that the person may have at the start.
+    seed: of random numbers.
+    shape: settings of the solver.
+    shared, tried: as for `best_ways`; `tried` with frame numbers of the recording.
+    """
 
     frames: int = 10
     tracked: int = 36
@@ -70,10 +80,20 @@ class AnthropometryOptions:
 
 @dataclass(frozen=True)
 class SubjectEstimate:
-    """body: in its clothes, as cameras see it; naked: without them; factors (K,) with covariance (K, K) of
-    anthropometry.SHAPE_FACTORS about the template; start (D,): pose in the first frame looked at; frames: the
-    fitted instants, poses (F, D) there; iou (F, C) of the body before and after; notes in words; unsure (2, J): how
-    likely a joint is elsewhere at the start than it is taken to be, by the other starts that the masks allow."""
+    """Estimated body of a person.
+
+    body: in clothes, as cameras see it.
+    naked: without clothes.
+    factors: (K,) anthropometry.SHAPE_FACTORS relative to the template.
+    covariance: (K, K) of the factors.
+    start: (D,) pose in the first frame used.
+    frames: numbers of the fitted frames.
+    poses: (F, D) poses in them.
+    template, template_poses: body and poses before the fit.
+    iou_before, iou: (F, C) overlap of the body before and after the fit.
+    notes: sentences for the user.
+    unsure: (2, J) probability that a joint is elsewhere at the start, from the other starts that the masks allow.
+    """
 
     body: Body
     naked: Body
@@ -91,7 +111,9 @@ class SubjectEstimate:
 
     @property
     def sizes(self) -> Sizes:
-        """Sizes of the body without its clothes (girths are the skin's, as far as the clothes' thickness is known)."""
+        """Sizes of the body without clothes; girths are those of the skin, as far as the thickness of
+        clothes is known.
+        """
         return sizes_of(self.naked)
 
 
@@ -104,11 +126,15 @@ def estimate_subject(
     start: Array | None = None,
     progress: _Progress | None = None,
 ) -> SubjectEstimate:
-    """The subject of a recording from silhouettes alone. progress(done, total) is called for every frame looked at.
+    """Estimate the body of a recording's subject from silhouettes alone.
 
-    start (D,): pose of `template` in frame 0; default: known poses at the visual hull. The person may do anything;
-    different poses (bent elbows and knees) place the joints. An EvidenceError when fewer than two views are usable,
-    the person's size is no person's (units), no view shows the whole person, or no start explains the silhouettes.
+    frame_at: reads a frame by number.
+    start: (D,) pose of `template` in frame 0; default: known poses at the visual hull.
+    progress: called with done, total for every frame.
+    Raises: EvidenceError where fewer than two views are usable, the person's size is impossible (units), no view shows
+        the whole person, or no start explains the silhouettes.
+
+    The person may do anything; different poses (bent elbows and knees) place the joints.
     """
     options = options or AnthropometryOptions()
     step = max(1, round(frame_rate / options.rate))
@@ -158,7 +184,7 @@ def estimate_subject(
     outlines = [surface_evidence(seen[k]) for k in chosen]
     fit = refine_shape(template, tracked[chosen], outlines, known=known, options=options.shape, start=x)
     for _ in range(options.passes - 1):
-        # the fitted body loses fewer limbs, so other frames and better poses are there to be fitted
+        # tracking with the fitted body is better, so other frames and better poses can be fitted
         tracked, iou = _both_ways(fit.body, tracked[at], at, seen, rate, options, tick)
         chosen = different_poses(fit.body, tracked, iou, options.frames)
         again = replace(options.shape, iterations=(0, *options.shape.iterations[1:]))
@@ -201,8 +227,10 @@ def _both_ways(
     options: AnthropometryOptions,
     tick: Callable[[], None],
 ) -> tuple[Array, Array]:
-    """(T, D) poses and (T,) IoU of the frames, tracked with few particles forwards and backwards from frame `at`, in
-    the order of the frames; corrected where left and right were exchanged."""
+    """Track the frames with few particles forwards and backwards from frame `at`; correct exchanged sides.
+
+    Returns: poses (T, D) and IoU (T,) in the order of the frames.
+    """
     recipe = default(body, particles=options.particles, frame_rate=rate)
     tracker = Tracker(body, recipe, TrackerSettings(seed=options.seed, frame_rate=rate))
     later = follow(tracker, start, frames[at:], tick)
@@ -212,8 +240,12 @@ def _both_ways(
 
 
 def different_poses(body: Body, poses: Array, iou: Array, count: int) -> list[int]:
-    """Indices of up to `count` poses (T, D) that differ most (farthest-point choice on joint positions about the
-    pelvis, in its frame, so that the view changes count too), among those explained about as well as usual."""
+    """Select up to `count` of the poses (T, D) that differ most, among those with about the usual IoU.
+
+    Farthest-point selection on joint positions relative to the pelvis and in its frame, and on the heading, so that
+    changes of the viewed side count too.
+    Returns: sorted indices.
+    """
     usual = float(np.nanmedian(iou))
     allowed = [k for k in range(len(poses)) if iou[k] > 0.95 * usual] or list(range(len(poses)))
     rotations, joints = body.skeleton.forward(poses)
@@ -236,9 +268,11 @@ def _ious(body: Body, poses: Array, frames: Sequence[PreparedFrame]) -> Array:
 
 
 def with_outlines(fitted: KeypointSubject, frames: Sequence[Frame]) -> tuple[Body, str] | None:
-    """The body of the key points of frames, with what the outlines of a few different poses tell in addition to its
-    bones: girths, clothes, and the sizes that no key point shows; and a sentence. None where no frame has masks of
-    that person."""
+    """Fit girths, clothes and the sizes that key points do not show to the outlines of a few different poses.
+
+    fitted: body and poses from the key points of `frames`.
+    Returns: body and a sentence; None where no frame has masks of that person.
+    """
     solved = np.flatnonzero(np.isfinite(fitted.poses).all(1))
     looked_at = solved[
         np.unique(np.linspace(0, len(solved) - 1, min(SETTINGS.subject_looked_at, len(solved))).astype(int))
@@ -263,8 +297,9 @@ def with_outlines(fitted: KeypointSubject, frames: Sequence[Frame]) -> tuple[Bod
 
 
 def save_subject(folder: str | Path, estimate: SubjectEstimate, template: Body, source: str = "") -> tuple[Path, Path]:
-    """Writes body.npz (the body in its clothes, for `hypose track --subject`) and subject.toml (sizes in cm with their
-    standard deviations, and the shape factors) into a folder; returns their paths."""
+    """Write body.npz (the clothed body, for `hypose track --subject`) and subject.toml (sizes in cm with standard
+    deviations, and shape factors) into a folder; return their paths.
+    """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     body, toml = folder / "body.npz", folder / "subject.toml"
@@ -293,7 +328,7 @@ def save_subject(folder: str | Path, estimate: SubjectEstimate, template: Body, 
 
 
 def subject_file(path: str | Path) -> Path:
-    """Where the body of a subject lies that is given as its folder, subject.toml or body.npz."""
+    """Return the path of body.npz for a subject given as its folder, subject.toml or body.npz."""
     p = Path(path)
     if p.is_dir():
         return p / "body.npz"
@@ -301,12 +336,15 @@ def subject_file(path: str | Path) -> Path:
 
 
 def load_subject(path: str | Path) -> Body:
-    """The body of a subject: its folder, subject.toml or body.npz. An InputError names the missing input."""
+    """Load the body of a subject, given as its folder, subject.toml or body.npz.
+
+    Raises: InputError names the missing input.
+    """
     return load_body(subject_file(path))
 
 
 def size_uncertainty(estimate: SubjectEstimate, template: Body, draws: int = 24) -> dict[str, float]:
-    """One standard deviation (m) of every size, by drawing shapes from the fit's covariance (seed fixed)."""
+    """Compute the standard deviation (m) of every size from shapes drawn from the fit's covariance (fixed seed)."""
     rng = np.random.default_rng(0)
     root = np.linalg.cholesky(estimate.covariance)
     light = replace(template, coarse=template.fine)
@@ -317,8 +355,12 @@ def size_uncertainty(estimate: SubjectEstimate, template: Body, draws: int = 24)
 
 
 def measured_height(frame_at: _FrameAt, body: Body, poses: Array, iou: Array) -> float | None:
-    """The height, m, by the silhouettes and depth of a motion (poses (T, D) of `body`, iou (T,)) that was tracked with
-    a given height or body; None where they do not tell one."""
+    """Estimate the person's height from silhouettes and depth of a motion that was tracked with a given height or body.
+
+    poses: (T, D) of `body`.
+    iou: (T,).
+    Returns: m; None where the evidence does not determine it.
+    """
     known = np.flatnonzero(np.isfinite(iou))
     if len(known) < 2:
         return None
@@ -339,7 +381,7 @@ def measured_height(frame_at: _FrameAt, body: Body, poses: Array, iou: Array) ->
 
 
 def height_sentence(reported: float, given: float) -> str:
-    """That masks tell another height than the given one, both in m."""
+    """Write the sentence that the cameras show another height than the given one, both in m."""
     return (
         f"the person is {reported:.2f} m tall by what the cameras see, not {given:.2f} m as given: leave the height "
         "out or correct it, give the person's own body, or check the scale of the calibration (the board's square size)"

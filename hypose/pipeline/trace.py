@@ -18,13 +18,13 @@ from hypose.tracking.contacts import runs
 
 @dataclass(frozen=True)
 class Change:
-    """A stretch of frames in which one pass moved one joint.
+    """Frames in which one pass moved one joint.
 
-    stage: name of the pass
-    joint: name of the joint
-    frames: of the clip, counted from 0
-    moved: m, the largest displacement in these frames
-    reason: why the pass moved it
+    stage: name of the pass.
+    joint: name of the joint.
+    frames: frames of the clip, counted from 0.
+    moved: largest displacement in these frames, m.
+    reason: why the pass moved it.
     """
 
     stage: str
@@ -43,11 +43,13 @@ class Change:
 def list_changes(
     stage: str, names: Sequence[str], moved: Array, reason: str, at: NDArray[np.bool_] | None = None
 ) -> tuple[Change, ...]:
-    """List the stretches of frames in which a pass moved joints by more than SETTINGS.trace_least_m.
+    """List the runs of frames in which a pass moved joints by more than SETTINGS.trace_least_m.
 
-    names: of the J joints
-    moved: (T, J) m
-    at: (T,) only these frames; None: all
+    stage: name of the pass.
+    names: names of the J joints.
+    moved: (T, J) displacements, m.
+    reason: why the pass moved them.
+    at: (T,) frames to consider; None: all.
     """
     large = np.asarray(moved) > SETTINGS.trace_least_m
     large = large if at is None else large & at[:, None]
@@ -57,7 +59,7 @@ def list_changes(
 
 
 def trace_of(motion: Motion) -> tuple[Change, ...]:
-    """Read the trace of a motion; empty where none was recorded."""
+    """Read the trace from a motion's provenance; empty where none was recorded."""
     kept: Iterable[Mapping[str, Any]] = motion.provenance.get("trace", ())
     return tuple(
         Change(str(c["pass"]), str(c["joint"]), range(*c["frames"]), float(c["moved_mm"]) / 1e3, str(c["reason"]))
@@ -66,10 +68,10 @@ def trace_of(motion: Motion) -> tuple[Change, ...]:
 
 
 def with_trace(motion: Motion, trace: Iterable[Change]) -> Motion:
-    """Put a trace into the provenance of a motion, in place of the one before."""
+    """Return the motion with this trace in its provenance, in place of the trace before."""
     return replace(motion, provenance={**motion.provenance, "trace": [change.document() for change in trace]})
 
 
 def later(trace: Iterable[Change], frames: int) -> tuple[Change, ...]:
-    """Count the frames of a trace from so many frames earlier."""
+    """Shift the frame numbers of a trace by `frames`."""
     return tuple(replace(c, frames=range(c.frames.start + frames, c.frames.stop + frames)) for c in trace)

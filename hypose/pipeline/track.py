@@ -1,8 +1,9 @@
-"""A recording's poses in one call, without files: what `import hypose` offers as `track`."""
+"""Track a recording in one call, without files: `track`, which `import hypose` offers."""
 
 from __future__ import annotations
 
 import contextlib
+import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -67,17 +68,25 @@ def track(
     progress: StageProgress | None = None,
     people: str | int | None = None,
 ) -> TrackResult | PeopleResult:
-    """The motion of the person in a recording (or the recording in a folder, or frames in memory), and the body.
+    """Track the person in a recording and return motion and body; nothing is written.
 
-    recipe: a preset's name, or a recipe of your own for the joints of `human()` (default: the options'). own: evidence
-    of your own in addition to that of the recording. body: the subject's own, which is kept as it is (default: fitted
-    to the recording). people: 'all', how many at most, or the name of one in recording.toml: all people are tracked
-    together, in a PeopleResult; without it one person is tracked, also where several are seen. Nothing is written;
-    `hypose track` writes files and can be resumed. An InputError names what cannot be used."""
+    recording: a recording, its folder, or frames in memory.
+    options: default: those that suit the recording.
+    recipe: name of a preset, or a recipe of your own for the joints of `human()`; default: that of the options.
+    own: evidence of your own in addition to that of the recording.
+    body: the subject's own body, used unchanged; default: a body is fitted to the recording.
+    progress: called with stage, done, total; default: a bar per stage where stderr is a terminal.
+    people: None: track one person, even where several are seen. 'all', a maximum number, or the name of one person in
+        recording.toml: track all people together.
+    Returns: TrackResult; PeopleResult where `people` is given.
+    Raises: InputError names the input that cannot be used.
+
+    `hypose track` does the same, writes files and can be resumed.
+    """
     loaded = recording if isinstance(recording, Recording | FrameList) else load_recording(recording)
     height = loaded.subject_height if isinstance(loaded, Recording) else None
     chosen = options or TrackOptions(height=height)
-    method = recipe if isinstance(recipe, Recipe) else None
+    method, report = recipe if isinstance(recipe, Recipe) else None, progress or _draw_bar
     if isinstance(recipe, str):
         chosen = replace(chosen, recipe=recipe)
     if isinstance(loaded, Recording):
@@ -90,17 +99,24 @@ def track(
                 "Several people are tracked by a preset, without evidence of your own; name their bodies in "
                 "recording.toml, and leave out body, own and the recipe."
             )
-        return _track_people(loaded, chosen, str(people), progress)
-    given = {"method": method, "own": own, "progress": progress}
+        return _track_people(loaded, chosen, str(people), report)
+    given = {"method": method, "own": own, "progress": report}
     if isinstance(loaded, FrameList):
         body = body or given_body(chosen)
         return track_source(loaded, loaded.frame_rate, chosen, body=body, **given)
-    with FrameStream(loaded, frames_wanted(loaded, chosen)) as source:
+    with FrameStream(loaded, frames_wanted(loaded, chosen), progress=report) as source:
         return track_person(source, chosen, body=body, **given)
 
 
+def _draw_bar(stage: str, done: int, total: int) -> None:
+    if sys.stderr is not None and sys.stderr.isatty():
+        bar = "#" * round(30 * done / max(1, total))
+        sys.stderr.write(f"\r{stage:<12}{bar:<30} {done}/{total}" + "\n" * (done >= total))
+        sys.stderr.flush()
+
+
 def given_body(options: TrackOptions) -> Body | None:
-    """The subject's own body, where the options name its file."""
+    """Load the subject's own body from the file that the options name; None where they name none."""
     return None if options.subject is None else load_subject(options.subject)
 
 
@@ -114,8 +130,12 @@ def track_person(
     command: str = 'people="all"',
     **kept: Any,
 ) -> TrackResult:
-    """The motion of the person in the frames of a recording; where the masks show several, of one of them, and it is
-    said that the `command` tracks all. kept, and everything else: as for `track_source`."""
+    """Track one person in the frames of a recording.
+
+    Where the masks show several people, all are tracked, one is returned, and a note names the `command` that returns
+    all.
+    kept, and the other arguments: as for `track_source`.
+    """
     recording = source.recording
     all_people = with_all_people(source, options) if method is None and not own and body is None else None
     if all_people is None:
@@ -130,18 +150,16 @@ def track_person(
 
 
 def _track_people(
-    loaded: Recording | FrameList, options: TrackOptions, people: str, progress: StageProgress | None
+    loaded: Recording | FrameList, options: TrackOptions, people: str, progress: StageProgress
 ) -> PeopleResult:
     wanted = wanted_of(loaded) if isinstance(loaded, Recording) else []
     count, only = chosen_people(people, wanted)
     in_memory = isinstance(loaded, FrameList)
-    frames = contextlib.nullcontext(loaded) if in_memory else people_frames(loaded, options)
+    frames = contextlib.nullcontext(loaded) if in_memory else people_frames(loaded, options, progress)
     with frames as source:
         points = None
         if isinstance(source, FrameStream) and isinstance(loaded, Recording) and options.looks_at != "silhouettes":
             points = keypoint_people(loaded, source.rig)
-        report = progress or (lambda stage, done, total: None)
-        run = PeopleRun(source, loaded.frame_rate, options, count, wanted, progress=report, points=points)
-        found = run()
+        found = PeopleRun(source, loaded.frame_rate, options, count, wanted, progress=progress, points=points)()
     kept = tuple(p for p in found.people if only in (None, p.name))
     return found if not kept else replace(found, people=kept, others=found.others + len(found.people) - len(kept))

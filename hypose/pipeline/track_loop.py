@@ -1,4 +1,4 @@
-"""Frames tracked one after the other, with checkpoints."""
+"""Track the frames of a clip one after the other, with checkpoints."""
 
 from __future__ import annotations
 
@@ -28,7 +28,10 @@ from hypose.tracking.tracker import (
 
 @dataclass(frozen=True)
 class FrameList:
-    """Frames in memory as a recording to be tracked, frame_rate Hz: of a scene, of cameras or masks of your own."""
+    """Frames in memory that can be tracked like a recording, e.g. of a synthetic scene or of your own cameras.
+
+    frame_rate: Hz.
+    """
 
     frames: Sequence[Frame]
     frame_rate: float = 25.0
@@ -37,38 +40,44 @@ class FrameList:
         return len(self.frames)
 
     def frame(self, index: int, /) -> Frame:
-        """Frame number index, 0 <= index < len."""
+        """Return frame number index, 0 <= index < len."""
         return self.frames[index]
 
 
 StageProgress = Callable[[str, int, int], None]
-"""progress(stage, done, total) is called often; raising KeyboardInterrupt in it stops the run with its work kept."""
+"""Called often as progress(stage, done, total); raising KeyboardInterrupt in it stops the run and keeps its work."""
 
 
 class Deferred:
-    """A progress call whose interruption waits until `settle`: work that has begun is finished first, and a run that
-    goes on later goes on to the same."""
+    """Progress function that holds back a KeyboardInterrupt until `settle` is called.
+
+    Why: work that has begun is finished first, so a resumed run continues from the same state.
+    """
 
     def __init__(self, progress: StageProgress) -> None:
         self._progress, self._stopped = progress, False
 
     def __call__(self, stage: str, done: int, total: int) -> None:
-        """The progress of a stage; see StageProgress."""
+        """Report the progress of a stage; see StageProgress."""
         try:
             self._progress(stage, done, total)
         except KeyboardInterrupt:
             self._stopped = True
 
     def settle(self) -> None:
-        """The KeyboardInterrupt, if there was one."""
+        """Raise the KeyboardInterrupt that was held back, if there was one."""
         if self._stopped:
             raise KeyboardInterrupt
 
 
 @dataclass(frozen=True)
 class Keep:
-    """Where a run keeps its state: the checkpoint's path; the identity of the run; every: frames between two writings,
-    at least."""
+    """Where and how often a run writes its checkpoint.
+
+    path: file of the checkpoint.
+    identity: identity of the run, which must match to resume it.
+    every: least number of frames between two checkpoints.
+    """
 
     path: Path
     identity: Mapping[str, Any]
@@ -77,8 +86,13 @@ class Keep:
 
 @dataclass(frozen=True)
 class Tracked:
-    """estimates: of the frames that are done; state: after the last of them. error: what ended it early; None when it
-    is complete or was interrupted."""
+    """Result of tracking frame by frame.
+
+    estimates: of the frames that are done.
+    state: state of the tracker after the last of them.
+    complete: every frame was tracked.
+    error: error that ended tracking early; None when it is complete or was interrupted.
+    """
 
     estimates: list[FrameEstimate]
     state: TrackerState
@@ -96,14 +110,21 @@ def track_frames(
     before: Tracked | None = None,
     progress: StageProgress,
 ) -> Tracked:
-    """Tracks the frames of a source from the state `begin`, or behind what was done `before`. What was seen in each is
-    found out by another thread while the next one is tracked: tracking does not ask.
+    """Track the frames of a source one after the other.
 
-    KeyboardInterrupt, and with `keep` a HyposeError too, end it with the frames done until then; they are passed on
-    when there are none.
+    begin: state of the tracker before the first frame.
+    subject: the subject, for detections that some recipes need.
+    keep: where checkpoints are written; None: nowhere.
+    before: result of an earlier part; tracking continues after it.
+    progress: called with stage, done, total.
+    Returns: the tracked frames. After a KeyboardInterrupt, and with `keep` also after a HyposeError, those done until
+        then; without any the exception is raised.
+
+    Why a second thread: the statistics of each frame do not influence tracking, so they are computed while the next
+    frame is tracked.
     """
     state, estimates = (before.state, list(before.estimates)) if before is not None else (begin, [])
-    saved, total, context = len(estimates), len(source), copy_context()  # which back end to use is said there
+    saved, total, context = len(estimates), len(source), copy_context()  # it holds the choice of the back end
     looked, looking = state, list[tuple[TrackerState, Future[FrameEstimate]]]()
     error: HyposeError | None = None
 
@@ -129,7 +150,7 @@ def track_frames(
                 settle()
                 looking.append((state, pool.submit(context.run, looked_at, tracker, estimate, frame, last)))
                 last = frame
-                # all frames are written every time, so ever fewer times: the work of an hour of film stays linear
+                # each checkpoint holds all frames, so it is written ever less often: the total work stays linear
                 if keep is not None and done + 1 - saved >= max(keep.every, saved // 20) and done + 1 < total:
                     settle()
                     _save(keep, Tracked(estimates, looked))
@@ -144,13 +165,13 @@ def track_frames(
         error = problem
     out = Tracked(estimates, looked, error is None and len(estimates) == total, error)
     if keep is not None:
-        with contextlib.suppress(*(() if error is None else (HyposeError,))):  # the first one counts
+        with contextlib.suppress(*(() if error is None else (HyposeError,))):  # the first error counts
             _save(keep, out)
     return out
 
 
 def tracked_before(path: Path, identity: Mapping[str, Any]) -> Tracked | None:
-    """What a checkpoint of the same run holds; None when there is none."""
+    """Load the tracked frames from a checkpoint of the same run; None where there is none."""
     if not path.exists():
         return None
     saved = Checkpoint.load(path, identity)

@@ -1,4 +1,4 @@
-"""New people: a person in the masks whom no tracked body explains, new or back again."""
+"""Manage people's tracks: find people whom no tracked body explains, who return, or who were exchanged."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from hypose.tracking.several import shape_of
 from hypose.tracking.start_search import start_from_hull
 
 # ---- wardrobe ------------------------------------------------------------------------------------------------------
-# Who is who after people were near each other, or away, by the clothes that they wore before.
+# Identify people by their clothes after they were near each other, or away.
 
 
 def _apart(a: Followed, b: Followed, t: int = -1) -> float:
@@ -32,8 +32,11 @@ def _apart(a: Followed, b: Followed, t: int = -1) -> float:
 
 
 def update_appearance(people: Sequence[Followed], seen: Sequence[Frame]) -> list[tuple[Followed, Followed, int]]:
-    """Looks at all people in a frame that has just been tracked; seen: as each saw it. Returns who has been exchanged
-    with whom, and from which frame on."""
+    """Update the clothes model of all people after a frame was tracked, and find people who were exchanged.
+
+    seen: the frame as each person's tracker saw it.
+    Returns: pairs of people who were exchanged, and the frame from which on.
+    """
     there = [p for p in people if p.member.sure]
     for p, frame in zip(people, seen, strict=True):
         if frame.colours is None or p not in there:
@@ -51,7 +54,7 @@ def update_appearance(people: Sequence[Followed], seen: Sequence[Frame]) -> list
 
 
 def _remember(p: Followed, q: Followed) -> None:
-    """That they have met, and where they were nearest so far."""
+    """Record that two people met, and the frame in which they were nearest so far."""
     now, met = len(p.estimates) - 1, p.appearance.met
     if q.name not in met or _apart(p, q) <= _apart(p, q, met[q.name]):
         met[q.name] = now
@@ -67,11 +70,11 @@ def _exchanged(there: Sequence[Followed]) -> list[tuple[Followed, Followed, int]
                 continue
             own = a.worn.likeness(a.lately) + b.worn.likeness(b.lately)
             other = a.worn.likeness(b.lately) + b.worn.likeness(a.lately)
-            if other > own + SETTINGS.wardrobe_clearly:  # not where one of them has not been seen
+            if other > own + SETTINGS.wardrobe_clearly:  # False where one of them has not been seen (NaN)
                 out.append((p, q, min(a.met[q.name], b.met[p.name])))
                 a.lately, b.lately = b.lately, a.lately
             del a.met[q.name], b.met[p.name]
-    for p in there:  # whom they met and who has left since
+    for p in there:  # forget meetings with people who have left
         names = {q.name for q in there}
         w = p.appearance
         if w.looks >= SETTINGS.wardrobe_looks and not names & set(w.met):
@@ -80,8 +83,11 @@ def _exchanged(there: Sequence[Followed]) -> list[tuple[Followed, Followed, int]
 
 
 def swap_identities(p: Followed, q: Followed, since: int, reported: str = "as their clothes showed afterwards") -> None:
-    """Each goes on as the other, from a frame on; what was estimated since then is the other's, and doubtful.
-    reported: how that is known, as the end of a sentence."""
+    """Exchange two people from frame `since` on: their estimates, places and tracks; the frames since then are marked
+    as hidden.
+
+    reported: how the exchange is known, as the end of a sentence.
+    """
     now = len(p.estimates)
     for name in ("estimates", "present"):
         mine, theirs = getattr(p, name), getattr(q, name)
@@ -96,18 +102,22 @@ def swap_identities(p: Followed, q: Followed, since: int, reported: str = "as th
 
 
 def appearance_likeness(p: Followed, seen: Appearance) -> float:
-    """Likeness of a person who comes with one who is away; 1 where nothing is known of either."""
+    """Compute the likeness of clothes that were seen with those of a person who is away; 1 where one of them is not
+    known.
+    """
     like = (p.appearance.worn + p.appearance.lately if not p.appearance.met else p.appearance.worn).likeness(seen)
     return like if np.isfinite(like) else 1.0
 
 
 def explained_by(people: Sequence[Followed], silhouettes: Silhouettes) -> list[Other]:
-    """Those of whom it is known where they are."""
+    """Return what the people hide whose place is known."""
     return [Other(p.member.shape(silhouettes.rig, p.estimates[-1].pose)) for p in people if p.member.sure]
 
 
 def birth_candidates(known: Sequence[Other], silhouettes: Silhouettes, least: int = FEWEST_VIEWS) -> bool:
-    """Is enough of the masks unexplained, in `least` views or all, to look for a person? Every other pixel tells."""
+    """Return whether enough of the masks is unexplained, in `least` views or in all, to look for a person. Every other
+    pixel is used.
+    """
     if not known:
         return True
     s, rig = silhouettes, silhouettes.rig.scaled(0.5)
@@ -120,7 +130,7 @@ def birth_candidates(known: Sequence[Other], silhouettes: Silhouettes, least: in
 
 
 def part_doubles(people: Sequence[Followed], frames: int) -> None:
-    """Of two bodies in one place for so many frames, the one that explains less has left."""
+    """Mark the worse of two bodies as gone that stay in one place for so many frames."""
     for i, a in enumerate(people):
         for b in people[:i]:
             if not (a.member.present and b.member.present) or min(len(a.estimates), len(b.estimates)) < frames:
@@ -133,9 +143,12 @@ def part_doubles(people: Sequence[Followed], frames: int) -> None:
 
 
 def without_doubles(people: Sequence[Followed], frame: Frame) -> dict[str, TrackedSubject]:
-    """By name, people at their starts in a frame, of whom no two are one: a hull may fall into two parts. Of two in one
-    place, or side by side where one explains nothing that all others leave, the one stays whose body explains better
-    what all others leave of the masks, by the name of the first."""
+    """Remove people who are found twice at the start, where a hull falls into two parts.
+
+    Of two people in one place, or side by side where one explains nothing of their own, the one stays whose body
+    explains the masks better.
+    Returns: subjects by name; the name is that of the first.
+    """
     kept: dict[str, Followed] = {}
     for p in people:
         for name, q in kept.items():
@@ -154,12 +167,14 @@ def without_doubles(people: Sequence[Followed], frame: Frame) -> dict[str, Track
 
 
 def _away(p: Followed, q: Followed) -> float:
-    """m: between the roots of two people at their starts."""
+    """Compute the distance between the roots of two people at their starts, m."""
     return float(np.linalg.norm(p.subject.start[:3] - q.subject.start[:3]))
 
 
 def _explains(p: Followed, others: Sequence[Followed], frame: Frame) -> float:
-    """Mean IoU of a person at their start with what others at theirs leave of the masks; 0 where that is nothing."""
+    """Compute the mean IoU of a person at the start with what the others leave of the masks; 0 where
+    that is nothing.
+    """
     body, start, s = p.subject.body, p.subject.start, frame.silhouettes
     assert s is not None
     hide = [Other(shape_of(o.subject.body, o.subject.start, s.rig)) for o in others]
@@ -168,7 +183,9 @@ def _explains(p: Followed, others: Sequence[Followed], frame: Frame) -> float:
 
 
 def not_parts(found: Sequence[HullPerson], people: Sequence[Followed]) -> list[HullPerson]:
-    """Those in the hull who are no limb of a tracked person: one who is no taller than a child must stand apart."""
+    """Select the people in the hull who are no limb of a tracked person: those no taller than a child
+    must stand apart.
+    """
     at = [p.estimates[-1].pose[:2] for p in people if p.member.sure]
     return [h for h in found if h.tall or all(np.linalg.norm(h.axis - q) > SETTINGS.newcomer_reach for q in at)]
 
@@ -176,8 +193,11 @@ def not_parts(found: Sequence[HullPerson], people: Sequence[Followed]) -> list[H
 def candidate_evidence(
     person: HullPerson, frame: Frame, known: Sequence[Other], neighbours: Sequence[HullPerson] = ()
 ) -> Frame:
-    """The frame as evidence for one person in the hull. known: people already explained; neighbours: other people in
-    the hull."""
+    """Return the frame as evidence for one person in the hull.
+
+    known: people who are tracked already.
+    neighbours: other people in the hull.
+    """
     s = frame.silhouettes
     assert s is not None
     rest = [Other(p.shape(s.rig), SETTINGS.path_others_widened) for p in neighbours if p is not person]
@@ -185,8 +205,10 @@ def candidate_evidence(
 
 
 def found_again(p: Followed, own: Frame) -> tuple[PreparedFrame, Array]:
-    """The evidence for a person as their tracker sees it, and the pose (D,) that it shows; an EvidenceError where it
-    shows no person."""
+    """Fit the pose (D,) of a known person at the hull; return the prepared evidence and the pose.
+
+    Raises: EvidenceError where the evidence shows no person.
+    """
     body = p.subject.body
     prepared = prepare(own, body, np.zeros(body.skeleton.dof))
     return prepared, start_from_hull(body, prepared).pose
@@ -195,11 +217,13 @@ def found_again(p: Followed, own: Frame) -> tuple[PreparedFrame, Array]:
 def returned(
     person: HullPerson, own: Frame, people: Sequence[Followed], frame_rate: float
 ) -> tuple[Followed, Array] | None:
-    """Which of those who are away this is, and the pose (D,) in which they are back; None: none of them.
+    """Find which of the people who are away is the person in the hull.
 
-    Place and motion: no person walks faster than WALKING from where they were seen last. Clothes, where pictures show
-    them: not too different. Body: of several the one whose clothes are most alike and whose body overlaps the masks
-    best, if it is about as tall as their hull."""
+    Place: no person walks faster than SETTINGS.newcomer_walking from where they were last seen. Clothes, where pictures
+        show them: not too different. Body: about as tall as the hull. Of several, the one whose clothes are most alike
+        and whose body overlaps the masks best.
+    Returns: the person and the pose (D,) now; None: none of them.
+    """
     best: tuple[float, Followed, Array] | None = None
     for p in people:
         if p.member.sure:
@@ -222,11 +246,14 @@ def returned(
 
 
 def identity_switches(person: HullPerson, people: Sequence[Followed], frame_rate: float) -> tuple[Followed, int] | None:
-    """Who stood where a person is found now, and the frame from which they were tracked elsewhere, faster than a
-    person walks: they still stand there, and were drawn to a person who came near before that one was found. None:
-    there is no such person.
+    """Find the tracked person who stood where a person is found now, but whose track then moved away faster than people
+    walk.
 
-    To solve who leaps in a frame again, without looking for them again, puts that off by one frame only (seed 451)."""
+    The track was drawn to a person who came near before that one was found.
+    Returns: the person, and the frame from which the track is wrong; None: there is no such person.
+
+    Why not solve the frame of the jump again instead: that only delays the jump by one frame (seed 451).
+    """
     for q in people:
         if not q.member.sure:
             continue
@@ -243,9 +270,12 @@ def identity_switches(person: HullPerson, people: Sequence[Followed], frame_rate
 def back_again(
     person: HullPerson, own: Frame, people: Sequence[Followed], frame_rate: float
 ) -> tuple[Followed, Array] | None:
-    """The person that `returned` finds, with their pose (D,). Where another tracked person still stands there, and was
-    drawn to the one who came: that one; both are put right from the frame of the exchange on, or the next looks find
-    the new person."""
+    """Find the person who is back in the hull, and correct a track that was drawn away from there.
+
+    Where another person's track was drawn away (`identity_switches`), that person is the result, and the frames since
+    then are exchanged or marked.
+    Returns: the person and the pose (D,) now; None: no known person.
+    """
     back, drawn = returned(person, own, people, frame_rate), identity_switches(person, people, frame_rate)
     if drawn is None:
         return back
@@ -261,6 +291,6 @@ def back_again(
 
 
 def unfollowed(coming: Sequence[Array]) -> tuple[str, ...]:
-    """Of whom or what no body could be fitted to, as the last look left them (x, y, tries, ...), in words."""
+    """Write a sentence on people or objects to which no body could be fitted, from the last look (x, y, tries, ...)."""
     at = ", ".join(f"[{c[0]:.1f}, {c[1]:.1f}]" for c in coming if c[2] > 1)
-    return (f"somebody or something else stands at {at} m that no body explains, and is not followed",) if at else ()
+    return (f"a person or an object at {at} m is not tracked, since no body could be fitted to it",) if at else ()

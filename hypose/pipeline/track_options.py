@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from hypose.errors import InputError
 from hypose.options import HEIGHT, RESEARCH, Option, Seed, declared
 
-if TYPE_CHECKING:  # what chooses imports nothing that computes
+if TYPE_CHECKING:  # options import nothing that computes
     from hypose.io.recordings.frames import FrameSettings
     from hypose.io.recordings.recording import Recording
     from hypose.tracking.recipes import Preset
@@ -23,12 +23,21 @@ RECIPE_NAMES = (
 
 @dataclass(frozen=True)
 class TrackOptions:
-    """What a user chooses. recipe: a preset's name; refine: contour refinement after a published recipe; evidence: one
-    of the preset's, None = its usual one; start, height, girths: see SubjectOptions and, for the picture of one camera,
-    `picture_start`; subject: the file of a given body; smooth: solve all frames together at the end, if the recipe
-    does; checkpoint_every: frames; sure_start: a person says that the start is the right way round; particles: how many
-    hypotheses, None = the recipe's own number; own: options that only this recipe has, by name (`Preset.make`). An
-    InputError names a value that is not possible."""
+    """Options of tracking that a user chooses.
+
+    recipe: name of a preset.
+    refine: contour refinement after a published recipe.
+    evidence: one that the preset allows; None: its usual one.
+    seed: of random numbers.
+    start, height, girths: see SubjectOptions; for one camera see `subject_in_picture`.
+    subject: file of a given body.
+    smooth: solve all frames together at the end, if the recipe does that.
+    checkpoint_every: frames.
+    sure_start: a user confirmed that left and right are the right way round at the start.
+    particles: number of hypotheses; None: that of the recipe.
+    own: options that only this recipe has, by name (`Preset.make`).
+    Raises: InputError names a value that is not possible.
+    """
 
     recipe: Annotated[
         str, Option("Method; with one camera monocular.", choices=RECIPE_NAMES, value="NAME", group=RESEARCH)
@@ -90,22 +99,25 @@ class TrackOptions:
 
     @property
     def looks_at(self) -> str:
-        """The evidence."""
+        """The kind of evidence that is used."""
         return self.evidence or self.preset.evidence[0]
 
     @property
     def of_picture(self) -> bool:
-        """The recipe looks at the picture of one camera."""
+        """Whether the recipe uses the picture of one camera."""
         return "picture" in self.preset.needs
 
     @property
     def whole_clip(self) -> bool:
-        """All frames are solved on their key points together, instead of one after the other and then together."""
+        """Whether all frames are solved together on their key points, instead of being tracked one after the other
+        first.
+        """
         return self.looks_at == "keypoints" and self.smooth and self.preset.whole_clip
 
     def suited_to(self, recording: Recording) -> TrackOptions:
-        """With the evidence that a recording has, where none was asked for: key points where there are no pictures, key
-        points and masks where a detector found both."""
+        """Return the options with the evidence that a recording has, where none was chosen: key points where there are
+        no pictures, both where a detector found key points and masks.
+        """
         usual = "both" if recording.detected else "keypoints"
         if self.evidence is None and (recording.detected or not recording.has_pictures):
             if usual in self.preset.evidence and not self.of_picture:
@@ -113,7 +125,7 @@ class TrackOptions:
         return self
 
     def settings(self) -> dict[str, Any]:
-        """The choices that decide the result."""
+        """Return the options that influence the result, by name."""
         left_out = ("checkpoint_every", "sure_start", "particles", "own")
         chosen = {k: v for k, v in asdict(self).items() if k not in left_out} | {"evidence": self.looks_at}
         return chosen | ({} if self.particles is None else {"particles": self.particles}) | dict(self.own)
@@ -121,8 +133,12 @@ class TrackOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class CompareOptions:
-    """How a motion is compared with another. offset: s added to the other's times, None = found; align: move the other
-    rigidly onto ours; frames that are lost or predicted are left out unless `all_frames`."""
+    """Options of comparing a motion with another.
+
+    offset: seconds added to the other's times; None: it is estimated.
+    align: move the other rigidly onto ours.
+    all_frames: also compare frames that are lost or predicted.
+    """
 
     offset: Annotated[
         float | None,
@@ -133,14 +149,16 @@ class CompareOptions:
 
 
 def frames_wanted(recording: Recording, options: TrackOptions) -> FrameSettings | None:
-    """How the frames of a recording are read for a run, None: as is usual; an InputError when a recipe that looks at
-    the picture of one camera cannot have what it is to look at."""
+    """Return how the frames of a recording are read for a run; None: as usual.
+
+    Raises: InputError where a recipe for one camera lacks the pictures, masks or key points that it needs.
+    """
     from hypose.io.recordings.frames import FrameSettings
     from hypose.pipeline.one_camera import picture_options
 
     if options.of_picture:
         return picture_options(recording, options.start, options.looks_at)
-    if options.looks_at == "keypoints":  # they need no image, so nothing is decoded
+    if options.looks_at == "keypoints":  # key points need no images, so nothing is decoded
         return FrameSettings(silhouettes=None)
     if options.looks_at == "silhouettes" and "colours" in options.preset.likes and options.own.get("colours"):
         return FrameSettings(silhouettes=recording.silhouettes, colours=True)
@@ -148,14 +166,16 @@ def frames_wanted(recording: Recording, options: TrackOptions) -> FrameSettings 
 
 
 def check_views(recording: Recording, of_picture: bool = False) -> None:
-    """An InputError when nothing can be done with that number of cameras: two or more, or the picture of one."""
+    """Raise InputError where the number of cameras does not suit: two or more, one depth camera, or with `of_picture`
+    the picture of one.
+    """
     from hypose.pipeline.one_camera import one_view
 
     if of_picture:
         view = one_view(recording, None).views[0]
-        if view.depth is not None:
+        if view in recording.depth_views:
             raise InputError(f"{view.name} is a depth camera, and this recipe looks at pictures; leave --recipe out.")
-    elif len(recording.views) == 1 and recording.views[0].depth is None:
+    elif len(recording.views) == 1 and not recording.depth_views:
         name = recording.views[0].name
         raise InputError(
             f"{recording.name} has one camera, {name}, and this needs two or more; track one with --recipe monocular "

@@ -1,4 +1,4 @@
-"""Several people of one recording: prior knowledge of them, the results, and the state while they are tracked."""
+"""Data of several people of one recording: prior knowledge, the state during tracking, and the results."""
 
 from __future__ import annotations
 
@@ -30,8 +30,13 @@ from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState, estima
 
 @dataclass(frozen=True)
 class Wanted:
-    """Prior knowledge of a person, [[person]] of recording.toml: height m; body: their own; place (2,) m:
-    where they stand at `time`, s from the first frame that is tracked, negative before it."""
+    """Prior knowledge of a person, from a [[person]] of recording.toml.
+
+    height: m.
+    body: the person's own body.
+    place: (2,) m where the person stands at `time`.
+    time: s from the first tracked frame; negative before it.
+    """
 
     name: str
     height: float | None = None
@@ -41,7 +46,7 @@ class Wanted:
 
     @property
     def early(self) -> bool:
-        """The place is of too long before the first frame to tell who they are."""
+        """Whether the place is too long before the first frame to identify the person."""
         return self.place is not None and self.time < -SETTINGS.tracked_early_s
 
     @property
@@ -54,8 +59,13 @@ class Wanted:
 
 @dataclass(frozen=True)
 class TrackedPerson:
-    """name; the result; present (T,): frames in which the person is there (before they come and after they leave the
-    motion is filled up, and flagged); hidden (T,): frames in which others hide them from all views but one."""
+    """Result of one person.
+
+    name: of the person.
+    result: motion and body.
+    present: (T,) frames in which the person is there; in the others the motion is filled and marked as lost.
+    hidden: (T,) frames in which others hide the person from all views but one.
+    """
 
     name: str
     result: TrackResult
@@ -64,7 +74,7 @@ class TrackedPerson:
 
     @property
     def assessment(self) -> Assessment:
-        """Of the frames in which the person is there; frames are counted as in the recording."""
+        """Assessment of the frames in which the person is there; frames are numbered as in the recording."""
         found = assess(while_present(self.result.motion, self.present), self.result.findings)
         at = np.flatnonzero(self.present)
         if self.present.all() or not len(at):
@@ -77,8 +87,13 @@ class TrackedPerson:
 
 @dataclass(frozen=True)
 class PeopleResult:
-    """people: in the order in which they were found; complete: all frames were tracked; notes for the report; others:
-    how many more there are than were asked for."""
+    """Results of all people.
+
+    people: in the order in which they were found.
+    complete: all frames were tracked.
+    notes: for the report.
+    others: number of people in addition to those requested.
+    """
 
     people: tuple[TrackedPerson, ...]
     complete: bool
@@ -87,14 +102,14 @@ class PeopleResult:
 
 
 def while_present(motion: Motion, present: NDArray[np.bool_]) -> Motion:
-    """The motion in the frames in which the person is there, one after the other."""
+    """Select the frames of a motion in which the person is there."""
     if present.all() or not present.any():
         return motion
     return replace(motion, **per_frame(motion, np.flatnonzero(present)))
 
 
 def said_of(people: Sequence[TrackedPerson], frame_rate: float) -> tuple[str, ...]:
-    """Who was there, in words."""
+    """Write sentences on who was there, and when."""
     said = [f"{len(people)} {'people' if len(people) != 1 else 'person'}: {', '.join(p.name for p in people)}"]
     for p in people:
         if not p.present.all() and p.present.any():
@@ -104,7 +119,9 @@ def said_of(people: Sequence[TrackedPerson], frame_rate: float) -> tuple[str, ..
 
 
 def said_of_places(wanted: Sequence[Wanted], count: int) -> tuple[str, ...]:
-    """Whose places do not tell who of so many people they are, in words."""
+    """Write a sentence on people whose given places are too early to identify them among `count` people; none where all
+    are fine.
+    """
     early = [w for w in wanted if w.early]
     if not early or count < 2:
         return ()
@@ -118,9 +135,14 @@ def said_of_places(wanted: Sequence[Wanted], count: int) -> tuple[str, ...]:
 def names_at_places(
     wanted: Sequence[Wanted], count: int, place: Callable[[int, int], Array], frame_rate: float
 ) -> list[str | None]:
-    """Which of so many people are the wanted ones, None for another person; place(k, frame) (2,) m: where the k-th
-    stands, NaN where not known. Those who are wanted at no place, or at too early a one, take the people who are left,
-    in their order."""
+    """Assign the names of wanted people to people who were found.
+
+    count: number of people found.
+    place: place(k, frame) gives where (2,) m the k-th stands, NaN where not known.
+    frame_rate: Hz.
+    Returns: name per person, None for others. Wanted people without a usable place get the remaining people in their
+        order.
+    """
     names: list[str | None] = [None] * count
     for one in wanted:
         if one.place is not None and not one.early:
@@ -137,16 +159,25 @@ def names_at_places(
 
 
 def free_name(taken: Sequence[str], wanted: Sequence[Wanted]) -> str:
-    """The name of a person of whom nothing is known."""
+    """Return an unused name for a person about whom nothing is known."""
     used = {*taken, *(w.name for w in wanted)}
     return next(n for n in (f"person-{k}" for k in range(1, 10_000)) if n not in used)
 
 
 @dataclass(eq=False)
 class Followed:
-    """A person who is tracked. results: where theirs are kept, None: nowhere; estimates, present, hidden: of each frame
-    so far, as in TrackedPerson; gone: frames since anything was seen of them; track: number of the track of
-    key points that they have; wardrobe: their clothes; said: notes for their report."""
+    """State of a person who is tracked.
+
+    subject: body and start.
+    member: tracker and its state.
+    results: folder of the person's results; None: nothing is written.
+    asked_for: the result is wanted.
+    estimates, present, hidden: of each frame so far, as in TrackedPerson.
+    gone: frames since the person was last seen.
+    track: number of the person's track of key points.
+    appearance: model of the clothes.
+    said: notes for the report.
+    """
 
     name: str
     subject: TrackedSubject
@@ -163,27 +194,30 @@ class Followed:
 
     @property
     def last_seen(self) -> tuple[Array, int] | None:
-        """The pose (D,) in the last frame in which they were there, and frames since then; None: never."""
+        """Pose (D,) in the last frame in which the person was there, and the frames since then; None: never."""
         for since, (estimate, there) in enumerate(zip(self.estimates[::-1], self.present[::-1], strict=True)):
             if there:
                 return estimate.pose, since
         return None
 
     def was_not(self, since: int, reported: str) -> None:
-        """Mark that from frame `since` on another person was tracked in their place. reported: how that is known."""
+        """Mark that from frame `since` on another person was tracked instead; reported: how that is known."""
         last = len(self.estimates)
         self.estimates[since:] = [replace(e, lost=True) for e in self.estimates[since:]]
         self.hidden[since:] = [True] * (last - since)
         self.said.append(f"another person was taken for them from frame {since} to {last - 1}, {reported}")
 
     def cut(self, frames: int) -> None:
-        """Forgets what came after so many frames."""
+        """Delete everything after the first `frames` frames."""
         del self.estimates[frames:], self.present[frames:], self.hidden[frames:]
 
 
 def makes_room(count: int | None, name: str | None, people: Sequence[Followed], wanted: Sequence[Wanted]) -> bool:
-    """Whether a new person, who is wanted by that name or by none, is among so many at most who are asked for; for who
-    is wanted one who is not makes room, and is asked for no longer."""
+    """Return whether the result of a new person is wanted.
+
+    count: most results; None: all.
+    name: of the new person where that one is in `wanted`. A wanted person replaces another who is not wanted.
+    """
     if count is None or len(people) < count:
         return True
     names = {w.name for w in wanted}
@@ -195,8 +229,11 @@ def makes_room(count: int | None, name: str | None, people: Sequence[Followed], 
 
 
 def seen_by_themselves(p: Followed, people: Sequence[Followed], late: int) -> list[FrameEstimate]:
-    """The estimates of a person without what others do to the masks: where a person comes, or leaves, the masks change
-    all at once, and time has not jumped. late: frames after which a person who comes may have been found."""
+    """Return a person's estimates without mask changes that come from other people. Why: where a person comes or
+    leaves, masks change suddenly, although time did not jump.
+
+    late: frames within which a person who comes is found.
+    """
     comes = np.zeros(len(p.estimates), dtype=np.bool_)
     for q in people:
         for t in (np.flatnonzero(np.diff(np.array(q.present, dtype=np.int8))) + 1).tolist():
@@ -213,7 +250,10 @@ def seen_by_themselves(p: Followed, people: Sequence[Followed], late: int) -> li
 def save_people(
     results: ResultsFolder, record: Mapping[str, Any], people: Sequence[Followed], coming: Sequence[Array]
 ) -> None:
-    """Writes the checkpoint. coming: (4,) each, of a new person who was seen at the last look."""
+    """Write the checkpoint of all people.
+
+    coming: (4,) per possible new person of the last look.
+    """
     arrays: dict[str, np.ndarray] = {"coming": np.array(coming, dtype=np.float64).reshape(-1, 4)}
     for k, p in enumerate(people):
         arrays |= {f"{k}_{n}": v for n, v in p.member.state.to_arrays().items()}
@@ -240,8 +280,9 @@ def save_people(
 def kept_people(
     results: ResultsFolder, under: str, record: Mapping[str, Any], tracker_of: Callable[[TrackedSubject], Tracker]
 ) -> tuple[list[Followed], list[Array]]:
-    """What `save_people` wrote, with the subjects in the folder `under`; empty lists when nothing of the same run is
-    there, or a body is missing."""
+    """Load what `save_people` wrote, with the subjects in the folder `under`; empty lists where nothing of the same run
+    is there, or a body is missing.
+    """
     if not results.checkpoint.exists():
         return [], []
     saved, people = Checkpoint.load(results.checkpoint, provenance_identity(record)), list[Followed]()
@@ -264,7 +305,9 @@ def kept_people(
 
 
 class OwnFrames:
-    """The frames of a source as evidence for one of the people, now that all have been tracked."""
+    """Frames of a source as evidence for one of the people, after all have been tracked: what the others hide is left
+    out.
+    """
 
     def __init__(
         self, source: FrameSource, who: Followed, people: Sequence[Followed], points: KeypointPeople | None
@@ -275,7 +318,7 @@ class OwnFrames:
         return len(self._who.estimates)
 
     def frame(self, index: int, /) -> Frame:
-        """Frame number index with the silhouettes, and key points, of this person."""
+        """Return frame number index with the silhouettes, and key points, of this person."""
         frame, who = replace(self._source.frame(index), keypoints=None), self._who
         s = frame.silhouettes
         if self._points is not None:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from hypose.body.body import Body
 from hypose.compute.part_colours import shown_parts
 from hypose.evidence.colours import COLOURS
-from hypose.evidence.frame import Frame
+from hypose.evidence.frame import Colours, Frame, Silhouettes
 from hypose.geometry import Array
 from hypose.tracking.part_colours import counted_colours, part_layout
 
@@ -87,14 +87,12 @@ class AppearanceModel:
 def appearance_in(body: Body, pose: Array, frame: Frame) -> Appearance:
     """What a frame shows of the clothes of a person at a pose (D,): in the person's mask, where no other person covers
     it; nothing where the frame has no pictures."""
-    out, s, colours = no_appearance(), frame.silhouettes, frame.colours
-    if s is None or colours is None:
-        return out
-    vertices, (faces, part, _) = body.skin(pose), part_layout(body)
-    given = s.informative
-    for c in np.flatnonzero(s.usable & colours.seen).tolist():
-        w, h = s.rig[c].size
-        shown, box = shown_parts(vertices, faces, part, s.rig.projections[c], (h, w))
-        found = counted_colours(shown[box], given[c][box].astype(np.uint8), colours.codes[c][box])
-        out = out + Appearance(np.stack([found[list(zone)].sum(0) for zone in ZONES]))
+    out = no_appearance()
+    for s, colours in zip(frame.of(Silhouettes), frame.of(Colours), strict=False):
+        vertices, (faces, part, _), given = body.skin(pose), part_layout(body), s.informative
+        for c in np.flatnonzero(s.usable & colours.seen).tolist():
+            w, h = s.rig[c].size
+            shown, box = shown_parts(vertices, faces, part, s.rig.projections[c], (h, w))
+            found = counted_colours(shown[box], given[c][box].astype(np.uint8), colours.codes[c][box])
+            out = out + Appearance(np.stack([found[list(zone)].sum(0) for zone in ZONES]))
     return out

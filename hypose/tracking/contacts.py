@@ -131,26 +131,22 @@ class FootMotion:
     """Faults of the feet in a motion.
 
     sliding: mean horizontal speed of points in contact, mm/s.
-    sinking: mean depth of points in contact below their place, mm.
     contacts: share of the frames with any contact.
     """
 
     sliding: float
-    sinking: float
     contacts: float
 
 
 def foot_motion(positions: Array, contacts: Contacts, frame_rate: float) -> FootMotion:
-    """Measure sliding and sinking of the soles' points (T, 4, 3), m, over given contacts.
+    """Measure the sliding of the soles' points (T, 4, 3), m, over given contacts.
 
     Use the same contacts for all motions that are compared.
     """
     both = contacts.touching[1:] & contacts.touching[:-1]
     speed = np.linalg.norm(np.diff(positions[..., :2], axis=0), axis=-1) * frame_rate
-    depth = np.maximum(contacts.place[..., 2] - positions[..., 2], 0.0)[contacts.touching]
     return FootMotion(
         1e3 * float(speed[both].mean()) if both.any() else 0.0,
-        1e3 * float(depth.mean()) if len(depth) else 0.0,
         float(contacts.touching.any(1).mean()),
     )
 

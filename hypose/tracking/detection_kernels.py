@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from hypose.body.body import Body
 from hypose.evidence.body_parts import UNNAMED, assign_ends
+from hypose.evidence.frame import Detections, Keypoints
 from hypose.evidence.keypoints import triangulate_keypoints
 from hypose.geometry import Array, nearest_branch, so3_exp, so3_log
 from hypose.inference.annealing import Energy
@@ -67,8 +68,7 @@ def found_ends(body: Body, ends: Ends, frame: PreparedFrame) -> dict[int, Array]
     predicted pose); without them from key points in two or more views, triangulated: wrists and ankles.
     """
     found: dict[int, Array] = {}
-    detections = frame.frame.detections
-    if detections is not None:
+    for detections in frame.frame.of(Detections):
         unnamed = detections.part == UNNAMED
         for k in np.flatnonzero(~unnamed):
             found[int(detections.part[k])] = detections.points[k]
@@ -79,11 +79,12 @@ def found_ends(body: Body, ends: Ends, frame: PreparedFrame) -> dict[int, Array]
         for point, i in zip(points, assign_ends(points, now[free], LIMITS[free]), strict=True):
             if i != UNNAMED:
                 found[free[i]] = point
-    elif frame.frame.keypoints is not None:
-        points, _, _ = triangulate_keypoints([frame.frame.keypoints])
+        return found
+    for seen in frame.frame.of(Keypoints):
+        points, _, _ = triangulate_keypoints([seen])
         for name, part in _KEYPOINT_OF.items():
-            if name in frame.frame.keypoints.names:
-                point = points[0, frame.frame.keypoints.names.index(name)]
+            if name in seen.names:
+                point = points[0, seen.names.index(name)]
                 if np.isfinite(point).all():
                     found[part] = point
     return found

@@ -26,7 +26,8 @@ from hypose.evidence.cues import (
     own_evidence,
     silhouette_evidence,
 )
-from hypose.evidence.frame import Frame
+from hypose.evidence.depth_evidence import Depth
+from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.evidence.terms import Evidence, Term
 from hypose.fitting.articulated import PoseFit
 from hypose.geometry import Array
@@ -118,15 +119,16 @@ def prepare(
         picture = frame.picture if use_silhouettes else replace(frame.picture, mask=None)
         seen = replace(frame, picture=picture, keypoints=frame.keypoints if use_keypoints else None)
         return PreparedFrame(seen, body, prediction, (), prediction_weight, usual_iou, done)
-    silhouettes, points = (frame.silhouettes if use_silhouettes else None), (frame.keypoints if use_keypoints else None)
-    if silhouettes is None and points is None:
+    silhouettes = frame.of(Silhouettes) if use_silhouettes else []
+    keypoints = frame.of(Keypoints) if use_keypoints else []
+    if not (silhouettes or keypoints):
         raise EvidenceError(
             f"Frame {frame.index} carries no {'silhouettes' if use_silhouettes else 'key points'}; "
             "choose an evidence that the recording has."
         )
-    found = silhouette_evidence(silhouettes, contour_weight)
+    found = [one for seen in silhouettes for one in silhouette_evidence(seen, contour_weight)]
     masks = bool(found)
-    if points is not None:
+    for points in keypoints:
         model = keypoints_on_body or keypoint_model(body, points.names)
         if model.names != points.names:
             raise EvidenceError(
@@ -134,9 +136,9 @@ def prepare(
                 f"with ({len(model.names)}); fit the subject again from this recording."
             )
         term = keypoint_term(points, body, model, prediction, keypoint_scale_px)
-        found += keypoint_evidence(term, with_masks(term, model) if masks and term is not None else term)
-    if masks:
-        found += depth_evidence(frame.depth)
+        if term is not None:
+            found.append(keypoint_evidence(term, with_masks(term, model) if masks else term))
+    found += [one for depth in (frame.of(Depth) if masks else ()) for one in depth_evidence(depth)]
     found += [piece.prepared(body) for piece in frame.more]
     found += own_evidence(own, body, frame)
     return PreparedFrame(frame, body, prediction, tuple(found), prediction_weight, usual_iou, done)

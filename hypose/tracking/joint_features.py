@@ -199,17 +199,20 @@ def audit_frame(
     names = tuple(body.skeleton.joint_names)
     out = np.full((len(names), len(AUDITED)), np.nan, np.float32)
     rotations, joints = body.skeleton.forward(pose)
-    if frame.silhouettes is not None and frame.silhouettes.usable.any():
-        masks = prepared_masks(frame.silhouettes)
-        _masks(body, rotations, joints, frame.silhouettes, masks, frame.index % _RARELY == 0, out)
-        if frame.depth is not None:
+    for silhouettes in frame.of(Silhouettes):
+        if not silhouettes.usable.any():
+            continue
+        masks = prepared_masks(silhouettes)
+        _masks(body, rotations, joints, silhouettes, masks, frame.index % _RARELY == 0, out)
+        if frame.fewest_views == 1:
             out[:, 7:9] = _elsewhere(body, pose, masks, frame.index)
         else:
             out[:, 9] = _loose(body, pose, masks, frame.index)
     out[:, 6] = _rivals(body, joints, rivals)
     out[:, 10] = exchanged
-    if frame.keypoints is not None and model is not None and model.names == frame.keypoints.names:
-        out[:, 11:-1] = _points(names, rotations, joints, frame.keypoints, model)
+    for points in frame.of(Keypoints):
+        if model is not None and model.names == points.names:
+            out[:, 11:-1] = _points(names, rotations, joints, points, model)
     return out
 
 

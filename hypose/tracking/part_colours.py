@@ -21,6 +21,7 @@ from hypose.compute import reach
 from hypose.compute.arrays import PreparedMasks
 from hypose.compute.part_colours import colour_sums, rim_edges, shown_parts
 from hypose.evidence.colours import COLOURS, SHADES
+from hypose.evidence.frame import Colours
 from hypose.evidence.terms import PointTerm
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
@@ -146,10 +147,10 @@ def known_colours(frame: PreparedFrame, settings: ColourSettings) -> KnownColour
     """Look up the known colours of a frame, cached in its `shared`; None where there is no picture, or nothing was
     learnt."""
     if "known colours" not in frame.shared:
-        counts, colours, masks, known = frame.memory.get(COUNTS), frame.frame.colours, frame.silhouettes.masks, None
-        if counts is not None and colours is not None and len(counts) == len(masks.masks):
-            seen = masks._replace(usable=masks.usable & colours.seen)
-            if seen.usable.any():
+        counts, masks, known = frame.memory.get(COUNTS), frame.silhouettes.masks, None
+        for colours in frame.frame.of(Colours):
+            seen = masks._replace(usable=masks.usable & colours.seen) if len(masks.usable) else masks
+            if counts is not None and len(counts) == len(masks.masks) and seen.usable.any():
                 table, edges = table_of(counts, settings), rim_edges(seen, colours.edges)
                 known = KnownColours(colours.codes, table, seen, edges)
         frame.shared["known colours"] = known
@@ -191,10 +192,15 @@ class LearnColours:
 
     def __call__(self, memory: Memory, pose: Array, h: Hypotheses, frame: PreparedFrame, /) -> Memory:
         """Update the memory after a frame; see `Recipe.learn`."""
-        colours, o = frame.frame.colours, self.settings
-        if colours is None or not frame.silhouettes.seen or h.weights.max() < o.surely:
+        if not frame.silhouettes.seen or h.weights.max() < self.settings.surely:
             return memory
-        body, (faces, part, arm) = frame.body, part_layout(frame.body)
+        for colours in frame.frame.of(Colours):
+            memory = self._learn(memory, colours, pose, h, frame)
+        return memory
+
+    def _learn(self, memory: Memory, colours: Colours, pose: Array, h: Hypotheses, frame: PreparedFrame) -> Memory:
+        """Add the colours of one frame to the counts in the memory."""
+        o, body, (faces, part, arm) = self.settings, frame.body, part_layout(frame.body)
         vertices = body.skin(pose)
         doubted = self._doubted(pose, h, body)
         for side in np.flatnonzero(doubted):
@@ -244,6 +250,5 @@ def part_layout(body: Body) -> tuple[NDArray[np.int32], NDArray[np.uint8], NDArr
     names = body.skeleton.joint_names
     number = np.array([next((k for k, own in enumerate(PARTS) if n in own), 1) for n in names])
     side = np.array([next((k for k, own in enumerate(_ARMS) if n in own), -1) for n in names])
-    joint = body.coarse.main_joint[body.coarse.faces]
-    of_face = np.where(joint[:, 1] == joint[:, 2], joint[:, 1], joint[:, 0])
+    of_face = body.coarse.face_joint
     return body.coarse.faces, number[of_face].astype(np.uint8), side[of_face]

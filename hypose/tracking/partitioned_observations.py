@@ -20,7 +20,7 @@ from hypose.body.body import Body
 from hypose.body.skeleton import Skeleton
 from hypose.cameras.camera import CameraRig
 from hypose.compute.scorer import silhouette_xor
-from hypose.evidence.cues import OwnCue
+from hypose.evidence.frame import Silhouettes
 from hypose.geometry import Array, nearest_branch, so3_exp, so3_log
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.kernels import HeavyTail, reflect
@@ -188,14 +188,13 @@ class PartitionedXor:
     faces: NDArray[np.bool_] | None = None
 
     def __call__(self, h: Hypotheses, frame: PreparedFrame, /) -> Array:
-        """Compute the energies (N,) of h.values (N, D), with the user's own evidence added."""
-        silhouettes = frame.frame.silhouettes
-        others = [one for one in frame.evidence if isinstance(one, OwnCue)]
+        """Compute the energies (N,) of h.values (N, D), with those of all evidence except masks and depth added."""
+        others = [one for one in frame.evidence if one is not frame.silhouettes and one is not frame.depth]
         own = evidence_energy(self.body, h.values, others)
-        if silhouettes is None or not frame.silhouettes.seen:
+        if not frame.silhouettes.seen:
             return own
         # a box needs no mean on SO(3): a set around one pose has its rotation vectors on one branch
-        boxes = boxes_in_views(self.region.box(self.body, h.mean()), silhouettes.rig)
+        boxes = boxes_in_views(self.region.box(self.body, h.mean()), frame.frame.the(Silhouettes).rig)
         return partitioned_energy(self.body, h.values, frame, boxes, self.faces) + own
 
 

@@ -86,7 +86,7 @@ def smooth_motion(body: Body, motion: Motion, information: ArrayLike, settings: 
     settings, rate = settings or ClipSettings(), motion.frame_rate
     known = ~(np.asarray(motion.lost) | np.asarray(motion.extrapolated))
     if len(motion) < 3 or known.sum() < 2:
-        nothing = FootMotion(0.0, 0.0, 0.0)
+        nothing = FootMotion(0.0, 0.0)
         return Smoothed(
             motion, nothing, nothing, motion.poses, pose_covariance(unpacked(information, body.skeleton.dof))
         )

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from hypose.body.body import Body
 from hypose.errors import EvidenceError, InputError
-from hypose.evidence.depth_people import space_behind
-from hypose.evidence.hull import Hull, visual_hull
+from hypose.evidence.depth_people import occupied_space
+from hypose.evidence.hull import Hull
 from hypose.evidence.terms import PointTerm
 from hypose.fitting.articulated import PoseFit, SolveSettings, fit_pose
 from hypose.geometry import Array, procrustes, rotation_between, so3_exp, so3_log
@@ -156,12 +156,9 @@ def recover(pose: Array, last: Array, frame: PreparedFrame, /) -> Array:
 def hull_of(frame: PreparedFrame, bounds: Array | None = None) -> Hull:
     """The visual hull of a frame, inside bounds (2, 3) m (default: the cameras' common view); an EvidenceError naming
     the frame when nothing is left of it."""
-    silhouettes = frame.frame.silhouettes
-    if silhouettes is None or not frame.silhouettes.seen:
+    if not frame.silhouettes.seen:
         raise EvidenceError(f"Frame {frame.frame.index} has no usable silhouette to start from; choose another frame.")
-    hull = (
-        space_behind(frame.frame.depth, bounds) if frame.frame.depth is not None else visual_hull(silhouettes, bounds)
-    )
+    hull = occupied_space(frame.frame, bounds)
     if len(hull.points) == 0:
         raise EvidenceError(
             f"Frame {frame.frame.index}: the silhouettes of the views have no common volume; check the calibration and "

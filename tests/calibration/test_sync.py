@@ -36,7 +36,7 @@ def test_offsets_of_a_walk_are_found_to_a_fifth_of_a_frame(evidence):
     scene, shown = late_scene("walk", 3, late, seconds=3.2)
     points = seen_points(scene, shown) if evidence == "keypoints" else None
     masks = seen_masks(scene, shown, 0.35) if evidence == "silhouettes" else None
-    found = offsets_from_motion(scene.rig.pinhole(), points, masks)
+    found = offsets_from_motion(scene.rig.pinhole(), points, masks or ())
     wrong = found.frames - late
     assert np.abs(wrong - np.median(wrong)).max() < 0.2
     assert found.gain > 10 and (found.sd < 1).all()
@@ -51,7 +51,7 @@ def test_nobody_moving_is_told():
 def test_too_few_frames_are_told():
     rig = named_rig("ring-2")
     with pytest.raises(EvidenceError, match="at least 16 consecutive frames"):
-        offsets_from_motion(rig, (np.zeros((2, 12, 25, 2)), np.ones((2, 12, 25))), None)
+        offsets_from_motion(rig, (np.zeros((2, 12, 25, 2)), np.ones((2, 12, 25))))
 
 
 class _Moving:

@@ -186,7 +186,7 @@ BAD_TOML = [
     ),
     (
         GOOD.replace(VECTOR, '["a", 0, 0]'),
-        r"camera cam_1: rotation must be numbers of shape .* got something",
+        r"camera cam_1: rotation must be numbers of shape .* got",
     ),
     (
         GOOD.replace(VECTOR, "[[1,0,0],[0,1,0],[0,0,-1]]"),
@@ -223,17 +223,17 @@ BAD_TOML = [
     ("name", "text", "message"),
     [
         *(("c.toml", *bad) for bad in BAD_TOML),
-        ("a.yml", "nonsense: [", "a.yml is no calibration in YAML"),
+        ("a.yml", "nonsense: [", "a.yml is no calibration: it is no YAML"),
         ("a.yml", "%YAML:1.0\n---\nx: 3\n", "holds no cameras"),
         ("a.xcp", "<Cameras><Camera DEVICEID='1' TYPE='Video'/></Cameras>", "holds no cameras"),
         (
             "a.xcp",
             "<Cameras><Camera DEVICEID='1' SENSOR_SIZE='4 4'><KeyFrames><KeyFrame FOCAL_LENGTH='x'/></KeyFrames>"
             "</Camera></Cameras>",
-            "FOCAL_LENGTH> is 'x', a number is needed",
+            r"<KeyFrame>: FOCAL_LENGTH must be numbers of shape 1, got \['x'\]",
         ),
-        ("a.xcp", "<a/>", "holds no cameras"),
-        ("a.doc", "{}", "calibrations are read from"),
+        ("a.xcp", "<a/>", "is not a calibration of Vicon"),
+        ("a.doc", "{}", "is not a calibration"),
         ("a.json", "{", r"is not JSON \(.*\); give the path of a calibration"),
         ("a.json", "{}", r"holds no cameras"),
         ("a.json", '{"a": {"K": 5}}', r"camera a: K must be numbers of shape 3 x 3"),
@@ -241,15 +241,15 @@ BAD_TOML = [
         ("a.json", '{"a": {"P": [[1,0,0,0],[1,0,0,0],[0,0,1,1]]}}', r"P is no projection matrix"),
         ("a.json", '{"a": {"P": [[1,1,0,0],[0,1,0,0],[0,0,1,1]]}}', r"P has oblique pixels"),
         ("a.txt", "1 2 3\n", r"a line has 3 numbers; projection matrices need three lines of four"),
-        ("a.txt", "hello\n", r"holds no cameras: it needs three lines of four numbers"),
+        ("a.txt", "hello\n", r"holds no cameras: each needs"),
         ("a.txt", "1 0 0 0\n0 1 0 0\n0 0 nan 1\n", r"NaN or infinity"),
-        ("a.mcal", "<a/>", r"holds no cameras: .*calibrate them"),
-        ("a.mcal", "<a", r"is not valid XML"),
+        ("a.mcal", "<a/>", r"is not a calibration of OptiTrack Motive"),
+        ("a.mcal", "<a", r"it is not valid XML"),
         ("a.mcal", '<!DOCTYPE a [<!ENTITY b "c">]><a/>', r"it has a DOCTYPE"),
         (
             "a.mcal",
             '<a><Camera Serial="c"><IntrinsicStandardCameraModel/><Extrinsic/></Camera></a>',
-            r"camera c: <Attributes ImagerPixelWidth> is missing",
+            r"camera c, <Attributes>: ImagerPixelWidth is missing",
         ),
     ],
 )
@@ -265,15 +265,15 @@ def test_bad_files(tmp_path):
         with pytest.raises(CalibrationError, match=message):
             read_any(tmp_path / name)[0]
 
-    refuses("none.toml", r"calibration file .*none\.toml does not exist; check the path, or run hypose calibrate")
-    refuses(".", r"holds no calibration; give a file or folder")
+    refuses("none.toml", r"none\.toml does not exist; check the path, .* or run hypose calibrate")
+    refuses(".", r"is not a calibration of EasyMocap")
     (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00\x81" * 100)
     refuses("binary.toml", r"is not a text file \(UTF-8\), as a calibration is")
     with (tmp_path / "huge.toml").open("wb") as stream:
         stream.truncate(50_000_000)
     refuses("huge.toml", r"has 48 MiB, at most 5 MiB are read")
     (tmp_path / "c.doc").write_text("x")
-    refuses("c.doc", r"calibrations are read from \.toml, .*\.qca\.txt, .*; name the file by one of these endings")
+    refuses("c.doc", r"is not a calibration \(\.toml, .*\.qca\.txt, .*\)")
     (tmp_path / "empty.toml").write_text("")
     refuses("empty.toml", r"holds no cameras")
 
@@ -306,12 +306,12 @@ def test_qualisys_units_and_axes(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"fv": "abc"}, r"camera 7: <intrinsic focalLengthV> is 'abc', a number is needed; export"),
-        ({"fv": "nan"}, r"camera 7: <intrinsic focalLengthV> is 'nan'"),
+        ({"fv": "abc"}, r"camera 7, <intrinsic>: focalLengthV must be numbers of shape 1, got \['abc'\]"),
+        ({"fv": "nan"}, r"camera 7, <intrinsic>: focalLengthV must be .* got \['nan'\]"),
         ({"fv": "-5"}, r"camera 7: focal lengths must be positive"),
         ({"r32": "0"}, r"camera 7: rotation is not a rotation matrix"),
-        ({"z": ""}, r"camera 7: <transform z> is ''"),
-        ({"serial": "7<"}, r"is not valid XML: .*; export the calibration again"),
+        ({"z": ""}, r"camera 7, <transform>: z must be numbers of shape 1"),
+        ({"serial": "7<"}, r"it is not valid XML .*; export it again"),
     ],
 )
 def test_bad_qualisys(tmp_path, changes, message):
@@ -642,7 +642,7 @@ def test_yaml_that_is_no_calibration_is_refused(text):
         parse_yaml(text)
 
 
-@pytest.mark.parametrize("text", ["<opencv_storage>", "<other/>", "<!DOCTYPE a><opencv_storage/>"])
+@pytest.mark.parametrize("text", ["<opencv_storage>", "<!DOCTYPE a><opencv_storage/>"])
 def test_xml_that_is_no_calibration_is_refused(text):
     with pytest.raises(ValueError, match="it "):
         parse_xml(text)

@@ -337,7 +337,7 @@ def test_settings(good, settings, message):
         ({"keypoints": "none"}, r"view cam_1: the keypoints .*none does not exist"),
         (
             {"keypoints": "empty"},
-            r"The folder .*empty holds no key points \(\.json or \.txt, one per frame\); detect them",
+            r"empty is not a file or folder of key points of OpenPose, .*Ultralytics; detect them",
         ),
         ({"video": "text.avi"}, r"text\.avi cannot be opened as a video"),
         ({"video": "zero.avi"}, r"zero\.avi is empty \(0 bytes\); record or copy it again"),

@@ -78,14 +78,14 @@ def test_somebody_else_is_told_when_two_views_see_them_for_a_while(clean):
     others[60:100, :2] = 0.6
     others[75:85, 1] = 0.0  # in front of each other for a moment
     (what, frames), *more = find(*clean, others=others).items()
-    assert (what, more) == ("somebody or something else is in the masks", [])
+    assert (what, more) == ("another person or an object is in the masks", [])
     assert np.flatnonzero(frames).tolist() == list(range(60, 100))
     others[:, 1] = 0.1  # what a shadow leaves
     assert find(*clean, others=others) == {}
     others[60:63, 1] = 0.6  # a tenth of a second
     assert find(*clean, others=others) == {}
     others[60:100, :2] = 0.6
-    assert find(*clean, known=np.arange(T) > 120, others=others).keys() == {"somebody has just been found again"}
+    assert find(*clean, known=np.arange(T) > 120, others=others).keys() == {"the person has just been found again"}
 
 
 def test_tracking_that_has_not_come_back(clean):
@@ -94,7 +94,7 @@ def test_tracking_that_has_not_come_back(clean):
     others[60:100] = 0.6
     overlap[60:130] -= 0.12  # turned around by what was there, until it finds back
     found = find(overlap, change, others=others)
-    assert list(found) == ["somebody or something else is in the masks", "the body fits less well than before that"]
+    assert list(found) == ["another person or an object is in the masks", "the body fits less well than before that"]
     frames = np.flatnonzero(found["the body fits less well than before that"])
     assert frames[0] == 100 and 125 <= frames[-1] <= 135
     assert find(overlap, change) == {}  # nothing happened: it fits less well, and that is all
@@ -107,8 +107,8 @@ def test_views_and_frames_without_a_mask(clean):
     known = np.ones(T, dtype=bool)
     known[20:60] = False
     found = find(overlap, change, known)
-    assert list(found) == ["somebody has just been found again"]
-    assert np.flatnonzero(found["somebody has just been found again"]).tolist() == list(range(60, 70))
+    assert list(found) == ["the person has just been found again"]
+    assert np.flatnonzero(found["the person has just been found again"]).tolist() == list(range(60, 70))
     assert find(np.full((T, C), np.nan), np.full((T, C), np.nan)) == {}
     few = np.zeros((3, C))
     assert find_anomalies(few + 1, few, few, np.ones(3, bool), RATE, NAMES) == []

@@ -34,8 +34,7 @@ SETTINGS = ColourSettings()
 def part_of_face(body):
     names = body.skeleton.joint_names
     part = np.array([next((k for k, own in enumerate(PARTS) if n in own), 1) for n in names])
-    joint = body.coarse.main_joint[body.coarse.faces]
-    return part[np.where(joint[:, 1] == joint[:, 2], joint[:, 1], joint[:, 0])].astype(np.uint8)
+    return part[body.coarse.face_joint].astype(np.uint8)
 
 
 @pytest.fixture(scope="module")

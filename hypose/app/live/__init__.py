@@ -1,1 +1,1 @@
-"""Skeletons and gestures while they happen: sockets in and out."""
+"""Serve live skeletons and gestures: sockets in and out."""

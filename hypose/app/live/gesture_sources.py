@@ -1,4 +1,6 @@
-"""Where depth comes from: recorded sessions, recordings of cameras, a live camera, or the simulated sensor."""
+"""Open sources of depth pictures for gestures: recorded sessions, recordings of cameras, a live camera, a simulated
+sensor.
+"""
 
 from __future__ import annotations
 
@@ -17,14 +19,19 @@ if TYPE_CHECKING:
     from hypose.io.sensors.depth import DepthFrame
 
 PERSON_RATE = 15.0
-"""Hz of the simulated person."""
+"""Rate of the simulated person, Hz."""
 _TEST_S = 2.0
-"""The simulated person does the gesture every other so many seconds while it is not given what to do."""
+"""Time (s) for which the simulated person alternately does the gesture and does not, while no phase asks for it."""
 
 
 @dataclass(frozen=True)
 class Taken:
-    """A depth picture (h, w) uint16 mm, its time (s), and where the gesture is done (x, y px), if the source knows."""
+    """One depth picture.
+
+    time: s.
+    depth: (h, w) uint16 mm.
+    box: (x, y) px where the gesture is done, if the source provides it.
+    """
 
     time: float
     depth: DepthImage
@@ -33,9 +40,16 @@ class Taken:
 
 @dataclass(frozen=True)
 class GestureSource:
-    """lens and size (width, height); take(phase): the next picture, None at the end. phase: what the person is asked to
-    do just now; the simulated person does it. close: lets go of the device; clear: whether the last picture shows the
-    gesture or clearly does not, as far as the source knows."""
+    """Source of depth pictures.
+
+    name: of the source.
+    lens: of the camera.
+    size: (width, height), px.
+    take: take(phase) returns the next picture, None at the end. phase: what the person is asked to do; only the
+        simulated person does it.
+    close: releases the device.
+    clear: whether the last picture clearly shows the gesture, or clearly does not, where the source provides it.
+    """
 
     name: str
     lens: DepthLens
@@ -46,8 +60,13 @@ class GestureSource:
 
 
 def open_source(text: str, gesture: str = "tee", seed: int = 0) -> GestureSource:
-    """A source by its name: a recorded session's folder, FILE.mkv (Azure Kinect), FILE.bag or FILE.db3
-    (RealSense), FILE.r3d (Record3D), "realsense", "simulated" or "simulated:PERSON"."""
+    """Open a source by its name.
+
+    text: folder of a recorded session, FILE.mkv (Azure Kinect), FILE.bag or FILE.db3 (RealSense), FILE.r3d (Record3D),
+        "realsense", "simulated" or "simulated:PERSON".
+    gesture, seed: of the simulated person.
+    Raises: InputError for other texts.
+    """
     if text == "simulated" or text.startswith("simulated:"):
         return _simulated(text.partition(":")[2] or "0", gesture, seed)
     if text == "realsense":

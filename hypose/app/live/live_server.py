@@ -1,7 +1,8 @@
-"""The live server: skeletons in by UDP and WebSocket, fused skeletons out by WebSocket and OSC (docs/live.md).
+"""Live server for fusion: receive skeletons by UDP and WebSocket, send fused skeletons by WebSocket and OSC
+(docs/live.md).
 
-Everything runs in one thread: a line that arrives is parsed and pushed, a timer asks for the frames that are due. What
-comes from outside is bounded: bytes and lines per second, sensors, persons, clients, and what waits for a slow client.
+Everything runs in one thread: a line that arrives is parsed and fused, and a timer sends the frames that are due. All
+input is limited: bytes and lines per second, sensors, persons, clients, and messages kept for a slow client.
 """
 
 from __future__ import annotations
@@ -45,15 +46,25 @@ _TOKEN = re.compile(r"[A-Za-z0-9_.-]{8,128}")
 _COMPLAINT_S = 5.0
 _STATUS_S = 1.0
 _REPORT_S, _LOOK_S = 10.0, 0.1
-"""s between two words on how it goes, and two looks at whether it is to end"""
+"""Time between two reports, and between two checks for the end, s."""
 
 
 @dataclass(frozen=True)
 class FusionServerOptions:
-    """host: address to listen on; udp, ws: ports (0 = any free one, None = none); osc: HOST:PORT or None; token:
-    what senders and listeners must show (made when the host is not this computer alone); record: a new folder;
-    lines_per_s, burst: limits of received lines; clients: WebSocket connections; waiting: messages kept for a
-    slow listener."""
+    """Options of the live server.
+
+    host: address to listen on.
+    udp, ws: ports; 0: any free one, None: none.
+    osc: HOST:PORT or None.
+    token: secret that senders and listeners must show; where it is missing, one is made unless only this computer can
+        connect.
+    record: new folder for a recording; None: nothing is recorded.
+    settings: of the fusion.
+    lines_per_s, burst: limits of received lines.
+    clients: most WebSocket connections.
+    waiting: messages kept for a slow listener.
+    Raises: InputError where the token has an invalid form.
+    """
 
     host: str = "127.0.0.1"
     udp: int | None = 9870
@@ -73,7 +84,7 @@ class FusionServerOptions:
 
 
 def is_loopback(host: str) -> bool:
-    """Whether an address is reached from this computer only."""
+    """Return whether an address can be reached from this computer only."""
     if host == "localhost":
         return True
     try:
@@ -83,9 +94,10 @@ def is_loopback(host: str) -> bool:
 
 
 class LiveServer:
-    """`start`, then it runs in the loop until `stop`. Counters tell what happened.
+    """Server of live fusion; it runs in the event loop from `start` to `stop`, and counts lines and frames.
 
-    clock: monotonic seconds of this computer; without one, those of the event loop.
+    note: receives sentences on problems.
+    clock: monotonic time of this computer, s; None: that of the event loop.
     """
 
     def __init__(
@@ -102,7 +114,7 @@ class LiveServer:
         self._complained, self._silent = -math.inf, 0
         self._allowance, self._refilled = options.burst, -math.inf
         self._writer = FolderWriter(options.record) if options.record is not None else None
-        self.unrecorded = ""  # why there is no whole recording, when one was wanted
+        self.unrecorded = ""  # why a requested recording is not complete
         self._timer: asyncio.TimerHandle | None = None
         self._datagrams: asyncio.DatagramTransport | None = None
         self._server: Server | None = None
@@ -112,13 +124,16 @@ class LiveServer:
         self._status_at = 0.0
 
     def now(self) -> float:
-        """Seconds of the clock that reports and frames are timed by."""
+        """Return the time of the clock, s."""
         return self.clock() if self.clock is not None else asyncio.get_running_loop().time()
 
     # ---- life ----
 
     async def start(self) -> None:
-        """Open the ports; an InputError when one is taken."""
+        """Open the ports.
+
+        Raises: InputError where a port cannot be opened.
+        """
         o, loop = self.options, asyncio.get_running_loop()
         quiet_logs()
         if o.osc is not None:
@@ -152,7 +167,7 @@ class LiveServer:
             ) from None
 
     async def stop(self) -> None:
-        """Close everything; the recording is complete afterwards."""
+        """Close all connections and complete the recording."""
         if self._timer is not None:
             self._timer.cancel()
         if self._datagrams is not None:
@@ -169,11 +184,11 @@ class LiveServer:
     # ---- in ----
 
     def take(self, data: bytes | str) -> str | None:
-        """One line from outside; the reason when it is ignored."""
+        """Parse and fuse one received line; return the reason where it is ignored, else None."""
         now = self.now()
         self.received += 1
         held = data.encode("utf-8", "surrogatepass") if isinstance(data, str) else data
-        if self.token and self.token.encode() not in held:  # costs next to nothing, so strangers use up no allowance
+        if self.token and self.token.encode() not in held:  # a cheap test, so that strangers do not use up the limit
             return self._ignore("the token is missing or wrong", now)
         if not self._allowed(now):
             return self._ignore("more lines arrive than are taken", now)
@@ -192,7 +207,7 @@ class LiveServer:
         return None
 
     def _record(self, write: Callable[[FolderWriter], None]) -> None:
-        """Do something with the recording, if there is one; its failure ends it."""
+        """Write to the recording, if there is one; an error ends the recording."""
         if self._writer is None:
             return
         try:
@@ -223,7 +238,7 @@ class LiveServer:
     # ---- out ----
 
     def tick(self) -> None:
-        """Send the frames that are ready, and come back when the next one is due."""
+        """Send the frames that are ready, and set the timer for the next one."""
         for frame in self.fuser.poll(self.now()):
             self._send(frame, self.now())
         if self._timer is not None:
@@ -313,7 +328,7 @@ class LiveServer:
         queue: Queue = asyncio.Queue(self.options.waiting)
         hello = {"type": "hello", "version": 1, "joints": COMMON, "rate": self.options.settings.align.rate}
         queue.put_nowait(json.dumps(hello))
-        await self.outbox.serve(connection, queue)  # who has the hello misses no frame from then on
+        await self.outbox.serve(connection, queue)  # after the hello message no frame is missed
 
 
 class _Datagrams(asyncio.DatagramProtocol):
@@ -326,11 +341,13 @@ class _Datagrams(asyncio.DatagramProtocol):
                 self._server.take(line)
 
     def error_received(self, exc: Exception) -> None:
-        """Another program's port was closed; nothing to do."""
+        """Ignore errors: another program's port was closed."""
 
 
 def frame_json(frame: LiveFrame, latency: float) -> str:
-    """One frame as a line of JSON: joints (15) [x, y, z] m in the order of the hello message, sd (15) m."""
+    """Encode one frame as a line of JSON: per person joints (15) [x, y, z] m in the order of the hello message, and sd
+    (15) m.
+    """
     people = [
         {
             "id": p.id,
@@ -346,7 +363,7 @@ def frame_json(frame: LiveFrame, latency: float) -> str:
 
 
 def _rounded(values: Array) -> Any:
-    """Nested lists of values to 0.01 mm, null where they are not known."""
+    """Convert values to nested lists, rounded to 0.01 mm, with null where they are not known."""
     if np.isfinite(values).all():
         return values.round(5).tolist()
     return [[_number(x) for x in v] if isinstance(v, list) else _number(v) for v in values.tolist()]
@@ -361,7 +378,12 @@ def _printable(text: str) -> str:
 
 
 async def run_live(options: FusionServerOptions, say: _Say, note: _Say) -> None:
-    """Serve until Ctrl-C or SIGTERM, telling now and then how it goes."""
+    """Run the server until Ctrl-C or SIGTERM, with a report now and then.
+
+    say: prints results.
+    note: prints remarks.
+    Raises: InputError where the ports cannot be opened, or the recording failed.
+    """
     server, ended = LiveServer(options, note), threading.Event()
     with ended_by_signals(ended):
         await server.start()

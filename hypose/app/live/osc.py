@@ -1,4 +1,4 @@
-"""Poses and events by Open Sound Control 1.0, in bundles that fit a packet."""
+"""Send poses and events by Open Sound Control 1.0, in bundles that fit one packet."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ MAX_BUNDLE = 1400  # bytes: fits one Ethernet packet
 
 
 def osc_message(address: str, *values: int | float | str, types: str = "") -> OscMessage:
-    """One message: int -> i, float -> f, str -> s where types, one letter a value, does not say otherwise."""
+    """Build one message: int -> i, float -> f, str -> s, unless `types` gives another letter for a value."""
     made = OscMessageBuilder(address)
     for k, value in enumerate(values):
         made.add_arg(value, types[k : k + 1] or None)
@@ -25,7 +25,7 @@ def osc_message(address: str, *values: int | float | str, types: str = "") -> Os
 
 
 def osc_bundles(messages: Iterable[OscMessage]) -> list[bytes]:
-    """Messages in as few bundles (to be handled at once) as packets of 1400 bytes allow."""
+    """Pack messages into as few bundles (with immediate time tags) as packets of 1400 bytes allow."""
     made, size = list[OscBundleBuilder](), MAX_BUNDLE
     for m in messages:
         if size + 4 + m.size > MAX_BUNDLE:
@@ -38,8 +38,13 @@ def osc_bundles(messages: Iterable[OscMessage]) -> list[bytes]:
 def people_osc(
     number: int, time: float, latency: float, people: Iterable[tuple[int, Sequence[str], Array, Array]], there: int
 ) -> list[OscMessage]:
-    """/hypose/frame n time latency_ms people, then /hypose/person/ID/JOINT x y z sd. time, latency s; people: id, names
-    of joints (J), joints (J, 3) m, sd (J) m; there: how many of them are where they are said to be."""
+    """Build the messages of a frame: /hypose/frame n time latency_ms people, then /hypose/person/ID/JOINT x y z sd.
+
+    number: of the frame.
+    time, latency: s.
+    people: id, names of joints (J), joints (J, 3) m, sd (J) m.
+    there: number of people who are not lost.
+    """
     out = [osc_message("/hypose/frame", number & 0x7FFFFFFF, time, 1000.0 * latency, there, types="idfi")]
     for who, names, joints, sd in people:
         rows = zip(names, joints.tolist(), sd.tolist(), strict=True)
@@ -48,8 +53,12 @@ def people_osc(
 
 
 class OscTarget:
-    """A UDP address, HOST:PORT, that messages are sent to. Nothing waits: what no one takes is lost, and the next frame
-    counts. An InputError when there is no such address; option: what the user gave it as."""
+    """UDP address HOST:PORT to which messages are sent; messages that are not received are lost, and nothing waits for
+    them.
+
+    option: name of the option that gave the address, for messages.
+    Raises: InputError where there is no such address.
+    """
 
     def __init__(self, address: str, option: str = "--osc") -> None:
         host, colon, port = address.rpartition(":")
@@ -62,19 +71,19 @@ class OscTarget:
         except (ValueError, OSError):
             raise InputError(f"{option} {address} cannot be reached; give HOST:PORT, as 127.0.0.1:9000.") from None
         self._socket.setblocking(False)
-        with contextlib.suppress(OSError):  # else what goes to all of a network is lost without a word
+        with contextlib.suppress(OSError):  # without it broadcasts are lost silently
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
 
     def send(self, messages: Sequence[OscMessage]) -> None:
-        """Messages, in bundles."""
+        """Send messages in bundles."""
         for bundle in osc_bundles(messages):
             self.put(bundle)
 
     def put(self, datagram: bytes) -> None:
-        """Bytes as they are."""
-        with contextlib.suppress(OSError):  # no one has to listen
+        """Send bytes unchanged."""
+        with contextlib.suppress(OSError):  # there may be no receiver
             self._socket.sendto(datagram, self._address)
 
     def close(self) -> None:
-        """Let go of the socket."""
+        """Close the socket."""
         self._socket.close()

@@ -1,4 +1,4 @@
-"""Poses as they leave live tracking: WebSocket and UDP (JSON), OSC, VMC (docs/cameras-live.md)."""
+"""Send poses of live tracking to other programs: WebSocket and UDP (JSON), OSC, VMC (docs/cameras-live.md)."""
 
 from __future__ import annotations
 
@@ -22,7 +22,11 @@ _WAITING = 8
 
 
 def pose_json(pose: LivePose, latency: float, cameras: tuple[str, ...]) -> str:
-    """One pose as a line of JSON; latency s."""
+    """Encode one pose as a line of JSON.
+
+    latency: from the last picture's arrival, s.
+    cameras: names of the cameras.
+    """
     m = pose.motion
     assert m.error_probability is not None and m.low_confidence_joints is not None
     names = np.array(m.skeleton.joint_names)
@@ -44,12 +48,12 @@ def pose_json(pose: LivePose, latency: float, cameras: tuple[str, ...]) -> str:
 
 
 def _covariance(pose: LivePose) -> Array:
-    """(J, 6) m^2, the upper triangle of each joint's."""
+    """Return the upper triangle of each joint's covariance, (J, 6) m^2."""
     return np.asarray(pose.motion.joint_covariance[0][:, *_UPPER], np.float64)
 
 
 class _Vmc:
-    """An avatar's pose: of who came first."""
+    """Output of one avatar's pose by VMC: that of the first person."""
 
     def __init__(self, target: OscTarget) -> None:
         self._target = target
@@ -80,7 +84,7 @@ class _Osc:
 
 
 class _Lines:
-    """A JSON line per pose, by UDP."""
+    """Output of a JSON line per pose by UDP."""
 
     def __init__(self, target: OscTarget, cameras: tuple[str, ...]) -> None:
         self._target, self._cameras = target, cameras
@@ -94,8 +98,15 @@ class _Lines:
 
 
 class PoseOutputs:
-    """A listener of the live engine. cameras: their names; rate Hz; ws: port on this computer, with /out for JSON;
-    udp, osc, vmc: HOST:PORT; clock: s, by which shots arrive."""
+    """Listener of the live engine that sends poses to other programs.
+
+    cameras: names of the cameras.
+    rate: Hz, for the hello message.
+    ws: port on this computer, with /out for JSON.
+    udp, osc, vmc: HOST:PORT.
+    clock: time (s) on which the arrival of pictures is measured.
+    Raises: InputError where a port or address cannot be used.
+    """
 
     def __init__(
         self,
@@ -130,7 +141,7 @@ class PoseOutputs:
         return json.dumps(hello)
 
     def seen(self, seen: LiveResult) -> None:
-        """See `Listener`."""
+        """Send the poses of an instant to all outputs."""
         if not seen.poses:
             return
         latency = self._clock() - seen.sight.arrival
@@ -142,12 +153,12 @@ class PoseOutputs:
                     self.listeners.post(pose_json(pose, latency, self._cameras), "/out")
 
     def status(self, status: LiveStatus) -> None:
-        """See `Listener`."""
+        """Send the state of the run to WebSocket listeners."""
         if self.listeners is not None:
             self.listeners.post(status_json(status), "/out")
 
     def close(self) -> None:
-        """Let go of everything."""
+        """Close all outputs."""
         for out in self._outs:
             out.close()
         if self.listeners is not None:
@@ -155,7 +166,7 @@ class PoseOutputs:
 
 
 def status_json(status: LiveStatus) -> str:
-    """How it goes, as a line of JSON."""
+    """Encode the state of the run as a line of JSON."""
     cameras = [
         {
             "name": c.name,

@@ -1,5 +1,6 @@
-"""What the servers have in common: secrets are compared safely, strangers fill no log, listeners that are slow hold up
-no one."""
+"""Functions that all servers share: compare secrets safely, keep strangers' errors out of the log, and serve listeners
+without waiting for slow ones.
+"""
 
 from __future__ import annotations
 
@@ -28,17 +29,18 @@ FOREIGN = (
     "socket.send() raised",
     "unexpected internal",
 )
-"""How complaints begin that are about what a person has sent, not about this program. websockets says the last one when
-frames come with a request that it refuses."""
+"""Beginnings of log messages about what a client has sent, not about this program. websockets logs the last one when
+frames come with a request that it refuses.
+"""
 
 
 def same_secret(shown: str, secret: str) -> bool:
-    """Whether a text from outside, which may hold anything, is the secret; in a time that tells nothing."""
+    """Return whether a received text is the secret, in a time that reveals nothing."""
     return hmac.compare_digest(shown.encode("utf-8", "surrogatepass"), secret.encode("utf-8", "surrogatepass"))
 
 
 def shows_secret(query: str, authorization: str, secret: str) -> bool:
-    """Whether a request's query (?token=) or Authorization header (Bearer) shows the secret."""
+    """Return whether a request's query (?token=) or Authorization header (Bearer) contains the secret."""
     shown = parse_qs(query).get("token", [""])[0]
     return any(same_secret(t, secret) for t in (shown, authorization.removeprefix("Bearer ")))
 
@@ -48,19 +50,21 @@ def _own(record: logging.LogRecord) -> bool:
 
 
 def quiet_logs() -> None:
-    """From now on the libraries that the servers use say nothing about what strangers send."""
+    """Filter log messages of the server libraries about what clients send."""
     for name in _LOGGERS:
-        logging.getLogger(name).addFilter(_own)  # once: a filter that is there already is not added
+        logging.getLogger(name).addFilter(_own)  # a filter that is there already is not added twice
 
 
 Post = str | bytes
 Queue = asyncio.Queue[Post | None]
 ORIGINS = [None, re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d{1,5})?")]
-"""Programs, and pages of this computer: a foreign page must not talk to a port behind the user's back."""
+"""Allowed origins: programs, and pages of this computer. Why: a foreign page must not use a port without the user's
+knowledge.
+"""
 
 
 def put_newest(queue: asyncio.Queue, what: object) -> bool:
-    """Put something into a queue, where it is full instead of the oldest; whether it was."""
+    """Put an item into a queue, in place of the oldest one where the queue is full; return whether it was full."""
     full = queue.full()
     if full:
         queue.get_nowait()
@@ -69,37 +73,39 @@ def put_newest(queue: asyncio.Queue, what: object) -> bool:
 
 
 class Outbox:
-    """Queues of listeners; a listener that is too slow loses the oldest of what waits. Used in one event loop. dropped:
-    what was lost so."""
+    """Queues of listeners; a listener that is too slow loses its oldest items. Used in one event loop.
+
+    dropped: number of lost items.
+    """
 
     def __init__(self) -> None:
         self.dropped = 0
         self._queues = dict[asyncio.Queue, str]()
 
     def __len__(self) -> int:
-        """How many listen."""
+        """Return the number of listeners."""
         return len(self._queues)
 
     def wanted(self, path: str) -> bool:
-        """Whether anybody listens there."""
+        """Return whether a path has listeners."""
         return path in self._queues.values()
 
     def join(self, queue: asyncio.Queue, path: str = "") -> None:
-        """Subscribe the queue to posts."""
+        """Add a queue as a listener of a path."""
         self._queues[queue] = path
 
     def leave(self, queue: asyncio.Queue) -> None:
-        """No more of it."""
+        """Remove a queue."""
         self._queues.pop(queue, None)
 
     def post(self, what: Post | None, path: str | None = None) -> None:
-        """To all, or to those of a path; None: there is nothing more."""
+        """Send an item to all listeners, or to those of a path; None marks the end."""
         for queue, own in self._queues.items():
             if path is None or own == path:
                 self.dropped += put_newest(queue, what)
 
     async def serve(self, connection: ServerConnection, queue: Queue, path: str = "") -> None:
-        """Send queued and new posts until the queue is closed or the listener is gone."""
+        """Send queued and new items to a connection until the end mark, or until the listener leaves."""
         self.join(queue, path)
         reading = asyncio.ensure_future(_until_gone(connection, queue))
         try:
@@ -112,7 +118,7 @@ class Outbox:
 
 
 async def _until_gone(connection: ServerConnection, queue: Queue) -> None:
-    """Listeners have nothing to say; reading notices when they leave, also while there is nothing to send."""
+    """Read until the listener leaves, and then close its queue. Why: this notices it also while nothing is sent."""
     with suppress(ConnectionClosed):
         async for _ in connection:
             pass
@@ -124,9 +130,13 @@ _MAX_PENDING = 16
 
 
 class SocketListeners:
-    """Listens on ws://127.0.0.1:PORT (0: any free one), to programs and to pages of this computer. Posts
-    go to the listeners of a path; hello: what those of a path get first, None: there is no such path. A listener that
-    is too slow loses the oldest of `waiting` posts. An InputError when the port cannot be used."""
+    """WebSocket server on ws://127.0.0.1:PORT (0: any free one) for programs and pages of this computer; items are sent
+    to the listeners of a path.
+
+    waiting: items kept for a slow listener, which loses the oldest ones.
+    hello: gives the first item for a path; None: there is no such path.
+    Raises: InputError where the port cannot be used.
+    """
 
     def __init__(self, port: int, waiting: int, hello: Callable[[str], Post | None] = lambda path: "") -> None:
         self._outbox = Outbox()
@@ -145,24 +155,24 @@ class SocketListeners:
 
     @property
     def dropped(self) -> int:
-        """What slow listeners have lost."""
+        """Number of items that slow listeners lost."""
         return self._outbox.dropped
 
     @property
     def port(self) -> int:
-        """The port that is listened on."""
+        """The port of the server."""
         return int(next(iter(self._server.sockets)).getsockname()[1])
 
     def wanted(self, path: str) -> bool:
-        """Whether anybody listens there."""
+        """Return whether a path has listeners."""
         return self._outbox.wanted(path)
 
     def post(self, what: Post, path: str | None = None) -> None:
-        """To all, or to those of a path."""
+        """Send an item to all listeners, or to those of a path."""
         self._loop.call_soon_threadsafe(self._outbox.post, what, path)
 
     def close(self) -> None:
-        """Stop listening, after what was posted."""
+        """Send what was posted, and stop."""
         self._loop.call_soon_threadsafe(self._outbox.post, None)
         self._in_loop(self._close())
         self._end_loop()
@@ -190,7 +200,7 @@ class SocketListeners:
         )
 
     async def _close(self) -> None:
-        for _ in range(100):  # listeners take what waits for them, if they take anything
+        for _ in range(100):  # give listeners time to receive the queued items
             if not self._outbox:
                 break
             await asyncio.sleep(0.02)
@@ -211,6 +221,6 @@ class SocketListeners:
 
 
 def listen_error(error: OSError | OverflowError) -> str:
-    """Why a port cannot be listened on, in the system's words alone."""
+    """Return why a port cannot be opened, in the system's words."""
     number = getattr(error, "errno", None)
     return (str(error) if number is None else os.strerror(number)).lower()

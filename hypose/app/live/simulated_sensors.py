@@ -1,4 +1,6 @@
-"""Depth sensors that are not there, for a first try: a made-up person who walks on the spot and turns, as lines."""
+"""Simulate depth sensors for a first try of the live server: an artificial person who walks on the spot and turns, as
+lines.
+"""
 
 from __future__ import annotations
 
@@ -24,18 +26,24 @@ _SECONDS = 16
 _ANGLES = {2: (0, 70), 3: (0, 65, -65), 4: (0, 80, -80, 180)}
 """Degrees around the person at which so many sensors stand; 0 = in front."""
 _JITTER_M, _BIAS_M = 0.007, 0.015
-"""m: sd per axis of what a joint is off by in a frame, and of its constant error, which rides with the body."""
+"""Standard deviation per axis (m) of a joint's error in a frame, and of its constant error, which rotates with the
+body.
+"""
 _TURN = 0.9
-"""Radians to which the person turns to either side."""
+"""Angle to which the person turns to either side, rad."""
 _HURRIES, _HASTE = 4, 0.85
-"""How often the person walks faster and slower meanwhile, and by which share: a walk that is always the same tells
-no one whose clock is how late."""
+"""How often the person walks faster and slower in a loop, and by which share. Why: from a completely regular walk the
+clock offsets of sensors cannot be found.
+"""
 
 
 @dataclass(frozen=True)
 class SensorRecording:
-    """What K sensors report of one person in T frames, the 15 common joints: positions (T, K, 15, 3) m in each sensor's
-    frame; truth (T, 15, 3) m, world."""
+    """Simulated reports of K sensors on one person in T frames, with the 15 common joints.
+
+    positions: (T, K, 15, 3) m in each sensor's frame of reference.
+    truth: (T, 15, 3) m, world.
+    """
 
     positions: Array
     truth: Array
@@ -45,13 +53,12 @@ class SensorRecording:
 
     @property
     def sensor_names(self) -> tuple[str, ...]:
-        """sensor0, sensor1, ..."""
+        """Names: sensor0, sensor1, ..."""
         return tuple(f"sensor{k}" for k in range(self.positions.shape[1]))
 
 
 def simulated_sensors(sensors: int, rng: np.random.Generator) -> SensorRecording:
-    """What 2 to 4 sensors (`_ANGLES`) see of the person at 30 Hz, for about 16 s, after which it begins again: the walk
-    is cut where it repeats, and the person then faces forward as at the start."""
+    """Simulate what 2 to 4 sensors (`_ANGLES`) see of the person at 30 Hz, in a loop of about 16 s."""
     walk = on_treadmill(builtin_joints("walk", 6, rng))
     again = looped(walk, 4 * len(walk))
     period = int(np.flatnonzero((again[1:] == again[0]).all((1, 2)))[0]) + 1
@@ -71,8 +78,9 @@ def simulated_sensors(sensors: int, rng: np.random.Generator) -> SensorRecording
 
 
 async def send(recording: SensorRecording, take: Callable[[str], object], rng: np.random.Generator) -> None:
-    """Hand the sensors' lines to `take` as they come, again and again until this is cancelled. Sensors are not in step,
-    and each has its own clock, as real ones do."""
+    """Send the sensors' lines to `take` in real time, repeated until cancelled. Like real sensors they report at
+    different instants, each with a clock of its own.
+    """
     loop = asyncio.get_running_loop()
     sensors = recording.sensor_names
     phases = rng.uniform(0, 1 / FRAME_RATE, len(sensors))
@@ -92,8 +100,12 @@ def _line(recording: SensorRecording, frame: int, sensor: int, names: Sequence[s
 
 
 def ring_sensors(angles_deg: ArrayLike, distance: float = 2.5, height: float = 1.1) -> Array:
-    """camera_from_world (K, 4, 4) of sensors around the origin, looking at it 1 m above the floor; 0 = in front of a
-    person who faces -y, positive towards the person's left."""
+    """Place sensors around the origin, looking at it 1 m above the floor.
+
+    angles_deg: 0 = in front of a person who faces -y, positive towards the person's left.
+    distance, height: m.
+    Returns: camera_from_world (K, 4, 4).
+    """
     out = []
     for a in np.radians(np.atleast_1d(np.asarray(angles_deg, dtype=np.float64))):
         eye = np.array([np.sin(a) * distance, -np.cos(a) * distance, height])
@@ -107,7 +119,7 @@ def ring_sensors(angles_deg: ArrayLike, distance: float = 2.5, height: float = 1
 
 
 def builtin_joints(name: str, seconds: float, rng: np.random.Generator) -> Array:
-    """(T, 15, 3) m, z up, of a built-in motion of one of the test subjects at 30 Hz."""
+    """Generate the joints (T, 15, 3) m, z up, of a built-in motion of a random test subject at 30 Hz."""
     subjects = list(load_subjects().values())
     performance = act(name, subjects[int(rng.integers(len(subjects)))], seconds, FRAME_RATE, rng)
     j = performance.joints[:, jt.BODY_JOINT].copy()
@@ -117,7 +129,9 @@ def builtin_joints(name: str, seconds: float, rng: np.random.Generator) -> Array
 
 
 def on_treadmill(joints: Array) -> Array:
-    """The motion (T, 15, 3) m in any axes without its travel and turning: z up, facing -y, feet on the floor."""
+    """Remove travel and turning from a motion (T, 15, 3) m in any axes: the result has z up, faces -y, and stands on
+    the floor.
+    """
     hips = (joints[:, jt.LEFT_HIP] + joints[:, jt.RIGHT_HIP]) / 2
     up = np.median(joints[:, jt.NECK] - hips, axis=0)
     up /= np.linalg.norm(up)
@@ -135,7 +149,9 @@ def on_treadmill(joints: Array) -> Array:
 
 
 def looped(joints: Array, frames: int, blend: int = 8) -> Array:
-    """An endless motion: the clip is repeated between its two most similar frames, cross-faded."""
+    """Repeat a clip for `frames` frames: it is cut between its two most similar frames and cross-faded over `blend`
+    frames.
+    """
     t = len(joints)
     flat = joints.reshape(t, -1)
     velocity = np.diff(flat, axis=0, append=flat[-1:])
@@ -156,6 +172,6 @@ def looped(joints: Array, frames: int, blend: int = 8) -> Array:
 
 
 def rotated_about_vertical(joints: Array, heading: Array) -> Array:
-    """Joints (T, 15, 3) turned about the vertical by heading (T,) rad."""
+    """Rotate joints (T, 15, 3) about the vertical by heading (T,) rad."""
     r = so3_exp(heading[:, None] * np.array([0, 0, 1.0]))
     return np.einsum("tij,tnj->tni", r, joints)

@@ -1,8 +1,8 @@
-"""Poses for programs that move an avatar, by the VMC protocol: bones of a VRM humanoid as OSC messages.
+"""Send poses to programs that move an avatar, by the VMC protocol: bones of a VRM humanoid as OSC messages.
 
-At rest an avatar stands in a T pose (arms level, palms down). What one joint of ours does and two bones share (trunk,
-neck) is divided between them; hands, toes and fingers do not move. The protocol speaks Unity's axes: left-handed, x
-right, y up, z forwards; VRM's have x to the left.
+At rest an avatar stands in a T pose (arms level, palms down). A rotation of one of our joints that two bones share
+(trunk, neck) is divided between them; hands, toes and fingers do not move. The protocol uses Unity's axes: left-handed,
+x right, y up, z forwards; in VRM x points left.
 
 Sources: VRM Consortium, VRMC_vrm 1.0 (bones and their parents); VMC protocol 2.7 (protocol.vmc.info).
 """
@@ -41,13 +41,20 @@ _SIDED = [
     (*(text.format(S=side, s=side.lower()) for text in row[:5]), row[5]) for side in ("Left", "Right") for row in _LIMBS
 ]
 VMC_BONES: tuple[tuple[Any, ...], ...] = (*_TRUNK, *_SIDED)
-"""Bones, parents first: name; parent; our joint whose place it has; our joint that turns it, and against which other
-one; the bone's share of that turn"""
+"""Bones, parents first: name; parent; our joint that gives its position; our joint that rotates it; our joint relative
+to which that rotation counts; the bone's share of the rotation.
+"""
 
 
 def vmc_messages(body: Body, pose: Array, seconds: float, tracked: bool) -> list[OscMessage]:
-    """One frame: a pose (D,) of a body. seconds: since the sender began; tracked: the person was seen in this frame,
-    else the pose is one held. The root stays at the origin; the hips carry place and turn."""
+    """Build the messages of one frame.
+
+    pose: (D,) pose of the body.
+    seconds: since the sender began, s.
+    tracked: the person was seen in this frame; False: the pose is only a guess.
+
+    The root stays at the origin; the hips carry position and rotation.
+    """
     skeleton, names = body.skeleton, body.skeleton.joint_names
     frames = dict(neutral_frames(skeleton))
     for side, sign in (("left", -1.0), ("right", 1.0)):

@@ -1,1 +1,1 @@
-"""What people look at: overlays, plots, pages."""
+"""Draw results for users: overlays, charts, pages."""

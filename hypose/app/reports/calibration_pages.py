@@ -1,4 +1,4 @@
-"""The doctor's page: assessments, figures per camera, and pictures of where key points miss the other cameras' view."""
+"""Write the pages of calibrations: the HTML page of `hypose check`, and the contact sheet of a board calibration."""
 
 from __future__ import annotations
 
@@ -30,7 +30,11 @@ _MEASURED, EXPECTED = (60, 200, 250), (60, 60, 235)  # BGR
 
 
 def residual_picture(recording: Recording, observed: Observed, cured: Cured) -> Image | None:
-    """All views at the frame with most key points: each key point, and a line to where the other cameras put it."""
+    """Draw the key points of all views in the frame with most of them, each with a line to where the other cameras put
+    it.
+
+    Returns: None without key points, with fewer than three cameras, or without pictures.
+    """
     if observed.keypoints is None or len(recording.rig) < 3:
         return None
     few = window(recording, observed.keypoints.shape[1])
@@ -66,7 +70,7 @@ def residual_picture(recording: Recording, observed: Observed, cured: Cured) -> 
 
 
 def _drawn(picture: Image, found: np.ndarray, expected: np.ndarray, confidence: np.ndarray, name: str) -> Image:
-    """The part of the picture around the person, 560 px high, with the key points and their misses."""
+    """Cut a picture to the person, 560 px high, and draw the key points with lines to the expected places."""
     known = (confidence > 0.3) & np.isfinite(expected).all(1)
     if not known.any():
         known = confidence > 0.3
@@ -98,7 +102,13 @@ def write_check_page(
     facts: Sequence[str],
     warnings: Sequence[str],
 ) -> None:
-    """One file with everything inside."""
+    """Write the HTML page of a calibration check, with all pictures inside.
+
+    sheet: file of the masks' contact sheet; it may be missing.
+    picture: result of `residual_picture`.
+    facts: notes at the end.
+    warnings: further faults.
+    """
     e = html.escape
     assessment = (
         '<p class="good">No fault found.</p>'
@@ -154,8 +164,8 @@ def _number(value: float) -> str:
 
 
 # ---- calibration sheet ---------------------------------------------------------------------------------------------
-# The contact sheet of a calibration: per camera a picture with the board, where boards were seen, one in which it was
-# not found and why, and what every looked-at frame gave.
+# Contact sheet of a calibration: per camera a picture with the board, the corners of all boards, a picture in which the
+# board was not found and why, and the result of every frame.
 
 
 _WIDTH = 520  # px of one picture
@@ -165,8 +175,12 @@ _NOT_FOUND = (60, 60, 200)
 
 
 def draw_sheet(views: Sequence[CameraViews], board: Board, result: BoardCalibration | None = None) -> Image:
-    """One row per camera: a board that was found (its first row in red, so that opposite numberings show), all corners
-    seen (green to red by their error, up to 2 px), a picture without; below them the frames from first to last."""
+    """Draw the contact sheet of a board calibration, one row per camera.
+
+    A row shows a picture with a board (its first row in red, so that opposite numberings are visible), all corners that
+    were found (green to red by their error, up to 2 px), a picture without a board and why, and below them a strip with
+    the result of each frame.
+    """
     rows = []
     seen = Counter(f for view in (views if result is None else result.views) for f in view.sightings)
     common = [f for f in sorted(seen) if seen[f] == max(seen.values())]

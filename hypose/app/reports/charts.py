@@ -1,4 +1,4 @@
-"""Charts of a result as SVG text: lines, bands and dots on axes, in the colours of the page around them."""
+"""Draw charts of a result as SVG text: lines, bands and dots on axes, in the colours of the page around them."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ _MAX_POINTS = 3000
 class Axes:
     """One panel of a chart, to which lines, bands and dots are added in the units of its axes.
 
-    title, x, y: texts
-    low, high: ends of the y axis (None: fitted to the data)
-    least: length of the y axis
-    equal: a unit is as long upwards as across
+    title, x, y: texts.
+    low, high: ends of the y axis; None: fitted to the data.
+    least: least length of the y axis.
+    equal: the same scale on both axes.
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class Axes:
         self._add("line", x, y, look + (f' stroke-dasharray="{dashes}"' if dashes else ""), label, colour)
 
     def band(self, x: Array, low: Array, high: Array, colour: str) -> None:
-        """Tint what lies between two lines (N,), which are joined over points that are NaN."""
+        """Fill the area between two lines (N,); points that are NaN are bridged."""
         known = np.isfinite(low) & np.isfinite(high)
         across, edges = (np.concatenate([v[known], w[known][::-1]]) for v, w in ((x, x), (low, high)))
         self._add("line", across, edges, f'fill="{colour}" fill-opacity="0.16"')
@@ -63,11 +63,11 @@ class Axes:
         self._add("dot", x, y, f'fill="{colour}" fill-opacity="{opacity}"')
 
     def text(self, x: float, y: float, text: str) -> None:
-        """Write above a point."""
+        """Write a text above a point."""
         self._add("text", np.array([x]), np.array([y]), text)
 
     def stretch(self, begin: float, end: float, colour: str, label: str) -> None:
-        """Tint a stretch of the x axis over the whole height."""
+        """Tint a part of the x axis over the whole height."""
         self._add("stretch", np.array([begin, end]), np.full(2, np.nan), f'fill="{colour}"', label, colour)
 
     def _add(self, kind: str, x: Array, y: Array, look: str, label: str = "", colour: str = "") -> None:
@@ -76,7 +76,7 @@ class Axes:
             self._legend[label] = colour
 
     def svg(self, x: float, y: float, w: float, h: float) -> str:
-        """The panel in a box of w x h px whose upper left corner is (x, y)."""
+        """Return the panel as SVG in a box of w x h px with its upper left corner at (x, y)."""
         left = 38 + (_LINE if self.y else 0.0)
         head, foot = 22, 18 + (_LINE if self.x else 0.0)
         legend = " ".join(f'<tspan fill="{c}">&#9632; {_plain(name)}</tspan>' for name, c in self._legend.items())
@@ -101,7 +101,7 @@ class Axes:
         return "".join(out)
 
     def _limits(self, size: Array) -> tuple[Array, Array]:
-        """(x, y) at the lower left and the upper right corner of axes of `size` (w, h) px."""
+        """Compute (x, y) at the lower left and upper right corner of axes of `size` (w, h) px."""
         every = np.concatenate([np.zeros((0, 2)), *(p for _, p, _ in self._marks)])
         every = every[np.isfinite(every).all(1)]
         low, high = (every.min(0), every.max(0)) if len(every) else (np.zeros(2), np.ones(2))
@@ -117,8 +117,10 @@ class Axes:
 
 
 def chart(rows: Sequence[Sequence[Axes]], height: float, *, width: float = 1010, shares: Sequence[float] = ()) -> str:
-    """Panels in rows and columns as SVG text of width x height px, which loads nothing and steers nothing. shares: of
-    the height, that each row has (default: all the same)."""
+    """Arrange panels in rows and columns as SVG text of width x height px, without external content or scripts.
+
+    shares: of the height, per row; default: equal.
+    """
     parts = []
     for i, row in enumerate(rows):
         h = shares[i] if shares else 1 / len(rows)
@@ -140,7 +142,7 @@ def _text(x: float, y: float, text: str, anchor: str, turned: bool = False) -> s
 
 
 def _mark(kind: str, points: Array, look: str, y: float, h: float) -> str:
-    """SVG of what was added to axes from y to y + h px; points (N, 2) px."""
+    """Return the SVG of one mark at points (N, 2) px, on axes from y to y + h px."""
     if kind == "stretch":
         begin, end = points[:, 0].tolist()
         return f'<rect x="{begin:.1f}" y="{y:.1f}" width="{end - begin:.1f}" height="{h:.1f}" opacity="0.25" {look}/>'
@@ -156,7 +158,7 @@ def _mark(kind: str, points: Array, look: str, y: float, h: float) -> str:
 
 
 def _ticks(low: float, high: float, most: float) -> list[float]:
-    """Round numbers from low to high, at most `most` or so."""
+    """Return round numbers from low to high, about `most` at most."""
     least = abs(high - low) / max(most, 1.0)
     power = 10.0 ** math.floor(math.log10(least))
     step = power * next(n for n in (1, 2, 5, 10) if n * power >= least * (1 - 1e-9))
@@ -180,11 +182,11 @@ _IN_TIME = (
 )
 _IN_CYCLE = (*_IN_TIME[:3], ("hip adduction", "hip_adduction"), ("pelvis", "pelvis"), ("trunk", "lumbar"))
 _TRUNK = {"pelvis": ("tilt", "list"), "lumbar": ("extension", "bending", "rotation")}
-_LEAST_ANGLE = 10.0  # degrees that a panel shows: what hardly moves is no curve
+_LEAST_ANGLE = 10.0  # degrees that a panel shows at least, so that small movements look small
 
 
 def _add_flags(axes: Axes, motion: Motion) -> Axes:
-    """Mark lost and extrapolated stretches."""
+    """Tint lost and extrapolated frames."""
     step = 1 / motion.frame_rate
     for flags, colour, name in (
         (motion.extrapolated & ~motion.lost, _EXTRAPOLATED, "extrapolated"),
@@ -215,7 +217,7 @@ def sd_chart(motion: Motion) -> str:
 
 
 def over_known(of: Callable[..., Array], values: Array) -> Array:
-    """(T,) a statistic of the known values in each row (T, N); NaN where there is none."""
+    """Compute a statistic (T,) of the known values in each row (T, N); NaN where there is none."""
     known, out = np.isfinite(values).any(1), np.full(len(values), np.nan)
     out[known] = of(values[known], axis=1)
     return out
@@ -234,8 +236,9 @@ def angle_chart(motion: Motion) -> str:
 
 
 def cycle_chart(cycles: Sequence[AngleCycle]) -> str:
-    """Draw joint angles over the gait cycle in degrees, left orange and right blue; bands are one sd between strides,
-    or of the tracking where there is one stride only."""
+    """Draw joint angles over the gait cycle in degrees, left orange and right blue. Bands are one sd between strides,
+    or of the tracking where there is one stride only.
+    """
     middle = {c.name: np.degrees(c.mean) for c in cycles}
     spread = {c.name: np.degrees(c.sd if c.n > 1 else c.uncertainty) for c in cycles}
     count = {c.name: f" (n = {c.n})" for c in cycles if c.name.endswith(("_l", "_r"))}
@@ -251,7 +254,13 @@ def _angle_panels(
     spread: Mapping[str, Array],
     more: Mapping[str, str],
 ) -> list[Axes]:
-    """One panel for each (title, angle). middle, spread: (N,) degrees by name of the angle; more: for the legend."""
+    """Make one panel for each (title, angle).
+
+    across: text of the x axis.
+    x: (N,) values of the x axis.
+    middle, spread: (N,) degrees by name of the angle.
+    more: additional text for the legend by name.
+    """
     panels = []
     for k, (title, key) in enumerate(kinds):
         axes = Axes(f"{title} (°)", across if k >= len(kinds) // 2 else "", least=_LEAST_ANGLE)

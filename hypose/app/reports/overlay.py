@@ -1,4 +1,4 @@
-"""overlay.mp4: what was filmed and what was found in one picture, frame by frame; and pictures of it for the report."""
+"""Draw results over the recorded pictures: overlay.mp4 frame by frame, and pictures for the report."""
 
 from __future__ import annotations
 
@@ -37,8 +37,12 @@ _SMALL = 480  # px, width of the small pictures
 
 @dataclass(frozen=True)
 class PictureRows:
-    """The rows of which pictures are wanted. video: the film of all rows; stills: close-ups of some; small: the
-    recorded pictures of some, for the report's viewer."""
+    """Rows of a motion of which pictures are wanted.
+
+    video: a video of all rows.
+    stills: rows whose close-ups are wanted.
+    small: rows whose recorded pictures are wanted, for the report's viewer.
+    """
 
     video: bool = True
     stills: Sequence[int] = ()
@@ -47,15 +51,20 @@ class PictureRows:
 
 @dataclass(frozen=True)
 class OverlayRows:
-    """Pictures by row. stills: close-ups; small: the recorded pictures of every view as JPEG, b"" where there is
-    none."""
+    """Pictures by row of the motion.
+
+    stills: close-ups.
+    small: the recorded picture of every view as JPEG, b"" where there is none.
+    """
 
     stills: dict[int, Image]
     small: dict[int, list[bytes]]
 
 
 Draw = Callable[[int, Sequence[Image | None], Canvas | None], Image]
-"""(row, recorded pictures of all views, canvas) -> the picture of the film, or without a canvas the still, of a row"""
+"""Function (row, recorded pictures of all views, canvas) that draws the picture of the video; without a canvas, the
+close-up.
+"""
 
 
 def _film(
@@ -67,7 +76,11 @@ def _film(
     wanted: PictureRows,
     progress: ProgressCall,
 ) -> OverlayRows:
-    """Read the recorded pictures once, and draw the requested rows. numbers: of the frames, by row."""
+    """Read the recorded pictures once, and draw the wanted rows.
+
+    numbers: numbers of the frames, by row.
+    rate: of the video, Hz.
+    """
     rows = range(len(numbers)) if wanted.video else sorted({*wanted.stills, *wanted.small})
     shown = OverlayRows({}, {})
     with ExitStack() as stack:
@@ -88,7 +101,7 @@ def _film(
                 shown.small[row] = [b"" if p is None else jpeg(p, _SMALL) for p in pictures]
             if row in wanted.stills:
                 shown.stills[row] = draw(row, pictures, None)
-            if writer is not None:  # the next frames are read and drawn while this one is written
+            if writer is not None:  # the next frames are read and drawn while this one is being written
                 written.append(writing.submit(writer.write, draw(row, pictures, canvas)))
         for one in written:
             one.result()
@@ -97,7 +110,7 @@ def _film(
 
 
 def still_rows(motion: Motion, count: int = 4) -> list[int]:
-    """Rows worth looking at: evenly spread, and the one that fits worst."""
+    """Select rows to show: evenly spread, and the one with the worst fit."""
     rows = set(np.linspace(0, len(motion) - 1, min(count, len(motion))).astype(int).tolist())
     if np.isfinite(motion.cost).any():
         rows.add(int(np.nanargmax(motion.cost)))
@@ -116,8 +129,13 @@ def write_overlay(
     wanted: PictureRows,
     progress: ProgressCall = ignore,
 ) -> OverlayRows:
-    """Draw a motion over its recording. source: gives the silhouettes; row i of the motion belongs to frame i of the
-    source, and to recording.frames[i]. An InputError when something is to be drawn and there are no poses."""
+    """Draw a motion over its recording.
+
+    path: of the video.
+    source: gives the silhouettes; row i of the motion is frame i of the source, and recording.frames[i].
+    wanted: rows that are drawn.
+    Raises: InputError where something is drawn and the motion has no poses.
+    """
     numbers = recording.frames[: len(motion)]
 
     def draw(row: int, pictures: Sequence[Image | None], canvas: Canvas | None) -> Image:
@@ -151,7 +169,7 @@ def _drawing(source: FrameSource, motion: Motion, pose: Array, body: Body, row: 
 
 
 def colour_of(number: int) -> tuple[int, int, int]:
-    """BGR of a person by their number."""
+    """Return the colour (BGR) of a person by their number."""
     return _COLOURS[number % len(_COLOURS)]
 
 
@@ -162,7 +180,7 @@ def write_people_overlay(
     people: Sequence[TrackedPerson],
     progress: ProgressCall = ignore,
 ) -> None:
-    """Draw all people over their recording, each in a colour of their own."""
+    """Draw the video of all people over their recording, each in a colour of their own."""
     motion = people[0].result.motion
     numbers = recording.frames[: len(motion)]
 

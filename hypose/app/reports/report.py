@@ -1,4 +1,4 @@
-"""report.html: one file that tells how a run went; pictures and plots are inside, nothing is loaded from elsewhere."""
+"""Write report.html: one file that shows how a run went, with all pictures and charts inside."""
 
 from __future__ import annotations
 
@@ -32,16 +32,20 @@ from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.trace import trace_of
 
 _STATIC = Path(__file__).parents[1] / "studio" / "static"
-"""Where the front end's build puts report.js and report.css, which show the result in 3D; without them a report has its
-charts and pictures only."""
+"""Folder in which the front end's build puts report.js and report.css, which show the result in 3D; without them a
+report has charts and pictures only.
+"""
 PLACE = '<div id="hypose-viewer" class="viewer"><noscript>The view in 3D needs JavaScript.</noscript></div>'
 _PICTURES, _MIN_ROWS, _MAX_ROWS = 48, 4, 16  # of the viewer
 
 
 @dataclass(frozen=True)
 class Drawn:
-    """What a report shows beyond the result. stills: (caption, picture BGR); small: the recorded pictures of some rows,
-    one JPEG per view."""
+    """Pictures of a report.
+
+    stills: (caption, picture BGR).
+    small: recorded pictures by row, one JPEG per view.
+    """
 
     stills: Sequence[tuple[str, Image]] = ()
     small: Mapping[int, list[bytes]] = field(default_factory=dict)
@@ -55,8 +59,13 @@ def report_pictures(
     wanted: tuple[bool, bool],
     progress: ProgressCall,
 ) -> list[Path]:
-    """Write overlay.mp4 and report.html of a finished motion, where they are wanted; returns their paths. overlay:
-    draws pictures of rows; written: the files there are already."""
+    """Write overlay.mp4 and report.html of a finished motion.
+
+    overlay: draws pictures of rows.
+    written: files that exist already.
+    wanted: whether the video, and the report, are wanted.
+    Returns: paths of the new files.
+    """
     video, reported = wanted
     path, report = results.file("overlay.mp4"), results.file("report.html")
     rows = _rows(result, video) if reported else PictureRows(video)
@@ -73,13 +82,13 @@ def report_pictures(
 
 
 def write_report(path: Path, result: ViewResult, recording: Recording | None) -> Path:
-    """Write the report of a result that lies in a folder, with the recording it belongs to; returns its path."""
+    """Write the report of a result in a folder, with pictures of its recording; return its path."""
     write_text(path, report_html(result, drawn_of(result, recording)))
     return path
 
 
 def drawn_of(result: ViewResult, recording: Recording | None) -> Drawn:
-    """Draw the pictures of a result from its recording."""
+    """Draw the pictures for a report from the recording of a result."""
     motion, body, wanted = result.motion, result.body, _rows(result, False)
     if recording is None:
         return Drawn()
@@ -95,13 +104,13 @@ def drawn_of(result: ViewResult, recording: Recording | None) -> Drawn:
 
 
 def _rows(result: ViewResult, video: bool) -> PictureRows:
-    """The pictures of a result that are drawn: none for a viewer that was not built."""
+    """Select the rows of a result whose pictures are drawn; without a built viewer no small ones."""
     small = stored_rows(result.motion, len(result.pictures)) if _built() and result.pictures else []
     return PictureRows(video, still_rows(result.motion), small)
 
 
 def stored_rows(motion: Motion, views: int) -> list[int]:
-    """Rows whose pictures go into a report: evenly spread, fewer when there are many views, and the worst."""
+    """Select rows whose pictures are stored in a report: evenly spread, fewer with many views, and the worst one."""
     count = min(len(motion), max(_MIN_ROWS, min(_MAX_ROWS, _PICTURES // max(1, views))))
     return still_rows(motion, count)
 
@@ -111,7 +120,7 @@ def _built() -> bool:
 
 
 def report_html(result: ViewResult, drawn: Drawn = Drawn()) -> str:
-    """The page: the viewer where it was built, and below it what can be read and printed without a script."""
+    """Build the page: the 3D viewer where it was built, and below it the parts that need no script."""
     top, text = _head(result) + _cards(result), _text(result, drawn)
     if not _built():
         return page(result.title, top + text)
@@ -216,7 +225,9 @@ def _figure(svg: str, caption: str) -> str:
 
 
 def gait_section(motion: Motion, body: Body | None) -> str:
-    """HTML: means with their intervals and the cycle; "" where no person walks two steps, or poses are not known."""
+    """Build the HTML of the gait: means with intervals, and the cycle; "" where the person does not walk two steps, or
+    poses are not known.
+    """
     if motion.poses is None or body is None or not (found := gait_of(motion, body)).figures:
         return ""
     rows = "".join(
@@ -239,7 +250,7 @@ def _subject(body: Body) -> str:
 
 
 def _passes(motion: Motion) -> str:
-    """Table of the passes that moved joints after their frame was solved."""
+    """Build the table of the passes that moved joints after their frame was solved."""
     trace = trace_of(motion)
     if not trace:
         return ""
@@ -266,7 +277,7 @@ def _origin(what: ViewResult) -> str:
             f'<tr><td>{html.escape(k)}</td><td class="n">{v:.1f} s</td></tr>' for k, v in what.seconds.items()
         )
         out += f"<details><summary>Time per stage</summary><table>{rows}</table></details>"
-    record.pop("trace", None)  # the table above
+    record.pop("trace", None)  # it is shown in the table above
     text = html.escape(to_json(record))
     title = "Provenance: settings, versions, inputs with their hashes"
     return out + f"<details><summary>{title}</summary><pre>{text}</pre></details>"

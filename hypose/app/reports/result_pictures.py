@@ -1,7 +1,7 @@
-"""Pictures of a result: the recorded images of all views with the body, its skeleton and the mask drawn on, tiled.
+"""Draw results on the recorded images of all views: body, skeleton and mask, arranged in tiles.
 
-Points are projected with the lens distortion of the calibration, and moved by the view's image_shift, onto the images
-as they were recorded; a body that lies off in the picture is off in the result.
+Points are projected with the lens distortion of the calibration and the view's image_shift onto the recorded images; so
+a body that is off in the picture is off in the result.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from hypose.io.recordings.recording import Recording, ViewSettings
 from hypose.io.recordings.recording_views import open_pictures
 from hypose.io.videos.video import VideoReader
 
-# BGR, distinguished also by people who see red and green alike
+# BGR; also different for people with red-green colour blindness
 _LEFT, _RIGHT, MIDDLE = (40, 130, 240), (225, 140, 40), (235, 235, 235)
 BODY, _MASK, ALARM = (200, 190, 60), (190, 90, 230), (40, 40, 230)
 MAX_TILE, MAX_WIDTH = 960, 1920
@@ -35,7 +35,11 @@ _SMALL = 640 * 480
 
 @dataclass(frozen=True)
 class Tile:
-    """Where a view lies in the picture: its column and row, and the size (width, height) px it is shown at."""
+    """Place of a view in the picture.
+
+    column, row: cell of the view.
+    size: (width, height) at which it is shown, px.
+    """
 
     column: int
     row: int
@@ -44,20 +48,26 @@ class Tile:
 
 @dataclass(frozen=True)
 class _TileLayout:
-    """The tiles of all views and the size (width, height) px of the whole picture with a title bar at the top."""
+    """Tiles of all views under a title bar.
+
+    cell: (width, height) of a cell, px.
+    size: (width, height) of the whole picture, px.
+    """
 
     tiles: tuple[Tile, ...]
     cell: tuple[int, int]
     size: tuple[int, int]
 
     def origin(self, tile: Tile) -> tuple[int, int]:
-        """Top left corner (x, y) px of a tile, centred in its cell."""
+        """Return the top left corner (x, y) px of a tile, centred in its cell."""
         (w, h), (tw, th) = self.cell, tile.size
         return tile.column * w + (w - tw) // 2, _BAR + tile.row * h + (h - th) // 2
 
 
 def tile_layout(sizes: Sequence[tuple[int, int]]) -> _TileLayout:
-    """Tiles for views of the given sizes (width, height) px: at most 960 px wide each and 1920 px together."""
+    """Arrange views of the given sizes (width, height) px in tiles, each at most 960 px wide and all
+    together 1920 px.
+    """
     n = len(sizes)
     columns = math.ceil(math.sqrt(n)) if n != 3 else 3
     rows = math.ceil(n / columns)
@@ -73,20 +83,24 @@ def tile_layout(sizes: Sequence[tuple[int, int]]) -> _TileLayout:
 
 
 class ViewImages:
-    """The recorded pictures of one view by frame number, read forwards. When only masks were given, a grey picture."""
+    """Recorded pictures of one view by frame number, read forwards; grey pictures of the masks where there are only
+    masks.
+    """
 
     def __init__(self, view: ViewSettings, camera: Camera) -> None:
         self.view, self.camera = view, camera
-        shown = view.source is not None or view.masks is not None
-        # several threads are no faster with small pictures, and in the way of the one that writes a film
+        # with small pictures several threads are no faster, and slow down the one that writes the video
         threads = 1 if math.prod(camera.size) <= _SMALL else None
-        self._reader: VideoReader | ObjectMasks | None = open_pictures(view, threads) if shown else None
+        self._reader: VideoReader | ObjectMasks | None = open_pictures(view, threads) if view.has_pictures else None
         self.size: tuple[int, int] = self._reader.size if self._reader is not None else camera.size
         self._memory: Image | None = None
 
     def read(self, index: int, out: Image | None = None) -> Image | None:
-        """Frame `index`, or None when the view ends before it or is damaged there. With an `out` it is good until the
-        next one is read, and in `out` itself where that has its size and saves copying."""
+        """Read frame `index`; None where the view ends before it or the frame is damaged.
+
+        out: memory for the picture, used where it has the right size. The returned picture is valid until the next one
+            is read.
+        """
         if self._reader is None or index >= self._reader.n_frames:
             return None
         try:
@@ -96,7 +110,7 @@ class ViewImages:
                 image = self._reader.read(index, out)
             else:
                 image = self._memory = self._reader.read(index, self._memory)
-        except InputError:  # tracking has left this frame of the view out, and says so
+        except InputError:  # tracking has left out this frame of the view and reported it
             return None
         return image if self.view.source is not None else (image // 3 + 40).astype(np.uint8)
 
@@ -107,32 +121,35 @@ class ViewImages:
 
 
 def open_images(recording: Recording) -> list[ViewImages]:
-    """The pictures of all views."""
+    """Open the pictures of all views."""
     return [ViewImages(v, c) for v, c in zip(recording.views, recording.rig, strict=True)]
 
 
 def as_shown(view: ViewSettings, camera: Camera, size: tuple[int, int]) -> Camera:
-    """The camera, with its lens, whose pixels are those of the recorded image shown at `size`."""
+    """Return the camera, with its lens, for the pixels of the recorded image shown at `size`."""
     shown = camera.scaled(size)
     shown.K[:2, 2] -= np.asarray(view.image_shift) * size / camera.size
     return shown
 
 
 def image_points(view: ViewSettings, camera: Camera, points_world: Array, size: tuple[int, int]) -> Array:
-    """Pixels (..., 2) of points (..., 3) m in the recorded image shown at `size`; NaN behind the camera."""
+    """Project points (..., 3) m to pixels (..., 2) of the recorded image shown at `size`; NaN behind the camera."""
     return as_shown(view, camera, size).project(points_world)
 
 
 def mask_outline(
     view: ViewSettings, camera: Camera, working: Camera, mask: NDArray[np.uint8], size: tuple[int, int]
 ) -> list[NDArray[np.int32]]:
-    """Outlines of a mask (h, w) as polygons in the recorded image at `size`; working: the camera, undistorted and at
-    another size, whose pixels the mask has."""
+    """Convert the outlines of a mask to polygons in the recorded image shown at `size`.
+
+    working: undistorted camera of the mask's size.
+    mask: (h, w).
+    """
     return _outline(as_shown(view, camera, size), working, mask)
 
 
 def _outline(camera: Camera, working: Camera, mask: NDArray[np.uint8]) -> list[NDArray[np.int32]]:
-    """The same in the pixels of a camera with the same place."""
+    """Convert the outlines of a mask to polygons in the pixels of a camera at the same place."""
     w, h = working.size
     x, y, width, height = cv2.boundingRect(mask[:h, :w])  # an empty mask costs OpenCV as much
     if not width:
@@ -154,19 +171,22 @@ def _fixed(uv: Array) -> NDArray[np.int32]:
 
 
 def draw_mask(image: Image, outlines: Sequence[NDArray[np.int32]]) -> None:
-    """The mask's edge as a thin line."""
+    """Draw the mask's edge as a thin line."""
     cv2.polylines(image, list(outlines), True, _MASK, 1, cv2.LINE_AA, _SHIFT)
 
 
 def draw_body(image: Image, camera: Camera, vertices: Array, mesh: Mesh, colour: tuple[int, int, int] = BODY) -> None:
-    """The silhouette of a mesh with vertices (V, 3) m, world, as a tint with a bright edge; the camera's pixels are
-    those of the image."""
+    """Draw the silhouette of a mesh as a tint with a bright edge.
+
+    camera: its pixels are those of the image.
+    vertices: (V, 3) m, world.
+    """
     directions, depth, _ = projected(vertices, camera.camera_from_world[:3])
     uv = camera.through_lens(directions)
     across, down = np.ascontiguousarray(uv.T)
     reach = np.array([[across.min(), down.min()], [across.max(), down.max()]])
     if not np.isfinite(reach).all():
-        return  # the body reaches behind the camera: nothing sensible to draw
+        return  # the body reaches behind the camera and cannot be drawn
     (x, y), (right, bottom) = np.clip(np.floor(reach) + [[0], [2]], 0, camera.size).astype(int).tolist()
     if x == right or y == bottom:
         return
@@ -180,7 +200,7 @@ def draw_body(image: Image, camera: Camera, vertices: Array, mesh: Mesh, colour:
 
 
 def jpeg(image: Image, width: int, quality: int = 82) -> bytes:
-    """A JPEG file of a picture, at most `width` px wide."""
+    """Encode a picture as JPEG, at most `width` px wide."""
     h, w = image.shape[:2]
     if w > width:
         image = np.asarray(
@@ -190,7 +210,7 @@ def jpeg(image: Image, width: int, quality: int = 82) -> bytes:
 
 
 def bones(body: Body) -> Iterator[tuple[int, int, tuple[int, int, int]]]:
-    """(parent, child, BGR colour) of every bone."""
+    """Yield (parent, child, BGR colour) of every bone."""
     for j, p in enumerate(body.skeleton.parents.tolist()):
         if p >= 0:
             name = body.skeleton.joint_names[j]
@@ -198,8 +218,9 @@ def bones(body: Body) -> Iterator[tuple[int, int, tuple[int, int, int]]]:
 
 
 def draw_skeleton(image: Image, camera: Camera, body: Body, joints: Array) -> None:
-    """Bones between joint centres (J, 3) m, world: the left side orange, the right side blue; the camera's pixels are
-    those of the image."""
+    """Draw bones between joint centres (J, 3) m, world: the left side orange, the right side blue. The camera's pixels
+    are those of the image.
+    """
     uv = camera.project(joints)
     width = 2 if max(camera.size) > 480 else 1
     seen = np.isfinite(uv.sum(1))
@@ -212,7 +233,7 @@ def draw_skeleton(image: Image, camera: Camera, body: Body, joints: Array) -> No
 
 
 def put_text(image: Image, text: str, x: int, y: int, colour: tuple[int, int, int] = (255, 255, 255)) -> None:
-    """White text with a dark rim; x, y: left end of the base line."""
+    """Write a text with a dark outline; x, y: left end of the base line."""
     font, size, text = cv2.FONT_HERSHEY_SIMPLEX, 0.5, visible(text)  # invalid UTF-8 would kill OpenCV
     for dx, dy in ((-1, 0), (1, 0), (0, -1), (0, 1)):  # a thicker stroke would be wider in OpenCV 5, hence no rim
         cv2.putText(image, text, (x + dx, y + dy), font, size, (0, 0, 0), 1, cv2.LINE_AA)
@@ -221,9 +242,14 @@ def put_text(image: Image, text: str, x: int, y: int, colour: tuple[int, int, in
 
 @dataclass(frozen=True)
 class Drawing:
-    """Hold the content of one frame: the body's vertices (V, 3) and joints (J, 3) m, world; its silhouettes, if any;
-    what the title bar says, in alarming red when `alarm`; others: bodies with vertices and the colour (BGR) in which
-    they are drawn as well."""
+    """Content of one frame to draw.
+
+    vertices, joints: (V, 3) and (J, 3) m, world, of the body.
+    silhouettes: of the frame, if any.
+    title: text of the title bar.
+    alarm: the title bar and the body are red.
+    others: further bodies with vertices and colour (BGR).
+    """
 
     vertices: Array | None
     joints: Array | None
@@ -242,14 +268,14 @@ def draw_view(
     body: Body | None,
     what: Drawing,
 ) -> Image:
-    """One view at `size` with everything drawn on."""
+    """Draw one view at `size` with body, mask and skeleton."""
     out = np.empty((size[1], size[0], 3), np.uint8)
     _draw_view(out, image, as_shown(view, camera, size), index, body, what)
     return out
 
 
 def _draw_view(out: Image, image: Image | None, camera: Camera, index: int, body: Body | None, what: Drawing) -> None:
-    """Fills `out`, which may be the very image; the camera's pixels are those of `out`."""
+    """Draw one view into `out`, which may be `image` itself; the camera's pixels are those of `out`."""
     if image is None:
         out[:] = 40
         put_text(out, "no image", 8, len(out) // 2)
@@ -278,14 +304,14 @@ def _write_labels(shown: Image, view: ViewSettings, index: int, what: Drawing) -
 
 
 class Canvas:
-    """Memory for a picture of all views, tiled under a title bar, which is good until the next one is drawn."""
+    """Memory for a picture of all views under a title bar; a picture is valid until the next one is drawn."""
 
     def __init__(self, recording: Recording, plan: _TileLayout) -> None:
         views = list(zip(recording.views, recording.rig, plan.tiles, strict=True))
         self._views, self._size = recording.views, plan.size
         self._cameras = [as_shown(view, camera, tile.size) for view, camera, tile in views]
         (w, h), columns = plan.cell, max(tile.column for tile in plan.tiles) + 1
-        # the size of the picture may be a pixel less than all of them take
+        # the size of the picture may be a pixel less than the sum of the tiles
         self._whole = np.full((_BAR + (plan.tiles[-1].row + 1) * h, columns * w, 3), _GREY, np.uint8)
         self._tiles = []
         for tile in plan.tiles:
@@ -293,11 +319,11 @@ class Canvas:
             self._tiles.append(self._whole[y : y + tile.size[1], x : x + tile.size[0]])
 
     def read(self, images: Sequence[ViewImages], index: int) -> list[Image | None]:
-        """Frame `index` of every view, in the tiles where it fits them: before anything is drawn."""
+        """Read frame `index` of every view, directly into the tiles where the size fits."""
         return [view.read(index, tile) for view, tile in zip(images, self._tiles, strict=True)]
 
     def draw(self, images: Sequence[Image | None], body: Body | None, what: Drawing) -> Image:
-        """The picture of one frame."""
+        """Draw all views of one frame and return the picture."""
         for c, (image, tile, camera) in enumerate(zip(images, self._tiles, self._cameras, strict=True)):
             _draw_view(tile, image, camera, c, body, what)
             _write_labels(tile, self._views[c], c, what)
@@ -309,14 +335,14 @@ class Canvas:
 def draw_all(
     images: Sequence[Image | None], recording: Recording, plan: _TileLayout, body: Body | None, what: Drawing
 ) -> Image:
-    """All views of one frame, tiled, under a title bar."""
+    """Draw all views of one frame in tiles under a title bar."""
     return Canvas(recording, plan).draw(images, body, what)
 
 
 def draw_close_ups(
     images: Sequence[Image | None], recording: Recording, body: Body, what: Drawing, side: int = 300, columns: int = 4
 ) -> Image:
-    """Every view of one frame cut to a square of `side` px around the body, side by side."""
+    """Draw every view of one frame, cut to a square of `side` px around the body, side by side."""
     cells = []
     for c, (image, view, camera) in enumerate(zip(images, recording.views, recording.rig, strict=True)):
         cell = np.full((side, side, 3), 40, np.uint8)

@@ -1,4 +1,4 @@
-"""What commands, pages and the studio share: figures of a motion, what files are, how a page looks."""
+"""Parts that commands, pages and the studio share: figures of a motion, descriptions of files, HTML of a page."""
 
 from __future__ import annotations
 
@@ -33,13 +33,19 @@ DESCRIPTIONS = {
     "assessment.json": "good, look at frames, or not to be trusted, and why; low-confidence frames by joint",
     "report.html": "this report",
 }
-"""What each file of a results folder is."""
+"""Description of each file of a results folder."""
 OPENSIM_FILES = ("motion.osim", "motion.mot", "motion_sd.sto", "motion.trc", "motion_markers.trc", "motion_ik.xml")
 
 
 @dataclass(frozen=True)
 class Summary:
-    """iou: mean overlap (NaN when not known); worst_iou; sd_mm: median over joints and frames."""
+    """Figures of a motion.
+
+    frames, lost, extrapolated: numbers of frames.
+    seconds: duration, s.
+    iou, worst_iou: mean and least overlap with the masks; NaN where not known.
+    sd_mm: median standard deviation over joints and frames, mm.
+    """
 
     frames: int
     seconds: float
@@ -51,7 +57,7 @@ class Summary:
 
 
 def summarize(motion: Motion) -> Summary:
-    """The figures of a motion."""
+    """Compute the figures of a motion."""
     iou, sd = 1 - motion.cost, motion.joint_sd
     iou, sd = iou[np.isfinite(iou)], sd[np.isfinite(sd)]
     return Summary(
@@ -66,7 +72,11 @@ def summarize(motion: Motion) -> Summary:
 
 
 def require_found(motion: Motion, name: str, kept: Path) -> None:
-    """An EvidenceError when the person was found in no frame of a motion, whose files lie in `kept`."""
+    """Raise EvidenceError where the person was found in no frame of a motion.
+
+    name: of the recording, for the message.
+    kept: folder of the motion's files.
+    """
     if not (motion.lost | motion.extrapolated).all():
         return
     raise EvidenceError(
@@ -76,7 +86,7 @@ def require_found(motion: Motion, name: str, kept: Path) -> None:
 
 
 def subject_rows(body: Body) -> list[tuple[str, float]]:
-    """Sizes of a body by name, metres between joint centres; limbs: mean of both sides."""
+    """List sizes of a body by name, m between joint centres; limbs: mean of both sides."""
     rows = [("stature", body.stature)]
     lengths: dict[str, float] = body.segment_lengths()
     for name, value in lengths.items():
@@ -120,8 +130,13 @@ CONTENT_POLICY = "default-src 'none'; img-src data: blob:; style-src 'unsafe-inl
 
 
 def page(title: str, body: str, style: str = "", scripts: str = "", policy: str = CONTENT_POLICY) -> str:
-    """An HTML page of the reports' looks; `body` is HTML, the title plain text. style, scripts: HTML of the viewer,
-    whose place is in the body; policy: what it may load."""
+    """Build an HTML page in the style of the reports.
+
+    title: plain text.
+    body: HTML.
+    style, scripts: HTML of the viewer, whose place is in the body.
+    policy: content security policy of the page.
+    """
     return (
         f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>{html.escape(title)}</title>'
         f'<meta http-equiv="Content-Security-Policy" content="{policy}">'
@@ -132,7 +147,11 @@ def page(title: str, body: str, style: str = "", scripts: str = "", policy: str 
 
 
 def picture_of(data: bytes, kind: str, caption: str = "") -> str:
-    """HTML of a picture, the bytes of a file (kind jpeg or png), that the page holds itself."""
+    """Build the HTML of a picture that is embedded in the page.
+
+    data: bytes of the file.
+    kind: jpeg or png.
+    """
     text, alt = base64.b64encode(data).decode("ascii"), html.escape(caption)
     below = f"<figcaption>{alt}</figcaption>" if caption else ""
     return f'<figure><img alt="{alt}" src="data:image/{kind};base64,{text}">{below}</figure>'

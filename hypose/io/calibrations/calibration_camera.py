@@ -67,7 +67,7 @@ def numbers_if_any(
     array = as_numbers(table[key])
     shape = None if array is None else _fitting(array, shapes)
     if array is None or shape is None:
-        got = f"shape {array.shape}" if array is not None and array.ndim else "something else"
+        got = f"shape {array.shape}" if array is not None and array.ndim else repr(table[key])[:40]
         allowed = " or ".join(" x ".join(map(str, s)) for s in shapes) or "a list"
         raise CalibrationError(f"{where}: {key} must be numbers of shape {allowed}, got {got}; correct this entry.")
     if not np.isfinite(array).all():
@@ -87,15 +87,13 @@ class RigFile:
     """Builder of the camera rig of one calibration file.
 
     path: the file, for error messages.
-    needs: what a camera needs, for the error message about a file without cameras.
-    sizes: how to add picture sizes, for the note about a file without them.
+    unit: unit of the translations; "auto" to determine it from the distances. Readers of formats that define it set it.
     Attributes:
     notes: sentences about assumptions that were made.
     """
 
-    def __init__(self, path: Path, needs: str, sizes: str = "") -> None:
-        self.path, self.notes = path, list[str]()
-        self._needs, self._sizes = needs, sizes
+    def __init__(self, path: Path, unit: str = "auto") -> None:
+        self.path, self.unit, self.notes = path, unit, list[str]()
         self._cameras, self._guessed = list[Camera](), list[str]()
 
     def where(self, name: str) -> str:
@@ -128,22 +126,23 @@ class RigFile:
         distortion = np.zeros(5) if distortion is None else distortion
         self._cameras.append(_checked(self.where(name), name, k, distortion, rotation, translation, size, fisheye))
 
-    def rig(self, unit: str) -> tuple[CameraRig, tuple[str, ...]]:
+    def rig(self) -> tuple[CameraRig, tuple[str, ...]]:
         """Build the rig, its world in metres, and return it with the notes.
 
-        unit: unit of the translations; "auto" to determine it from the distances.
         Raises: CalibrationError where there are no cameras.
         """
         if not self._cameras:
-            raise CalibrationError(f"{self.path} holds no cameras: {self._needs}.")
+            raise CalibrationError(
+                f"{self.path} holds no cameras: each needs an intrinsic matrix, a rotation and a translation, or a "
+                "projection matrix; give a calibration file, or export it again."
+            )
         if self._guessed:
             w, h = next(c.size for c in self._cameras if c.name == self._guessed[0])
             self.notes.append(
                 f"{self.path.name} does not say how large the images of {', '.join(self._guessed)} are; {w} x {h} px, "
-                f"twice the principal point, is assumed. If that is wrong, {self._sizes}."
+                "twice the principal point, is assumed. If that is wrong, add the size to each camera of the file."
             )
-        if unit == "auto":
-            unit = self._likely_unit()
+        unit = self._likely_unit() if self.unit == "auto" else self.unit
         for i, a in enumerate(self._cameras):
             pose = a.camera_from_world
             same = [c.name for c in self._cameras[i + 1 :] if np.allclose(c.camera_from_world, pose)]

@@ -1,114 +1,134 @@
-"""Calibration files of all known programs: the choice of the format for reading and writing.
+"""Calibration files of all known programs: the table of their formats, reading and writing.
 
-`FORMATS` lists the formats. A file is read by the first one whose endings and test `holds` fit. The file's name
-determines the format that is written: camera_array.toml is Caliscope's (nested tables); a .toml with anipose or
-freemocap in its name is theirs (millimetres); any other .toml is in metres; .yml gives EasyMocap's intri.yml and
-extri.yml, and .pickle gives OpenCap's (one file per camera), in the folder of the given name.
+The file's name determines the format that is written: camera_array.toml is Caliscope's (nested tables); a .toml with
+anipose or freemocap in its name is theirs (millimetres); any other .toml is in metres; .yml gives EasyMocap's intri.yml
+and extri.yml, and .pickle gives OpenCap's (one file per camera), in the folder of the given name.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
+from xml.etree.ElementTree import Element
 
 from hypose.cameras.camera import CameraRig
 from hypose.errors import CalibrationError, InputError
-from hypose.io.calibrations.calibration_camera import UNITS
-from hypose.io.calibrations.calibration_systems import opencap_files, read_opencap, read_system_xml, write_opencap
+from hypose.io.calibrations.calibration_camera import UNITS, RigFile
+from hypose.io.calibrations.calibration_systems import (
+    opencap_files,
+    read_motive,
+    read_opencap,
+    read_qualisys,
+    read_vicon,
+    write_opencap,
+)
 from hypose.io.calibrations.calibration_text import (
-    Found,
-    is_storage,
+    easymocap_pair,
+    lens_files,
+    parse_document,
     plain_files,
-    read_plain,
+    read_biocv,
+    read_easymocap,
+    read_projections,
     read_tables,
-    tables_folder,
     write_calibration_toml,
+    write_caliscope,
     write_easymocap,
 )
 from hypose.io.file_names import natural_key
+from hypose.io.formats import Format, FormatTable, Source
 
 
-@dataclass(frozen=True)
-class Format:
-    """A format of calibration files.
-
-    programs: names of the programs that use it.
-    endings: endings of the files' names.
-    read: function of path and unit that gives the rig, its world in metres, and notes. The unit is that of the file's
-        translations ("auto": determined by the reader), ignored where the format defines it.
-    folder: test whether a folder is of this format.
-    holds: test whether a file with one of the endings is of this format.
-    write: function of rig and path that gives the written files; None where the format is only read.
-    """
-
-    programs: str
-    endings: tuple[str, ...]
-    read: Callable[[Path, str], Found]
-    folder: Callable[[Path], object] = lambda _: False
-    holds: Callable[[Path], bool] = lambda _: True
-    write: Callable[[CameraRig, Path], list[Path]] | None = None
+def _is_xml_with(source: Source, *places: str) -> bool:
+    root = source.document
+    return isinstance(root, Element) and any(root.find(place) is not None for place in places)
 
 
-FORMATS = (
-    Format(
-        "hypose, Pose2Sim, anipose, FreeMoCap, Caliscope",
-        (".toml",),
-        read_tables,
-        write=write_calibration_toml,
+_PLAIN_LENSES = "no fisheye lens, at most five distortion coefficients"
+CALIBRATIONS = FormatTable(
+    "a calibration",
+    "give a calibration that a program has exported, or run hypose calibrate",
+    (
+        Format(
+            "Caliscope",
+            ("camera_array.toml",),
+            read_tables,
+            write=write_caliscope,
+            limits=_PLAIN_LENSES,
+            precision=1e-9,
+        ),
+        Format(
+            "hypose, Pose2Sim, anipose, FreeMoCap",
+            (".toml",),
+            read_tables,
+            write=write_calibration_toml,
+            precision=1e-9,
+        ),
+        Format(
+            "EasyMocap",
+            (".yml", ".yaml", "/"),
+            read_easymocap,
+            lambda source: easymocap_pair(source.path),
+            write_easymocap,
+            f"{_PLAIN_LENSES}; camera names of letters, digits, - and _",
+            1e-9,
+        ),
+        Format("OpenCV, Kalibr, ROS, MC-Calib", (".yml", ".yaml"), read_tables),
+        Format("OpenCV, ROS (one file per camera)", ("/",), read_tables, lambda source: lens_files(source.path)),
+        Format("OpenCV", (".xml",), read_tables, lambda source: isinstance(source.document, dict)),
+        Format(
+            "OpenCap",
+            (".pickle", ".pkl", "/"),
+            read_opencap,
+            lambda source: opencap_files(source.path),
+            write_opencap,
+            _PLAIN_LENSES,
+            1e-9,
+        ),
+        Format("CMU Panoptic, XRMoCap, 3 x 4 projections", (".json",), read_tables),
+        Format(
+            "Qualisys",
+            (".qca.txt", ".qca", ".xml"),
+            read_qualisys,
+            lambda source: _is_xml_with(source, "cameras/camera"),
+        ),
+        Format(
+            "Vicon",
+            (".xcp", ".xml"),
+            read_vicon,
+            lambda source: _is_xml_with(source, "Camera[@DEVICEID]", "Camera/KeyFrames"),
+        ),
+        Format("OptiTrack Motive", (".mcal", ".xml"), read_motive, lambda source: _is_xml_with(source, ".//Camera")),
+        Format("BioCV", (".calib", ".txt", "", "/"), read_biocv, lambda source: plain_files(source.path)),
+        Format("3 x 4 projections", (".txt",), read_projections),
     ),
-    Format(
-        "EasyMocap, OpenCV, Kalibr, ROS, MC-Calib", (".yml", ".yaml"), read_tables, tables_folder, write=write_easymocap
-    ),
-    Format("OpenCap", (".pickle", ".pkl"), read_opencap, opencap_files, write=write_opencap),
-    Format("CMU Panoptic, XRMoCap, 3 x 4 projections", (".json",), read_tables),
-    Format("Qualisys, Vicon, OptiTrack Motive", (".qca.txt", ".qca", ".xcp", ".mcal"), read_system_xml),
-    Format("BioCV, 3 x 4 projections", (".txt", ".calib", ""), read_plain, plain_files),
-    Format("OpenCV", (".xml",), read_tables, holds=is_storage),
-    Format("Qualisys, Vicon", (".xml",), read_system_xml),
+    parse_document,
 )
-_READ = (
-    ".toml, .yml, .yaml, .xml, .json, .qca.txt, .xcp, .mcal, .txt, .calib, .pickle, or a folder with intri.yml and "
-    "extri.yml, .pickle, .calib or OpenCV's .xml files"
-)
+"""Calibrations: readers of a source that add cameras to a `RigFile`; writers of a rig to a path, which return the
+written files."""
 
 
-def read_any(path: str | Path, unit: str = "auto") -> Found:
+def read_any(path: str | Path, unit: str = "auto") -> tuple[CameraRig, tuple[str, ...]]:
     """Read a calibration file or folder of any known program.
 
-    unit: unit of the file's translations: "m", "cm", "mm", or "auto" to determine it (see `calibration_camera`).
+    unit: unit of the file's translations: "m", "cm", "mm", or "auto" to determine it (see `calibration_camera`);
+        ignored where the format defines it.
     Returns: the rig, in the order of cameras in the file, world in metres, and notes about assumptions.
     Raises: CalibrationError that names the file, the camera and the cause.
     """
-    path = Path(path)
     if unit != "auto" and unit not in UNITS:
         raise CalibrationError(f"The calibration unit {unit!r} is not known; use auto, m, cm or mm.")
-    if not path.exists():
-        raise CalibrationError(f"The calibration file {path} does not exist; check the path, or run hypose calibrate.")
+    rig = RigFile(Path(path), unit)
     try:
-        if path.is_dir():
-            found = next((f for f in FORMATS if f.folder(path)), None)
-        else:
-            found = next((f for f in FORMATS if _has_ending(path, f) and f.holds(path)), None)
-        if found is not None:
-            return found.read(path, unit)
-    except CalibrationError:
-        raise
+        CALIBRATIONS.read(path, rig)
+        return rig.rig()
     except InputError as error:
         raise CalibrationError(str(error)) from None
-    if path.is_dir():
-        raise CalibrationError(f"The folder {path} holds no calibration; give a file or folder: {_READ}.")
-    raise CalibrationError(f"{path}: calibrations are read from {_READ}; name the file by one of these endings.")
-
-
-def _has_ending(path: Path, kind: Format) -> bool:
-    name = path.name.lower()
-    return any(name.endswith(e) if e else "." not in name for e in kind.endings)
 
 
 def _writer(path: Path) -> Callable[[CameraRig, Path], list[Path]]:
-    write = next((f.write for f in FORMATS if f.write is not None and _has_ending(path, f)), None)
-    if write is None or path.suffix.lower() == ".pkl":
+    write = next((f.write for f in CALIBRATIONS.formats if f.write is not None and f.fits(path)), None)
+    if write is None:
         raise InputError(f"{path} cannot be written: name the calibration .toml, .yml or .pickle.")
     return write
 

@@ -13,7 +13,6 @@ other name is refused.
 from __future__ import annotations
 
 import io
-import math
 import pickle
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Iterator
@@ -25,50 +24,17 @@ import numpy as np
 from hypose.cameras.camera import CameraRig
 from hypose.errors import CalibrationError
 from hypose.geometry import Array, so3_log
-from hypose.io.calibrations.calibration_camera import MAX_FILE_BYTES, RigFile, numbers, plain_lenses
-from hypose.io.calibrations.calibration_text import Found
+from hypose.io.calibrations.calibration_camera import RigFile, numbers, plain_lenses
+from hypose.io.calibrations.calibration_text import scalar
 from hypose.io.file_names import file_name, natural_key, text_of
 from hypose.io.files import read_bytes, write_bytes
+from hypose.io.formats import Source
 
 Element = ElementTree.Element
 _FLIP = np.diag([1.0, -1.0, -1.0])
 """Rotation from a camera that looks along -z with y up to one with z forward and y down."""
 # Motive's (x, y, z) with y up -> (x, -z, y) with z up
 _WORLD_FROM_MOTIVE = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
-_NEEDS = "it is no export of calibrated video cameras; calibrate them and export the calibration again"
-
-
-def read_system_xml(path: Path, unit: str = "auto") -> Found:
-    """Read the rig from a file of Qualisys, Vicon or Motive, which are distinguished by their content.
-
-    unit: not used, because these formats define it.
-    Raises: CalibrationError where the file is not valid.
-    """
-    root = _parsed(path)
-    rig = RigFile(path, _NEEDS)
-    if root.findall("cameras/camera"):
-        _add_qualisys(rig, root)
-    elif root.findall("Camera/KeyFrames") or root.find("Camera[@DEVICEID]") is not None:
-        _add_vicon(rig, root)
-    else:
-        _add_motive(rig, root)
-    return rig.rig("m")
-
-
-def _parsed(path: Path) -> Element:
-    data = read_bytes(path, "a calibration", MAX_FILE_BYTES)
-    marked = data[:2] in (b"\xff\xfe", b"\xfe\xff")
-    try:
-        text = data.decode("utf-16" if marked else "utf-16-le" if b"\0" in data[:64] else "utf-8-sig")
-    except UnicodeDecodeError:
-        raise CalibrationError(f"{path} is not a text file; export the calibration again.") from None
-    if "<!DOCTYPE" in text or "<!ENTITY" in text:  # none of these programs writes one; entities can make a file huge
-        raise CalibrationError(f"{path} is not a calibration of these programs (it has a DOCTYPE); export it again.")
-    try:
-        # the declaration names an encoding that the text no longer has
-        return ElementTree.fromstring(text[text.index("<", text.find("?>") + 1) :] if "?>" in text else text)
-    except (ElementTree.ParseError, ValueError, RecursionError) as error:
-        raise CalibrationError(f"{path} is not valid XML: {error}; export the calibration again.") from None
 
 
 def _attributes(
@@ -82,24 +48,11 @@ def _attributes(
     Raises: CalibrationError where an attribute is missing or not a number.
     """
     element = parent.find(tag)
-    values: list[float] = []
-    for name in names:
-        raw = None if element is None else element.get(name)
-        if raw is None and default is not None:
-            values.append(default)
-            continue
-        try:
-            found = [float(v) for v in (raw or "").split()][:count]
-        except ValueError:
-            found = []
-        if len(found) != count or not all(map(math.isfinite, found)):
-            wanted = "a number is" if count == 1 else f"{count} numbers are"
-            raise CalibrationError(
-                f"{where}: <{parent.tag if tag == '.' else tag} {name}> is {'missing' if raw is None else repr(raw)}, "
-                f"{wanted} needed; export the calibration again."
-            )
-        values += found
-    return np.array(values)
+    texts = {} if element is None else element.attrib
+    table = {} if default is None else dict.fromkeys(names, [default])
+    table |= {n: [scalar(v) for v in texts[n].split()][:count] for n in names if n in texts}
+    at = f"{where}, <{parent.tag if tag == '.' else tag}>"
+    return np.concatenate([numbers(at, table, (n,), (count,)) for n in names])
 
 
 def _video_cameras(
@@ -115,7 +68,7 @@ def _video_cameras(
         yield name, rig.where(name), element
 
 
-def _add_qualisys(rig: RigFile, root: Element) -> None:
+def read_qualisys(source: Source, rig: RigFile) -> None:
     """Add the cameras of Qualisys Track Manager's XML.
 
     Intrinsics are in 1/64 px, the translation is the camera's position in mm, the rotation is world_from_camera stored
@@ -128,7 +81,8 @@ def _add_qualisys(rig: RigFile, root: Element) -> None:
     def is_video(element: Element) -> bool:
         return any(m in element.get("model", "").lower() for m in ("video", "hybrid", "none"))
 
-    for name, where, element in _video_cameras(rig, root.findall("cameras/camera"), is_video, "serial"):
+    rig.unit = "m"
+    for name, where, element in _video_cameras(rig, source.document.findall("cameras/camera"), is_video, "serial"):
         if element.get("viewrotation", "0") not in ("0", ""):
             rig.notes.append(
                 f"{rig.path.name}: camera {name} is marked as turned by {element.get('viewrotation')} degrees; "
@@ -152,7 +106,7 @@ def _add_qualisys(rig: RigFile, root: Element) -> None:
 _PIXEL_UNITS = 1e-5
 
 
-def _add_vicon(rig: RigFile, root: Element) -> None:
+def read_vicon(source: Source, rig: RigFile) -> None:
     """Add the cameras of Vicon's XML.
 
     FOCAL_LENGTH and PRINCIPAL_POINT are in px, ORIENTATION is the quaternion (x, y, z, w) of camera_from_world,
@@ -167,7 +121,8 @@ def _add_vicon(rig: RigFile, root: Element) -> None:
     def is_video(element: Element) -> bool:
         return any(m in (element.get("TYPE", "") + element.get("DISPLAY_TYPE", "")).lower() for m in ("video", "vue"))
 
-    for name, where, element in _video_cameras(rig, root.findall("Camera"), is_video, "DEVICEID"):
+    rig.unit = "m"
+    for name, where, element in _video_cameras(rig, source.document.findall("Camera"), is_video, "DEVICEID"):
         frame = element.find("KeyFrames/KeyFrame")
         if frame is None:
             rig.notes.append(f"{rig.path.name}: camera {name} was not calibrated and is left out.")
@@ -196,14 +151,8 @@ def _add_vicon(rig: RigFile, root: Element) -> None:
 def _radial(where: str, frame: Element) -> Array:
     """Read the radial coefficients (3,)."""
     raw = frame.get("VICON_RADIAL2")
-    words = raw.split()[3:6] if raw is not None else (frame.get("VICON_RADIAL") or "").split()[:3]
-    try:
-        values = np.array([float(v) for v in words] + [0.0] * 3)[:3]
-    except ValueError:
-        values = np.full(3, np.nan)
-    if not np.isfinite(values).all():
-        raise CalibrationError(f"{where}: the radial distortion {words} is not understood; export it again.")
-    return values
+    words = raw.split()[3:6] if raw is not None else frame.get("VICON_RADIAL", "").split()[:3]
+    return numbers(where, {"VICON_RADIAL": [*map(scalar, words), 0.0, 0.0, 0.0][:3]}, ("VICON_RADIAL",), (3,))
 
 
 def _straightened(coefficients: Array, focal: float, radius: float) -> Array:
@@ -214,9 +163,10 @@ def _straightened(coefficients: Array, focal: float, radius: float) -> Array:
     return np.linalg.lstsq(powers, d / focal - u, rcond=None)[0]
 
 
-def _add_motive(rig: RigFile, root: Element) -> None:
-    left = []
-    for i, element in enumerate(sorted(root.iter("Camera"), key=lambda e: natural_key(e.get("Serial", "")))):
+def read_motive(source: Source, rig: RigFile) -> None:
+    """Add the cameras of Motive's XML (see the module)."""
+    left, rig.unit = [], "m"
+    for i, element in enumerate(sorted(source.document.iter("Camera"), key=lambda e: natural_key(e.get("Serial", "")))):
         name = element.get("Serial") or f"cam_{i + 1}"
         where, model = rig.where(name), "IntrinsicStandardCameraModel"
         if element.find(model) is None or element.find("Extrinsic") is None:
@@ -319,23 +269,22 @@ def _plain(value: Any) -> Any:
     return type(value)(_plain(v) for v in value) if isinstance(value, list | tuple) else value
 
 
-def opencap_files(folder: Path) -> list[Path]:
-    """List the pickles in a folder and its subfolders, in natural order."""
-    return sorted(folder.rglob("*.pickle"), key=lambda p: natural_key(str(p)))
+def opencap_files(path: Path) -> list[Path]:
+    """List the pickles in a folder and its subfolders, in natural order; for a file, that file alone."""
+    return sorted(path.rglob("*.pickle"), key=lambda p: natural_key(str(p))) if path.is_dir() else [path]
 
 
-def read_opencap(path: Path, unit: str = "auto") -> Found:
-    """Read the rig from an OpenCap pickle or a folder of them, with z up.
+def read_opencap(source: Source, rig: RigFile) -> None:
+    """Add the cameras of an OpenCap pickle or a folder of them, with z up.
 
     A folder may have the layout Videos/Cam0/cameraIntrinsicsExtrinsics.pickle.
 
-    unit: not used, because the format defines it.
     Raises: CalibrationError where a file is not valid.
     """
-    files = opencap_files(path) if path.is_dir() else [path]
+    files = opencap_files(source.path)
     if len(files) > 100:
-        raise CalibrationError(f"{path} holds {len(files)} .pickle files; give the folder of the camera files only.")
-    rig = RigFile(path, _NEEDS)
+        raise CalibrationError(f"{rig.path} holds {len(files)} .pickle files; give the folder of the cameras' alone.")
+    rig.unit = "m"
     rig.notes.append("OpenCap's world is turned so that z points up.")
     for file in files:
         name = text_of(file.parent.name if file.stem.lower() == "cameraintrinsicsextrinsics" else file.stem)
@@ -354,7 +303,6 @@ def read_opencap(path: Path, unit: str = "auto") -> Found:
             numbers(where, content, ("translation",), (3,)) / 1000,
             numbers(where, content, ("imageSize",), (2,))[::-1],
         )
-    return rig.rig("m")
 
 
 def write_opencap(rig: CameraRig, path: Path) -> list[Path]:

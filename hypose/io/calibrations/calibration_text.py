@@ -49,49 +49,34 @@ from hypose.io.calibrations.calibration_camera import (
 )
 from hypose.io.calibrations.camera_tables import add_cameras, tables_of, unit_of
 from hypose.io.file_names import natural_key, text_of
-from hypose.io.files import open_file, read_json, read_toml, text_lines, toml_key, toml_lines, write_text
+from hypose.io.files import open_file, read_bytes, read_json, read_toml, text_lines, toml_key, toml_lines, write_text
+from hypose.io.formats import Source
 
-Found = tuple[CameraRig, tuple[str, ...]]
-"""The rig of a calibration, world in metres, and notes about assumptions."""
 _KIND = "a calibration"
 _MOST_FILES = 200
 
 
 # ---- tables: TOML, JSON, YAML, XML ---------------------------------------------------------------------------------
 
-_NEEDS = (
-    "each needs an intrinsic matrix (matrix, K), rotation (R) and translation (t), or a 3 x 4 projection matrix P; "
-    "give a calibration file, or export it again"
-)
 _PAIRS = (("intri.yml", "extri.yml"), ("Intrinsic.yml", "Extrinsic.yml"))
 
 
-def read_tables(path: Path, unit: str) -> Found:
-    """Read a rig from TOML, JSON, YAML or XML tables, one table per camera.
+def read_tables(source: Source, rig: RigFile) -> None:
+    """Add the cameras of TOML, JSON, YAML or XML tables, one table per camera.
 
-    path: a file with all cameras, or a folder with one XML or YAML file per camera, or EasyMocap's pair of files. A
-        camera file without a camera name gets the name of the file (of its folder, if the file name is a common one).
-    unit: unit of length of the translations; "auto" to use the unit that the file states, else to determine it.
+    The source is a file with all cameras, or a folder with one XML or YAML file per camera. A camera file without a
+    camera name gets the name of the file (of its folder, if the file name is a common one).
+
     Raises: CalibrationError where a value is missing or wrong; it names the file, the camera and the key.
     """
-    pair = easymocap_pair(path if path.is_dir() else path.parent)
-    if pair is not None and (path.is_dir() or path in pair):
-        return _read_easymocap(*pair, unit)
-    rig = RigFile(path, _NEEDS, "add the size to each camera of the file")
-    if not path.is_dir():
-        document = _document(path)
-        tables = tables_of(document, _file_name(path))
-        unit = unit_of(document, unit, str(path))
-    else:
-        documents = [_document(file) for file in lens_files(path)[:_MOST_FILES]]
-        files = zip(lens_files(path), documents, strict=False)
-        tables = {k: v for file, document in files for k, v in tables_of(document, _file_name(file)).items()}
-        unit = unit_of(documents[0], unit, str(path))
-    if unit == "auto" and tables and all("panel" in t and "node" in t for t in tables.values()):
-        unit = "cm"
-        rig.notes.append(f"{path.name}: translations are taken as centimetres, as CMU Panoptic's are.")
+    files = lens_files(source.path)
+    documents = [parse_document(file) for file in files]
+    tables = {k: v for f, d in zip(files, documents, strict=True) for k, v in tables_of(d, _file_name(f)).items()}
+    rig.unit = unit_of(documents[0], rig.unit, str(rig.path))
+    if rig.unit == "auto" and tables and all("panel" in t and "node" in t for t in tables.values()):
+        rig.unit = "cm"
+        rig.notes.append(f"{rig.path.name}: translations are taken as centimetres, as CMU Panoptic's are.")
     add_cameras(rig, tables)
-    return rig.rig(unit)
 
 
 def _file_name(path: Path) -> str:
@@ -100,29 +85,31 @@ def _file_name(path: Path) -> str:
     return text_of(path.absolute().parent.name if common else path.stem)
 
 
-def _document(path: Path) -> Any:
-    """Parse a file by its ending; matrices become lists or arrays."""
+def parse_document(path: Path) -> Any:
+    """Parse a file by its ending; matrices become lists or arrays, XML of other programs than OpenCV its root element.
+
+    Raises: CalibrationError where it is damaged.
+    """
     ending = path.suffix.lower()
     if ending == ".toml":
         return read_toml(path, _KIND)
     if ending == ".json":
         return read_json(path, _KIND, MAX_FILE_BYTES)
-    text = "\n".join(text_lines(path, _KIND, MAX_FILE_BYTES))
+    data = read_bytes(path, _KIND, MAX_FILE_BYTES)
+    marked = data[:2] in (b"\xff\xfe", b"\xfe\xff")
+    text = data.decode("utf-16" if marked else "utf-16-le" if b"\0" in data[:64] else "utf-8-sig", "replace")
     try:
         return parse_xml(text) if text.lstrip().startswith("<") else parse_yaml(text)
     except ValueError as error:
-        raise CalibrationError(f"{path} is no calibration in YAML or OpenCV's XML: {error}; export it again.") from None
-
-
-def tables_folder(folder: Path) -> bool:
-    """Test whether a folder holds EasyMocap's pair, or one file per camera."""
-    return easymocap_pair(folder) is not None or bool(lens_files(folder))
+        raise CalibrationError(f"{path} is no calibration: {error}; export it again.") from None
 
 
 def lens_files(folder: Path) -> list[Path]:
-    """Find the files of single cameras (OpenCV, ROS) in a folder, in natural order."""
+    """Find the files of single cameras (OpenCV, ROS) in a folder, at most 200 in natural order; a file is itself."""
+    if not folder.is_dir():
+        return [folder]
     files = [p for p in folder.iterdir() if p.is_file() and p.suffix.lower() in (".xml", ".yml", ".yaml")]
-    return sorted((p for p in files if is_storage(p)), key=lambda p: natural_key(p.name))
+    return sorted((p for p in files if is_storage(p)), key=lambda p: natural_key(p.name))[:_MOST_FILES]
 
 
 def is_storage(path: Path) -> bool:
@@ -135,30 +122,31 @@ def is_storage(path: Path) -> bool:
     return any(word in start for word in (b"opencv_storage", b"opencv-matrix", b"camera_matrix:"))
 
 
-def easymocap_pair(folder: Path) -> tuple[Path, Path] | None:
-    """Find EasyMocap's two files in a folder; None where they are not there."""
+def easymocap_pair(path: Path) -> tuple[Path, Path] | None:
+    """Find EasyMocap's two files in a folder, or the pair of one of them; None where they are not there."""
+    folder = path if path.is_dir() else path.parent
     pairs = ((folder / first, folder / second) for first, second in _PAIRS)
-    return next((pair for pair in pairs if all(p.is_file() for p in pair)), None)
+    return next((p for p in pairs if p[0].is_file() and p[1].is_file() and path in (folder, *p)), None)
 
 
-def _read_easymocap(intrinsics: Path, extrinsics: Path, unit: str) -> Found:
-    lenses, poses = _document(intrinsics), _document(extrinsics)
-    found = lenses.get("names")  # EasyMocap writes numbers as well
+def read_easymocap(source: Source, rig: RigFile) -> None:
+    """Add the cameras of EasyMocap's pair of files."""
+    pair = easymocap_pair(source.path)
+    assert pair is not None  # its format was recognised by it
+    rig.path = pair[0].parent
+    both = parse_document(pair[0]) | parse_document(pair[1])
+    found = both.get("names")  # EasyMocap writes numbers as well
     names = [
         n if isinstance(n, str) else f"{n:g}" for n in (found if isinstance(found, list) else [found] * bool(found))
     ]
-    needs = f"{intrinsics.name} names none (names: ...); give EasyMocap's intri.yml and extri.yml"
-    rig = RigFile(intrinsics.parent, needs, f"add W_ and H_ with each camera's name to {intrinsics.name}")
-
     entries = {"K": "matrix", "dist": "distortions", "R": "rvec", "Rot": "rotation", "T": "translation"}
     entries |= {"W": "image_width", "H": "image_height"}
-    both, tables = lenses | poses, dict[str, dict[str, Any]]()
+    tables = dict[str, dict[str, Any]]()
     for name in sorted(names, key=natural_key):
         labels = (str(names.index(name) + 1), name)  # Pose2Sim numbers the entries
         known = ((f"{entry}_{label}", key) for label in labels for entry, key in entries.items())
         tables[name] = {key: both[entry] for entry, key in known if entry in both}
     add_cameras(rig, tables)
-    return rig.rig(unit)
 
 
 def write_calibration(rig: CameraRig, path: str | Path, unit: str = "m") -> None:
@@ -184,17 +172,12 @@ def write_calibration(rig: CameraRig, path: str | Path, unit: str = "m") -> None
 
 
 def write_calibration_toml(rig: CameraRig, path: Path) -> list[Path]:
-    """Write the TOML format that the file's name gives (hypose, anipose, FreeMoCap or Caliscope), and return the
-    files."""
-    name = path.name.lower()
-    if name == "camera_array.toml":
-        _write_caliscope(rig, path)
-    else:
-        write_calibration(rig, path, "mm" if "anipose" in name or "freemocap" in name else "m")
+    """Write the TOML format that the file's name gives (hypose, anipose or FreeMoCap), and return the files."""
+    write_calibration(rig, path, "mm" if re.search("anipose|freemocap", path.name, re.IGNORECASE) else "m")
     return [path]
 
 
-def _write_caliscope(rig: CameraRig, path: Path) -> None:
+def write_caliscope(rig: CameraRig, path: Path) -> list[Path]:
     """Write Caliscope's camera_array.toml: numbered tables, the rotation as a matrix, metres."""
     lines = []
     for i, (camera, lens) in enumerate(zip(rig, plain_lenses(rig, "Caliscope's file"), strict=True)):
@@ -214,6 +197,7 @@ def _write_caliscope(rig: CameraRig, path: Path) -> None:
         }
         lines += [f"[cameras.{i}]", *toml_lines(table), ""]
     write_text(path, "\n".join(lines))
+    return [path]
 
 
 # ---- YAML and XML --------------------------------------------------------------------------------------------------
@@ -267,26 +251,27 @@ def _with_arrays(value: Any) -> Any:
     return {k: _with_arrays(v) for k, v in value.items()}
 
 
-def parse_xml(text: str) -> dict[str, Any]:
-    """Parse OpenCV's storage in XML; matrices become arrays.
+def parse_xml(text: str) -> Any:
+    """Parse XML; of OpenCV's storage the values, with matrices as arrays, of others the root element.
 
     Raises: ValueError where it is not valid.
     """
-    if "<!DOCTYPE" in text or "<!ENTITY" in text:  # OpenCV writes none; entities can make a file huge
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:  # none of the programs writes one; entities can make a file huge
         raise ValueError("it has a DOCTYPE")
     try:
-        root = ElementTree.fromstring(text)
+        # the declaration names an encoding that the text no longer has
+        root = ElementTree.fromstring(text[text.index("<", text.find("?>") + 1) :] if "?>" in text else text)
     except (ElementTree.ParseError, ValueError, RecursionError) as error:
-        raise ValueError(f"it is no XML ({error})") from None
+        raise ValueError(f"it is not valid XML ({error})") from None
     if root.tag != "opencv_storage":
-        raise ValueError("it is no XML of OpenCV")
+        return root
     out: dict[str, Any] = {}
     for element in root:
         if element.get("type_id") in ("opencv-matrix", "opencv-nd-matrix"):
             sizes = (element.findtext("sizes") or "").split() or [element.findtext(k) or "" for k in ("rows", "cols")]
             out[element.tag] = _matrix(sizes, (element.findtext("data") or "").split())
         elif len(element) == 0:
-            values = [_scalar(item) for item in re.findall(r'"[^"]*"|[^\s"]+', element.text or "")]
+            values = [scalar(item) for item in re.findall(r'"[^"]*"|[^\s"]+', element.text or "")]
             out[element.tag] = values[0] if len(values) == 1 else values
     return out
 
@@ -294,12 +279,12 @@ def parse_xml(text: str) -> dict[str, Any]:
 def _matrix(sizes: list[str], data: Any) -> Array:
     """Shape the numbers of a matrix; empty where their number does not agree with the sizes or they are not numbers."""
     shape = [int(s) if re.fullmatch(r"\s*\d{1,5}\s*", s, re.ASCII) else 0 for s in sizes[:8]]
-    values = [_scalar(item) if isinstance(item, str) else item for item in (data if isinstance(data, list) else [data])]
+    values = [scalar(item) if isinstance(item, str) else item for item in (data if isinstance(data, list) else [data])]
     array = as_numbers(values)
     return np.empty(0) if array is None or array.size != math.prod(shape) else array.reshape(shape)
 
 
-def _scalar(text: str) -> float | str:
+def scalar(text: str) -> float | str:
     """Parse a number as OpenCV writes it (1., .5, .Nan, -.Inf), or a text without its quotes."""
     if text.startswith('"'):
         return text.strip('"')
@@ -348,41 +333,35 @@ _MAX_PLAIN_BYTES = 1_000_000
 _MOST_LINES = 10_000
 
 
-def plain_files(folder: Path) -> list[Path]:
-    """List the files of a folder that have BioCV's layout, in natural order."""
-    files = [p for p in folder.iterdir() if p.is_file() and p.suffix.lower() in ("", ".calib")]
-    found = [p for p in files if not p.name.startswith(".") and p.stat().st_size < _MAX_PLAIN_BYTES]
-    return sorted((p for p in found if _is_biocv(p)), key=lambda p: natural_key(p.name))
+def plain_files(path: Path) -> list[Path]:
+    """List the files of a folder that have BioCV's layout, in natural order; a file is itself if it has."""
+    files = [p for p in path.iterdir() if p.is_file()] if path.is_dir() else [path]
+    found = [p for p in files if p.suffix.lower() in ("", ".calib", ".txt") and not p.name.startswith(".")]
+    small = [p for p in found if p.stat().st_size < _MAX_PLAIN_BYTES]
+    return sorted((p for p in small if _is_biocv(p)), key=lambda p: natural_key(p.name))
 
 
-def read_plain(path: Path, unit: str) -> Found:
-    """Read a rig from a folder of BioCV files, one of them, or a text file of projection matrices.
+def read_biocv(source: Source, rig: RigFile) -> None:
+    """Add the cameras of a folder of BioCV files, or of one of them; translations are in millimetres."""
+    rig.unit = "mm" if rig.unit == "auto" else rig.unit
+    for file in plain_files(source.path):
+        rows = _rows(file)
+        pose, size = np.array(rows[6:9]), np.array([rows[0][0], rows[1][0]])
+        lens = next((r for r in reversed(rows) if r), [])
+        lens = np.array(lens) if len(lens) in (4, 5, 8) and rows.index(lens) > 8 else None
+        name = text_of(file.stem if file.suffix.lower() == ".calib" else file.name)
+        rig.add(name, np.array(rows[2:5]), lens, pose[:, :3], pose[:, 3], size)
 
-    unit: unit of the translations; "auto" for millimetres in BioCV files, else to determine it.
+
+def read_projections(source: Source, rig: RigFile) -> None:
+    """Add the cameras of a text file of projection matrices.
+
     Raises: CalibrationError where the file is not valid.
     """
-    needs = (
-        "it needs three lines of four numbers for each camera (projection matrices), or is BioCV's (width, height, K, "
-        "[R | t], distortion)"
-    )
-    rig = RigFile(path, needs, "write K, R, t and resolution as JSON instead")
-    files = plain_files(path) if path.is_dir() else [path]
-    if path.is_dir() or _is_biocv(path):
-        for file in files:
-            rows = _rows(file)
-            pose, size = np.array(rows[6:9]), np.array([rows[0][0], rows[1][0]])
-            lens = next((r for r in reversed(rows) if r), [])
-            lens = np.array(lens) if len(lens) in (4, 5, 8) and rows.index(lens) > 8 else None
-            name = text_of(file.stem if file.suffix.lower() == ".calib" else file.name)
-            rig.add(name, np.array(rows[2:5]), lens, pose[:, :3], pose[:, 3], size)
-        return rig.rig("mm" if unit == "auto" else unit)
-    for name, values in _projections(path).items():
-        if len(values) != 12:
-            raise CalibrationError(f"{path} is no calibration: {needs}.")
+    for name, values in _projections(source.path).items():
         where = rig.where(name)
         k, rotation, translation = decomposed(numbers(where, {"P": values}, ("P",), (3, 4)), where)
         rig.add(name, k, None, rotation, translation, None)
-    return rig.rig(unit)
 
 
 def _rows(path: Path) -> list[list[float]]:

@@ -1,10 +1,7 @@
-"""Readers of key-point files: one per ending, which identifies the program by the content.
+"""Key-point files: the table of their formats, and the readers.
 
-`read_keypoint_csv`: DeepLabCut, SLEAP, Caliscope.
-`read_keypoint_json`: MMPose, COCO, AlphaPose.
-`read_keypoint_folder`: OpenPose, EasyMocap, Ultralytics, one file per frame.
-`read_keypoint_npy`: FreeMoCap.
-`read_keypoint_h5`: DeepLabCut, SLEAP.
+To add a format, write a reader and enter it in `KEYPOINTS`. A reader takes a `Source` and returns a KeypointTable, or
+one for each camera of the file. New points need a set in `hypose.evidence.keypoints.KEYPOINT_SETS`.
 
 Sources of the CSV layouts (those of the others are above their readers):
 DeepLabCut: CSV of analysed videos, with three header lines scorer, bodyparts, coords; four with individuals.
@@ -21,6 +18,7 @@ import itertools
 import os
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -31,8 +29,9 @@ from hypose.errors import InputError, extra
 from hypose.evidence.keypoints import BLAZEPOSE_33, KEYPOINT_SETS, parse_openpose
 from hypose.geometry import Array
 from hypose.io.calibrations.calibration_systems import read_plain_pickle
-from hypose.io.file_names import last_number, natural_key
+from hypose.io.file_names import last_number
 from hypose.io.files import csv_rows, numbers_of, open_file, read_bytes, read_json, readable_size, text_lines
+from hypose.io.formats import Format, FormatTable, Source
 from hypose.io.motions.results import parse_array
 
 # ---- keypoint table ------------------------------------------------------------------------------------------------
@@ -100,10 +99,8 @@ def checked_people(values: Any, where: str) -> Array:
     where: file and frame, for the error messages.
     Raises: InputError where the values are not key points.
     """
-    try:
+    with numbers_of(where):
         p = np.array(values, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError):
-        raise InputError(f"{where}: key points must be numbers, as many in each person; export them again.") from None
     if p.size == 0:
         return np.zeros((0, 0, 3))
     if p.ndim != 3 or p.shape[2] != 3 or not 1 <= p.shape[1] <= MAX_POINTS:
@@ -141,15 +138,11 @@ def scored_points(positions: Any, scores: Any, where: str) -> Array:
     where: file and frame, for the error messages.
     Raises: InputError where they are not numbers of this shape.
     """
-    try:
+    with numbers_of(where):
         xy = np.array(positions, dtype=np.float64)
-        s = None if scores is None else np.array(scores, dtype=np.float64).ravel()
-    except (TypeError, ValueError, OverflowError):
-        raise InputError(f"{where}: key points must be numbers; export them again.") from None
+        s = np.ones(len(xy)) if scores is None else np.array(scores, dtype=np.float64).ravel()
     if xy.ndim != 2 or not 2 <= xy.shape[1] <= 4 or not 1 <= len(xy) <= MAX_POINTS:
         raise InputError(f"{where}: key points have the shape {xy.shape}, points x 2 is needed; export them again.")
-    if s is None:
-        s = np.ones(len(xy))
     if len(s) != len(xy):
         raise InputError(f"{where}: {len(xy)} key points but {len(s)} scores; export them again.")
     return np.column_stack([xy[:, :2], s])
@@ -161,8 +154,6 @@ def grouped(rows: Sequence[tuple[int, Array]], where: str) -> dict[int, Array]:
     rows: frame number and points of each person, in any order.
     Returns: (P, K, 3) by frame number.
     """
-    if not rows:
-        return {}
     counts = {len(points) for _, points in rows}
     if len(counts) > 1:
         raise InputError(
@@ -187,32 +178,8 @@ def whole_number(value: Any, where: str, what: str) -> int:
     return int(value)
 
 
-_KIND = "a CSV of key points of DeepLabCut, SLEAP or Caliscope"
 _VARIANCES = (("x_posterior_var", "y_posterior_var"), ("x_ens_var", "y_ens_var"))
 """Columns of variances, px^2, by the ensemble Kalman smoother of Lightning Pose; the better ones first."""
-
-
-def read_keypoint_csv(path: Path) -> dict[str, KeypointTable]:
-    """Read a CSV of DeepLabCut, SLEAP or Caliscope.
-
-    Returns: tables by camera; the name is "" where the file is of one camera.
-    Raises: InputError where the file is none of these or a line cannot be used.
-    """
-    header, rows = csv_rows(path, _KIND, MAX_BYTES)
-    if header[0] == "scorer":
-        return {"": _deeplabcut(header, rows, str(path))}
-    if "sync_index" in header:
-        return _caliscope(path, header, rows)
-    if "frame_idx" in header:
-        return {"": _sleap(header, rows, str(path))}
-    raise InputError(
-        f"{path} is not {_KIND}: its first line begins with {','.join(header)[:60]!r}; export the key points again."
-    )
-
-
-def _number(cell: str) -> float:
-    """Convert a cell to a number: NaN for an empty cell, ValueError for text."""
-    return float(cell or "nan")
 
 
 def by_individual(columns: Sequence[tuple[str, ...]], where: str) -> dict[str, list[tuple[str, list[int]]]]:
@@ -265,7 +232,8 @@ def _seen(people: Array) -> Array:
     return people[(people[..., 2] > 0).any(1)] if people.size else people
 
 
-def _deeplabcut(first: list[str], rows: Iterator[tuple[int, list[str]]], where: str) -> KeypointTable:
+def _deeplabcut(source: Source) -> KeypointTable:
+    first, rows = csv_rows(source.path, source.kind, MAX_BYTES)
     head = {"individuals": [""] * (len(first) - 1)}
     numbers: list[int] = []
     values: list[list[float]] = []
@@ -273,72 +241,60 @@ def _deeplabcut(first: list[str], rows: Iterator[tuple[int, list[str]]], where: 
         if row[0] in ("individuals", "bodyparts", "coords"):
             head[row[0]] = row[1:]
             continue
-        if "coords" not in head or "bodyparts" not in head:
-            raise InputError(f"{where}: the lines bodyparts and coords are missing; analyse the video again.")
-        at = f"{where}, frame {row[0][:20]}"
+        at = f"{source.path}, frame {row[0][:20]}"
         with numbers_of(at):
             numbers.append(whole_number(float(row[0]), at, "the frame's number"))
-            values.append([_number(c) for c in row[1:]])
-    columns = list(zip(head["individuals"], head.get("bodyparts", ()), head.get("coords", ()), strict=False))
-    return deeplabcut_table(columns, numbers, np.array(values), where)
+            values.append([float(c or "nan") for c in row[1:]])
+    columns = list(zip(head["individuals"], head["bodyparts"], head["coords"], strict=True))
+    return deeplabcut_table(columns, numbers, np.array(values), str(source.path))
 
 
-def _sleap(header: list[str], rows: Iterator[tuple[int, list[str]]], where: str) -> KeypointTable:
-    names = [h[:-2] for h in header if h.endswith(".x") and not h.startswith("instance.")]
-    at = {h: i for i, h in enumerate(header)}
-    if not names or any(f"{n}.y" not in at for n in names) or len(names) > MAX_POINTS:
-        raise InputError(f"{where} is not SLEAP's analysis CSV: it needs node.x and node.y; export it again.")
-    scored = all(f"{n}.score" in at for n in names)
-    found: list[tuple[int, Array]] = []
+def _rows_of(path: Path, kind: str, columns: Sequence[str]) -> Array:
+    """Read the given columns of a CSV file as numbers (rows, columns); NaN for empty cells."""
+    header, rows = csv_rows(path, kind, MAX_BYTES)
+    with numbers_of(str(path)):
+        at = [{name: i for i, name in enumerate(header)}[c] for c in columns]
+    values: list[list[float]] = []
     for line, row in rows:
-        with numbers_of(f"{where}, row {line}"):
-            number = whole_number(float(row[at["frame_idx"]]), where, "frame_idx")
-            points = np.array([[_number(row[at[f"{n}.{c}"]]) for c in "xy"] for n in names])
-            scores = [_number(row[at[f"{n}.score"]]) for n in names] if scored else [1.0] * len(names)
-        found.append((number, np.column_stack([points, scores])))
+        with numbers_of(f"{path}, row {line}"):
+            values.append([float(row[i] or "nan") for i in at])
+    return np.array(values).reshape(-1, len(at))
+
+
+def _sleap(source: Source) -> KeypointTable:
+    names = [h[:-2] for h in source.header if h.endswith(".x") and not h.startswith("instance.")][:MAX_POINTS]
+    scored = all(f"{n}.score" in source.header for n in names)
+    where, parts = str(source.path), ("x", "y", "score") if scored else ("x", "y")
+    values = _rows_of(source.path, source.kind, ["frame_idx", *(f"{n}.{c}" for n in names for c in parts)])
+    points = values[:, 1:].reshape(len(values), len(names), len(parts))
+    points = points if scored else np.concatenate([points, np.ones((*points.shape[:2], 1))], -1)
+    found = [(whole_number(n, where, "frame_idx"), p) for n, p in zip(values[:, 0].tolist(), points, strict=True)]
     # frames without a person have no row, and SLEAP counts from 0
     return KeypointTable("SLEAP analysis", grouped(found, where), 0, tuple(names), scored=scored)
 
 
-def _caliscope(path: Path, header: list[str], rows: Iterator[tuple[int, list[str]]]) -> dict[str, KeypointTable]:
-    where = str(path)
-    at = {h: i for i, h in enumerate(header)}
-    camera = next((at[n] for n in ("cam_id", "port") if n in at), None)
-    point = next((at[n] for n in ("point_id", "keypoint_id") if n in at), None)
-    if camera is None or point is None or not {"img_loc_x", "img_loc_y"} <= at.keys():
-        raise InputError(
-            f"{where} is not Caliscope's xy table: cam_id (or port), point_id, img_loc_x and img_loc_y are needed; "
-            "name its xy_<tracker>.csv."
-        )
-    seen: dict[str, dict[int, dict[int, tuple[float, float]]]] = {}
-    ids: set[int] = set()
-    for line, row in rows:
-        with numbers_of(f"{where}, row {line}"):
-            name = str(whole_number(float(row[camera]), where, "cam_id"))
-            number = whole_number(float(row[at["sync_index"]]), where, "sync_index")
-            identity = whole_number(float(row[point]), where, "point_id")
-            xy = (_number(row[at["img_loc_x"]]), _number(row[at["img_loc_y"]]))
-        seen.setdefault(name, {}).setdefault(number, {})[identity] = xy
-        ids.add(identity)
-    if not ids:
+def _caliscope(source: Source) -> dict[str, KeypointTable]:
+    path, where, header = source.path, str(source.path), source.header
+    camera, point = ("cam_id" if "cam_id" in header else "port", "point_id" if "point_id" in header else "keypoint_id")
+    values = _rows_of(path, source.kind, [camera, "sync_index", point, "img_loc_x", "img_loc_y"])
+    if not len(values):
         raise InputError(f"{where} holds no points; run the tracker again.")
-    order = _point_order(path.stem.lower(), ids)
+    seen: dict[int, dict[int, dict[int, tuple[float, float]]]] = {}
+    for *numbers, x, y in values.tolist():
+        name, number, identity = (whole_number(n, where, "a number of camera, frame or point") for n in numbers)
+        seen.setdefault(name, {}).setdefault(number, {})[identity] = (x, y)
+    order = _point_order(path.stem.lower(), set(values[:, 2].astype(int).tolist()))
     numbers, rate = _clock(path)
     first = _first_frame([n for frames in seen.values() for n in frames], numbers, where)
     out = {}
-    for name, frames in sorted(seen.items(), key=lambda item: int(item[0])):
+    for name, frames in sorted(seen.items()):
         listed = [
             (n, np.array([(*points[i], 1.0) if i in points else (0, 0, 0) for i in order], dtype=np.float64))
             for n, points in frames.items()
         ]
-        out[name] = KeypointTable(
-            "Caliscope points",
-            grouped(listed, where),
-            first,
-            BLAZEPOSE_33 if len(order) == 33 else None,
-            scored=False,
-            frame_rate=rate,
-        )
+        names = BLAZEPOSE_33 if len(order) == 33 else None
+        people = grouped(listed, where)
+        out[str(name)] = KeypointTable("Caliscope points", people, first, names, scored=False, frame_rate=rate)
     return out
 
 
@@ -387,13 +343,9 @@ def _clock(path: Path) -> tuple[list[int], float | None]:
     table = clock_file(path)
     if table is None:
         return [], None
-    header, rows = csv_rows(table, "Caliscope's table of times", MAX_BYTES)
-    if not {"sync_index", "frame_time"} <= set(header):
-        raise InputError(f"{table} has no columns sync_index and frame_time; copy it again, or remove it.")
     times: dict[int, list[float]] = {}
-    for line, row in rows:
-        with numbers_of(f"{table}, line {line}"):
-            times.setdefault(int(row[header.index("sync_index")]), []).append(float(row[header.index("frame_time")]))
+    for number, time in _rows_of(table, "Caliscope's table of times", ["sync_index", "frame_time"]).tolist():
+        times.setdefault(whole_number(number, str(table), "sync_index"), []).append(time)
     numbers = sorted(times)
     if len(numbers) > 1 and np.diff(numbers).max() > 10 + len(numbers) // 10:
         raise InputError(f"{table}: its sync_index jumps from one frame to another; copy the file again.")
@@ -409,60 +361,39 @@ def _clock(path: Path) -> tuple[list[int], float | None]:
 # apis/inferencers, whose frames count from 0); AlphaPose (utils/pPose_nms.py write_json); the COCO result format.
 
 
-_JSON = "a key-point file of MMPose, COCO or AlphaPose"
-
-
 def read_document(path: Path) -> Any:
     """Read the value of a JSON file of limited size; InputError where it cannot be read."""
-    return read_json(path, _JSON, MAX_BYTES)
+    return read_json(path, "a file or folder of key points", MAX_BYTES)
 
 
-def read_keypoint_json(path: Path) -> KeypointTable:
-    """Read one JSON file with the key points of all frames, of MMPose, COCO or AlphaPose.
+def _lists(source: Source, key: str) -> bool:
+    """Test whether a document is a table with a list of this name."""
+    return isinstance(source.document, Mapping) and isinstance(source.document.get(key), list)
 
-    Raises: InputError where the file is none of these or an entry cannot be used.
-    """
-    document = read_document(path)
-    where = str(path)
-    table = document if isinstance(document, Mapping) else {}
-    tables = document if isinstance(document, list) else list(table.values())
 
-    def all_hold(key: str) -> bool:
-        return all(isinstance(v, Mapping) and key in v for v in tables)
+def _all_hold(source: Source, *keys: str) -> bool:
+    """Test whether a document is a list, or a table that is not empty, of tables with one of the keys."""
+    document = source.document
+    found = list(document.values()) or [None] if isinstance(document, Mapping) else document
+    return isinstance(found, list) and all(isinstance(v, Mapping) and v.keys() & set(keys) for v in found)
 
-    if isinstance(table.get("instance_info"), list):
-        return _mmpose(table["instance_info"], table.get("meta_info"), where)
-    if isinstance(table.get("annotations"), list):
-        return _coco(table["annotations"], table.get("images"), where)
-    if table and (all_hold("people") or all_hold("bodies")):
-        return _alphapose_frames(table, where)
-    if "people" in table:
-        raise InputError(f"{where} holds the people of one frame; name the folder that has one such file per frame.")
-    if isinstance(document, list) and all_hold("instances"):
-        return _mmpose(document, None, where)
-    if isinstance(document, list) and tables and all_hold("keypoints"):
-        return _coco(document, None, where)
-    raise InputError(
-        f"{where} is not {_JSON}: neither instance_info, instances, annotations, nor a list of "
-        "keypoints is in it; export the key points again, or as OpenPose files."
+
+def _mmpose(source: Source) -> KeypointTable:
+    document, where = source.document, str(source.path)
+    frames, meta = (
+        (document["instance_info"], document.get("meta_info")) if isinstance(document, dict) else (document, None)
     )
-
-
-def _mmpose(frames: list[Any], meta: Any, where: str) -> KeypointTable:
     rows: list[tuple[int, Array]] = []
     numbers: list[int] = []
     scored = True
     for i, frame in enumerate(frames):
-        if not isinstance(frame, Mapping) or not isinstance(frame.get("instances"), list):
-            raise InputError(f"{where}, entry {i}: it has no list of instances; export the predictions again.")
-        number = whole_number(frame.get("frame_id", i), f"{where}, entry {i}", "frame_id")
-        numbers.append(number)
-        for person in frame["instances"]:
-            if not isinstance(person, Mapping) or "keypoints" not in person:
-                raise InputError(f"{where}, frame {number}: a person has no keypoints; export the predictions again.")
-            scores = person.get("keypoint_scores")
-            scored = scored and scores is not None
-            rows.append((number, scored_points(person["keypoints"], scores, f"{where}, frame {number}")))
+        with numbers_of(f"{where}, entry {i}"):
+            numbers.append(whole_number(frame.get("frame_id", i), f"{where}, entry {i}", "frame_id"))
+            for person in frame["instances"]:
+                scores = person.get("keypoint_scores")
+                scored = scored and scores is not None
+                points = scored_points(person["keypoints"], scores, f"{where}, frame {numbers[-1]}")
+                rows.append((numbers[-1], points))
     people = dict.fromkeys(numbers, np.zeros((0, 0, 3))) | grouped(rows, where)
     kind = "MMPose results" if meta is not None else "MMPose predictions"
     # all frames are listed, so the smallest number is the first frame's
@@ -477,17 +408,18 @@ def _names_of_meta(meta: Any) -> tuple[str, ...] | None:
     return tuple(n for n in names if n is not None) if all(names) else None
 
 
-def _coco(found: list[Any], images: Any, where: str) -> KeypointTable:
+def _coco(source: Source) -> KeypointTable:
+    document, where = source.document, str(source.path)
+    found, images = (
+        (document["annotations"], document.get("images")) if isinstance(document, dict) else (document, None)
+    )
     numbers = _image_numbers(images)
     rows: list[tuple[int, Array]] = []
     plain_names, scored = True, True
     for i, person in enumerate(found):
         at = f"{where}, entry {i}"
-        if not isinstance(person, Mapping):
-            raise InputError(f"{at}: it is no table; export the results again.")
-        flat, identity = person.get("keypoints"), person.get("image_id")
-        if not isinstance(flat, list) or not flat or len(flat) % 3:
-            raise InputError(f"{at}: keypoints must be a list of x, y, score for each point; export the results again.")
+        with numbers_of(at):
+            identity, points = person["image_id"], np.array(person["keypoints"], dtype=np.float64).reshape(-1, 3)
         if isinstance(identity, str):
             plain_names = plain_names and re.fullmatch(r"(0|[1-9]\d*)\.(jpg|png)", identity) is not None
             number = last_number(Path(identity).stem)
@@ -497,7 +429,6 @@ def _coco(found: list[Any], images: Any, where: str) -> KeypointTable:
             plain_names = False
             number = whole_number(identity, at, "image_id")
             number = numbers.get(number, number)
-        points = scored_points([flat[k : k + 2] for k in range(0, len(flat), 3)], flat[2::3], at)
         if images is not None:  # annotations by hand: 0 not there, 1 hidden, 2 seen
             points[:, 2], scored = np.where(points[:, 2] > 0, 0.5 * np.minimum(points[:, 2], 2), 0), False
         rows.append((number, points))
@@ -520,16 +451,16 @@ def _image_numbers(images: Any) -> dict[int, int]:
     return out if len(set(out.values())) == len(out) else {}
 
 
-def _alphapose_frames(document: Mapping[str, Any], where: str) -> KeypointTable:
-    people: dict[int, Array] = {}
-    for name, frame in document.items():
+def _alphapose_frames(source: Source) -> KeypointTable:
+    where, people = str(source.path), dict[int, Array]()
+    for name, frame in source.document.items():
         number = last_number(Path(name).stem)
         if number is None:
             raise InputError(f"{where}: the frame {name[:40]!r} has no number; export the results again.")
         if isinstance(bodies := frame.get("bodies"), list):  # form "cmu": Panoptic's keys, OpenPose's 18 points
             frame = {"people": [{"pose_keypoints_2d": b.get("joints")} for b in bodies if isinstance(b, Mapping)]}
         people[number] = parse_openpose(frame, source=f"{where}, frame {name}", raw=True)
-    plain = all(re.fullmatch(r"(0|[1-9]\d*)\.(jpg|png)", n) for n in document)
+    plain = all(re.fullmatch(r"(0|[1-9]\d*)\.(jpg|png)", n) for n in source.document)
     return KeypointTable("AlphaPose results (form open or cmu)", people, 0 if plain else None)
 
 
@@ -562,70 +493,51 @@ class _FrameFiles(Mapping[int, Array]):
         return len(self.files)
 
 
-def read_keypoint_folder(folder: Path) -> KeypointTable:
-    """Read a folder with one file of key points per frame, of OpenPose, EasyMocap or Ultralytics.
+def _first_holds(source: Source, key: str) -> bool:
+    """Test whether the first file of a folder holds a table with this key."""
+    files = source.files(".json")
+    return bool(files) and key in (document if isinstance(document := read_document(files[0]), Mapping) else ())
 
-    Raises: InputError where the folder holds none of these.
-    """
-    files = sorted(folder.glob("*.json"))
-    if files:
-        numbered = numbered_files(files)
-        document = _first_document(files)
-        if "annots" in document:
-            return KeypointTable("EasyMocap annotations", _FrameFiles(numbered, _easymocap))
-        timed = document.get("program") == "hypose"
-        return KeypointTable("OpenPose files", _FrameFiles(numbered, _openpose), timed=timed)
-    texts = sorted(folder.glob("*.txt"))
-    if texts:
-        return _ultralytics(folder, numbered_files(texts))
-    raise InputError(
-        f"The folder {folder} holds no key points (.json or .txt, one per frame); detect them, or name another folder "
-        "or file."
-    )
+
+def _openpose(source: Source) -> KeypointTable:
+    numbered = numbered_files(source.files(".json"))
+    timed = read_document(source.files(".json")[0]).get("program") == "hypose"
+    return KeypointTable("OpenPose files", _FrameFiles(numbered, _openpose_people), timed=timed)
+
+
+def _one_frame(source: Source) -> KeypointTable:
+    raise InputError(f"{source.path} holds the people of one frame; name the folder that has one such file per frame.")
 
 
 def numbered_files(paths: list[Path]) -> dict[int, Path]:
     """Number files by the last number in their names, or by their order where these numbers are not unique.
 
+    paths: files in natural order.
     Returns: files by frame number.
     """
     # OpenPose's names end in _keypoints; a number of the view may stand before the frame's
     numbers = [last_number(p.stem) for p in paths]
     if None in numbers or len(set(numbers)) < len(numbers):
-        return dict(enumerate(sorted(paths, key=lambda p: natural_key(p.name))))
+        return dict(enumerate(paths))
     return {n: p for n, p in zip(numbers, paths, strict=True) if n is not None}
 
 
-def _first_document(files: list[Path]) -> Mapping[str, Any]:
-    document = read_document(files[0])
-    if not isinstance(document, Mapping) or not ({"people", "annots"} & document.keys()):
-        raise InputError(
-            f'{files[0]} is not OpenPose JSON: people[].pose_keypoints_2d (or EasyMocap\'s "annots") is needed; detect '
-            "the key points again."
-        )
-    return document
-
-
-def _openpose(path: Path) -> Array:
+def _openpose_people(path: Path) -> Array:
     return parse_openpose(read_bytes(path, "the people of one frame", _MAX_FILE), source=str(path), raw=True)
 
 
-def _easymocap(path: Path) -> Array:
-    document = read_document(path)
-    found = document.get("annots") if isinstance(document, Mapping) else None
-    if not isinstance(found, list):
-        raise InputError(f'{path}: the list "annots" is missing; export the annotations again.')
-    people = []
-    for person in found:
-        points = person.get("keypoints") if isinstance(person, Mapping) else None
-        if not isinstance(points, list) or not all(isinstance(p, list) and len(p) == 3 for p in points):
-            raise InputError(f"{path}: keypoints must be x, y, score for each point; export the annotations again.")
-        if points:
-            people.append(points)
-    return checked_people(people, str(path))
+def _easymocap(source: Source) -> KeypointTable:
+    return KeypointTable("EasyMocap annotations", _FrameFiles(numbered_files(source.files(".json")), _easymocap_people))
 
 
-def _ultralytics(folder: Path, files: dict[int, Path]) -> KeypointTable:
+def _easymocap_people(path: Path) -> Array:
+    with numbers_of(str(path)):
+        people = [person["keypoints"] for person in read_document(path)["annots"]]
+    return checked_people([p for p in people if p], str(path))
+
+
+def _ultralytics(source: Source) -> KeypointTable:
+    files = numbered_files(source.files(".txt"))
     widths = {len(line.split()) for p in list(files.values())[:100] for line in text_lines_or_none(p)}
     # the numbers of each point, and of what may follow: the person's confidence, its track where it is followed
     for per_point, count in itertools.product((3, 2), _COUNTS):
@@ -634,8 +546,8 @@ def _ultralytics(folder: Path, files: dict[int, Path]) -> KeypointTable:
             people = _FrameFiles(files, _row_reader(count, per_point))
             return KeypointTable(layout, people, min(1, *files), shares=True, scored=per_point == 3)
     raise InputError(
-        f"The files in {folder} have {', '.join(map(str, sorted(widths))) or 'no'} numbers a line, which is no pose of "
-        f"{', '.join(map(str, _COUNTS))} points; write labels of a pose model (class x y w h, then the points)."
+        f"The files in {source.path} have {', '.join(map(str, sorted(widths))) or 'no'} numbers a line, which is no "
+        f"pose of {', '.join(map(str, _COUNTS))} points; write labels of a pose model (class x y w h, then the points)."
     )
 
 
@@ -674,17 +586,10 @@ def _row_reader(count: int, per_point: int) -> Callable[[Path], Array]:
 # (info/write_tracking_h5.py: tracks (tracks, 2, nodes, frames), transposed for MATLAB, node_names, point_scores).
 
 
-_ARRAY = "an array of key points"
-
-
-def read_keypoint_npy(path: Path) -> dict[str, KeypointTable]:
-    """Read an array of FreeMoCap (.npy).
-
-    Returns: tables by the camera's index in the array ("0", "1", ...).
-    Raises: InputError where the array has another type or shape.
-    """
+def _freemocap(source: Source) -> dict[str, KeypointTable]:
+    path = source.path
     try:
-        with open_file(path, _ARRAY, MAX_BYTES) as stream:
+        with open_file(path, source.kind, MAX_BYTES) as stream:
             data = parse_array("it", stream, os.fstat(stream.fileno()).st_size)
         kind, shape = data.dtype.kind, data.shape
     except (ValueError, OSError, MemoryError) as problem:
@@ -703,27 +608,32 @@ def read_keypoint_npy(path: Path) -> dict[str, KeypointTable]:
     return out
 
 
-def read_keypoint_h5(path: Path) -> KeypointTable:
-    """Read the key points of one camera from an HDF5 file of DeepLabCut or SLEAP.
-
-    Raises: InputError where the file is neither or h5py is not installed.
-    """
-    readable_size(path, _ARRAY, MAX_BYTES)
+@contextmanager
+def _h5(source: Source) -> Iterator[Any]:
+    """Open an HDF5 file within a with block; errors of the library become an InputError."""
+    readable_size(source.path, source.kind, MAX_BYTES)
     h5py = extra("h5py", "Reading HDF5", "h5", or_else="export CSV, which needs nothing")
     try:
-        with h5py.File(path, "r") as file:
-            if "tracks" in file and "node_names" in file:
-                return _sleap_h5(file, str(path))
-            key = next((k for k in file if "table" in file[k] or "block0_values" in file[k]), None)
-            if key is not None:
-                return _deeplabcut_h5(file[key], str(path))
+        with h5py.File(source.path, "r") as file:
+            yield file
     except (OSError, ValueError, KeyError, TypeError, RuntimeError, AttributeError, IndexError, MemoryError) as problem:
         reason = " ".join(str(problem).split())[:100]
-        raise InputError(f"{path} cannot be read as HDF5 ({reason}); export the key points again.") from None
-    raise InputError(
-        f"{path} holds neither DeepLabCut's table nor SLEAP's tracks; export DeepLabCut's analysis or SLEAP's "
-        "analysis.h5."
-    )
+        raise InputError(f"{source.path} cannot be read as HDF5 ({reason}); export the key points again.") from None
+
+
+def _h5_group(file: Any) -> str | None:
+    """Find the name of DeepLabCut's table."""
+    return next((k for k in file if "table" in file[k] or "block0_values" in file[k]), None)
+
+
+def _is_sleap_h5(source: Source) -> bool:
+    with _h5(source) as file:
+        return "tracks" in file and "node_names" in file
+
+
+def _is_deeplabcut_h5(source: Source) -> bool:
+    with _h5(source) as file:
+        return _h5_group(file) is not None
 
 
 def _sized(dataset: Any, where: str) -> Any:
@@ -733,29 +643,36 @@ def _sized(dataset: Any, where: str) -> Any:
     return dataset[()]
 
 
-def _sleap_h5(file: Any, where: str) -> KeypointTable:
-    names = tuple(n.decode(errors="replace") for n in _sized(file["node_names"], where).tolist())
-    tracks = np.asarray(_sized(file["tracks"], where), dtype=np.float64)
-    if tracks.ndim != 4 or not names:
-        raise InputError(f"{where}: tracks have the shape {tracks.shape}, four dimensions are needed; export again.")
-    if tracks.shape[1:3] != (2, len(names)):  # written without the transposition
-        tracks = tracks.T
-    if tracks.shape[1:3] != (2, len(names)):
-        raise InputError(f"{where}: tracks {tracks.shape} do not belong to {len(names)} nodes; export them again.")
-    scores = np.asarray(_sized(file["point_scores"], where), dtype=np.float64) if "point_scores" in file else None
-    wanted = (tracks.shape[0], len(names), tracks.shape[3])
-    if scores is not None and scores.shape != wanted:
-        scores = scores.T
-    if scores is not None and scores.shape != wanted:
-        raise InputError(f"{where}: point_scores {scores.shape} do not belong to the tracks; export them again.")
+def _fitted(array: Array, shape: tuple[int | None, ...], where: str) -> Array:
+    """Transpose an array where that gives it the shape, in which None stands for any number; InputError otherwise."""
+    for found in (array, array.T):
+        if found.ndim == len(shape) and all(b in (None, a) for a, b in zip(found.shape, shape, strict=True)):
+            return found
+    raise InputError(f"{where}: an array of shape {array.shape} does not belong to the nodes; export it again.")
+
+
+def _sleap_h5(source: Source) -> KeypointTable:
+    where = str(source.path)
+    with _h5(source) as file:
+        names = tuple(n.decode(errors="replace") for n in _sized(file["node_names"], where).tolist())
+        tracks = np.asarray(_sized(file["tracks"], where), dtype=np.float64)
+        scores = np.asarray(_sized(file["point_scores"], where), dtype=np.float64) if "point_scores" in file else None
+    tracks = _fitted(tracks, (None, 2, len(names), None), where)
+    people, _, _, frames = tracks.shape
+    scores = None if scores is None else _fitted(scores, (people, len(names), frames), where)
     scored = scores is not None and bool(np.isfinite(scores).any())  # none where people were marked by hand
-    confidence = scores.transpose(2, 0, 1) if scores is not None and scored else np.ones((wanted[2], *wanted[:2]))
-    points = np.concatenate([tracks.transpose(3, 0, 2, 1), confidence[..., None]], axis=-1)
-    people = {t: _seen(checked_people(frame, where)) for t, frame in enumerate(points)}
-    return KeypointTable("SLEAP analysis", people, 0, names, scored=scored)
+    confidence = scores if scores is not None and scored else np.ones((people, len(names), frames))
+    points = np.concatenate([tracks.transpose(3, 0, 2, 1), confidence.transpose(2, 0, 1)[..., None]], axis=-1)
+    found = {t: _seen(checked_people(frame, where)) for t, frame in enumerate(points)}
+    return KeypointTable("SLEAP analysis", found, 0, names, scored=scored)
 
 
-def _deeplabcut_h5(group: Any, where: str) -> KeypointTable:
+def _deeplabcut_h5(source: Source) -> KeypointTable:
+    with _h5(source) as file:
+        return _deeplabcut_group(file[_h5_group(file)], str(source.path))
+
+
+def _deeplabcut_group(group: Any, where: str) -> KeypointTable:
     if "table" in group:
         table = _sized(group["table"], where)
         block = next(n for n in table.dtype.names if n.startswith("values_block"))
@@ -776,3 +693,43 @@ def _deeplabcut_h5(group: Any, where: str) -> KeypointTable:
     named = [(c[1] if len(c) == 4 else "", c[-2], c[-1]) for c in wide]
     counted = [whole_number(n, where, "a frame's number") for n in np.asarray(numbers).tolist()]
     return deeplabcut_table(named, counted, values, where)
+
+
+KEYPOINTS = FormatTable(
+    "a file or folder of key points",
+    "detect them, or export them again",
+    (
+        Format(
+            "OpenPose, Pose2Sim, RTMLib, AlphaPose", ("/",), _openpose, lambda source: _first_holds(source, "people")
+        ),
+        Format("EasyMocap", ("/",), _easymocap, lambda source: _first_holds(source, "annots")),
+        Format("Ultralytics", ("/",), _ultralytics, lambda source: source.files(".txt")),
+        Format(
+            "MMPose",
+            (".json",),
+            _mmpose,
+            lambda source: _lists(source, "instance_info") or _all_hold(source, "instances"),
+        ),
+        Format(
+            "COCO, AlphaPose",
+            (".json",),
+            _coco,
+            lambda source: _lists(source, "annotations") or _all_hold(source, "keypoints"),
+        ),
+        Format(
+            "AlphaPose (forms open and cmu)",
+            (".json",),
+            _alphapose_frames,
+            lambda source: _all_hold(source, "people", "bodies"),
+        ),
+        Format("OpenPose (one frame)", (".json",), _one_frame, lambda source: _lists(source, "people")),
+        Format("DeepLabCut, Lightning Pose", (".csv",), _deeplabcut, lambda source: source.header[0] == "scorer"),
+        Format("Caliscope", (".csv",), _caliscope, lambda source: "sync_index" in source.header),
+        Format("SLEAP", (".csv",), _sleap, lambda source: "frame_idx" in source.header),
+        Format("FreeMoCap", (".npy",), _freemocap),
+        Format("SLEAP", (".h5", ".hdf5"), _sleap_h5, _is_sleap_h5),
+        Format("DeepLabCut", (".h5", ".hdf5"), _deeplabcut_h5, _is_deeplabcut_h5),
+    ),
+    read_document,
+)
+"""Key points: readers of a source that return a table, or tables by camera."""

@@ -1,24 +1,10 @@
-"""2D key points of any known program: choice of the reader and of the key-point set, checks, notes for the user.
-
-| given | program |
-| --- | --- |
-| a folder of .json, one per frame | OpenPose, Pose2Sim, RTMLib, AlphaPose; EasyMocap annotations |
-| a folder of .txt, one per frame | Ultralytics |
-| .json | MMPose, COCO results, AlphaPose |
-| .csv | DeepLabCut, SLEAP, Caliscope (all cameras) |
-| .h5 | DeepLabCut, SLEAP |
-| .npy | FreeMoCap (all cameras) |
-
-To add a reader, write reader(path) -> KeypointTable, or a dict of them by camera. Register its ending in `_READERS`; if
-the ending is taken, add a branch to read_keypoint_json, read_keypoint_csv, read_keypoint_h5, read_keypoint_npy or
-read_keypoint_folder. Add it to `_ENDINGS` and to the table above. New points need a set in
-`hypose.evidence.keypoints.KEYPOINT_SETS`.
-"""
+"""2D key points of any known program (`keypoint_files.KEYPOINTS`): choice of the key-point set, checks, notes for the
+user."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -35,18 +21,8 @@ from hypose.evidence.keypoints import KEYPOINT_SETS, keypoint_names
 from hypose.geometry import Array
 from hypose.io.file_names import file_name, match_names
 from hypose.io.files import read_json, write_text
-from hypose.io.keypoints.keypoint_files import (
-    MAX_POINT_FRAMES,
-    KeypointTable,
-    clock_file,
-    read_keypoint_csv,
-    read_keypoint_folder,
-    read_keypoint_h5,
-    read_keypoint_json,
-    read_keypoint_npy,
-)
+from hypose.io.keypoints.keypoint_files import KEYPOINTS, MAX_POINT_FRAMES, KeypointTable, clock_file
 
-_ENDINGS = "a folder of OpenPose, EasyMocap or Ultralytics files, .json, .csv, .h5 or .npy"
 _OUTSIDE = 0.3  # share of points outside the picture above which its size must be wrong
 _CHECKED = 80  # number of frames for the check of the views' agreement
 
@@ -117,32 +93,15 @@ def read_keypoints(path: Path) -> dict[str, KeypointTable]:
     Returns: tables by camera; the name is "" where the file is of one camera.
     Raises: InputError where the path cannot be used.
     """
-    if path.is_dir():
-        return {"": read_keypoint_folder(path)}
-    if not path.exists():
-        raise InputError(f"The key points {path} do not exist; correct the path, or detect them.")
     parts = [path, clock_file(path)] if path.suffix.lower() == ".csv" else [path]
-    states = [p.stat() for p in parts if p is not None]
-    return _read_file(path, tuple((s.st_mtime_ns, s.st_size) for s in states))
+    states = [p.stat() for p in parts if p is not None and p.is_file()]
+    return _read(path, tuple((s.st_mtime_ns, s.st_size) for s in states)) if states else _read.__wrapped__(path, ())
 
 
 @lru_cache(maxsize=8)  # a recording is checked before it is processed
-def _read_file(path: Path, state: tuple[tuple[int, int], ...]) -> dict[str, KeypointTable]:
-    read = _READERS.get(path.suffix.lower())
-    if read is None:
-        raise InputError(f"{path} is no file of key points that is known; give {_ENDINGS}.")
-    found = read(path)
+def _read(path: Path, state: tuple[tuple[int, int], ...]) -> dict[str, KeypointTable]:
+    found = KEYPOINTS.read(path)
     return found if isinstance(found, dict) else {"": found}
-
-
-_READERS: Mapping[str, Callable[[Path], KeypointTable | dict[str, KeypointTable]]] = {
-    ".json": read_keypoint_json,
-    ".csv": read_keypoint_csv,
-    ".h5": read_keypoint_h5,
-    ".hdf5": read_keypoint_h5,
-    ".npy": read_keypoint_npy,
-}
-"""Readers by the file's ending; files of several cameras give one table per camera."""
 
 
 def keypoints_of_views(

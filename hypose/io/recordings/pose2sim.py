@@ -20,7 +20,7 @@ from hypose.evidence.keypoints import KEYPOINT_SETS
 from hypose.io.calibrations.calibration_formats import find_calibration
 from hypose.io.file_names import match_names, natural_key, text_of
 from hypose.io.files import read_toml
-from hypose.io.keypoints.keypoint_files import read_keypoint_folder
+from hypose.io.keypoints.keypoint_files import KEYPOINTS
 from hypose.io.motions.marker_files import read_trc
 from hypose.io.videos.video import IMAGE_ENDINGS, VIDEO_ENDINGS, frame_size, list_images
 
@@ -260,7 +260,7 @@ def _keypoint_set(model: Any, folders: Sequence[Path], notes: list[str]) -> str 
     stated = None
     if isinstance(model, str) and model.strip():
         stated = _MODELS.get(model.strip().lower(), model.strip().upper())
-    sample = next((s for f in folders[:4] if len(s := read_keypoint_folder(f).sample())), None)
+    sample = next((s for f in folders[:4] if len(s := KEYPOINTS.read(f).sample())), None)
     count = None if sample is None else sample.shape[1]
     if stated is not None and (count is None or _COUNT_OF_SET.get(stated, count) == count):
         return stated

@@ -1,1 +1,1 @@
-"""Cameras in, poses out, while it happens: nothing here knows a socket or a page."""
+"""Track people live from cameras; sockets and pages are in hypose.app."""

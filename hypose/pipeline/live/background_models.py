@@ -1,7 +1,7 @@
-"""What one camera sees when no person is there, and the person in front of it; of colour cameras and of depth cameras.
+"""Model the empty scene of one live camera and segment the person; for colour cameras, depth cameras and a network.
 
-The room is learnt from pictures of it without people. That of a colour camera then follows slowly what changes: the
-light, the camera's own exposure, a chair that was moved. Where the person is nothing is learnt.
+The background is learned from pictures without people. That of a colour camera then follows slow changes: light,
+exposure, a chair that was moved. Where the person is, nothing is learned.
 """
 
 from __future__ import annotations
@@ -34,8 +34,14 @@ from hypose.pipeline.settings import SETTINGS
 
 
 class ViewBackground:
-    """One view. camera: as calibrated; small: pinhole, of the working size; background: where it is known already. Used
-    by one thread at a time."""
+    """Background and segmentation of one colour view; used by one thread at a time.
+
+    camera: as calibrated.
+    small: pinhole camera of the working size.
+    shift: px of the calibrated size that are added to image positions.
+    options: how masks are made.
+    background: where it is known already.
+    """
 
     def __init__(
         self,
@@ -55,30 +61,34 @@ class ViewBackground:
 
     @property
     def moved(self) -> bool:
-        """Something moved while the room was learnt: a person has not left."""
+        """Whether something moved while the background was learned: a person has not left."""
         room = self.background
         return (
             room is not None and float((room.sd.max(2) > SETTINGS.rooms_moved_grey).mean()) > SETTINGS.rooms_moved_share
         )
 
     def learn(self, images: Sequence[Image]) -> None:
-        """Take stored pictures (H, W, 3) for those of the empty room."""
+        """Learn the background from stored pictures (H, W, 3) of the empty room."""
         self._take(from_frames([self._prepare(image) for image in images]))
 
     def mask(self, image: Image) -> tuple[Mask, ViewOutline | None]:
-        """Foreground of a stored picture, (h, w), and its outline for tracking (None: it is empty). The
-        room must be known."""
+        """Segment a stored picture; the background must be known.
+
+        Returns: mask (h, w), and its outline for tracking (None: the mask is empty).
+        """
         assert self._segment is not None
         runs, _ = mask_in(image, self._prepare, self._segment)
         return mask_runs.draw(runs), outline_of_runs(runs, OUTLINE_POINTS, WORKING_HEIGHT) if runs.area else None
 
     def due(self, time: float) -> bool:
-        """Whether it is time to look at what has changed."""
+        """Return whether it is time to update the background."""
         return self.background is not None and time - self._learnt >= SETTINGS.rooms_every_s
 
     def follow(self, image: Image, time: float, person: Mask | None) -> None:
-        """Learn what has changed, if it is time for that. person (h, w): where the person is, None where that is not
-        known: then nothing that stands out is taken for a part of the room."""
+        """Update the background to slow changes of the scene, if an update is due.
+
+        person: (h, w) where the person is; None: not known, then nothing that differs from the background is learned.
+        """
         if not self.due(time):
             return
         passed, self._learnt = time - self._learnt, time
@@ -102,7 +112,7 @@ class ViewBackground:
 
 
 def _around(mask: Mask) -> Mask:
-    """The dilated mask, 0 or 1."""
+    """Dilate a mask by a margin in proportion to its height; values 0 or 1."""
     box = bounding_box(mask)
     if box is None:
         return mask
@@ -111,8 +121,12 @@ def _around(mask: Mask) -> Mask:
 
 
 class NetworkRoom:
-    """One view in whose pictures a network finds people, in place of a `ViewBackground`: no empty room has to be known.
-    camera: as calibrated; small: pinhole, of the working size. Used by one thread at a time."""
+    """Segmentation of one view by a network that finds people; no background is needed. Used by one thread at a time,
+    in place of a `ViewBackground`.
+
+    camera: as calibrated.
+    small: pinhole camera of the working size.
+    """
 
     background, moved = "not needed", False
 
@@ -123,11 +137,14 @@ class NetworkRoom:
         self._places: dict[tuple[int, int], NDArray[np.float32]] = {}
 
     def learn(self, images: Sequence[Image]) -> None:
-        """Forget where people were; the room is nothing to it."""
+        """Forget where people were; a network has no background to learn."""
         self._before = []
 
     def mask(self, image: Image) -> tuple[Mask, ViewOutline | None]:
-        """The people in a stored picture, (h, w), and their outline for tracking (None: no person is seen)."""
+        """Segment the people in a stored picture.
+
+        Returns: mask (h, w), and its outline for tracking (None: no person is seen).
+        """
         stored = (image.shape[1], image.shape[0])
         if stored not in self._places:
             self._places[stored] = places_in_stored(self._camera, self._small, self._shift, stored)
@@ -141,9 +158,12 @@ Millimetres = NDArray[np.uint16]
 
 
 class DepthViewBackground:
-    """One depth view, in place of a `ViewBackground`. camera: as calibrated; small: pinhole, of the working size;
-    background: where it is known already. The room does not change: light is nothing to it. Used by one thread at a
-    time."""
+    """Background and segmentation of one depth view, in place of a `ViewBackground`; used by one thread at a time.
+
+    camera: as calibrated.
+    small: pinhole camera of the working size.
+    background: where it is known already. It is not updated, since light does not change depth.
+    """
 
     def __init__(
         self, camera: Camera, small: Camera, shift: tuple[float, float], background: DepthBackground | None = None
@@ -151,11 +171,11 @@ class DepthViewBackground:
         self._prepare, self.size, self.background = DepthPreparer(camera, small, shift), small.size, background
         self._focal_px = float(small.K[0, 0])
         self.seen: Millimetres | None = None
-        """(h, w) the last map that was looked at"""
+        """(h, w) mm: the last map that was segmented."""
 
     @property
     def moved(self) -> bool:
-        """Something moved while the room was learnt."""
+        """Whether something moved while the background was learned."""
         room = self.background
         known = None if room is None else room.depth > 0
         if room is None or known is None or not known.any():
@@ -163,12 +183,14 @@ class DepthViewBackground:
         return float((room.sd[known] > SETTINGS.rooms_moved_m).mean()) > SETTINGS.rooms_moved_share
 
     def learn(self, maps: Sequence[DepthMap]) -> None:
-        """Take stored maps (H, W) m for those of the empty room."""
+        """Learn the background from stored maps (H, W) m of the empty room."""
         self.background = learn_background([self._prepare(m) for m in maps])
 
     def mask(self, depth: DepthMap) -> tuple[Mask, ViewOutline | None]:
-        """The person who stands in front of the room in a stored map, (h, w), and the outline (None: no person). The
-        room must be known."""
+        """Segment the person in front of the background in a stored map; the background must be known.
+
+        Returns: mask (h, w), and its outline for tracking (None: no person).
+        """
         assert self.background is not None
         own = self._prepare(depth)
         self.seen = np.minimum(own * 1000 + 0.5, 65535).astype(np.uint16)
@@ -178,8 +200,12 @@ class DepthViewBackground:
 
 @dataclass(frozen=True)
 class PackedDepth:
-    """The person in the depth maps of one instant, so that seconds of it take little room: mm (C, h, w) in a box at
-    corner (row, column), 0 elsewhere; usable (C,)."""
+    """Depth of the person at one instant, cut out to save memory.
+
+    millimetres: (C, h, w) in a box of the maps, 0 outside the person.
+    corner: (row, column) of the box.
+    usable: (C,) views with depth.
+    """
 
     millimetres: Millimetres
     corner: tuple[int, int]
@@ -187,7 +213,7 @@ class PackedDepth:
 
     @staticmethod
     def of(depth: Depth) -> PackedDepth:
-        """Of a frame's depth."""
+        """Cut the person out of a frame's depth."""
         someone = np.asarray(depth.person.any(0))
         rows, columns = np.flatnonzero(someone.any(1)), np.flatnonzero(someone.any(0))
         if not len(rows):
@@ -198,7 +224,7 @@ class PackedDepth:
         return PackedDepth(kept, (y, x), depth.usable)
 
     def depth(self, silhouettes: Silhouettes) -> Depth:
-        """The depth again, with the masks of the same instant."""
+        """Restore the depth, given the masks of the same instant."""
         maps = np.zeros(silhouettes.masks.shape, np.float32)
         (y, x), (h, w) = self.corner, self.millimetres.shape[1:]
         maps[:, y : y + h, x : x + w] = self.millimetres * np.float32(1e-3)
@@ -207,9 +233,10 @@ class PackedDepth:
 
 
 def depth_of(silhouettes: Silhouettes, maps: Sequence[Millimetres | None]) -> Depth | None:
-    """Return the depth (m) inside the silhouettes; None when no usable view has a depth map.
+    """Collect the depth (m) inside the silhouettes from maps; None where no usable view has one.
 
-    maps: of each view (h, w) mm, or None."""
+    maps: per view (h, w) mm, or None.
+    """
     usable = silhouettes.usable & np.array([m is not None for m in maps])
     if not usable.any():
         return None

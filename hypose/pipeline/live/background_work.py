@@ -1,5 +1,6 @@
-"""Work that takes seconds, in parallel with live tracking: in a process of its own, which yields to processes that must
-not be late."""
+"""Do work that takes seconds in parallel with live tracking, in a process of low priority: fit bodies, find camera
+offsets.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +10,7 @@ import os
 import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from typing import Any, TypeVar
@@ -23,6 +24,7 @@ from hypose.body.default_body import human
 from hypose.calibration.sync_motion import mask_tracks, silhouette_curves, solve_offsets
 from hypose.cameras.camera import CameraRig
 from hypose.errors import EvidenceError
+from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.frame import Expected, Frame, Silhouettes
 from hypose.geometry import Array
 from hypose.pipeline.live.background_models import PackedDepth
@@ -35,8 +37,14 @@ _T = TypeVar("_T")
 
 @dataclass(frozen=True)
 class PackedMasks:
-    """Masks (C, h, w) of one instant, eight pixels to a byte, so that seconds of them take little room. time: s;
-    ignored, expected: what other people hide, as in `Silhouettes`; depth: where depth cameras see."""
+    """Masks of one instant, eight pixels per byte, to save memory.
+
+    time: s.
+    bits: packed masks of C views.
+    usable, reasons: per view, as in `Silhouettes`.
+    ignored, expected: what other people hide, as in `Silhouettes`.
+    depth: where depth cameras see.
+    """
 
     time: float
     bits: NDArray[np.uint8]
@@ -44,14 +52,14 @@ class PackedMasks:
     reasons: tuple[str, ...]
     ignored: NDArray[np.uint8] | None = None
     expected: Expected | None = None
-    depth: PackedDepth | None = None
+    depth: tuple[PackedDepth, ...] = ()
 
     @staticmethod
     def of(frame: Frame) -> PackedMasks:
-        """The masks of a frame that has some."""
+        """Pack the masks of a frame, which must have some."""
         s = frame.the(Silhouettes)
         ignored = None if s.ignored is None else np.packbits(s.ignored, axis=-1)
-        depth = None if frame.depth is None else PackedDepth.of(frame.depth)
+        depth = tuple(PackedDepth.of(maps) for maps in frame.of(Depth))
         return PackedMasks(frame.time, np.packbits(s.masks, axis=-1), s.usable, s.reasons, ignored, s.expected, depth)
 
     def frame(self, number: int, rig: CameraRig) -> Frame:
@@ -61,23 +69,30 @@ class PackedMasks:
         rig: cameras of the masks.
         """
         silhouettes = self.silhouettes(rig)
-        depth = None if self.depth is None else self.depth.depth(silhouettes)
-        return Frame(self.time, number, silhouettes, depth=depth)
+        frame = Frame(self.time, number, silhouettes)
+        for packed in self.depth:
+            frame = replace(frame, depth=packed.depth(silhouettes))
+        return frame
 
     def silhouettes(self, rig: CameraRig) -> Silhouettes:
-        """The masks as they were."""
+        """Unpack the masks."""
         width = int(rig.sizes[:, 0].max())
-        masks, ignored = (
-            None if bits is None else np.unpackbits(bits, axis=-1, count=width) for bits in (self.bits, self.ignored)
-        )
-        assert masks is not None
+        masks = np.unpackbits(self.bits, axis=-1, count=width)
+        ignored = None if self.ignored is None else np.unpackbits(self.ignored, axis=-1, count=width)
         return Silhouettes(masks, rig, self.usable, self.reasons, ignored, self.expected)
 
 
 def fitted_body(
     kept: Sequence[PackedMasks], rig: CameraRig, rate: float, height: float | None, seed: int
 ) -> Body | None:
-    """The body of who is in the masks, at `rate` Hz; None where they do not tell."""
+    """Fit a body to the person in the masks.
+
+    kept: consecutive masks.
+    rate: of the masks, Hz.
+    height: m, where known.
+    seed: of random numbers.
+    Returns: None where the masks do not determine a body.
+    """
     frames = [k.frame(i, rig) for i, k in enumerate(kept)]
     options = AnthropometryOptions(height=height, seed=seed, frames=8, tracked=len(frames), passes=1, rate=rate)
     with contextlib.suppress(EvidenceError):
@@ -86,8 +101,12 @@ def fitted_body(
 
 
 def offsets_of(kept: Sequence[PackedMasks], rig: CameraRig, rate: float) -> Array | None:
-    """(C,) s by which each camera's pictures come late, from the masks of a moving person; None where they do not tell,
-    or where no camera is late."""
+    """Estimate how late each camera's pictures come, from the masks of a moving person.
+
+    kept: consecutive masks.
+    rate: of the masks, Hz.
+    Returns: (C,) s; None where the masks do not determine it, or no camera is late.
+    """
     tracks = mask_tracks([k.silhouettes(rig) for k in kept])
     try:
         found = solve_offsets(
@@ -103,12 +122,14 @@ def offsets_of(kept: Sequence[PackedMasks], rig: CameraRig, rate: float) -> Arra
 
 
 class BackgroundWork:
-    """One process, while there is something to do: it takes as much memory as all the rest. `body` and `offsets` return
-    at once, with a future; None of work whose process was ended meanwhile, as systems do that are out of memory:
-    a person who is followed goes on being followed.
+    """Process for slow work; it runs only while there is work, since it needs as much memory as everything else.
 
-    A thread and a pipe, not a pool of processes: in Python 3.11.2 the program never ends when a pool's process is ended
-    while it is being sent masks."""
+    `body` and `offsets` return a future at once. Its result is None where the process was ended meanwhile, as a system
+    does that is out of memory; live tracking continues.
+
+    Why a thread and a pipe instead of a pool of processes: in Python 3.11.2 the program never ends when a pool's
+    process is ended while it receives masks.
+    """
 
     def __init__(self) -> None:
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="background")
@@ -118,15 +139,15 @@ class BackgroundWork:
     def body(
         self, kept: Sequence[PackedMasks], rig: CameraRig, rate: float, height: float | None, seed: int
     ) -> Future[Body | None]:
-        """See `fitted_body`."""
+        """Start `fitted_body` in the process; return a future."""
         return self._submit(fitted_body, list(kept), rig, rate, height, seed)
 
     def offsets(self, kept: Sequence[PackedMasks], rig: CameraRig, rate: float) -> Future[Array | None]:
-        """See `offsets_of`."""
+        """Start `offsets_of` in the process; return a future."""
         return self._submit(offsets_of, list(kept), rig, rate)
 
     def close(self) -> None:
-        """End the process, whatever it does: a fit takes seconds."""
+        """End the process at once, also in the middle of a fit."""
         with self._changing:
             self._closed = True
             if self._process is not None:
@@ -163,12 +184,12 @@ class BackgroundWork:
         self._end()
 
     def _end(self) -> None:
-        """To be called where work is done, so that the process stays idle."""
+        """End the process; called in the thread that works, so that the caller does not wait."""
         with self._changing:
             ended, self._process = self._process, None
         if ended is not None:
             process, pipe = ended
-            pipe.close()  # with which it ends
+            pipe.close()  # the process ends when its pipe is closed
             process.join()
 
 
@@ -178,15 +199,15 @@ def _begun() -> tuple[BaseProcess, Connection]:
     process = context.Process(target=_work, args=(there,), daemon=True)
     with deaf_to_ctrl_c():
         process.start()
-    there.close()  # so that a thread that sends or waits notices its end
+    there.close()  # so that a thread that sends or waits notices the end of the process
     return process, here
 
 
 def _work(pipe: Connection) -> None:
     belong_to_parent()
-    os.environ["NUMBA_NUM_THREADS"] = "1"  # it has time, and live tracking needs the other cores
+    os.environ["NUMBA_NUM_THREADS"] = "1"  # live tracking needs the other cores
     cv2.setNumThreads(1)
-    if hasattr(os, "SCHED_IDLE"):  # gives way at once, where a nice process is given its slice to the end
+    if hasattr(os, "SCHED_IDLE"):  # it yields at once; a process with `nice` would keep its time slice
         os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
     elif hasattr(os, "nice"):
         os.nice(15)

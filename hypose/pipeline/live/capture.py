@@ -1,9 +1,10 @@
-"""Capture for live tracking: cameras -> instants -> masks, in a process of its own, so that tracking has the
-interpreter to itself.
+"""Capture for live tracking: read cameras, choose instants and make masks, in a process of its own so that tracking has
+the Python interpreter to itself.
 
 `Capture.look` gives the newest instant not processed yet; nothing queues up, so a slow tracker skips instants instead
-of falling behind. `CaptureProcess` is the same in another process: requests are answered while the answer to the
-question before is being worked on."""
+of falling behind. `CaptureProcess` runs it in another process; while the caller works on one result, the next is
+prepared.
+"""
 
 from __future__ import annotations
 
@@ -43,9 +44,15 @@ from hypose.pipeline.settings import SETTINGS
 
 @dataclass(frozen=True)
 class LiveView:
-    """address: as `open_camera` takes it; shift: px of the calibrated size added to image positions; background: the
-    empty room, where it is known; stretched: pictures of another shape than calibrated are taken as they are; depth:
-    it is a depth camera (`open_depth_camera`), and depth_room its empty room, where that is known."""
+    """One camera of a live run.
+
+    address: as `open_camera` takes it.
+    shift: px of the calibrated size that are added to image positions.
+    background: of the empty room, where known.
+    stretched: accept pictures of another shape than calibrated.
+    depth: it is a depth camera (`open_depth_camera`).
+    depth_room: background of a depth camera, where known.
+    """
 
     name: str
     address: str
@@ -58,9 +65,14 @@ class LiveView:
 
 @dataclass(frozen=True)
 class CaptureOptions:
-    """rate Hz: of the cameras, asked of devices and taken for files that do not say; countdown s: before the empty room
-    is learnt; silhouettes: how masks are made; adapt: what changes in the room is learnt; network: so many people are
-    found by it where the room is not known, 0: the room is learnt."""
+    """Options of capture.
+
+    rate: of the cameras, Hz; requested from devices, and assumed for files without a rate.
+    countdown: before the empty room is learned, s.
+    silhouettes: how masks are made.
+    adapt: update backgrounds to slow changes.
+    network: most people that a network finds where the background is not known; 0: the background is learned.
+    """
 
     rate: float = 30.0
     countdown: float = 5.0
@@ -71,9 +83,15 @@ class CaptureOptions:
 
 @dataclass(frozen=True)
 class CaptureRequest:
-    """Request one capture result. pause s: after the last instant before the next is wanted; bodies: vertices (V, 3) m
-    and faces (F, 3) of those who are followed, none: not known where they are; following: a person is; pictures: they
-    are wanted too; room: learn the empty room again; offsets (C,) s of the cameras, None: as before."""
+    """Request for one capture result.
+
+    pause: time from the last instant to the next wanted one, s.
+    bodies: vertices (V, 3) m and faces (F, 3) of the tracked people; empty: their places are not known.
+    following: a person is tracked.
+    pictures: pictures are wanted too.
+    room: learn the empty room again.
+    offsets: (C,) delays of the cameras, s; None: unchanged.
+    """
 
     pause: float = 0.0
     bodies: tuple[tuple[Array, NDArray[np.int32]], ...] = ()
@@ -85,11 +103,20 @@ class CaptureRequest:
 
 @dataclass(frozen=True)
 class CaptureResult:
-    """An instant as the cameras showed it, or why there is none (time NaN). arrival s: of its last picture, on this
-    computer's clock; views: packed mask (h, ceil(w / 8)) and outline of each camera, None without a picture; jpegs: its
-    pictures as they were stored, where they are wanted; cameras: what they do; instants: how many there were until
-    now; words: the next step, or the cause of a failure; room: that is being learnt; made s: spent on the masks;
-    depths: mm, what each depth camera measured."""
+    """One instant as the cameras showed it; where there is none yet (time is NaN), the state of the cameras.
+
+    time: on the common clock, s.
+    arrival: of its last picture, on this computer's clock, s.
+    views: per camera, packed mask (h, ceil(w / 8)) and outline; None without a picture.
+    jpegs: pictures as they were stored, where wanted.
+    cameras: status of each camera.
+    instants: number of instants so far.
+    words: sentences on the next step or the cause of a failure.
+    room: the empty room is being learned.
+    made: time spent on the masks, s.
+    depths: (h, w) mm of each depth camera.
+    empty: stored maps of the empty room, after it was learned.
+    """
 
     time: float
     arrival: float
@@ -105,8 +132,11 @@ class CaptureResult:
 
 
 class Capture:
-    """`look` again and again, and `keep_up` when the result has been sent; `close` at the end. An InputError when a
-    camera cannot be opened."""
+    """Cameras of a live run with their masks. Call `look` repeatedly, `keep_up` after each result was sent, and `close`
+    at the end.
+
+    Raises: InputError where a camera cannot be opened.
+    """
 
     def __init__(self, rig: CameraRig, views: Sequence[LiveView], options: CaptureOptions) -> None:
         self._views, self._options, self.small = tuple(views), options, live_working_rig(rig, views)
@@ -148,7 +178,7 @@ class Capture:
             self._learn_room()
 
     def close(self) -> None:
-        """Let go of the cameras."""
+        """Release the cameras."""
         for feed in self._feeds:
             feed.end()
         for feed in self._feeds:
@@ -157,11 +187,11 @@ class Capture:
 
     @property
     def ended(self) -> bool:
-        """All files are over."""
+        """Whether all cameras are files that are over."""
         return all(f.status().ended for f in self._feeds)
 
     def look(self, question: CaptureRequest, wait: float = 0.1) -> CaptureResult:
-        """The newest instant; without one after so many seconds, how it goes."""
+        """Return the newest instant; after `wait` seconds without one, the state of the cameras."""
         if question.room:
             self._learn_room()
         if question.offsets is not None:
@@ -198,7 +228,7 @@ class Capture:
         return replace(self._sight(at, arrival, views, jpegs, made), depths=depths, empty=encoded)
 
     def keep_up(self) -> None:
-        """Learn what has changed in the rooms, in the background."""
+        """Update the backgrounds to what has changed in the rooms."""
         for room, view, image, at, question in self._to_follow:
             room.follow(image, at, self._covered(view, question.bodies) if question.bodies else None)
         self._to_follow = []
@@ -227,7 +257,7 @@ class Capture:
             return instant.time, [None if k is None else shots[k] for (_, shots), k in pairs]
 
     def _count(self, at: float) -> None:
-        """How many instants have passed since the last one that was looked at."""
+        """Count the instants that have passed since the last one that was returned."""
         periods = [1 / s.rate for s in (f.status() for f in self._feeds) if s.rate > 0]
         known = periods and np.isfinite(self._last)
         self._instants += max(1, round((at - self._last) / float(np.median(periods)))) if known else 1
@@ -239,15 +269,16 @@ class Capture:
         if image is None:
             return None
         mask, outline = room.mask(image)
-        turn = int(at * len(self._rooms)) % len(self._rooms) == view  # not all in one instant
+        turn = int(at * len(self._rooms)) % len(self._rooms) == view  # not all views in one instant
         wanted = self._options.adapt and turn and (question.bodies or not question.following)
         if wanted and isinstance(room, ViewBackground) and room.due(at):
             self._to_follow.append((room, view, image, at, question))
         return np.packbits(mask, axis=1), outline
 
     def _picture(self, view: int, shot: CameraImage) -> NDArray[Any] | None:
-        """None when it is damaged, or of another shape than calibrated: a telephone that was turned, a wide picture of
-        a camera that was calibrated with a narrow one."""
+        """Decode a picture; None where it is damaged, or of another shape than calibrated (a turned telephone, a wide
+        picture of a camera calibrated with a narrow one).
+        """
         image, (cw, ch), name = shot.picture(self._rooms[view].size), self._sizes[view], self._views[view].name
         self._damaged[view] = self._damaged[view] + 1 if image is None else 0
         if image is None:
@@ -266,7 +297,7 @@ class Capture:
         return None if wrong else image
 
     def _covered(self, view: int, bodies: Sequence[tuple[Array, NDArray[np.int32]]]) -> Mask:
-        """Where bodies are in a view."""
+        """Draw the mask of the bodies in a view."""
         out = np.zeros(self.small[view].size[::-1], np.uint8)
         for vertices, faces in bodies:
             shape = BodyShape(vertices, faces, self.small)
@@ -313,17 +344,17 @@ class Capture:
 
 
 def live_working_rig(rig: CameraRig, views: Sequence[LiveView]) -> CameraRig:
-    """The cameras of the working size."""
+    """Return the cameras at the working size."""
     return working_rig(rig, depth=[v.depth for v in views])
 
 
 def least_cameras(views: Sequence[LiveView]) -> int:
-    """How many cameras a person can be followed with: a depth camera is enough by itself."""
+    """Return the least number of cameras that can track a person: one where there is a depth camera, else two."""
     return 1 if any_depth(views) else 2
 
 
 def any_depth(views: Sequence[LiveView]) -> bool:
-    """Whether one of them is a depth camera."""
+    """Return whether one of the views is a depth camera."""
     return any(v.depth for v in views)
 
 
@@ -332,7 +363,7 @@ def _jpeg(shot: CameraImage) -> bytes | None:
 
 
 def stored(image: NDArray[Any]) -> bytes | None:
-    """A picture as it is stored; a depth map (H, W) m in millimetres."""
+    """Encode a picture as JPEG, or a depth map (H, W) m as 16-bit PNG in millimetres; None where that fails."""
     if image.ndim == 2:
         ok, data = cv2.imencode(".png", np.minimum(image * 1000 + 0.5, 65535).astype(np.uint16), DEPTH_PNG)
     else:
@@ -350,8 +381,11 @@ def _opener(view: LiveView, size: tuple[int, int], rate: float, begin: float) ->
 
 
 class CaptureProcess:
-    """Capture in another process. `ask`, then `answer`; between the two there is time for other work. stop: nothing is
-    waited for any more, also while cameras are being opened; then only `close` is of use."""
+    """Capture in another process: call `ask`, then `answer`; between the two there is time for other work.
+
+    stop: once it is set, nothing is waited for, also while cameras are being opened; then only `close` may be called.
+    Raises: InputError where a camera cannot be opened.
+    """
 
     def __init__(
         self, rig: CameraRig, views: Sequence[LiveView], options: CaptureOptions, stop: threading.Event | None = None
@@ -363,7 +397,7 @@ class CaptureProcess:
         with deaf_to_ctrl_c():
             self._process.start()
         there.close()
-        opened = self._received(math.inf)  # every camera says itself when it has taken too long
+        opened = self._received(math.inf)  # opening a camera has a time limit of its own
         if isinstance(opened, HyposeError):
             self._process.join(5)
             raise opened
@@ -371,22 +405,22 @@ class CaptureProcess:
             self._closing_s = SETTINGS.eyes_closing_s
 
     def ask(self, question: CaptureRequest) -> None:
-        """Have an instant looked at."""
-        with contextlib.suppress(OSError):  # `answer` tells
+        """Send a request."""
+        with contextlib.suppress(OSError):  # `answer` reports it
             self._pipe.send(question)
 
     def answer(self) -> CaptureResult | None:
-        """What was seen; None: files are over, or it is to stop."""
+        """Receive the result of the last request; None: all files are over, or `stop` is set."""
         found = self._received(10.0)
         if isinstance(found, HyposeError):
             raise found
         return found
 
     def close(self) -> None:
-        """End."""
-        self._pipe.close()  # it may be about to send something large that is not received any more
+        """End the process."""
+        self._pipe.close()  # the process may be sending a large result that nothing receives any more
         self._process.join(self._closing_s)
-        if self._process.is_alive():  # a camera that does not answer holds it up
+        if self._process.is_alive():  # a camera that does not answer blocks the process
             self._process.kill()
             self._process.join(1)
 
@@ -407,7 +441,7 @@ class CaptureProcess:
 
 def _see(pipe: Connection, rig: CameraRig, views: tuple[LiveView, ...], options: CaptureOptions) -> None:
     belong_to_parent()
-    warm_up("outlines", "pictures")  # the first pictures are not late
+    warm_up("outlines", "pictures")  # compile now, so that the first pictures are not late
     try:
         eyes = Capture(rig, views, options)
     except HyposeError as error:

@@ -1,4 +1,4 @@
-"""The live engine: the person in the pictures is tracked, judged and reported, always at the newest instant."""
+"""Live engine: track the person in the pictures at the newest instant, estimate errors, and report the results."""
 
 from __future__ import annotations
 
@@ -39,13 +39,19 @@ from hypose.pipeline.live.processes import punctual
 from hypose.pipeline.settings import SETTINGS
 
 EMPTY_ROOM = "empty room"
-"""What `LiveEngine.phase` is while the room is learnt; then it is that of `LivePeople`."""
+"""Value of `LiveEngine.phase` while the empty room is learned; afterwards it is that of `LivePeople`."""
 
 
 @dataclass(frozen=True)
 class LiveTrackingOptions:
-    """eyes: how cameras are looked at; person: see `LivePersonOptions`; people: as many are followed at most; measure:
-    body and cameras' offsets are found in the background; pictures: listeners want them."""
+    """Options of live tracking.
+
+    eyes: options of capture.
+    person: see `LivePersonOptions`.
+    people: most people that are tracked.
+    measure: fit bodies and find the cameras' offsets in the background.
+    pictures: listeners want the pictures.
+    """
 
     eyes: CaptureOptions = field(default_factory=CaptureOptions)
     person: LivePersonOptions = LivePersonOptions()
@@ -56,10 +62,19 @@ class LiveTrackingOptions:
 
 @dataclass(frozen=True)
 class LiveStatus:
-    """How it goes. phase; words: sentences on the cause or the next step; cameras; poses: given so far,
-    per_second: lately; skipped: share of the instants not processed, since a person was first followed;
-    latency ms (p50, p99): from the last picture's arrival to the pose; stages ms: median time of masks (decoding
-    included), tracking, reporting and judging; offsets s: of the cameras; fitted: people's bodies are their own."""
+    """State of a live run.
+
+    phase: see `LiveEngine.phase`.
+    words: sentences on the cause of a problem or the next step.
+    cameras: status of each camera.
+    poses: number of instants with poses so far.
+    per_second: recent rate of poses, Hz.
+    skipped: share of instants that were not processed since a person was first tracked.
+    latency: p50 and p99 of the time from the last picture's arrival to the pose, ms.
+    stages: median times of masks (with decoding), tracking, reporting and judging, ms.
+    offsets: delays of the cameras, s.
+    fitted: every tracked person has a body of their own.
+    """
 
     phase: str
     words: tuple[str, ...]
@@ -75,7 +90,12 @@ class LiveStatus:
 
 @dataclass(frozen=True)
 class LiveResult:
-    """An instant: what the cameras showed, the frame that was tracked, and the pose of all people who are followed."""
+    """Result of one instant.
+
+    sight: what the cameras showed.
+    frame: the frame that was tracked.
+    poses: one per tracked person.
+    """
 
     sight: CaptureResult
     frame: Frame
@@ -83,20 +103,25 @@ class LiveResult:
 
 
 class Listener(Protocol):
-    """Receives the results; called by the engine's thread, so it must return at once."""
+    """Protocol of a receiver of live results. The engine's thread calls it, so it must return at once."""
 
     def seen(self, seen: LiveResult, /) -> None:
-        """An instant, and the poses in it."""
+        """Receive an instant and the poses in it."""
         ...
 
     def status(self, status: LiveStatus, /) -> None:
-        """Every second."""
+        """Receive the state of the run; called every second."""
         ...
 
 
 class LiveEngine:
-    """`start`, then it runs until `stop`, or until all files are over or something fails (`ended`, `failed`). stop: it
-    also ends when this is set from outside, even while it starts."""
+    """Live tracking. After `start` it runs until `stop`, the end of all files (`ended`) or an error (`failed`).
+
+    rig, views: cameras in one order.
+    listeners: receivers of the results.
+    stop: event from outside that ends it too, also while it starts.
+    Raises: InputError where the number of cameras does not suit.
+    """
 
     def __init__(
         self,
@@ -147,7 +172,10 @@ class LiveEngine:
         return LivePeople(self.small, s.eyes.rate, s.person, self._executor, self._work, s.people)
 
     def start(self) -> None:
-        """Open the cameras and begin; an InputError when one cannot be opened."""
+        """Open the cameras and begin.
+
+        Raises: InputError where a camera cannot be opened.
+        """
         parts = (*TRACKING_KERNELS, *(("depth",) if any_depth(self.views) else ()))
         warm_up(*parts, load=False)  # the other process finds the compiled kernels
         warm = self._executor.submit(warm_up, *parts)
@@ -177,7 +205,7 @@ class LiveEngine:
 
     @property
     def phase(self) -> str:
-        """Name the phase."""
+        """Phase of the run: EMPTY_ROOM, or the phase of `LivePeople`."""
         return EMPTY_ROOM if self._learning else self._people.phase
 
     def _run(self) -> None:
@@ -186,7 +214,9 @@ class LiveEngine:
         try:
             eyes.ask(self._question())
             while not self._stop.is_set() and (sight := eyes.answer()) is not None:
-                if self._learning and not sight.room:  # it is known now, and who was followed stands in another one
+                if (
+                    self._learning and not sight.room
+                ):  # the room is known now; people tracked before have to be found again
                     self._people, self._poses_now = self._new_people(), ()
                 self._sight, self._learning = sight, sight.room
                 eyes.ask(self._question())
@@ -205,7 +235,7 @@ class LiveEngine:
             for p in self._poses_now
             if phase == STATE_TRACKING and p.motion.poses is not None
         )
-        # a search has the processor: more often than it looks nothing is made
+        # leave the processor to a search: make no more instants than it uses
         pause = 0.5 / SETTINGS.search_slowly_hz if phase in (STATE_EMPTY, STATE_SEARCHING) else 0.0
         room, self._learn = self._learn, False
         offsets, self._offsets = self._offsets, None
@@ -250,7 +280,7 @@ class LiveEngine:
         areas = np.array([0 if m is None else int(np.count_nonzero(m)) for m in masks])
         history = np.stack(self._areas, 1) if self._areas else np.zeros((len(masks), 0), np.int64)
         if self._people.phase not in (STATE_TRACKING, STATE_LOST) or self.options.people > 1:
-            history = history[:, :0]  # who comes into view changes the area, and nothing has collapsed
+            history = history[:, :0]  # people who come into view change the area: that is no collapsed mask
             self._areas.clear()
         elif self._frames % 5 == 0:
             self._areas.append(areas)
@@ -265,15 +295,15 @@ class LiveEngine:
         return frame
 
     def _take_offsets(self) -> None:
-        """Take over what the person's motion tells of the cameras' times, once."""
+        """Apply the camera offsets that were found from the person's motion, once."""
         found = self._people.offsets
         if found is not None and found.any():
-            # in addition to those that were known already
+            # in addition to the offsets applied before
             self._offsets = self._late = tuple((np.array(self._late) + found).tolist())
             self._people.offsets = np.zeros(len(found))
             self._people.measure_again()
 
-    # ---- how it goes -------------------------------------------------------------------------------------------------
+    # ---- state of the run --------------------------------------------------------------------------------------------
 
     def _tell(self) -> None:
         now = time.monotonic()
@@ -284,10 +314,10 @@ class LiveEngine:
                 listener.status(status)
 
     def status(self) -> LiveStatus:
-        """See `LiveStatus`."""
+        """Return the state of the run, see `LiveStatus`."""
         sight, now = self._sight, time.monotonic()
         cameras = () if sight is None else sight.cameras
-        given = np.array(self._given)  # at once: the engine's thread goes on
+        given = np.array(self._given)  # a copy, since the engine's thread continues
         latency = np.array(self._latency or [np.nan]) * 1e3
         skipped = 0.0
         if self._since is not None and sight is not None and sight.instants > self._since[0]:
@@ -312,7 +342,9 @@ def _words(cameras: Sequence[FeedStatus], least: int) -> list[str]:
         some = "Fewer than two cameras show" if least > 1 else "No camera shows"
         out.append(f"{some} anything, so nobody can be followed.")
     for c in cameras:
-        if c.received > 100 and c.loss > SETTINGS.engine_misses[0]:  # in steps: what changes is said again
+        if (
+            c.received > 100 and c.loss > SETTINGS.engine_misses[0]
+        ):  # in steps, so that the sentence is repeated only when the share changes
             share = max(m for m in SETTINGS.engine_misses if c.loss > m)
             out.append(f"{c.name} loses more than {100 * share:.0f} % of its pictures.")
     return out

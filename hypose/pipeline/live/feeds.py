@@ -1,4 +1,4 @@
-"""Feeds: one thread per camera takes what it delivers, keeps the newest, and comes back when the camera does."""
+"""Read cameras in threads: one per camera keeps the newest pictures and opens the camera again when it was lost."""
 
 from __future__ import annotations
 
@@ -21,9 +21,16 @@ from hypose.pipeline.settings import SETTINGS
 
 @dataclass(frozen=True)
 class FeedStatus:
-    """What a camera does. received, lost: pictures that came, and that should have come between them; rate Hz;
-    returns: how often it had gone and come back; trouble: why it is not there, "" when it is; ended: a file is over;
-    loss: share of the last pictures that was lost."""
+    """Status of one camera.
+
+    received: number of pictures that came.
+    lost: number of pictures that should have come in between.
+    rate: Hz.
+    returns: how often the camera was lost and came back.
+    trouble: why it is absent; "" when it is there.
+    ended: it is a file that is over.
+    loss: share of the recent pictures that was lost.
+    """
 
     name: str
     received: int
@@ -36,8 +43,13 @@ class FeedStatus:
 
 
 class CameraFeed:
-    """One camera. `arrived` is notified at every picture. offset: s by which what it shows is older than what the
-    others show at the same time; ahead: s by which others may be later than this one."""
+    """Pictures of one camera, read by a thread.
+
+    opener: opens the camera.
+    arrived: condition that is notified at every picture.
+    offset: delay of what the pictures show relative to the other cameras, s.
+    ahead: largest delay of another camera relative to this one, s.
+    """
 
     def __init__(self, name: str, opener: Callable[[], CameraSource], arrived: threading.Condition) -> None:
         self.name, self.offset, self.ahead = name, 0.0, 0.0
@@ -54,7 +66,10 @@ class CameraFeed:
         self._thread = threading.Thread(target=self._run, name=f"camera {name}", daemon=True)
 
     def start(self) -> None:
-        """Open the camera, an InputError when that fails, and begin to take its pictures."""
+        """Open the camera and start reading.
+
+        Raises: InputError where it cannot be opened.
+        """
         try:
             self._source = self._opener()
         except InputError as error:
@@ -62,23 +77,23 @@ class CameraFeed:
         self._thread.start()
 
     def end(self) -> None:
-        """No more pictures; nothing is waited for."""
+        """Stop reading, without waiting."""
         self._stop.set()
 
     def stop(self) -> None:
-        """No more pictures, and the camera is let go of."""
+        """Stop reading, and wait until the camera is released."""
         self.end()
         if self._thread.is_alive():
             self._thread.join(6)
 
     def delivered(self) -> tuple[Delivered, list[CameraImage]]:
-        """The newest pictures and their times; to be called with `arrived` held."""
+        """Return the newest pictures and their times; call it with `arrived` locked."""
         times = np.array([t for t, _ in self._shots]) - self.offset
         arrivals = np.array([s.arrival for _, s in self._shots])
         return Delivered(times, arrivals, self._period()), [s for _, s in self._shots]
 
     def status(self) -> FeedStatus:
-        """What it does."""
+        """Return the status of the camera."""
         with self._arrived:
             period, trouble = self._period(), self._trouble
             silent = time.monotonic() - (self._shots[-1][1].arrival if self._shots else self._begun)
@@ -124,8 +139,9 @@ class CameraFeed:
                 source.close()
 
     def _when(self, shot: CameraImage) -> float | None:
-        """When it was taken, on this computer's clock; None: that is not known. Many programs send a time that never
-        changes, or in another unit."""
+        """Return when a picture was taken, on this computer's clock; None: not known. Times of the camera are ignored
+        after too many impossible ones, since some programs send constant times or another unit.
+        """
         if shot.stamp is None or self._nonsense >= SETTINGS.feeds_nonsense:
             return shot.arrival
         at = self._clock.update(shot.stamp, shot.arrival)
@@ -141,7 +157,7 @@ class CameraFeed:
                     self._shots.clear()  # the clock was set back
                 return
             if len(self._pace) >= SETTINGS.feeds_known:
-                # what comes too soon after another was only late, and not lost before
+                # a picture that comes too soon after another was only late: it reduces the number of lost ones
                 self._recent.append(round((at - self._pace[-1]) / _usual(np.diff([*self._pace, at]))) - 1)
                 self._lost = max(0, self._lost + self._recent[-1])
             self._shots.append((at, shot))
@@ -158,16 +174,21 @@ def _without_pauses(steps: Array) -> Array:
 
 
 def _usual(steps: Array) -> float:
-    """Usual time (s) between two pictures: half of the recorded time has steps no longer. Pictures that arrive in one
-    burst after a delay of the reader do not disturb it."""
+    """Compute the usual time (s) between two pictures as the time-weighted median of the steps. Why: pictures that
+    arrive in one burst after a delay do not change it.
+    """
     ordered = np.sort(_without_pauses(steps))
     return float(ordered[np.searchsorted(np.cumsum(ordered), ordered.sum() / 2)])
 
 
 @dataclass(frozen=True)
 class Delivered:
-    """The last pictures of one camera: times (N,) s on the common clock and arrivals (N,) s on this computer's, both
-    ascending; period s between two, NaN while it is not known."""
+    """Newest pictures of one camera.
+
+    times: (N,) on the common clock, ascending, s.
+    arrivals: (N,) on this computer's clock, ascending, s.
+    period: time between two, s; NaN while not known.
+    """
 
     times: Array
     arrivals: Array
@@ -176,7 +197,11 @@ class Delivered:
 
 @dataclass(frozen=True)
 class _Instant:
-    """time: s on the common clock; shots: of each camera the index of the picture that shows it, None: it has none."""
+    """One instant that several cameras show.
+
+    time: on the common clock, s.
+    shots: per camera, the index of the picture that shows it; None: there is none.
+    """
 
     time: float
     shots: tuple[int | None, ...]
@@ -185,9 +210,14 @@ class _Instant:
 def newest_instant(
     cameras: Sequence[Delivered], last: float, now: float, least: int = 2
 ) -> tuple[_Instant | None, float]:
-    """The newest instant after `last` (s, common clock) for which every present camera has sent its picture, or will
-    send none, by `now` (s, this computer's clock); and until when it is worth waiting for more. So many cameras at
-    least show it."""
+    """Find the newest instant for which no present camera will send a better picture.
+
+    last: only instants after it, on the common clock, s.
+    now: this computer's clock, s.
+    least: least number of cameras that must show it.
+    Returns: the instant, or None; and the time (this computer's clock) until which it is worth waiting for more
+        pictures.
+    """
     there = [c for c, d in enumerate(cameras) if is_there(d, now)]
     known = [cameras[c].period for c in there if np.isfinite(cameras[c].period)]
     if len(there) < least or not known:
@@ -206,7 +236,7 @@ def newest_instant(
 
 
 def is_there(camera: Delivered, now: float) -> bool:
-    """Whether a camera still delivers."""
+    """Return whether a camera still delivers."""
     period = camera.period if np.isfinite(camera.period) else 0.0
     return len(camera.arrivals) > 0 and bool(
         now - camera.arrivals[-1] < max(SETTINGS.feeds_gone_s, SETTINGS.feeds_gone_periods * period)
@@ -214,10 +244,13 @@ def is_there(camera: Delivered, now: float) -> bool:
 
 
 def _still_to_come(camera: Delivered, period: float, now: float) -> tuple[float, float]:
-    """From which instant on (common clock) a picture may come that shows it better than those that are here, and until
-    when the first of them may (this computer's clock)."""
+    """Predict the next picture of a camera.
+
+    Returns: time (common clock) from which instants may get a better picture, and time (this computer's clock) by which
+        it should arrive.
+    """
     own = camera.period if np.isfinite(camera.period) else period
-    # of one that is later than others the pictures after a lost one are not due yet
+    # n: number of the next picture after lost ones, of which those not due yet may still come
     n = max(1, math.floor((now - SETTINGS.feeds_slack_s - camera.arrivals[-1]) / own) + 1)
     return float(camera.times[-1]) + (n - 0.5) * own, float(camera.arrivals[-1]) + n * own + SETTINGS.feeds_slack_s
 

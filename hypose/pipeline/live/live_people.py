@@ -1,7 +1,8 @@
-"""People, live: found, each followed by a `LiveTrack` in what the others leave of the masks, given up, found again.
+"""Track several people live: find each one, track it (`LiveTrack`) in what the others leave of the masks, give it up
+and find it again.
 
-Left and right are compared in parallel with tracking, and they are measured while they move. `step` never waits. The
-body is fitted in a process of its own and taken over where it explains the masks as well as the one before.
+`step` never waits. Left and right are compared in parallel with tracking. Bodies and camera offsets are estimated in a
+process of its own from the masks; a fitted body is used where it explains the masks as well as the one before.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from hypose.pipeline.live.live_search import FoundPerson, LivePersonOptions, Liv
 from hypose.pipeline.settings import SETTINGS
 from hypose.tracking.costs import mean_overlap
 from hypose.tracking.covariance_calibration import beyond_usual, with_fitted_joints
-from hypose.tracking.error_model import as_mixture, evidence_of, judged
+from hypose.tracking.error_model import as_mixture, judged
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.refinement import SETTLING, refine
 from hypose.tracking.several import BLIND, shape_of
@@ -36,15 +37,15 @@ from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState, motion
 
 @dataclass(frozen=True)
 class LivePose:
-    """One person in one live frame.
+    """Pose of one person in one live frame.
 
     person: number, from 1.
     frame: number of the frame.
     time: s.
-    motion: this frame alone, with pose, covariance, error probability and low-confidence joints.
-    body: the body of the pose.
-    joints (J, 3): m, world; when a new body replaces the old one, they move to the new place smoothly.
-    views (C,): True for the cameras that were used.
+    motion: motion of this frame alone, with pose, covariance, error probability and low-confidence joints.
+    body: body of the pose.
+    joints: (J, 3) m, world; after a change of the body they move to the new place smoothly.
+    views: (C,) True for the cameras that were used.
     """
 
     person: int
@@ -57,14 +58,20 @@ class LivePose:
 
     @property
     def lost(self) -> bool:
-        """The person was lost in this frame: the pose is only a guess."""
+        """Whether the person was lost in this frame, so that the pose is only a guess."""
         return bool(self.motion.lost[0])
 
 
 @dataclass(frozen=True)
 class Stepped:
-    """A tracked frame before its error probabilities are known. person, shift (J, 3) m: see
-    `LivePose`; frame: what of it is the person's, whole: with all people in it."""
+    """Tracked frame of one person, before its error probabilities are known.
+
+    person: number of the person.
+    frame: evidence of this person only.
+    whole: frame with all people in it.
+    doubt: error model of the person.
+    shift: (J, 3) m, added to the joints after a change of the body.
+    """
 
     person: int
     frame: Frame
@@ -75,33 +82,46 @@ class Stepped:
     shift: Array | None
 
     def reported(self) -> LivePose:
-        """The pose, with the error probabilities known by now."""
+        """Return the pose with the newest error probabilities."""
         motion = self.doubt.reported(self.tracker, self.estimate, self.frame)
         joints = np.asarray(motion.joints[0], np.float64)
-        views = np.zeros(0, np.bool_) if self.frame.silhouettes is None else self.frame.silhouettes.usable
+        views = self.frame.usable_views
         if self.shift is not None:
             joints = joints + self.shift
         now, body = self.frame, self.tracker.body
         return LivePose(self.person, now.index, now.time, motion, body, joints, views)
 
     def look(self) -> None:
-        """Update the error probabilities; to be called in the order of the frames."""
+        """Update the error probabilities; call it in the order of the frames."""
         self.doubt.look(self.tracker, self.estimate, self.frame, self.whole)
 
 
 @dataclass(frozen=True)
 class _Duel:
-    """The body with its sides exchanged, tracked in parallel: frames and what the tracked body costs in them; won: the
-    state to go on from, and its time, None where it lost."""
+    """Comparison with the body whose sides are exchanged, tracked in parallel.
+
+    frames: frames, and what the tracked body costs in them.
+    won: state to continue from and its time; None where it lost.
+    """
 
     frames: queue.SimpleQueue[tuple[Frame, float]]
     won: Future[tuple[TrackerState, float] | None]
 
 
 class LiveTrack:
-    """`step` with every frame. number: see `LivePose`; rig: of the masks; rate: Hz of the frames; executor: runs duels;
-    work: fits body and offsets, None: neither is done; sync: the cameras' offsets are still to be found; shared: there
-    may be others in the masks. body: their own, None: not known yet; offsets (C,) s: None: not known yet."""
+    """Live track of one person; call `step` with every frame.
+
+    found: body and state that the search found.
+    number: see `LivePose`.
+    rig: cameras of the masks.
+    rate: of the frames, Hz.
+    executor: runs duels, see `_Duel`.
+    work: fits body and offsets; None: neither is done.
+    sync: the cameras' offsets are still to be found.
+    shared: there may be other people in the masks.
+    body: the person's own body; None: not known yet.
+    offsets: (C,) delays of the cameras, s; None: not known yet.
+    """
 
     def __init__(
         self,
@@ -133,11 +153,11 @@ class LiveTrack:
 
     @property
     def sure(self) -> bool:
-        """Is it known where they are?"""
+        """Whether the person's place is known."""
         return not self.state.lost and self.state.blind <= BLIND
 
     def expected(self, time: float) -> Array:
-        """The pose (D,) in which they are expected at a time, s."""
+        """Predict the pose (D,) at a time, s."""
         return self.tracker.predicted(self._state_at(time))
 
     def _state_at(self, time: float) -> TrackerState:
@@ -146,7 +166,11 @@ class LiveTrack:
         return paced(self.state, share, self.tracker.body.skeleton)
 
     def step(self, frame: Frame, whole: Frame | None = None) -> Stepped | None:
-        """The frame tracked; None: they have been lost for too long. whole: see `Stepped`, where it is another one."""
+        """Track a frame.
+
+        whole: frame with all people, where `frame` holds the evidence of this person only.
+        Returns: None where the person has been lost for too long.
+        """
         self._take_up(frame)
         if self._duel is not None and self._duel.won.done():
             won, self._duel = self._duel.won.result(), None
@@ -171,7 +195,9 @@ class LiveTrack:
         return Stepped(self.number, frame, whole or frame, estimate, self.tracker, self._doubt, self._shift)
 
     def _fight(self, frame: Frame, estimate: FrameEstimate) -> None:
-        """Where the body with its sides exchanged explains a frame better, it is tracked in parallel for a while."""
+        """Start or continue a duel: where the body with exchanged sides explains a frame better, it is tracked in
+        parallel for some frames.
+        """
         if self._duel is not None:
             self._duel.frames.put((frame, estimate.cost))
         elif not estimate.lost and (estimate.exchanged > 0 or frame.time >= self._challenge):
@@ -185,7 +211,11 @@ class LiveTrack:
     def _fought(
         self, body: Body, pose: Array, first: Frame, frames: queue.SimpleQueue[tuple[Frame, float]]
     ) -> tuple[TrackerState, float] | None:
-        """In another thread; limits as for whole clips (`hypose.pipeline.left_right`), at half their rate."""
+        """Track the body with exchanged sides in another thread; limits as for whole clips
+        (`hypose.pipeline.left_right`), at half their rate.
+
+        Returns: state and time where it wins, else None.
+        """
         slow, give_up = (
             self.options.tracker(body, SETTINGS.search_slowly_hz),
             SETTINGS.live_shared if self._shared else SETTINGS.live_give_up,
@@ -210,7 +240,7 @@ class LiveTrack:
         return None
 
     def _keep_pace(self, passed: float) -> None:
-        """Where frames come more seldom than the tracker expects, more happens between two of them."""
+        """Replace the tracker by one for another frame rate where frames come at another rate than it expects."""
         self._usual_s += SETTINGS.live_pace * (passed - self._usual_s)
         rate = self.tracker.settings.frame_rate
         if not 1 / SETTINGS.live_other < self._usual_s * rate < SETTINGS.live_other:
@@ -218,7 +248,7 @@ class LiveTrack:
             self.tracker = self.options.tracker(self.tracker.body, pace)
 
     def _measure(self, frame: Frame) -> None:
-        """Keep masks for the body and the cameras' offsets, and have them found when there are enough."""
+        """Keep masks, and start the fits of body and camera offsets when there are enough."""
         if self._work is None:
             return
         if self._sync is not None and self._sync.done() and self.offsets is None:
@@ -241,17 +271,17 @@ class LiveTrack:
             self._kept = []
 
     def measure_again(self) -> None:
-        """The cameras' times have changed: the body was fitted to masks that did not belong together."""
+        """Fit the body again after the cameras' times changed, since it was fitted to masks of different instants."""
         if self.options.body is None:
             self.body, self._fit, self._kept = None, None, []
 
     def _take_up(self, frame: Frame) -> None:
-        """Go on with the fitted body where it explains the frame as well as the one before."""
+        """Use the fitted body where it explains the frame as well as the body before."""
         if self._fit is None or not self._fit.done():
             return
         body, self._fit = self._fit.result(), None
         if body is None or self.state.lost:
-            return  # fitted again from what comes
+            return  # it is fitted again from later frames
         old, expected = self.tracker.body, self.expected(frame.time)
         before = refine(old, expected[None], prepare(frame, old, expected), SETTLING)[0].pose
         moved = on_body(before, old, body)
@@ -266,15 +296,18 @@ class LiveTrack:
 
 
 def on_body(pose: Array, before: Body, body: Body) -> Array:
-    """The pose (D,) of one body for another of the same joints: as turned, its joints' mean where it was."""
+    """Transfer a pose (D,) to another body with the same joints: angles stay, and the mean of the joints stays in
+    place.
+    """
     moved = pose.copy()
     moved[:3] += (before.joints(pose) - body.joints(pose)).mean(0)
     return moved
 
 
 class LiveErrorModel:
-    """For one body: call `reported` for every frame in order, then `look`. `reported` uses the newest error
-    probabilities; `look` computes the next."""
+    """Error model of one live body. For every frame in order call `reported`, then `look`: the first uses the newest
+    error probabilities, the second computes the next ones.
+    """
 
     def __init__(self) -> None:
         self._audited: deque[tuple[float, FrameEstimate]] = deque()
@@ -285,21 +318,25 @@ class LiveErrorModel:
         self._doubtful: NDArray[np.bool_] | None = None
 
     def reported(self, tracker: Tracker, estimate: FrameEstimate, frame: Frame) -> Motion:
-        """The estimate as a motion of one frame. Of a person just found only the place is known: all joints are
-        doubtful, as those of a lost person are."""
+        """Return the estimate as a motion of one frame with error probabilities.
+
+        All joints are of low confidence for a lost person, and for one just found, of whom only the place is known.
+        """
         now = motion_of(tracker.body, np.array([frame.time]), [estimate])
         count = now.joints.shape[:2]
         p, low_confidence = self._p, self._doubtful
         if p is None or low_confidence is None or estimate.lost:
             p = np.maximum(np.zeros(count, np.float32) if p is None else p, np.float32(0.5))
             low_confidence = np.ones(count, np.bool_)
-        now = with_fitted_joints(now, "silhouettes" if frame.depth is None else "depth", self._beyond)
+        now = with_fitted_joints(now, frame.kind, self._beyond)
         now = replace(now, error_probability=p, low_confidence_joints=low_confidence)
         return as_mixture(now) if frame.depth is None else now  # regions from depth include other places
 
     def look(self, tracker: Tracker, estimate: FrameEstimate, frame: Frame, whole: Frame | None = None) -> None:
-        """Audit the frame, if it is time for that, and judge it by those of the last seconds. whole: with all people in
-        it."""
+        """Compute features of the frame, if that is due, and error probabilities from those of the last seconds.
+
+        whole: frame with all people in it.
+        """
         known = self._audited
         look = self._p is None or frame.time - self._looked > 0.95 * SETTINGS.live_every_s
         if look or frame.time - known[-1][0] > 0.95 / SETTINGS.live_audit_hz:
@@ -314,8 +351,8 @@ class LiveErrorModel:
             self._looked = frame.time
             window = motion_of(tracker.body, np.array([t for t, _ in known]), [e for _, e in known])
             audits = np.stack([e.audit for _, e in known])
-            p, joints = judged(window, window.joints, audits, known="depth" if frame.depth is not None else None)
-            self._beyond = beyond_usual(audits, evidence_of(audits) if frame.depth is None else "depth")
+            p, joints = judged(window, window.joints, audits, known=frame.kind)
+            self._beyond = beyond_usual(audits, frame.kind)
             self._p, self._doubtful = p[-1:], joints[-1:]
 
 
@@ -324,10 +361,16 @@ STATE_TRACKING, STATE_LOST = "following", "lost"
 
 
 class LivePeople:
-    """`step` with every frame; it never waits. rig: of the masks; rate: Hz of the frames; options: height and body are
-    those of who comes while no person is followed; executor: runs searches and duels; work: fits bodies and offsets,
-    None: neither is done; most: so many are followed at once; with one, all of the masks are theirs. offsets (C,) s: of
-    the cameras, None: not known yet."""
+    """Live tracking of all people; call `step` with every frame. It never waits.
+
+    rig: cameras of the masks.
+    rate: of the frames, Hz.
+    options: height and body are those of the first person.
+    executor: runs searches and duels.
+    work: fits bodies and offsets; None: neither is done.
+    most: most people at once; with one, all of the masks are evidence for that person.
+    offsets: (C,) delays of the cameras, s; None: not known yet.
+    """
 
     def __init__(
         self,
@@ -348,24 +391,24 @@ class LivePeople:
 
     @property
     def phase(self) -> str:
-        """Of those who are followed, else of the search."""
+        """Phase: that of the tracked people, else of the search."""
         if not self.people:
             return self._search.phase
         return STATE_LOST if all(p.state.lost for p in self.people) else STATE_TRACKING
 
     @property
     def fitted(self) -> bool:
-        """Have all people who are followed a body of their own?"""
+        """Whether all tracked people have a body of their own."""
         return bool(self.people) and all(p.body is not None for p in self.people)
 
     def measure_again(self) -> None:
-        """See `LiveTrack.measure_again`."""
+        """Fit the bodies again, see `LiveTrack.measure_again`."""
         self._known = self._options.body
         for p in self.people:
             p.measure_again()
 
     def step(self, frame: Frame) -> list[Stepped]:
-        """The frames of all people who are followed, by their numbers."""
+        """Track a frame; return the results of all people, in the order of their numbers."""
         for found in self._search.take():
             self._welcome(found)
         if self.most == 1 and self.people:
@@ -379,7 +422,7 @@ class LivePeople:
             if self.offsets is None and p.offsets is not None:
                 self.offsets = p.offsets
             if p.number not in there and self.most == 1:
-                self._known = p.body  # who comes back is the same person
+                self._known = p.body  # the next person counts as the same one
         self.people = [p for p in self.people if p.number in there]
         if len(self.people) < self.most:
             self._look(frame, stepped)
@@ -397,7 +440,7 @@ class LivePeople:
         self.people = sorted([*self.people, made], key=lambda p: p.number)
 
     def _look(self, frame: Frame, stepped: list[Stepped]) -> None:
-        """A person more, in what those who are followed leave."""
+        """Search another person in what the tracked people leave of the masks."""
         s = frame.silhouettes
         known = {p.number for p in self.people if p.sure}
         others = (
@@ -411,7 +454,9 @@ class LivePeople:
         self._search.look(frame, others, self.most - len(self.people), body, height)
 
     def _step_together(self, frame: Frame) -> list[Stepped]:
-        """As `hypose.tracking.several.step_together`: one after the other, and who comes first alternates."""
+        """Track all people in one frame like `hypose.tracking.several.step_together`: one after the other, starting
+        with another person in each frame.
+        """
         s, count = frame.silhouettes, len(self.people)
         assert s is not None
         shapes = {p.number: shape_of(p.tracker.body, p.expected(frame.time), s.rig) for p in self.people}
@@ -432,7 +477,7 @@ class LivePeople:
         return [out[n] for n in sorted(out)]
 
     def _one_of_two(self, time: float, stepped: list[Stepped]) -> list[Stepped]:
-        """Of two bodies in one place for long, the one that explains less is given up."""
+        """Give up the worse of two bodies that stay in one place."""
         cost = {s.person: float(np.nan_to_num(s.estimate.cost, nan=1.0)) for s in stepped}
         at: dict[int, Array] = {s.person: s.estimate.pose[:3] for s in stepped}
         self._near = {k: v for k, v in self._near.items() if at.keys() >= set(k)}

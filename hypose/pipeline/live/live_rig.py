@@ -1,4 +1,4 @@
-"""The cameras of a live run: a recording, or a calibration and where each camera is."""
+"""Find the cameras of a live run: those of a recording, or of a calibration with the address of each camera."""
 
 from __future__ import annotations
 
@@ -22,9 +22,15 @@ from hypose.pipeline.settings import SETTINGS
 
 @dataclass(frozen=True)
 class LiveRig:
-    """rig and views in one order; rate Hz; silhouettes: how masks are made; height m of the person, when known; notes
-    for the user; roomless: a recording is played that gives no picture of the empty room, which is guessed from its
-    videos."""
+    """Cameras of a live run.
+
+    rig, views: in one order.
+    rate: Hz.
+    silhouettes: how masks are made.
+    height: of the person, m, where known.
+    notes: for the user.
+    roomless: a recording is played that has no picture of the empty room, so the background is guessed from its videos.
+    """
 
     rig: CameraRig
     views: tuple[LiveView, ...]
@@ -36,11 +42,14 @@ class LiveRig:
 
 
 def live_rig(path: str | Path, sources: Mapping[str, str], rate: float | None = None) -> LiveRig:
-    """The cameras of a recording (its folder or recording.toml), or of a calibration (its file or folder).
+    """Load the cameras for a live run.
 
-    sources: where cameras are, by their names (see `open_camera`). With them only these cameras are used, and the empty
-    room is learnt at the start; without, a recording's own videos are played, with the room they know. An InputError
-    names the missing input."""
+    path: a recording (folder or recording.toml), or a calibration (file or folder).
+    sources: addresses by camera name (see `open_camera`). With them only these cameras are used, and the empty room is
+        learned at the start; without, a recording's videos are played.
+    rate: Hz; None: that of the recording, else a usual one.
+    Raises: InputError names the missing input.
+    """
     path = Path(path)
     if not path.exists():
         raise InputError(f"{path} does not exist; give a recording, or a calibration file.")
@@ -80,13 +89,13 @@ def live_rig(path: str | Path, sources: Mapping[str, str], rate: float | None = 
 
 
 def _address(view: ViewSettings, sources: Mapping[str, str]) -> str:
-    """Where a camera is; the folder of a depth view is one of depth maps."""
+    """Return the address of a camera; the folder of a depth view is marked as one of depth maps."""
     where = sources[view.name]
     return where if view.depth is None or is_depth(where) else f"{DEPTH_PREFIX}{where}"
 
 
 def _check_places(sources: Mapping[str, str]) -> None:
-    """An InputError when two cameras are at one place."""
+    """Raise InputError where two cameras have the same address."""
     first: dict[str, str] = {}
     for name, where in sources.items():
         place = str(int(where)) if is_device(where) else where
@@ -107,9 +116,9 @@ def _played(recording: Recording | None, rig: CameraRig, path: Path, rate: float
             f"View {without[0]} of {recording.name} has no video to play; give the camera with --source, or a "
             "recording with videos."
         )
-    # masks that were made elsewhere do not exist for pictures still to come
+    # masks made by other programs do not exist for live pictures
     shown = replace(recording, keypoint_set=None, views=tuple(replace(v, masks=None) for v in recording.views))
-    small = working_rig(rig, depth=[v.depth is not None for v in recording.views])
+    small = working_rig(rig, depth=[v in recording.depth_views for v in recording.views])
     views = tuple(
         LiveView(v.name, str(v.source), v.image_shift, b, v.accept_scaled)
         if v.depth is None
@@ -125,7 +134,7 @@ def _played(recording: Recording | None, rig: CameraRig, path: Path, rate: float
 
 
 def _recording(path: Path) -> Recording | None:
-    """The recording, None when this is a calibration alone."""
+    """Load the recording; None where the path is a calibration."""
     if path.is_dir():
         is_one = (path / "recording.toml").is_file() or (path / "Config.toml").is_file()
     else:

@@ -1,5 +1,8 @@
-"""Who is there, live: found in the masks whatever they do. It takes a second or two, in another thread, while the masks
-go on being kept; what happened meanwhile is then followed faster than it came, until the present is reached."""
+"""Find people live in the masks, in any pose.
+
+The search takes a second or two in another thread, while new masks are kept. Then the kept frames are tracked faster
+than they came, until the present is reached.
+"""
 
 from __future__ import annotations
 
@@ -33,25 +36,36 @@ from hypose.tracking.start_search import starts_in_frame, weigh_starts
 from hypose.tracking.tracker import Tracker, TrackerState
 
 STATE_EMPTY, STATE_SEARCHING = "nobody", "looking"
-"""What `LiveSearch.phase` can be."""
+"""Values of `LiveSearch.phase`."""
 
 
 @dataclass(frozen=True)
 class LivePersonOptions:
-    """track: the recipe and its seed; height m, when known; body: the person's own, when known: none is fitted then."""
+    """Options of tracking a person live.
+
+    track: recipe and seed.
+    height: m, where known.
+    body: the person's own body, where known; then none is fitted.
+    """
 
     track: TrackOptions = TrackOptions()
     height: float | None = None
     body: Body | None = None
 
     def tracker(self, body: Body, rate: float) -> Tracker:
-        """Of a body, for frames of so many Hz."""
+        """Build the tracker of a body for frames of a rate, Hz."""
         return tracker_of(TrackedSubject(body, None, np.zeros(body.skeleton.dof), ()), self.track, rate)
 
 
 @dataclass(frozen=True)
 class FoundPerson:
-    """A person followed to the present: the body, the state and when that was, s; the last step, s."""
+    """Person who was found and tracked to the present.
+
+    body: body of the track.
+    state: state of the tracker.
+    time: of the state, s.
+    step_s: time of the last step, s.
+    """
 
     body: Body
     state: TrackerState
@@ -61,17 +75,19 @@ class FoundPerson:
 
 @dataclass(frozen=True)
 class _Look:
-    """A frame in which a person is looked for, and who is known to be in it."""
+    """One frame of a search, and the people who are tracked in it already."""
 
     frame: Frame
     others: Sequence[Other]
 
 
 class LiveSearch:
-    """Call `look` with every frame that may show a person who is not tracked yet; it never waits.
+    """Search for people in live masks. Call `look` with every frame that may show a person who is not tracked yet; it
+    never waits.
 
-    executor: runs the search; several: there may be more than one person, so each is searched in the mask that the
-    others leave."""
+    executor: runs the search.
+    several: there may be more than one person, so each is searched in the mask that the others leave.
+    """
 
     def __init__(self, options: LivePersonOptions, executor: Executor, several: bool) -> None:
         self.options, self.several = options, several
@@ -85,7 +101,7 @@ class LiveSearch:
         self._failed, self._not_before = 0, -np.inf
 
     def take(self) -> list[FoundPerson]:
-        """Who has been found since this was asked last."""
+        """Return the people who were found since the last call."""
         with self._lock:
             found, self._found = self._found, []
             if found:
@@ -94,8 +110,12 @@ class LiveSearch:
         return found
 
     def look(self, frame: Frame, others: Sequence[Other], most: int, body: Body | None, height: float | None) -> None:
-        """Keep what a search needs, and begin it. others: who is known to be there; most: so many are looked for; body,
-        height m: of who comes, when known."""
+        """Keep a frame for the search, and start the search when there are enough.
+
+        others: people who are tracked already.
+        most: most people to search.
+        body, height: of the new person, where known; height in m.
+        """
         with self._lock:
             if not self._found:
                 self._look(_Look(frame, others), most, body, height)
@@ -108,7 +128,7 @@ class LiveSearch:
                 raise failed
             self._search, self._first = None, []
             self._waiting.clear()
-            if look.others:  # whatever it is that no body explains, those who are followed need the processor
+            if look.others:  # search less often: the tracked people need the processor
                 self._failed += 1
                 self._not_before = frame.time + min(SETTINGS.search_again_s * 2**self._failed, SETTINGS.search_seldom_s)
         if frame.time < self._not_before:
@@ -132,7 +152,7 @@ class LiveSearch:
             self._search = self._executor.submit(self._find, self._first, most, body or human(), height)
 
     def _find(self, looks: list[_Look], most: int, template: Body, height: float | None) -> None:
-        """In another thread: starts from the first frames, and what came since then."""
+        """Find starts in the first frames and track them through the frames since then; runs in another thread."""
         options, zero = self.options, np.zeros(template.skeleton.dof)
         members = list[Member]()
         for frames in _each_alone(looks, most) if self.several else [[k.frame for k in looks]]:
@@ -142,13 +162,13 @@ class LiveSearch:
                 slow = options.tracker(best.body, SETTINGS.search_slowly_hz)
                 members.append(Member(slow, slow.start(best.pose)))
         if not members:
-            raise EvidenceError("Nobody's body explains the masks.")
+            raise EvidenceError("No body explains the masks.")
         last, step_s, spent = looks[0].frame.time, 1 / SETTINGS.search_slowly_hz, 0.0
         for look in looks:
             members, last = self._step(members, look), look.frame.time
         while True:
             with self._lock:
-                # a computer on which a step takes longer than it has would never reach the present
+                # skip frames where a step takes longer than the time between them, else the present is never reached
                 while len(self._waiting) > 1 and self._waiting[1].frame.time - last < min(
                     1.5 * spent, SETTINGS.search_gap_s
                 ):
@@ -170,7 +190,9 @@ class LiveSearch:
 
 
 def paced(state: TrackerState, share: float, skeleton: Skeleton) -> TrackerState:
-    """The state for a frame that comes after `share` times the time of the step before: velocities are per frame."""
+    """Scale the velocities of a state for a frame that comes after `share` times the time of the step before. Why:
+    velocities are per frame.
+    """
     if abs(share - 1) < 0.02:
         return state
     share, h = min(share, 4.0), state.hypotheses
@@ -182,7 +204,7 @@ def paced(state: TrackerState, share: float, skeleton: Skeleton) -> TrackerState
 
 
 def _largest_person(look: _Look) -> bool:
-    """Two views, or one depth camera, show something of the size of a person, apart from those who are known."""
+    """Return whether enough views show something of the size of a person in addition to the known people."""
     for s in look.frame.of(Silhouettes):
         if look.others:
             return birth_candidates(look.others, s)
@@ -192,12 +214,15 @@ def _largest_person(look: _Look) -> bool:
 
 
 def _each_alone(looks: Sequence[_Look], most: int) -> list[list[Frame]]:
-    """What of the frames is evidence for each of those in the hull of the first whom no tracked body explains, the
-    largest first, if they are in most of the frames."""
+    """Make the evidence of each new person in the hull of the first frame, largest first; those who are not in most of
+    the frames are left out.
+    """
     axes, own = list[Array](), list[list[Frame]]()
     for look in looks:
         found = people_in_hull(look.frame.the(Silhouettes), look.others)
-        found = [p for p in found if p.tall or not look.others]  # next to a person it may be a limb of theirs
+        found = [
+            p for p in found if p.tall or not look.others
+        ]  # a small part near a person may be a limb of that person
         if not own:
             axes = [p.axis for p in found[:most]]
             own = [[] for _ in axes]

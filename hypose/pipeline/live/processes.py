@@ -1,4 +1,4 @@
-"""Threads and processes of live tracking: punctual ones, and ones that never outlive the process that started them."""
+"""Threads and processes of live tracking: switch threads quickly, and never outlive the parent process."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from hypose.pipeline.settings import SETTINGS
 
 @contextlib.contextmanager
 def punctual() -> Iterator[None]:
-    """Meanwhile threads take turns often, and all that is loaded now is never looked through for garbage."""
+    """Switch threads often and keep loaded objects out of garbage collection, inside the context."""
     before = sys.getswitchinterval()
     sys.setswitchinterval(SETTINGS.processes_switch_s)
     gc.collect()
@@ -31,8 +31,9 @@ def punctual() -> Iterator[None]:
 
 @contextlib.contextmanager
 def deaf_to_ctrl_c() -> Iterator[None]:
-    """Processes that are started meanwhile do not hear Ctrl-C, which a terminal sends to all of its processes, from
-    their first moment on: while they are still importing, nothing else keeps a traceback from the terminal."""
+    """Start processes inside the context without the signal of Ctrl-C, from their first moment on. Why: a terminal
+    sends it to all processes, and one that is still importing would print a traceback.
+    """
     if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield
         return
@@ -44,8 +45,7 @@ def deaf_to_ctrl_c() -> Iterator[None]:
 
 
 def belong_to_parent() -> None:
-    """In a process that was started: Ctrl-C is left to the parent process, and this one ends with the parent, however
-    that ended."""
+    """Ignore Ctrl-C in a started process, and end it when its parent ends, in whatever way."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
     if parent is not None:

@@ -1,4 +1,4 @@
-"""What was seen live as a recording that `hypose track` solves again: pictures, masks, and the poses."""
+"""Record a live run as a recording that `hypose track` can solve again: pictures, masks and poses."""
 
 from __future__ import annotations
 
@@ -31,9 +31,13 @@ _POSES = "poses.jsonl"
 
 
 class LiveRecorder:
-    """A listener of the live engine, which must give pictures. folder: new, and empty until there is something to
-    record; height m of the person, when known; closed by `close`, when everything is written. An InputError when the
-    folder holds something or cannot be made. failed: why recording has ended before that, "" while it goes on."""
+    """Listener of the live engine that writes a recording; the engine must deliver pictures. `close` ends it.
+
+    folder: new or empty; it stays empty until there is something to record.
+    height: of the person, m, where known.
+    failed: why recording ended early; "" while it continues.
+    Raises: InputError where the folder holds something or cannot be made.
+    """
 
     def __init__(
         self,
@@ -62,7 +66,7 @@ class LiveRecorder:
         self._thread.start()
 
     def seen(self, seen: LiveResult) -> None:
-        """See `Listener`."""
+        """Queue an instant to be written; it is left out where the queue is full."""
         if self.failed:
             return
         try:
@@ -71,11 +75,14 @@ class LiveRecorder:
             self.left_out += 1
 
     def status(self, status: LiveStatus) -> None:
-        """See `Listener`."""
+        """Ignore the state of the run."""
 
     def close(self) -> bool:
-        """Write what waits, and recording.toml; whether there was anything to record. An InputError when not all of it
-        could be written; what was is a recording all the same."""
+        """Write the waiting instants and recording.toml.
+
+        Returns: whether there was anything to record.
+        Raises: InputError where not everything could be written; what was written is a valid recording.
+        """
         recorded = self._closed or self._close()
         if self.failed:
             kept = f"the {self.written} instants before that are" if recorded else "nothing is"
@@ -115,8 +122,9 @@ class LiveRecorder:
         write_recording(recording, self.folder)
 
     def _rate(self) -> float:
-        """Hz at which a person was followed: before that instants are looked at more seldom, and while no two cameras
-        showed anything there were none."""
+        """Compute the rate (Hz) while a person was tracked, without pauses: before that, instants are processed less
+        often.
+        """
         steps, followed = np.diff(self._times), np.array(self._followed)
         known = followed[1:] & followed[:-1]
         steps = steps[known] if known.any() else steps
@@ -132,19 +140,19 @@ class LiveRecorder:
                 self._write(seen, poses)
             except OSError as error:
                 self.failed = f"{self.folder} cannot be written to ({error.strerror}); the recording ends there."
-            except HyposeError as error:  # a link that leads out of the folder
+            except HyposeError as error:  # e.g. a link that leads out of the folder
                 self.failed = str(error)
-        with contextlib.suppress(OSError):  # what it still holds is of an instant that could not be written
+        with contextlib.suppress(OSError):  # its buffer holds only the instant that could not be written
             if poses is not None:
                 poses.close()
         if self.failed:
             self._forget()
 
     def _opened(self) -> TextIO:
-        """The folders, and where poses go."""
+        """Make the folders, and open the file of poses."""
         places = ("depth" if v.depth else "pictures" for v in self._views)
         self._pictures = [folder_for(self.folder / p, v.name) for p, v in zip(places, self._views, strict=True)]
-        # what a depth camera sees needs no masks
+        # a depth camera needs no masks
         self._masks = [
             p if v.depth else mask_folder(self.folder / "masks", v.name, camera)
             for p, v, camera in zip(self._pictures, self._views, self._small, strict=True)
@@ -152,7 +160,7 @@ class LiveRecorder:
         return open(self.folder / _POSES, "x", encoding="utf-8", newline="\n")
 
     def _write_room(self, empty: Sequence[Sequence[bytes]]) -> None:
-        """The maps from which the empty room was learnt, in place of those of a room that was learnt before."""
+        """Write the maps from which the empty room was learned, in place of earlier ones."""
         for c, maps in enumerate(empty):
             if maps:
                 folder = self._empty[c] = folder_for(self.folder / "background", self._views[c].name)
@@ -192,12 +200,12 @@ class LiveRecorder:
         self.written += 1
         if (
             self.written > 1 and time.monotonic() - self._described >= SETTINGS.recorder_describe_s
-        ):  # a killed process keeps its recording too
+        ):  # so that the recording of a killed process can be read
             self._describe()
             self._described = time.monotonic()
 
     def _forget(self) -> None:
-        """Remove what was written of the instant that failed, which also makes room for recording.toml."""
+        """Remove the files of the instant that failed; this also frees space for recording.toml."""
         with contextlib.suppress(OSError):
             os.truncate(self.folder / _POSES, self._rows)
         for folder in (*self._pictures, *self._masks):
@@ -207,6 +215,6 @@ class LiveRecorder:
 
 
 def _black(size: tuple[int, int], depth: bool = False) -> bytes:
-    """Of a camera that has not shown anything yet."""
+    """Encode a black picture, for a camera that has not shown anything yet."""
     nothing = np.zeros((size[1], size[0]), np.float32) if depth else np.zeros((size[1], size[0], 3), np.uint8)
     return stored(nothing) or b""

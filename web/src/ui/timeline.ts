@@ -9,6 +9,25 @@ export interface TimelineData {
   doubtful: Uint8Array | null;
   /** (T) 0 to 1, drawn as a curve; NaN where not known. */
   curve: Float32Array | null;
+  /** What passes moved after their frame was tracked, the largest first. */
+  changes: Change[];
+}
+
+/** A stretch of rows in which a pass moved a joint, as in the trace of provenance.json. */
+export interface Change {
+  pass: string;
+  joint: string;
+  frames: [number, number];
+  moved_mm: number;
+  reason: string;
+}
+
+const LARGE_MM = 50;
+
+/** Changes that are large enough to be seen, of a provenance. */
+export function largeChanges(provenance: Record<string, unknown>): Change[] {
+  const trace = (provenance["trace"] ?? []) as Change[];
+  return trace.filter((c) => c.moved_mm >= LARGE_MM).sort((a, b) => b.moved_mm - a.moved_mm);
 }
 
 const RULER = 16;
@@ -98,7 +117,10 @@ export class Timeline {
     const what = (flag ? ` · ${flagName(flag)}` : "") + (joints ? ` · ${joints} ${joints === 1 ? "joint" : "joints"}` : "");
     const value = this.data.curve?.[row] ?? NaN;
     const fit = Number.isFinite(value) ? ` · overlap ${value.toFixed(2)}` : "";
-    this.hover.textContent = `${clock(this.data.times[row] ?? 0)}${what}${fit}`;
+    const moved = this.data.changes.find((c) => c.frames[0] <= row && row < c.frames[1]);
+    const how = moved ? `\n${moved.joint.replaceAll("_", " ")} moved ${moved.moved_mm} mm by ${moved.pass}` : "";
+    this.hover.textContent = `${clock(this.data.times[row] ?? 0)}${what}${fit}${how}`;
+    this.hover.title = moved?.reason ?? "";
     this.hover.hidden = false;
     const x = Math.min(box.width - HOVER / 2, Math.max(HOVER / 2, event.clientX - box.left));
     this.hover.style.transform = `translateX(${x - HOVER / 2}px)`;
@@ -121,6 +143,8 @@ export class Timeline {
       c.globalAlpha = 1;
       c.fillRect(x(first), height - 4, width, 4);
     }
+    c.fillStyle = colour("ink");
+    for (const { frames } of this.data.changes) c.fillRect(x(frames[0]), top, Math.max(2, x(frames[1]) - x(frames[0])), 2);
     this.drawDoubt(c, w, top);
     const seconds = (times[n - 1] ?? 0) - (times[0] ?? 0);
     const step = ruler(seconds, w);

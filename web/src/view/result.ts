@@ -1,10 +1,10 @@
 import { DOUBTFUL, doubtfulAt, doubtfulCounts, toLookAt, type Stretch, type ViewData } from "../lib/bundle";
 import { button, select, tabs, toggle, type Toggle } from "../ui/buttons";
-import { h, onResize, setText } from "../ui/dom";
+import { h, onResize, plain, setText } from "../ui/dom";
 import { icon, type IconName } from "../ui/icons";
 import { bindKeys } from "../ui/keyboard";
 import { splitter } from "../ui/split";
-import { clock, Timeline } from "../ui/timeline";
+import { clock, largeChanges, Timeline } from "../ui/timeline";
 import { toast } from "../ui/toast";
 import { CameraPane } from "./cameras";
 import type { Corrector } from "./correct";
@@ -90,7 +90,7 @@ export class ResultView {
     this.corrector = options.corrector?.(this) ?? null;
     const curve = data.cost.some(Number.isFinite) ? data.cost.map((c) => 1 - c) : null;
     const many = data.doubtful && doubtfulCounts(data);
-    this.timeline = new Timeline({ times: data.times, flags: data.flags, doubtful: many, curve }, go);
+    this.timeline = new Timeline({ times: data.times, flags: data.flags, doubtful: many, curve, changes: largeChanges(header.provenance) }, go);
     this.suspects = toLookAt(data, Math.round(TOGETHER_S * header.frame_rate));
 
     this.follow = toggle("Follow", false, (on) => {
@@ -358,7 +358,7 @@ const TONES = { good: ["good", "done"], look: ["warn", "warning"], "not to be tr
 /** What is to be thought of the result, in one line on top of it. */
 function assessment({ word, sentence }: NonNullable<ViewData["header"]["assessment"]>): HTMLElement {
   const [tone, sign] = TONES[word] ?? TONES.look;
-  return h("p", { class: `view-assessment ${tone}` }, icon(sign), h("span", {}, sentence));
+  return h("p", { class: `view-assessment ${tone}` }, icon(sign), h("span", {}, plain(sentence)));
 }
 
 function round(rate: number): string {
