@@ -215,7 +215,7 @@ def keep_offsets(
 ) -> None:
     """results/sync.json, for the studio, in the recording's folder or another; where it cannot be written, the printed
     text has to do."""
-    views = [{"name": v.name, "late": x, "told": w} for v, x, w in zip(recording.views, late, words, strict=True)]
+    views = [{"name": v.name, "late": x, "how": w} for v, x, w in zip(recording.views, late, words, strict=True)]
     with contextlib.suppress(OSError, InputError):
         write_text(
             (folder or recording.folder) / "results" / "sync.json", json.dumps({"by": by, "views": views}) + "\n"
@@ -268,7 +268,10 @@ def _by_motion(
 def _by_motion_within(
     recording: Recording, largest: float, frames: int, progress: ProgressCall
 ) -> tuple[list[float], list[str], bool]:
-    """How late each view is, frames, within `largest` frames, what is said of it, and whether all lie well within."""
+    """Estimate how late each view is, within `largest` frames.
+
+    Returns: frames, a few words on each, and whether all are known and well within the range.
+    """
     seen = observe_recording(recording, max(frames, math.ceil(4 * largest)), progress)
     points = None if seen.keypoints is None else undistorted(seen.rig, seen.keypoints)
     found = offsets_from_motion(seen.rig.pinhole(), points, seen.silhouettes, largest=largest)

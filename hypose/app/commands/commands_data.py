@@ -20,8 +20,8 @@ def init(
 ) -> None:
     """Write the recording.toml of a folder with videos, one per camera.
 
-    It looks at what lies in the folder and in the folders in it; a recording.toml that is there stays as it is. What is
-    named background or empty shows the empty room, what is named board or calib is for hypose calibrate.
+    It reads the folder and the folders in it, and never overwrites a recording.toml. Files named background or empty
+    show the empty room, files named board or calib are for hypose calibrate.
     """
     from hypose.calibration.views import find_sources
     from hypose.io.calibrations.calibration_formats import read_any

@@ -1,5 +1,4 @@
-"""What is found of a person before anybody is tracked: key points by a detector, a body of the right size, and the
-cameras of a recording without a calibration."""
+"""Jobs before tracking: key points by a detector, a body of the person's size, cameras without a calibration."""
 
 from __future__ import annotations
 

@@ -225,8 +225,11 @@ def uncalibrated(folder: Path) -> bool:
 
 
 def found_offsets(folder: Path, names: Sequence[str]) -> list[float] | None:
-    """(C,) frames by which each view was found to be late, from the one in the middle, so that few frames are lost; 0
-    where it is less than its error. None where `hypose sync` has not found them."""
+    """Read how late `hypose sync` found each view to be.
+
+    Returns: (C,) frames, relative to the median view, so that few frames are lost; 0 where the lag is less than its
+        error. None where it has not been found.
+    """
     found = read_found(folder, "sync.json") or {}
     views = found.get("views", [])
     if [v["name"] for v in views] != list(names):
@@ -234,9 +237,9 @@ def found_offsets(folder: Path, names: Sequence[str]) -> list[float] | None:
     middle = sorted(v["late"] for v in views)[len(views) // 2]
     out = []
     for view in views:
-        late, told = view["late"] - middle, view["told"]
-        sd = re.match(r"sd ([\d.]+)", told)
-        unknown = told.startswith("no motion") or (sd is not None and abs(late) <= 2 * float(sd[1]))
+        late, how = view["late"] - middle, view["how"]
+        sd = re.match(r"sd ([\d.]+)", how)
+        unknown = how.startswith("no motion") or (sd is not None and abs(late) <= 2 * float(sd[1]))
         out.append(0.0 if unknown else round(late, 2))
     return out
 
