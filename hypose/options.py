@@ -24,10 +24,10 @@ HEIGHT = (0.4, 2.8)
 """m: of a person whom the trackers know."""
 MOST_FRAMES = 10**9
 LARGEST_SEED = 2**63 - 1
-RUN, RESEARCH = "Run", "Research"
-"""Headings of how it is run, and of what only those need who compare methods."""
+OUTPUT, RUN, RESEARCH = "Output", "Run", "Research"
+"""Headings of options: files to write, how to run, comparison of methods."""
 THREAD_VARIABLES = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-"""What limits the threads of numba and of the libraries behind numpy."""
+"""Variables that limit the threads of numba and of the libraries behind numpy."""
 _TRUTH = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
 
 
@@ -135,3 +135,13 @@ Seed = Annotated[
 Seconds = Annotated[float, Option("Length of the recording.", 0, 3600, above=True, unit="seconds")]
 Resume = Annotated[bool, Option("Go on where an interrupted run stopped.", group=RUN)]
 Yes = Annotated[bool, Option("Fetch the detector's models, once, without asking.", group=RUN)]
+Formats = Annotated[str, Option("Motion files to write.", value="LIST", group=OUTPUT)]
+ListenHost = Annotated[str, Option("Address to listen on; others than this computer need the token.", group="Network")]
+OscAddress = Annotated[str | None, Option("Where to send OSC to.", value="HOST:PORT", group=OUTPUT)]
+TrackedPath = Annotated[
+    Path, Option("Results folder of hypose track, or its motion.npz.", argument=True, value="RESULTS")
+]
+MotionPath = Annotated[
+    Path, Option("Results folder of hypose track or hypose fuse, or its motion.npz.", argument=True, value="RESULTS")
+]
+OutFolder = Annotated[Path | None, Option("Folder to write to. [default: the results folder]")]

@@ -2,6 +2,7 @@
 
 import ast
 import importlib.util
+import inspect
 import os
 import re
 import signal
@@ -9,12 +10,19 @@ import subprocess
 import sys
 import tomllib
 import zipfile
+from collections import Counter
+from dataclasses import fields
 from pathlib import Path
 
 import grimp
 import pytest
 
 import hypose
+from hypose.app.cli import app
+from hypose.app.studio.job_kinds import JOB_KINDS, form_of
+from hypose.options import declared
+from hypose.pipeline.track_options import RECIPE_NAMES, TrackOptions
+from hypose.tracking.recipes import RECIPES
 from tests import missing
 from tests.conftest import HANG_S
 
@@ -177,6 +185,56 @@ print(bootstrap.run([sys.executable, "-c", {child!r}], None, dict(os.environ)))
         os.killpg(process.pid, signal.SIGINT)
         output, _ = process.communicate(timeout=HANG_S)
     assert output.split() == ["saved", "0"]
+
+
+# --- options ---
+
+
+def _commands(group, before=""):
+    """(name, what declares its options) of every command."""
+    for name in group.list_commands(None):
+        command = group.get_command(None, name)
+        if hasattr(command, "declares"):
+            yield before + name, command.declares
+        else:
+            yield from _commands(command, f"{before}{name} ")
+
+
+def test_every_option_is_declared_once():
+    """Every parameter of a command is an Option, in a class where there are many, and no other declares the same."""
+    commands = dict(_commands(app))
+    for name, declares in commands.items():
+        given = set(inspect.signature(declares).parameters)
+        undeclared = given - {option.name for option in declared(declares)} - {f.name for f in fields(TrackOptions)}
+        assert not undeclared, f"{name}: {undeclared} has no Option"
+    helps = Counter()
+    for path in SOURCES:
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if isinstance(node, ast.Call) and ast.unparse(node.func) == "Option":
+                helps[ast.unparse(node.args[0])] += 1
+    assert not [text for text, n in helps.items() if n > 1], "share the declaration, in hypose/options.py"
+
+
+SERVERS = {"StudioOptions", "FusionServerOptions"}
+"""Classes of servers, which tests and pages start without a command."""
+
+
+def test_no_class_of_app_declares_the_options_of_a_command_again():
+    options = {(name, o.name): o.default for name, declares in _commands(app) for o in declared(declares)}
+    for path in (PACKAGE / "app").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if not isinstance(node, ast.ClassDef) or path.name == "options.py" or node.name in SERVERS:
+                continue
+            own = {f.target.id: f.value for f in node.body if isinstance(f, ast.AnnAssign) and f.value is not None}
+            for command in {name for name, _ in options}:
+                same = [n for n, v in own.items() if repr(options.get((command, n), ...)) == ast.unparse(v)]
+                assert len(same) < 3, f"{path.name}: {node.name} declares {', '.join(same)} of hypose {command} again"
+
+
+def test_pages_and_tables_offer_options_that_commands_have():
+    for kind in JOB_KINDS:
+        assert all(option.option.help for option in form_of(kind))
+    assert RECIPE_NAMES == tuple(RECIPES)
 
 
 # --- what is installed ---

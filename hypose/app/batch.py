@@ -21,7 +21,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hypose.app.commands.console import ProgressCall, Stages, ignore
+from hypose.app.commands.console import ProgressCall, Stages, each, ignore
 from hypose.app.jobs.job import TrackJob, compile_before, job_of, record_of, run_job, split_names
 from hypose.app.options import TrackCommand
 from hypose.app.reports.summary import require_found, summarize
@@ -59,7 +59,7 @@ _POLL_S = 0.5
 _STOP_S = 60.0  # a frame and a checkpoint take far less
 _PATIENCE = "300s"  # a worker of a busy machine takes long to start, the first time and again
 _FILES: Mapping[str, Any] = {"formats": "trc,csv", "overlay": False}
-"""What is written of each recording, where nothing else is wanted."""
+"""Files that are written of each recording by default."""
 _COLUMNS_OF_TRACK = {
     d.flag.removeprefix("--").removeprefix("no-"): d
     for d in declared(TrackCommand)
@@ -152,8 +152,7 @@ def ordered_tasks(
     content and name, tracked with the same options, are one task."""
     tasks: dict[str, Task] = {}
     refused: list[dict[str, Any]] = []
-    for n, task in enumerate(drafts):
-        progress("plan", n, len(drafts))
+    for task in each(progress, "plan", drafts):
         try:
             job = task.job
             name = job.recording.name
@@ -166,7 +165,6 @@ def ordered_tasks(
             refused.append(
                 {"recording": task.command.recording.name, "name": task.name, "state": "failed", "message": str(error)}
             )
-    progress("plan", len(drafts), len(drafts))
     return list(tasks.values()), refused
 
 

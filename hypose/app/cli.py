@@ -33,7 +33,7 @@ CommandTable = Mapping[str, Mapping[str, tuple[str, str]]]
 below hypose.app.commands; or the table of a command that has commands of its own. What function `track` takes is
 declared by the class TrackCommand of hypose.app.options; without such a class by the function itself."""
 CLI_COMMANDS: CommandTable = {
-    "First": {
+    "Begin here": {
         "calibrate": (
             "commands_calibrate:calibrate",
             "Lenses and places of cameras, from boards or measured points.",
@@ -44,13 +44,14 @@ CLI_COMMANDS: CommandTable = {
         ),
         "sync": ("commands_check:sync", "How many frames each view is late; cure it with --out."),
         "track": (
-            "commands_track:track_command",
+            "jobs.person_job:track_command",
             "Track the person: motion files, overlay video, report.",
         ),
         "view": ("commands_live:view", "The studio in the browser: look at results, correct, set up."),
         "export": ("commands_results:export", "Write TRC, C3D, BVH, GLB, CSV, MOT of a tracked motion."),
     },
     "Recordings": {
+        "init": ("commands_data:init", "Write the recording.toml of a folder with videos."),
         "demo": ("commands_track:demo", "Make a synthetic recording, track it, compare with the truth."),
         "synth": ("commands_data:synth", "Make a synthetic recording with known truth."),
         "depth-import": ("commands_data:depth_import", "A recording from what depth cameras recorded."),
@@ -106,10 +107,14 @@ class _Group(click.Group):
                 return None
             module, _, member = found[0].partition(":")
             module = f"hypose.app.{'' if '.' in module else 'commands.'}{module}"
+
+            def load() -> Any:  # noqa: ANN401
+                return getattr(importlib.import_module(module), member)
+
             declares = getattr(options, f"{name.capitalize()}Command", None)
             if declares is not None:
-                self.commands[name] = make_command(name, declares, lambda given: _imported(module, member)(given))
-            elif isinstance(what := _imported(module, member), Mapping):
+                self.commands[name] = make_command(name, declares, load)
+            elif isinstance(what := load(), Mapping):
                 self.commands[name] = _Group(name, what, found[1])
             else:
                 self.commands[name] = make_command(name, what)
@@ -136,16 +141,16 @@ class _Command(click.Command):
                 formatter.write_dl(records)
 
 
-def make_command(name: str, declares: Callable[..., Any], work: Callable[[Any], None] | None = None) -> click.Command:
+def make_command(name: str, declares: Callable[..., Any], load: Callable[[], Any] | None = None) -> click.Command:
     """The command with the options that a function or dataclass declares (`hypose.options.declared`), which it calls.
 
-    work: is called with the instance of the dataclass."""
+    load: gives the function that takes the instance of the dataclass."""
 
     def run(**given: Any) -> None:  # noqa: ANN401
         set_threads(given.get("threads"))
         made = declares(**given)
-        if work is not None:
-            work(made)
+        if load is not None:
+            load()(made)
 
     out = _Command(name, callback=run, help=inspect.getdoc(declares), context_settings=_CONTEXT)
     out.params, out.declares = [_parameter(option) for option in declared(declares)], declares
@@ -183,10 +188,6 @@ def _parameter(d: Declared) -> click.Parameter:
     out = click.Option([flags, d.name], callback=lambda ctx, param, value: d.check(value), **about)
     out.group = d.option.group  # pyright: ignore[reportAttributeAccessIssue] (for the help)
     return out
-
-
-def _imported(module: str, member: str) -> Any:  # noqa: ANN401
-    return getattr(importlib.import_module(module), member)
 
 
 def _version(ctx: click.Context, param: click.Parameter, wanted: bool) -> None:

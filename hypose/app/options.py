@@ -13,10 +13,14 @@ from typing import Annotated, Any
 from hypose.options import (
     HEIGHT,
     MOST_FRAMES,
+    OUTPUT,
     RESEARCH,
     CalibrationFile,
+    Formats,
     FrameSpan,
+    ListenHost,
     Option,
+    OscAddress,
     RecordingPath,
     Resume,
     Seconds,
@@ -26,7 +30,7 @@ from hypose.options import (
 )
 from hypose.pipeline.track_options import CompareOptions, TrackOptions
 
-_REFINE, _BOARD, _PERSON, _OUTPUT, _RECORDED, _LIVE = "Refine", "Board", "From a person", "Output", "Recorded", "Live"
+_REFINE, _BOARD, _PERSON, _RECORDED, _LIVE = "Refine", "Board", "From a person", "Recorded", "Live"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,9 +53,9 @@ class TrackCommand(TrackOptions):
     camera: Annotated[str | None, Option("Only this camera of the recording.", value="NAME")] = None
     out: Annotated[Path | None, Option("Results folder. [default: results/RECIPE in the recording's folder]")] = None
     resume: Resume = False
-    formats: Annotated[str, Option("Motion files to write.", group=_OUTPUT)] = "trc,c3d,bvh,glb,csv,mot,osim"
-    overlay: Annotated[bool, Option("Do not write overlay.mp4.", group=_OUTPUT)] = True
-    report: Annotated[bool, Option("Do not write report.html.", group=_OUTPUT)] = True
+    formats: Formats = "trc,c3d,bvh,glb,csv,mot,osim"
+    overlay: Annotated[bool, Option("Do not write overlay.mp4.", group=OUTPUT)] = True
+    report: Annotated[bool, Option("Do not write report.html.", group=OUTPUT)] = True
     calibration: CalibrationFile = None
     yes: Yes = False
     threads: Threads = None
@@ -77,7 +81,7 @@ class SubjectCommand:
     """Measure a person: lengths, girths and a body for `hypose track --subject`, from silhouettes or from a scan."""
 
     recording: Annotated[
-        Path | None, Option("Folder with recording.toml, that file, or a Pose2Sim project.", argument=True)
+        Path | None, Option("A recording, as hypose track takes it; none with --mesh.", argument=True)
     ] = None
     mesh: Annotated[
         Path | None, Option("A scan of the person instead of a recording: obj, ply, stl, off, glb or npz.")
@@ -254,7 +258,7 @@ class FuseCommand:
     out: Annotated[Path | None, Option("Results folder. [default: results/fuse-METHOD beside it]", group=_RECORDED)] = (
         None
     )
-    formats: Annotated[str, Option("Motion files to write.", group=_RECORDED)] = "trc,c3d,csv"
+    formats: Formats = "trc,c3d,csv"
     reference: Annotated[
         str | None,
         Option("Sensor that the others are registered to. [default: the first]", value="NAME", group=_RECORDED),
@@ -282,10 +286,8 @@ class FuseCommand:
         int | None,
         Option("WebSocket port: /in takes skeletons, /out sends. [default: 9871]", 0, 65535, group=_LIVE),
     ] = None
-    osc: Annotated[str | None, Option("Where to send OSC to.", value="HOST:PORT", group=_LIVE)] = None
-    host: Annotated[str, Option("Address to listen on; others than this computer need the token.", group=_LIVE)] = (
-        "127.0.0.1"
-    )
+    osc: OscAddress = None
+    host: ListenHost = "127.0.0.1"
     token: Annotated[
         str | None, Option("What senders must show. [default: none on this computer, else made]", group=_LIVE)
     ] = None
@@ -323,17 +325,17 @@ class LiveCommand:
         ),
     ] = None
     people: Annotated[int, Option("Follow so many people at most.", 1, 8)] = 1
-    height: Annotated[float | None, Option("The person's height in metres, when known.", *HEIGHT)] = None
+    height: Annotated[float | None, Option("How tall the person is, when known.", *HEIGHT, unit="metres")] = None
     subject: Annotated[
         Path | None, Option("The person's body, as hypose subject writes it; else it is fitted on the way.")
     ] = None
     seconds: Annotated[float, Option("Stop after so many seconds; 0 = never.", 0, 10**6)] = 0.0
-    ws: Annotated[int, Option("WebSocket port on this computer: /out (JSON).", 0, 65535, group=_OUTPUT)] = 9872
-    udp: Annotated[str | None, Option("A JSON line per pose.", value="HOST:PORT", group=_OUTPUT)] = None
-    osc: Annotated[str | None, Option("Where to send OSC to.", value="HOST:PORT", group=_OUTPUT)] = None
-    vmc: Annotated[str | None, Option("A program that moves an avatar (VMC).", value="HOST:PORT", group=_OUTPUT)] = None
+    ws: Annotated[int, Option("WebSocket port on this computer: /out (JSON).", 0, 65535, group=OUTPUT)] = 9872
+    udp: Annotated[str | None, Option("A JSON line per pose.", value="HOST:PORT", group=OUTPUT)] = None
+    osc: OscAddress = None
+    vmc: Annotated[str | None, Option("A program that moves an avatar (VMC).", value="HOST:PORT", group=OUTPUT)] = None
     record: Annotated[
-        Path | None, Option("New folder for a recording that hypose track solves again.", group=_OUTPUT)
+        Path | None, Option("New folder for a recording that hypose track solves again.", group=OUTPUT)
     ] = None
     seed: Seed = 0
     threads: Threads = None

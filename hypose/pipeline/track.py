@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -74,7 +75,7 @@ def track(
     recipe: name of a preset, or a recipe of your own for the joints of `human()`; default: that of the options.
     own: evidence of your own in addition to that of the recording.
     body: the subject's own body, used unchanged; default: a body is fitted to the recording.
-    progress: called with stage, done, total.
+    progress: called with stage, done, total; default: a bar per stage where stderr is a terminal.
     people: None: track one person, even where several are seen. 'all', a maximum number, or the name of one person in
         recording.toml: track all people together.
     Returns: TrackResult; PeopleResult where `people` is given.
@@ -85,7 +86,7 @@ def track(
     loaded = recording if isinstance(recording, Recording | FrameList) else load_recording(recording)
     height = loaded.subject_height if isinstance(loaded, Recording) else None
     chosen = options or TrackOptions(height=height)
-    method = recipe if isinstance(recipe, Recipe) else None
+    method, report = recipe if isinstance(recipe, Recipe) else None, progress or _draw_bar
     if isinstance(recipe, str):
         chosen = replace(chosen, recipe=recipe)
     if isinstance(loaded, Recording):
@@ -98,13 +99,20 @@ def track(
                 "Several people are tracked by a preset, without evidence of your own; name their bodies in "
                 "recording.toml, and leave out body, own and the recipe."
             )
-        return _track_people(loaded, chosen, str(people), progress)
-    given = {"method": method, "own": own, "progress": progress}
+        return _track_people(loaded, chosen, str(people), report)
+    given = {"method": method, "own": own, "progress": report}
     if isinstance(loaded, FrameList):
         body = body or given_body(chosen)
         return track_source(loaded, loaded.frame_rate, chosen, body=body, **given)
-    with FrameStream(loaded, frames_wanted(loaded, chosen)) as source:
+    with FrameStream(loaded, frames_wanted(loaded, chosen), progress=report) as source:
         return track_person(source, chosen, body=body, **given)
+
+
+def _draw_bar(stage: str, done: int, total: int) -> None:
+    if sys.stderr is not None and sys.stderr.isatty():
+        bar = "#" * round(30 * done / max(1, total))
+        sys.stderr.write(f"\r{stage:<12}{bar:<30} {done}/{total}" + "\n" * (done >= total))
+        sys.stderr.flush()
 
 
 def given_body(options: TrackOptions) -> Body | None:
@@ -142,18 +150,16 @@ def track_person(
 
 
 def _track_people(
-    loaded: Recording | FrameList, options: TrackOptions, people: str, progress: StageProgress | None
+    loaded: Recording | FrameList, options: TrackOptions, people: str, progress: StageProgress
 ) -> PeopleResult:
     wanted = wanted_of(loaded) if isinstance(loaded, Recording) else []
     count, only = chosen_people(people, wanted)
     in_memory = isinstance(loaded, FrameList)
-    frames = contextlib.nullcontext(loaded) if in_memory else people_frames(loaded, options)
+    frames = contextlib.nullcontext(loaded) if in_memory else people_frames(loaded, options, progress)
     with frames as source:
         points = None
         if isinstance(source, FrameStream) and isinstance(loaded, Recording) and options.looks_at != "silhouettes":
             points = keypoint_people(loaded, source.rig)
-        report = progress or (lambda stage, done, total: None)
-        run = PeopleRun(source, loaded.frame_rate, options, count, wanted, progress=report, points=points)
-        found = run()
+        found = PeopleRun(source, loaded.frame_rate, options, count, wanted, progress=progress, points=points)()
     kept = tuple(p for p in found.people if only in (None, p.name))
     return found if not kept else replace(found, people=kept, others=found.others + len(found.people) - len(kept))

@@ -11,7 +11,7 @@ export interface ResultEntry {
   /** There are pictures beside it. */
   pictured: boolean;
   /** Absent where the motion cannot be read; lost: share of the frames. */
-  assessment?: "good" | "look" | "not to be trusted" | null; iou?: number | null; sd_mm?: number | null; lost?: number;
+  assessment?: "good" | "look" | "not to be trusted" | null; sentence?: string | null; iou?: number | null; sd_mm?: number | null; lost?: number;
 }
 export interface SessionEntry { id: Id; name: string; path: string; gesture: string; frames: number }
 /** A recording of live sensors; result: what it was fused to. */
@@ -57,7 +57,7 @@ export interface Recording {
   /** Clips of a calibration board: their cameras; whether these are calibrated; when the sheet of what was seen was made. */
   board: { cameras: string[]; calibrated: boolean; sheet: number | null } | null;
   /** How many frames late each view was found to be. */
-  sync: { by: string; views: { name: string; late: number; told: string }[] } | null;
+  sync: { by: string; views: { name: string; late: number; how: string }[] } | null;
 }
 
 /** What in a folder can be part of a recording; path: from that folder. */

@@ -66,7 +66,7 @@ await walk(
     await loaded();
     const pictures = () => page.evaluate(() => window.__app.pictures);
     const before = await pictures();
-    await page.getByRole("slider", { name: "Threshold" }).press("ArrowRight");
+    await page.getByRole("slider", { name: "Difference" }).press("ArrowRight");
     await page.waitForFunction((n) => window.__app.pictures >= n + 4, before);
     assert.match(await page.locator(".mask-pictures img").first().getAttribute("src"), /threshold=4\.5/);
     await picture("setup-masks");

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from click.exceptions import Exit
 
-from hypose.app.commands.console import ProgressCall, Stages, print_table, say
+from hypose.app.commands.console import ProgressCall, Stages, each, print_table, say
 from hypose.app.jobs.checking import camera_table, check_picture, check_recording, examine_recording, write_findings
 from hypose.app.options import CheckCommand, SyncCommand
 from hypose.calibration.diagnose_points import undistorted
@@ -215,7 +215,7 @@ def keep_offsets(
 ) -> None:
     """results/sync.json, for the studio, in the recording's folder or another; where it cannot be written, the printed
     text has to do."""
-    views = [{"name": v.name, "late": x, "told": w} for v, x, w in zip(recording.views, late, words, strict=True)]
+    views = [{"name": v.name, "late": x, "how": w} for v, x, w in zip(recording.views, late, words, strict=True)]
     with contextlib.suppress(OSError, InputError):
         write_text(
             (folder or recording.folder) / "results" / "sync.json", json.dumps({"by": by, "views": views}) + "\n"
@@ -268,7 +268,10 @@ def _by_motion(
 def _by_motion_within(
     recording: Recording, largest: float, frames: int, progress: ProgressCall
 ) -> tuple[list[float], list[str], bool]:
-    """How late each view is, frames, within `largest` frames, what is said of it, and whether all lie well within."""
+    """Estimate how late each view is, within `largest` frames.
+
+    Returns: frames, a few words on each, and whether all are known and well within the range.
+    """
     seen = observe_recording(recording, max(frames, math.ceil(4 * largest)), progress)
     points = None if seen.keypoints is None else undistorted(seen.rig, seen.keypoints)
     found = offsets_from_motion(seen.rig.pinhole(), points, seen.silhouettes, largest=largest)
@@ -305,13 +308,11 @@ def _by_sound(recording: Recording, largest: float) -> tuple[list[float], list[s
 
 def _by_light(recording: Recording, progress: ProgressCall) -> tuple[list[float], list[str]]:
     levels = []
-    for n, view in enumerate(recording.views):
+    for view in each(progress, "sync", recording.views):
         if view.source is None:
             raise InputError(f"View {view.name} has only masks, in which no light is seen; use --by motion.")
-        progress("sync", n, len(recording.views))
         with open_video(view.source, rate=view.rate) as reader:
             levels.append(np.array([float(image[::8, ::8].mean()) for image in reader]))
-    progress("sync", len(recording.views), len(recording.views))
     late, kinds = offsets_from_light(levels, [v.name for v in recording.views])
     return [float(x) for x in late], list(kinds)
 
@@ -323,10 +324,8 @@ def _write(recording: Recording, late: list[float], folder: Path, progress: Prog
         source = Resampled(stream, late)
         named = zip(recording.views, stream.rig, strict=True)
         masks = [None if v.depth is not None else mask_folder(folder / "masks", v.name, c) for v, c in named]
-        for i in range(len(source)):
-            progress("masks", i, len(source))
+        for i in each(progress, "masks", range(len(source))):
             write_frame_masks(source.frame(i).the(Silhouettes), masks, i)
-        progress("masks", len(source), len(source))
     people = _people(raw_person(recording))
     views = []
     for c, view in enumerate(recording.views):

@@ -3,16 +3,76 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import shlex
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
-from hypose.app.commands.commands_track import stopping
-from hypose.app.commands.console import Stages, print_note, print_notes, say
+from hypose.app.commands.console import Stages, print_note, print_notes, say, stopping
 from hypose.app.options import SynthCommand
 from hypose.errors import EvidenceError, InputError
 from hypose.options import FrameSpan, Option, RecordingPath, Resume, Seed, Threads, Yes
+
+
+def init(
+    folder: Annotated[Path, Option("Folder with the videos of one recording, one per camera.", argument=True)],
+) -> None:
+    """Write the recording.toml of a folder with videos, one per camera.
+
+    It reads the folder and the folders in it, and never overwrites a recording.toml. Files named background or empty
+    show the empty room, files named board or calib are for hypose calibrate.
+    """
+    from hypose.calibration.views import find_sources
+    from hypose.io.calibrations.calibration_formats import read_any
+    from hypose.io.file_names import natural_key
+    from hypose.io.files import toml_lines, write_text
+    from hypose.io.videos.video import VIDEO_ENDINGS
+
+    target, where = folder / "recording.toml", shlex.quote(str(folder))
+    if not folder.is_dir():
+        raise InputError(f"{folder} is no folder; give the folder with the videos of one recording.")
+    if target.exists():
+        raise InputError(f"{target} exists and stays as it is; the next step is: hypose check {where}")
+    below = [p for p in folder.iterdir() if p.is_dir() and p.name != "results" and not p.name.startswith(".")]
+    found = [p for place in (folder, *below) for p in place.iterdir() if p.suffix.lower() in VIDEO_ENDINGS]
+    found = sorted((p.relative_to(folder) for p in found), key=lambda p: natural_key(str(p)))
+    rooms = [p for p in found if re.search("background|empty", str(p.with_suffix("")), re.IGNORECASE)]
+    videos = [
+        p for p in found if p not in rooms and not re.search("board|calib", str(p.with_suffix("")), re.IGNORECASE)
+    ]
+    if not videos:
+        raise InputError(f"{folder} holds no video ({', '.join(VIDEO_ENDINGS)}); copy one per camera there.")
+    if len({p.parent for p in videos}) > 1:
+        places = ", ".join(sorted({str(p.parent) for p in videos}))
+        raise InputError(f"{folder} holds videos in several places ({places}); make a folder for each recording.")
+    names = [source.name for source in find_sources([folder / v for v in videos])]
+    calibration, cameras = folder / "calibration.toml", names
+    if calibration.is_file():
+        cameras = list(read_any(calibration)[0].names)
+        if set(names) <= set(cameras):
+            cameras = names
+        elif len(cameras) != len(names):
+            raise InputError(
+                f"{calibration} has {len(cameras)} cameras and there are {len(names)} videos; leave some out."
+            )
+    lines = toml_lines({"name": folder.resolve().name, "calibration": calibration.name})
+    for video, name, camera in zip(videos, names, cameras, strict=True):
+        room = next((p for p in rooms if p.stem.startswith(video.stem)), None)
+        table = {"name": name, "camera": camera, "video": video.as_posix()}
+        table |= {} if room is None else {"background": room.as_posix()}
+        lines += ["", "[[view]]", *toml_lines(table)]
+        shown = "" if room is None else f", empty room {room}"
+        say(f"{name}: {video}, camera {camera}{shown}")
+    write_text(target, "\n".join(lines) + "\n")
+    say(f"Written: {target}; names, cameras and empty rooms can be corrected there (docs/recordings.md).")
+    if calibration.is_file():
+        say(f"Next: hypose check {where}")
+    else:
+        say(
+            f"Next: hypose calibrate BOARD_VIDEOS --square 30mm --out {shlex.quote(str(calibration))}, or without a "
+            f"board hypose calibrate {where} --from-person --height 1.72"
+        )
 
 
 def silhouettes(
@@ -110,7 +170,7 @@ def depth_import(
         tuple[Path, ...],
         Option("One per camera: Azure Kinect .mkv, RealSense .bag, Record3D .r3d, or a folder of maps.", argument=True),
     ],
-    out: Annotated[Path, Option("Folder to write the recording to.")],
+    out: Annotated[Path, Option("New folder for the recording.")],
     empty: Annotated[
         tuple[Path, ...], Option("The empty room, one per camera in the same order (may be repeated).")
     ] = (),

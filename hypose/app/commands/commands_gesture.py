@@ -7,8 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
-from hypose.app.commands.commands_track import stopping
-from hypose.app.commands.console import Stages, print_note, say
+from hypose.app.commands.console import Stages, print_note, say, stopping
 from hypose.errors import InputError
 from hypose.options import MOST_FRAMES, Option, Seed
 

@@ -17,7 +17,7 @@ from click.exceptions import Exit
 from hypose.app.commands.console import Stages, ended_by_signals, print_note, print_notes, say
 from hypose.app.options import LiveCommand
 from hypose.errors import InputError
-from hypose.options import Option, Threads
+from hypose.options import ListenHost, Option, Threads
 
 if TYPE_CHECKING:
     from hypose.pipeline.live.engine import LiveResult, LiveStatus
@@ -160,10 +160,7 @@ _NETWORK = "Network"
 def view(
     what: Annotated[Path, Option("Results folder, recording, or a folder that holds such.", argument=True)] = Path(),
     port: Annotated[int, Option("Port to listen on; 0 takes any free one.", 0, 65535, group=_NETWORK)] = 8765,
-    host: Annotated[
-        str,
-        Option("Address to listen on; others than this computer need the token.", group=_NETWORK),
-    ] = "127.0.0.1",
+    host: ListenHost = "127.0.0.1",
     token: Annotated[
         str | None,
         Option("What pages must show. [default: none on this computer, else made]", group=_NETWORK),

@@ -11,11 +11,10 @@ from typing import TYPE_CHECKING, Annotated
 
 from click.exceptions import Exit
 
-from hypose.app.commands.commands_track import stopping
-from hypose.app.commands.console import Stages, print_note, print_notes, say
+from hypose.app.commands.console import Stages, each, print_note, print_notes, say, stopping
 from hypose.app.options import CompareCommand
 from hypose.errors import HyposeError, InputError
-from hypose.options import MOST_FRAMES, Option, Threads
+from hypose.options import MOST_FRAMES, MotionPath, Option, OutFolder, Threads, TrackedPath
 
 if TYPE_CHECKING:
     from pythonosc.osc_message import OscMessage
@@ -26,9 +25,9 @@ if TYPE_CHECKING:
 
 
 def export(
-    results: Annotated[Path, Option("Results folder of hypose track, or its motion.npz.", argument=True)],
+    results: TrackedPath,
     formats: Annotated[str, Option("Motion files to write; also osim, rrd.")] = "trc,c3d,bvh,glb,csv,mot",
-    out: Annotated[Path | None, Option("Folder to write to. [default: the results folder]")] = None,
+    out: OutFolder = None,
 ) -> None:
     """Write motion files (TRC, C3D, BVH, GLB, CSV, MOT; OpenSim, Rerun) from a tracked motion."""
     from hypose.app.jobs.job import split_names
@@ -49,9 +48,7 @@ def export(
 
 
 def report(
-    results: Annotated[
-        Path, Option("Results folder of hypose track or hypose fuse, or its motion.npz.", argument=True)
-    ],
+    results: MotionPath,
     out: Annotated[Path | None, Option("File to write. [default: report.html in the results folder]")] = None,
     threads: Threads = None,
 ) -> None:
@@ -79,7 +76,7 @@ def report(
 
 
 def explain(
-    results: Annotated[Path, Option("Results folder of hypose track, or its motion.npz.", argument=True)],
+    results: TrackedPath,
     joint: Annotated[str, Option("Name of the joint, for example left_wrist.")],
     frame: Annotated[int, Option("Number of the frame in the recording.", 0, MOST_FRAMES)],
 ) -> None:
@@ -91,8 +88,8 @@ def explain(
 
 
 def gait(
-    results: Annotated[Path, Option("Results folder of hypose track, or its motion.npz.", argument=True)],
-    out: Annotated[Path | None, Option("Folder to write to. [default: the results folder]")] = None,
+    results: TrackedPath,
+    out: OutFolder = None,
 ) -> None:
     """Write strikes, steps, cadence and speed (CSV, C3D with events), and joint angles over the gait cycle."""
     from hypose.io.files import claimed
@@ -183,11 +180,7 @@ def compare(c: CompareCommand) -> None:
     compare_job.load_result(c.files[0])
     check_writable(folder)
     with Stages() as progress:
-        compared = []
-        for done, pair in enumerate(pairs):
-            progress("compare", done, len(pairs))
-            compared += compare_job.compare_files([pair], c, joints, c.subject)
-        progress("compare", len(pairs), len(pairs))
+        compared = compare_job.compare_files(each(progress, "compare", pairs), c, joints, c.subject)
     failed = compare_job.exceeded(compared, c.max_mm, c.max_degrees, c.min_coverage)
     compare_job.write_csv(folder / "compare.csv", compared)
     compare_job.write_comparison_page(folder / "compare.html", compared, failed)
@@ -216,9 +209,7 @@ def compare(c: CompareCommand) -> None:
 
 
 def play(
-    results: Annotated[
-        Path, Option("Results folder of hypose track or hypose fuse, or its motion.npz.", argument=True)
-    ],
+    results: MotionPath,
     vmc: Annotated[str, Option("HOST:PORT that the program listens on.")] = "127.0.0.1:39539",
     speed: Annotated[float, Option("How many times as fast as it was.", 0.01, 100)] = 1.0,
     loop: Annotated[bool, Option("Over and over, until Ctrl-C.")] = False,

@@ -2,47 +2,21 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import shlex
-import signal
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from types import FrameType
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
-import click
 from click.exceptions import Exit
 
-from hypose.app.commands.console import Stages, print_note, print_notes, say
+from hypose.app.commands.console import Stages, print_note, say, stopping
 from hypose.app.options import TrackCommand
 from hypose.errors import InputError
-from hypose.options import MOST_FRAMES, Option, Seconds, Seed, Threads
-
-if TYPE_CHECKING:
-    from hypose.app.jobs.job import Outcome, TrackJob
-    from hypose.pipeline.assessment import Assessment
+from hypose.options import MOST_FRAMES, Formats, Option, Seconds, Seed, Threads
 
 _GO_ON = "Stopped. Go on with the same command."
-
-
-def track_command(command: TrackCommand) -> None:
-    """Do what `hypose track` is asked for."""
-    from hypose.app.jobs.job import job_of, recording_of
-    from hypose.app.jobs.person_job import detected
-    from hypose.pipeline.detect_keypoints import wants_detector
-
-    loaded, several = recording_of(command), command.camera is None and not command.of_picture
-    if several and command.evidence != "silhouettes" and (loaded.detected or wants_detector(loaded)):
-        if not loaded.detected:
-            print_note(
-                "note: neither key points, masks nor pictures of the empty room are given: the detector finds people."
-            )
-        detected(loaded, loaded.frames, yes=command.yes, why="Tracking videos alone")
-        loaded = recording_of(command)
-    track_shown(job_of(command, loaded))
 
 
 def demo(
@@ -53,6 +27,7 @@ def demo(
 ) -> None:
     """Make a synthetic four-camera recording, track it as `hypose track` would, and compare with the truth."""
     from hypose.app.jobs.job import job_of
+    from hypose.app.jobs.people_job import track_shown
     from hypose.io.files import claimed
     from hypose.pipeline.comparison import compare_with
     from hypose.synthetic.scenes import make_scene
@@ -68,94 +43,6 @@ def demo(
     track_shown(replace(job, truth=compare_with(out / "truth.npz")))
 
 
-def track_shown(job: TrackJob) -> None:
-    """Run a job with progress, and say what came out; when it is interrupted, say what was kept and how to go on, and
-    exit with code 130."""
-    from hypose.app.jobs.job import run_job
-    from hypose.app.jobs.people_job import run_people
-    from hypose.io.files import claimed
-
-    with stopping(lambda: _kept(job)), claimed(job.results.path), Stages() as progress:
-        if job.command.people is not None:
-            outcome = run_people(job, job.command.people, progress)
-        else:
-            outcome = run_job(job, progress, progress.seconds)
-        if not outcome.complete:
-            raise KeyboardInterrupt
-    _report_outcome(job, outcome, progress.seconds)
-
-
-@contextlib.contextmanager
-def stopping(text: str | Callable[[], str] = "") -> Iterator[None]:
-    """Within the block Ctrl-C, and SIGTERM likewise, end the command in order, with exit code 130.
-
-    text: the sentence printed then."""
-
-    def interrupt(number: int, frame: FrameType | None) -> None:
-        raise KeyboardInterrupt
-
-    previous = signal.signal(signal.SIGTERM, interrupt)
-    try:
-        yield
-    except KeyboardInterrupt:
-        if text:
-            say(text if isinstance(text, str) else text())
-        raise Exit(130) from None
-    finally:
-        signal.signal(signal.SIGTERM, previous)
-
-
-def _kept(job: TrackJob) -> str:
-    """What an interrupted run has kept, and how to go on."""
-    from hypose.io.motions.results import load_motion
-
-    results, total = job.results, len(job.recording.frames)
-    again = [a for a in click.get_current_context().find_root().obj or [] if a != "--resume"]
-    command = f"hypose {shlex.join([*again, '--resume'])}" if again[:1] == ["track"] else "the same command"
-    if results.checkpoint.exists():
-        done = f"{len(load_motion(results.motion))} of {total} frames" if results.motion.exists() else "tracked frames"
-        return f"Stopped. Kept: {done} in {results.motion}, and the state of the tracker. Go on with: {command}"
-    if results.motion.exists():
-        return f"Stopped. The motion is complete in {results.motion}. Write the other files with: {command}"
-    return f"Stopped before the first frame was tracked, so nothing was kept. Start again with: {command}"
-
-
-def _report_outcome(job: TrackJob, outcome: Outcome, seconds: Mapping[str, float]) -> None:
-    """The closing lines."""
-    from hypose.app.reports.summary import require_found, summarize
-
-    s = summarize(outcome.motion)
-    print_notes(outcome.notes)
-    views, reported = len(job.recording.rig), int(outcome.motion.n_views.max(initial=0))
-    of = f"{reported} of {views}" if 0 < reported < views else f"{views}"  # as many as ever reported anything at once
-    parts = [f"{s.frames} frames in {of} views", f"{s.lost} lost", f"{s.extrapolated} extrapolated"]
-    if s.iou == s.iou:
-        parts.append(f"mean IoU {s.iou:.3f}")
-    if s.sd_mm == s.sd_mm:
-        parts.append(f"median joint sd {s.sd_mm:.1f} mm")
-    if seconds.get("track"):
-        parts.append(f"{s.frames / seconds['track']:.1f} frames/s")
-    say(f"{job.recording.name}: " + ", ".join(parts))
-    if outcome.truth is not None:
-        say(f"Mean joint error: {outcome.truth.mean_mm:.1f} mm over {len(outcome.truth.names)} joints", "bold")
-    say(f"Results: {job.results.path}")
-    if job.command.report:
-        say(f"Report:  {job.results.file('report.html')}")
-    require_found(outcome.motion, job.recording.name, job.results.path)
-    if outcome.assessment is not None:
-        print_assessments({"": outcome.assessment})
-
-
-def print_assessments(assessments: Mapping[str, Assessment]) -> None:
-    """The assessment on all people by their names (none of one person); exit code 3 when one is not to be trusted."""
-    from hypose.pipeline.assessment import EXIT_UNTRUSTED, UNTRUSTED
-
-    for name, assessment in assessments.items():
-        say(f"Assessment{' on ' if name else ''}{name}: {assessment.sentence}", "bold")
-    if any(assessment.word == UNTRUSTED for assessment in assessments.values()):
-        raise Exit(EXIT_UNTRUSTED)
-
-
 def correct(
     results: Annotated[Path, Option("Results folder of hypose track.", argument=True)],
     clicks: Annotated[Path, Option("The corrected pose: starts/NAME.json, saved in hypose view.", argument=True)],
@@ -163,7 +50,7 @@ def correct(
         int | None, Option("Track again up to this frame of the recording. [default: to the end]", 1, MOST_FRAMES)
     ] = None,
     out: Annotated[Path | None, Option("Results folder. [default: RESULTS-corrected]")] = None,
-    formats: Annotated[str, Option("Motion files to write.")] = "trc,c3d,bvh,glb,csv,mot",
+    formats: Formats = "trc,c3d,bvh,glb,csv,mot",
     threads: Threads = None,
 ) -> None:
     """Track a result again from a frame whose pose was corrected; the frames before stay as they are."""
@@ -228,7 +115,7 @@ def batch(
     out: Annotated[
         Path | None, Option("Results folder. [default: TABLE-results beside the table, else batch-results]")
     ] = None,
-    formats: Annotated[str, Option("Motion files to write.")] = "trc,csv",
+    formats: Formats = "trc,csv",
     overlay: Annotated[bool, Option("Write overlay.mp4 as well.")] = False,
     dry_run: Annotated[bool, Option("Say what would be done, and do nothing.")] = False,
 ) -> None:

@@ -12,9 +12,11 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
-from types import TracebackType
-from typing import TYPE_CHECKING, TextIO
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from types import FrameType, TracebackType
+from typing import TYPE_CHECKING, TextIO, TypeVar
+
+from click.exceptions import Exit
 
 from hypose.errors import visible
 
@@ -212,8 +214,17 @@ class Stages:
             self._plain.print(f"{title}: {done}/{total}{rate}{left if not first or last else ''}", markup=False)
 
 
+_Item = TypeVar("_Item")
 ProgressCall = Callable[[str, int, int], None]
 """progress(stage, done, total)."""
+
+
+def each(progress: ProgressCall, stage: str, items: Sequence[_Item]) -> Iterator[_Item]:
+    """Yield the items of a stage, one step each."""
+    for done, item in enumerate(items):
+        progress(stage, done, len(items))
+        yield item
+    progress(stage, len(items), len(items))
 
 
 def ignore(stage: str, done: int, total: int) -> None:
@@ -233,3 +244,23 @@ def ended_by_signals(ended: threading.Event) -> Iterator[None]:
     finally:
         for n, handler in before.items():
             signal.signal(n, handler)
+
+
+@contextlib.contextmanager
+def stopping(text: str | Callable[[], str] = "") -> Iterator[None]:
+    """Within the block Ctrl-C, and SIGTERM likewise, end the command in order, with exit code 130.
+
+    text: the sentence printed then."""
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    previous = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    except KeyboardInterrupt:
+        if text:
+            say(text if isinstance(text, str) else text())
+        raise Exit(130) from None
+    finally:
+        signal.signal(signal.SIGTERM, previous)

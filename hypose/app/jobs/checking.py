@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from rich.table import Table
 
-from hypose.app.commands.console import ProgressCall, ignore, titled_table
+from hypose.app.commands.console import ProgressCall, each, ignore, titled_table
 from hypose.app.reports.calibration_pages import residual_picture, write_check_page
 from hypose.app.reports.result_pictures import (
     Drawing,
@@ -93,8 +93,7 @@ def check_recording(recording: Recording, sheet: Path, samples: int, progress: P
         facts += [f"note: {text}" for text in source.notes]
         rows = np.unique(np.linspace(0, len(source) - 1, min(samples, len(source))).astype(int)).tolist()
         ious, heights, shown, why = [], [], _points_seen(source), ""
-        for done, row in enumerate(rows):
-            progress("check", done, len(rows))
+        for row in each(progress, "check", rows):
             frame = source.frame(row)
             for masks in frame.of(Silhouettes):
                 shown = shown or bool(masks.usable.any())
@@ -106,7 +105,6 @@ def check_recording(recording: Recording, sheet: Path, samples: int, progress: P
                 if found is not None:
                     heights.append(found[0])
                     ious.append(found[1])
-        progress("check", len(rows), len(rows))
         guessed = source.guessed_rooms
         if ious:
             contradicted = _hull_warnings(recording, np.array(heights), np.array(ious))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import html
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -33,7 +33,7 @@ class Compared:
 
 
 def compare_files(
-    pairs: Sequence[tuple[Path, Path]],
+    pairs: Iterable[tuple[Path, Path]],
     options: CompareOptions,
     joints: Mapping[str, Sequence[str]],
     subject: str | None = None,

@@ -13,9 +13,9 @@ import numpy as np
 from click.exceptions import Exit
 from numpy.typing import NDArray
 
-from hypose.app.commands.commands_track import print_assessments, stopping, track_shown
-from hypose.app.commands.console import ProgressCall, Stages, ignore, print_note, print_notes, say
+from hypose.app.commands.console import ProgressCall, Stages, each, ignore, print_note, print_notes, say, stopping
 from hypose.app.jobs.job import ASSESSMENT_FILE, job_of, split_names
+from hypose.app.jobs.people_job import print_assessments, track_shown
 from hypose.app.live.live_server import FusionServerOptions, run_live
 from hypose.app.options import FuseCommand, TrackCommand
 from hypose.app.reports.summary import require_found
@@ -183,12 +183,10 @@ def run_fuse(
             assessment = assess_fused(made.motion, clip, registration, names)
             done.append(_write(recording, c, made, world, folders[n], notes, assessment))
         progress("fuse", total, total)
-        for n, person in enumerate(done):
-            progress("export", n, len(done))
+        for n, person in each(progress, "export", list(enumerate(done))):
             # the body is for formats with poses, which have been refused
             files = export_motion(person.motion, cast(Body, None), person.files[0].parent, formats)
             done[n] = replace(person, files=(*person.files, *files))
-        progress("export", len(done), len(done))
     except KeyboardInterrupt:
         return FuseOutcome(tuple(done), tuple(notes), False)
     return FuseOutcome(tuple(done), tuple(notes), True)

@@ -12,9 +12,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hypose.app.commands.console import ProgressCall, ignore
+from hypose.app.commands.console import ProgressCall, each, ignore
 from hypose.app.options import TrackCommand
+from hypose.app.reports.overlay import OverlayRows, PictureRows, write_overlay
+from hypose.app.reports.report import report_pictures
 from hypose.app.reports.summary import DESCRIPTIONS
+from hypose.app.studio.view_bundle import Rivals, ViewResult, pictured
 from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.compute.warming import warm_up
@@ -168,10 +171,10 @@ def run_job(job: TrackJob, progress: ProgressCall = ignore, seconds: Mapping[str
         truth = job.truth(tracked.motion, tracked.body) if job.truth is not None else None
         if not tracked.complete:
             return Outcome(tracked.motion, tracked.body, False, tuple(files), notes, truth)
-        files += export_all(job, tracked.motion, tracked.body, progress)
         said = (f"Assessment: {assessment.sentence}", *notes)
-        if job.command.overlay or job.command.report:
-            files += _draw(job, options, tracked, source, said, truth, files, progress, seconds or {})
+        about = {"notes": said, "seconds": seconds or {}, "truth": truth}
+        view = ViewResult(recording.name, tracked.motion, tracked.body, **about)
+        files += export_and_report(job, tracked, view, source, files, progress)
     remove_stale(results, files)
     return Outcome(tracked.motion, tracked.body, True, tuple(files), notes, truth, assessment)
 
@@ -291,53 +294,39 @@ def finished_before(job: TrackJob, record: Mapping[str, Any]) -> TrackResult | N
     return TrackResult(motion, load_body(body), True, notes, modes)
 
 
-def export_all(job: TrackJob, motion: Motion, body: Body, progress: ProgressCall) -> list[Path]:
-    """The motion in all the formats that are wanted."""
-    written: list[Path] = []
-    for done, name in enumerate(job.formats):
-        progress("export", done, len(job.formats))
-        written += export_motion(motion, body, job.results.path, (name,))
-    progress("export", len(job.formats), len(job.formats))
-    return written
-
-
-def _draw(
+def export_and_report(
     job: TrackJob,
-    options: TrackOptions,
     tracked: TrackResult,
+    view: ViewResult,
     source: FrameStream,
-    notes: Sequence[str],
-    truth: Truth | None,
-    files: Sequence[Path],
+    written: Sequence[Path],
     progress: ProgressCall,
-    seconds: Mapping[str, float],
 ) -> list[Path]:
-    """Overlay and report."""
-    from hypose.app.reports.overlay import OverlayRows, PictureRows, write_overlay
-    from hypose.app.reports.report import report_pictures
-    from hypose.app.studio.view_bundle import Rivals, ViewResult, pictured
+    """Write motion files, overlay and report of a tracked person, as far as they are wanted; returns their paths.
 
-    recording, motion, body, modes = job.recording, tracked.motion, tracked.body, tracked.modes
-    about = ViewResult(
-        title=recording.name,
-        motion=motion,
-        body=body,
+    view: title, notes and figures of the report; written: the files there are already."""
+    files: list[Path] = []
+    for name in each(progress, "export", job.formats):
+        files += export_motion(tracked.motion, tracked.body, job.results.path, (name,))
+    if not (job.command.overlay or job.command.report):
+        return files
+    recording, modes = job.recording, tracked.modes
+    about = replace(
+        view,
         rig=recording.rig,
         image_shifts=[v.image_shift for v in recording.views],
         pictures=pictured(recording),
-        notes=notes,
-        citation=citation_of(options.recipe, options.refine),
-        seconds=dict(seconds),
-        truth=truth,
+        citation=citation_of(job.options.recipe, job.options.refine),
         complete=tracked.complete,
         first_frame=recording.frames.start,
-        rivals=Rivals.of_motion(motion) if modes is None else Rivals.of(modes.joints, modes.weights),
+        rivals=Rivals.of_motion(tracked.motion) if modes is None else Rivals.of(modes.joints, modes.weights),
     )
 
     def overlay(path: Path, wanted: PictureRows) -> OverlayRows:
-        return write_overlay(path, recording, source, motion, body, wanted, progress)
+        return write_overlay(path, recording, source, tracked.motion, tracked.body, wanted, progress)
 
-    return report_pictures(job.results, about, overlay, files, (job.command.overlay, job.command.report), progress)
+    there, wanted = [*written, *files], (job.command.overlay, job.command.report)
+    return files + report_pictures(job.results, about, overlay, there, wanted, progress)
 
 
 def remove_stale(results: ResultsFolder, written: Sequence[Path]) -> None:

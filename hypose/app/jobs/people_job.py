@@ -3,45 +3,105 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Sequence
+import shlex
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from urllib.parse import quote
 
+import click
 import numpy as np
+from click.exceptions import Exit
 
-from hypose.app.commands.console import ProgressCall, ignore
+from hypose.app.commands.console import ProgressCall, Stages, ignore, print_notes, say, stopping
 from hypose.app.jobs.job import (
     ASSESSMENT_FILE,
     Outcome,
     TrackJob,
     check_job,
     compile_before,
-    export_all,
+    export_and_report,
     record_of,
     remove_stale,
+    run_job,
 )
-from hypose.app.reports.overlay import OverlayRows, PictureRows, colour_of, write_overlay, write_people_overlay
-from hypose.app.reports.report import report_pictures
-from hypose.app.reports.summary import CONTENT_POLICY, page
-from hypose.app.studio.view_bundle import Rivals, ViewResult, pictured
+from hypose.app.reports.overlay import colour_of, write_people_overlay
+from hypose.app.reports.summary import CONTENT_POLICY, page, require_found, summarize
+from hypose.app.studio.view_bundle import ViewResult
 from hypose.calibration.findings import REVIEW, Finding
 from hypose.errors import InputError
-from hypose.io.files import check_writable
+from hypose.io.files import check_writable, claimed
 from hypose.io.motions.c3d import write_c3d
 from hypose.io.motions.gltf import write_people_glb
-from hypose.io.motions.results import ResultsFolder, save_body
+from hypose.io.motions.results import ResultsFolder, load_motion, save_body
 from hypose.io.recordings.frames import FrameStream
-from hypose.pipeline.assessment import UNTRUSTED, Assessment
+from hypose.pipeline.assessment import EXIT_UNTRUSTED, UNTRUSTED, Assessment
 from hypose.pipeline.frame_anomalies import in_words
 from hypose.pipeline.one_of_several import chosen_people, keypoint_people, people_frames, wanted_of
 from hypose.pipeline.people_run import PeopleRun
 from hypose.pipeline.track_options import check_views
 from hypose.pipeline.tracked_people import TrackedPerson, Wanted, said_of_places
 from hypose.tracking.contacts import runs
-from hypose.tracking.recipes import citation_of
 
 PEOPLE = "people.json"
+
+
+def track_shown(job: TrackJob) -> None:
+    """Run a job with progress, and say what came out; when it is interrupted, say what was kept and how to go on, and
+    exit with code 130."""
+    with stopping(lambda: _kept(job)), claimed(job.results.path), Stages() as progress:
+        if job.command.people is not None:
+            outcome = run_people(job, job.command.people, progress)
+        else:
+            outcome = run_job(job, progress, progress.seconds)
+        if not outcome.complete:
+            raise KeyboardInterrupt
+    _report_outcome(job, outcome, progress.seconds)
+
+
+def _kept(job: TrackJob) -> str:
+    """What an interrupted run has kept, and how to go on."""
+    results, total = job.results, len(job.recording.frames)
+    again = [a for a in click.get_current_context().find_root().obj or [] if a != "--resume"]
+    command = f"hypose {shlex.join([*again, '--resume'])}" if again[:1] == ["track"] else "the same command"
+    if results.checkpoint.exists():
+        done = f"{len(load_motion(results.motion))} of {total} frames" if results.motion.exists() else "tracked frames"
+        return f"Stopped. Kept: {done} in {results.motion}, and the state of the tracker. Go on with: {command}"
+    if results.motion.exists():
+        return f"Stopped. The motion is complete in {results.motion}. Write the other files with: {command}"
+    return f"Stopped before the first frame was tracked, so nothing was kept. Start again with: {command}"
+
+
+def _report_outcome(job: TrackJob, outcome: Outcome, seconds: Mapping[str, float]) -> None:
+    """The closing lines."""
+    s = summarize(outcome.motion)
+    print_notes(outcome.notes)
+    views, reported = len(job.recording.rig), int(outcome.motion.n_views.max(initial=0))
+    of = f"{reported} of {views}" if 0 < reported < views else f"{views}"  # as many as ever reported anything at once
+    parts = [f"{s.frames} frames in {of} views", f"{s.lost} lost", f"{s.extrapolated} extrapolated"]
+    if s.iou == s.iou:
+        parts.append(f"mean IoU {s.iou:.3f}")
+    if s.sd_mm == s.sd_mm:
+        parts.append(f"median joint sd {s.sd_mm:.1f} mm")
+    if seconds.get("track"):
+        parts.append(f"{s.frames / seconds['track']:.1f} frames/s")
+    say(f"{job.recording.name}: " + ", ".join(parts))
+    if outcome.truth is not None:
+        say(f"Mean joint error: {outcome.truth.mean_mm:.1f} mm over {len(outcome.truth.names)} joints", "bold")
+    say(f"Results: {job.results.path}")
+    if job.command.report:
+        say(f"Report:  {job.results.file('report.html')}")
+    require_found(outcome.motion, job.recording.name, job.results.path)
+    if outcome.assessment is not None:
+        print_assessments({"": outcome.assessment})
+
+
+def print_assessments(assessments: Mapping[str, Assessment]) -> None:
+    """The assessment on all people by their names (none of one person); exit code 3 when one is not to be trusted."""
+    for name, assessment in assessments.items():
+        say(f"Assessment{' on ' if name else ''}{name}: {assessment.sentence}", "bold")
+    if any(assessment.word == UNTRUSTED for assessment in assessments.values()):
+        raise Exit(EXIT_UNTRUSTED)
 
 
 def run_people(job: TrackJob, people: str, progress: ProgressCall = ignore) -> Outcome:
@@ -135,30 +195,13 @@ def _one_report(
     job: TrackJob, one: TrackedPerson, source: FrameStream, written: Sequence[Path], progress: ProgressCall
 ) -> list[Path]:
     """Motion files and report of one person."""
-    own = replace(job, results=ResultsFolder(job.results.path / one.name))
-    motion, body = one.result.motion, one.result.body
-    files = export_all(own, motion, body, progress)
-    mine = [*(p for p in written if p.parent == own.results.path), *files]
-    about = ViewResult(
-        title=f"{job.recording.name}: {one.name}",
-        motion=motion,
-        body=body,
-        rig=job.recording.rig,
-        image_shifts=[v.image_shift for v in job.recording.views],
-        pictures=pictured(job.recording),
-        notes=(f"Assessment: {one.assessment.sentence}", *one.result.notes),
-        citation=citation_of(job.options.recipe, job.options.refine),
-        complete=one.result.complete,
-        first_frame=job.recording.frames.start,
-        rivals=Rivals.of_motion(motion),
-    )
-
-    def overlay(path: Path, wanted: PictureRows) -> OverlayRows:
-        return write_overlay(path, job.recording, source, motion, body, wanted, progress)
-
-    if job.command.report:
-        files += report_pictures(own.results, about, overlay, mine, (False, True), progress)
-    remove_stale(own.results, [*mine, *files])
+    results = ResultsFolder(job.results.path / one.name)
+    own = replace(job, results=results, command=replace(job.command, overlay=False))
+    notes = (f"Assessment: {one.assessment.sentence}", *one.result.notes)
+    view = ViewResult(f"{job.recording.name}: {one.name}", one.result.motion, one.result.body, notes=notes)
+    before = [p for p in written if p.parent == results.path]
+    files = export_and_report(own, one.result, view, source, before, progress)
+    remove_stale(results, [*before, *files])
     return files
 
 

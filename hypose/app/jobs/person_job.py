@@ -1,5 +1,4 @@
-"""What is found of a person before anybody is tracked: key points by a detector, a body of the right size, and the
-cameras of a recording without a calibration."""
+"""Jobs before tracking: key points by a detector, a body of the person's size, cameras without a calibration."""
 
 from __future__ import annotations
 
@@ -13,11 +12,11 @@ import numpy as np
 from click.exceptions import Exit
 
 from hypose.app.commands.commands_check import keep_offsets
-from hypose.app.commands.commands_track import stopping
-from hypose.app.commands.console import Stages, print_notes, print_table, say, titled_table
+from hypose.app.commands.console import Stages, print_note, print_notes, print_table, say, stopping, titled_table
 from hypose.app.jobs.checking import write_image
-from hypose.app.jobs.job import choose_frames
-from hypose.app.options import CalibrateCommand, SubjectCommand
+from hypose.app.jobs.job import choose_frames, job_of, recording_of
+from hypose.app.jobs.people_job import track_shown
+from hypose.app.options import CalibrateCommand, SubjectCommand, TrackCommand
 from hypose.app.reports.result_pictures import Drawing, draw_all, open_images, tile_layout
 from hypose.body.default_body import human
 from hypose.calibration.from_person import PersonCalibration, calibrate_from_person
@@ -41,7 +40,7 @@ from hypose.io.keypoints.read_keypoints import KEYPOINT_FOLDER, DetectedKeypoint
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording, load_recording
 from hypose.io.recordings.recording_people import candidates_of
-from hypose.pipeline.detect_keypoints import detect_keypoints
+from hypose.pipeline.detect_keypoints import detect_keypoints, wants_detector
 from hypose.pipeline.mesh_subject import subject_from_mesh
 from hypose.pipeline.recording_diagnostics import window
 from hypose.pipeline.subject_from_motion import (
@@ -228,3 +227,16 @@ def open_network_asking(yes: bool, why: str = "Finding people in pictures") -> P
         say(f"Fetching {what} ...")
         fetch_models()
     return open_network()
+
+
+def track_command(command: TrackCommand) -> None:
+    """Do what `hypose track` is asked for."""
+    loaded, several = recording_of(command), command.camera is None and not command.of_picture
+    if several and command.evidence != "silhouettes" and (loaded.detected or wants_detector(loaded)):
+        if not loaded.detected:
+            print_note(
+                "note: neither key points, masks nor pictures of the empty room are given: the detector finds people."
+            )
+        detected(loaded, loaded.frames, yes=command.yes, why="Tracking videos alone")
+        loaded = recording_of(command)
+    track_shown(job_of(command, loaded))

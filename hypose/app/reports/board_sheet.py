@@ -22,7 +22,7 @@ _HOW = (
 )
 
 
-def board_sheet(paper: str) -> bytes:
+def printed_board(paper: str) -> bytes:
     """Draw the PDF of the chessboard for a paper (a4, a3) and of how to film it."""
     if paper not in _PAPERS:
         raise InputError(f"There is no board for the paper {paper[:20]!r}; choose {' or '.join(_PAPERS)}.")

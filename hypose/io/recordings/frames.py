@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import percentile_filter
 
 from hypose.cameras.camera import Camera, CameraRig
+from hypose.compute import mask_runs
 from hypose.compute.threads import default_threads
 from hypose.errors import InputError
 from hypose.evidence.background import (
@@ -317,11 +318,7 @@ def build_backgrounds(
         `views`.
     """
     o = options or FrameSettings()
-    wanted = [
-        c
-        for c, v in enumerate(recording.views)
-        if v.masks is None and v.depth is None and v.source is not None and (views is None or c in views)
-    ]
+    wanted = [c for c, v in enumerate(recording.views) if v.segmented and (views is None or c in views)]
     total, pictures = len(wanted) * o.background_frames, itertools.count(1)
 
     def counted(image: Image) -> Image:
@@ -487,7 +484,7 @@ class FrameStream:
         things = (
             f"View {s.view.name}: {area:.2f} m^2 of things that the empty room did not have are left out"
             for s in self._sources
-            if s.depth is not None and (area := s.depth.furnished[1]) > 0
+            if (area := s.furnished[1]) > 0
         )
         return (*self.people_notes, *low_confidence, *unread, *things)
 
@@ -535,7 +532,7 @@ class FrameStream:
             colours = pending.colours(silhouettes.masks.shape) if self.options.colours else None
             depth = self._depth(number, silhouettes)
             if not self.options.people:
-                rooms = [None if s.depth is None else s.depth.furnished[0] for s in self._sources]
+                rooms = [s.furnished[0] for s in self._sources]
                 silhouettes = behind_things(silhouettes, depth, rooms)
         keypoints = None if self.keypoints is None else self.keypoints[index]
         return Frame(number / self.recording.frame_rate, number, silhouettes, keypoints, colours=colours, depth=depth)
@@ -573,6 +570,22 @@ class FrameStream:
         if not self._lanes:
             raise InputError("This stream was opened without silhouettes and decodes no images.")
         return self._lanes[view].submit(self._sources[view].image, self.frames[index]).result()
+
+    def mask(self, view: int, number: int, picture: Image | None, settings: SilhouetteSettings) -> Mask:
+        """Make the mask of one view with other settings, in any frame, as `frame` has it but for what other frames say.
+
+        number: of the frame in the recording; picture: as it is stored, None where there are masks only.
+        Returns (h, w) 0/1 of the working size. An InputError says why there is none."""
+        if not self._sources:
+            raise InputError(f"{self.recording.name} has key points alone, from which no masks are made.")
+        source, background = self._sources[view], self.backgrounds[view]
+        source.given = None if picture is None else (number, picture)
+        if background is not None:
+            source.segment = make_segmenter(background, settings)
+        runs, reason = self._mask(view, number)
+        if runs is None:
+            raise InputError(reason)
+        return mask_runs.draw(runs)
 
     def _mask(self, view: int, frame: int) -> tuple[MaskRuns | None, str]:
         band = None

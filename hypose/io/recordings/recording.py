@@ -83,7 +83,7 @@ from hypose.io.recordings.recording_views import (
     on_one_clock,
     stored_numbers,
 )
-from hypose.io.videos.video import frame_size
+from hypose.io.videos.video import VIDEO_ENDINGS, frame_size
 
 # ---- keys of recording.toml -----------------------------------------------------------------------------------------
 
@@ -374,6 +374,8 @@ def load_recording(path: str | Path, calibration: str | Path | None = None, *, u
         return _build(path, path, _with_calibration(settings, calibration), notes, uncalibrated)
     inside = [p.name for p in sorted(path.iterdir()) if p.is_dir() and (p / "recording.toml").is_file()]
     hint = f"it holds the recordings {', '.join(inside)}: name one" if inside else "write recording.toml"
+    if not inside and any(p.suffix.lower() in VIDEO_ENDINGS for p in (*path.iterdir(), *path.glob("*/*"))):
+        hint = f"it holds videos: hypose init {path} writes recording.toml, and so does the page of hypose view {path}"
     raise InputError(
         f"The folder {path} has no recording.toml and is no Pose2Sim project (Config.toml, videos); {hint}."
     )

@@ -335,6 +335,13 @@ class ViewSource:
         self._broken: tuple[int, str] | None = None
         self._problems: dict[int, str] = {}  # why there is no mask, by frame
         self._shown: tuple[int, Image] | None = None
+        self.given: tuple[int, Image] | None = None
+        """Number and stored picture of a frame that need not be read."""
+
+    @property
+    def furnished(self) -> tuple[DepthBackground | None, float]:
+        """The empty room before a depth camera; see `DepthSource.furnished`."""
+        return (None, 0.0) if self.depth is None else self.depth.furnished
 
     @property
     def objects(self) -> ObjectMasks | None:
@@ -361,6 +368,8 @@ class ViewSource:
             return None
 
     def _stored(self, frame: int) -> Image:
+        if self.given is not None and self.given[0] == frame:
+            return self.given[1]
         if self._reader is None:
             if self.view.source is None:
                 raise InputError(f"View {self.view.name} has neither video nor images, only masks.")

@@ -122,6 +122,14 @@ def test_every_kind_needs_something_that_is_there(folder):
                 plan_job(kind, {}, catalog)
 
 
+def test_forms_are_the_options_of_the_commands(own_studio):
+    forms = own_studio.get("/api/job-forms")
+    assert set(forms) == set(JOB_KINDS)
+    evidence, height = ({o["name"]: o for o in forms["track"]}[n] for n in ("evidence", "height"))
+    assert evidence["choices"][:3] == ["silhouettes", "keypoints", "both"] and evidence["help"]
+    assert (height["kind"], height["least"], height["most"], height["default"]) == ("float", 0.4, 2.8, None)
+
+
 def test_progress_is_json_when_a_program_asks_for_it(monkeypatch, capsys):
     monkeypatch.setenv(JSON_PROGRESS, "1")
     with Stages() as progress:

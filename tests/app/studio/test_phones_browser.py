@@ -67,5 +67,5 @@ def laid_onto(joints, truth, first):
     """Mean distance (m) of joints (T, J, 3) from the true ones from a frame on, when laid onto them as a rigid body."""
     a, b = joints[::5].reshape(-1, 3), truth[first : first + len(joints) : 5].reshape(-1, 3)
     a, b = a - a.mean(0), b - b.mean(0)
-    turn, _ = Rotation.align_vectors(b, a)
+    turn = Rotation.align_vectors(b, a)[0]
     return np.linalg.norm(turn.apply(a) - b, axis=1).mean()

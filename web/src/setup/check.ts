@@ -1,7 +1,7 @@
 import { address, get, post } from "../api";
 import type { Check, Finding, FolderEntry, Job, Recording } from "../protocol";
 import { button, select } from "../ui/buttons";
-import { h } from "../ui/dom";
+import { h, plain } from "../ui/dom";
 import { icon } from "../ui/icons";
 import { toast } from "../ui/toast";
 import { STRETCHED } from "./folder";
@@ -48,7 +48,7 @@ function found(recording: Recording, check: Check): HTMLElement {
     const refines = f.fault && REFINES.test(f.cure ?? "");
     if (refines && !offered) mends.unshift(refine); // one button, where it is said first
     offered ||= refines;
-    return sentence(f.fault ? "bad" : "dim", refines || mends.some((b) => !LEAVES.test(b.textContent ?? "")) ? withoutNext(f.sentence) : f.sentence, f.views, mends);
+    return sentence(f.fault ? "bad" : "dim", refines || mends.some((b) => !LEAVES.test(b.textContent ?? "")) ? withoutNext(f.sentence) : plain(f.sentence).replace(/ Next: nothing\.$/, ""), f.views, mends);
   });
   const open = faults.filter((f) => !f.done).length;
   const words = sure ? "Nothing speaks against this calibration." : faults.length && !open ? "All of it is put right. Check again to see what is left." : `${open || "Some"} ${open === 1 ? "thing" : "things"} should be put right.`;
@@ -57,10 +57,10 @@ function found(recording: Recording, check: Check): HTMLElement {
     { class: "found" },
     h("p", { class: `assessment ${sure || (faults.length && !open) ? "good" : "warn"}` }, icon(sure || (faults.length && !open) ? "done" : "warning"), words),
     ...shown,
-    ...folded(check.warnings.map((w) => sentence("warn", w, []))),
+    ...folded(check.warnings.map((w) => sentence("warn", plain(w), []))),
     open && !offered ? h("div", { class: "row" }, refine) : null,
     check.views.length ? residuals(check) : null,
-    check.facts.length ? h("details", {}, h("summary", { class: "dim" }, `${check.facts.length} facts`), ...check.facts.map((f) => h("p", {}, f))) : null,
+    check.facts.length ? h("details", {}, h("summary", { class: "dim" }, `${check.facts.length} facts`), ...check.facts.map((f) => h("p", {}, plain(f)))) : null,
     check.page ? h("div", { class: "row" }, h("a", { class: "button", href: address(`/api/recordings/${recording.id}/file/${check.page}`), target: "_blank" }, "The whole page with pictures")) : null,
   );
 }
@@ -133,13 +133,14 @@ function edits(recording: Recording, finding: Finding): Edit[] {
   if (/set keypoint_pixels = "image"/.test(cure)) {
     out.push({ label: "They are pixels of the pictures as stored", wish: { what: "keypoint_pixels" }, said: "The key points are taken as pixels of the stored pictures." });
   }
-  const [view] = views;
-  if (!view || views.length > 1 || !recording.views.some((v) => v.name === view)) return out;
+  const seen = recording.views.find((v) => v.name === views[0] || v.camera === views[0]);
+  if (!seen || views.length > 1) return out;
+  const view = seen.name;
   if (kind === "size") {
     out.push({ label: "It was stretched: accept it", wish: { what: "accept_scaled", view }, said: `${view} is taken as stretched.` });
   }
   const [, x, y] = /set image_shift = \[(-?[\d.e-]+), (-?[\d.e-]+)\]/.exec(cure) ?? [];
-  if (x && y && !recording.views.find((v) => v.name === view)?.masks) {
+  if (x && y && !seen.masks) {
     out.push({ label: "Move its pictures", wish: { what: "image_shift", view, x: Number(x), y: Number(y) }, said: `The pictures of ${view} are moved by ${x}, ${y} px.` });
   }
   if (recording.views.length > 2) out.push({ label: `Leave ${view} out`, wish: { what: "leave_out", view }, said: `${view} is left out.`, leaves: true });

@@ -16,14 +16,16 @@ interface Slider {
   step: number;
 }
 
-const SLIDERS: readonly Slider[] = [
-  { name: "threshold", title: "Threshold", what: "how much a pixel must differ from the empty room, in standard deviations", low: 1, high: 15, step: 0.5 },
+const PLAIN: readonly Slider[] = [
+  { name: "threshold", title: "Difference", what: "How much a pixel must differ from the empty room. Parts of the person are missing: lower. Shadows and noise are in: higher.", low: 1, high: 15, step: 0.5 },
+  { name: "close_px", title: "Close gaps", what: "Joins parts of the person that are so near, in pixels.", low: 0, high: 25, step: 1 },
+  { name: "keep_share", title: "Leave out", what: "Leaves out what is smaller than this share of the biggest part.", low: 0, high: 1, step: 0.01 },
+];
+const ADVANCED: readonly Slider[] = [
   { name: "min_sd", title: "Least noise", what: "grey levels; more where light flickers or video is compressed", low: 1, high: 25, step: 0.5 },
   { name: "shadow_chroma", title: "Shadow colour", what: "how much a shadow may differ in colour from the lit ground, grey levels", low: 0, high: 40, step: 1 },
   { name: "open_px", title: "Open", what: "px; takes thin things away", low: 0, high: 15, step: 1 },
-  { name: "close_px", title: "Close", what: "px; joins what is close", low: 0, high: 25, step: 1 },
   { name: "hole_px", title: "Holes", what: "px of area; smaller holes are filled", low: 0, high: 2000, step: 10 },
-  { name: "keep_share", title: "Smallest part", what: "share of the biggest part; smaller ones are dropped", low: 0, high: 1, step: 0.01 },
   { name: "keep_gap", title: "Farthest part", what: "share of the person's length; farther parts are dropped", low: 0, high: 1, step: 0.01 },
 ];
 
@@ -36,6 +38,7 @@ export class MaskStep {
   private readonly sliders = h("div", { class: "mask-sliders" });
   private readonly save = button("Use these settings", () => void this.keep(), { kind: "primary", icon: "done" });
   private asked = 0;
+  private advanced = false;
 
   constructor(
     private readonly recording: Recording,
@@ -55,7 +58,7 @@ export class MaskStep {
       "div",
       { class: "step" },
       h("h2", {}, "Masks"),
-      h("p", { class: "dim" }, `In every frame the person should be cut out whole, and nothing else; ${why}.`),
+      h("p", { class: "dim" }, `The masks that tracking will use${recording.views.some((v) => v.keypoints) ? ", cut out around the key points" : ""}. In every frame the person should be cut out whole, and nothing else; ${why}.`),
       bare ? h("p", {}, "There is no picture of the empty room. A small network can find the person in the videos, points and masks; it is fetched once (36 MB).") : null,
       bare ? h("div", { class: "row" }, button("Find the person", () => void begin(recording, "keypoints", { yes: true }), { kind: "primary", icon: "play" })) : null,
       h(
@@ -74,7 +77,7 @@ export class MaskStep {
   }
 
   private drawSliders(): void {
-    const rows = SLIDERS.filter((s) => typeof this.settings[s.name] === "number").map((s) => {
+    const rows = (sliders: readonly Slider[], told: boolean): HTMLElement[] => sliders.filter((s) => typeof this.settings[s.name] === "number").map((s) => {
       const value = h("output", { class: "number" }, String(this.settings[s.name]));
       const input = h("input", { type: "range", min: s.low, max: s.high, step: s.step, value: this.settings[s.name], "aria-label": s.title, title: s.what });
       input.addEventListener("input", () => {
@@ -82,7 +85,7 @@ export class MaskStep {
         value.textContent = input.value;
         this.changed();
       });
-      return h("div", { class: "mask-slider", title: s.what }, h("span", {}, s.title), input, value);
+      return h("div", { class: "mask-slider", title: s.what }, h("span", {}, s.title), input, value, told ? h("small", { class: "dim" }, s.what) : null);
     });
     const flag = (name: string, text: string, title: string): HTMLElement =>
       toggle(text, this.settings[name] === true, (on) => {
@@ -95,8 +98,9 @@ export class MaskStep {
       this.pictures.load();
     }, { title: "Back to the settings of the recording" });
     this.sliders.replaceChildren(
-      ...rows,
-      h("div", { class: "row" }, flag("shadow", "No shadows", "Take shadows away; switch it off in grey scenes"), flag("grabcut", "Fine rim", "Refine the outline by GrabCut; slow")),
+      ...rows(PLAIN, true),
+      h("details", { open: this.advanced, ontoggle: (event: Event) => (this.advanced = (event.target as HTMLDetailsElement).open) }, h("summary", { class: "dim" }, "Advanced"), ...rows(ADVANCED, false),
+      h("div", { class: "row wrap" }, flag("shadow", "No shadows", "Take shadows away; switch it off in grey scenes"), flag("grabcut", "Fine rim", "Refine the outline by GrabCut; slow"))),
       h("div", { class: "row" }, this.save, reset),
     );
     this.save.disabled = true;

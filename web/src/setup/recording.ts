@@ -2,7 +2,7 @@ import { get } from "../api";
 import type { Counters } from "../counters";
 import type { Job, Recording, State } from "../protocol";
 import { button } from "../ui/buttons";
-import { h } from "../ui/dom";
+import { h, plain } from "../ui/dom";
 import { calibrateStep, usualBoard } from "./calibrate";
 import { JobCard } from "./card";
 import { checkStep, rescue } from "./check";
@@ -130,7 +130,7 @@ export class RecordingPage {
     if (!steps.includes(this.step)) this.step = firstStep(recording);
     this.notes.replaceChildren(
       ...(recording.problem ? [h("div", { class: "card bad", role: "alert" }, recording.problem, h("div", { class: "row wrap cures" }, ...rescue(recording)))] : []),
-      ...recording.notes.map((n) => h("p", { class: "dim note" }, n)),
+      recording.notes.length ? h("details", { class: "notes" }, h("summary", { class: "dim" }, recording.notes.length === 1 ? "1 note on its files" : `${recording.notes.length} notes on its files`), ...recording.notes.map((n) => h("p", { class: "dim note" }, plain(n)))) : "",
     );
     this.drawNav();
     this.drawWay();

@@ -9,7 +9,7 @@ import { begin, canPutRight, putAllRight } from "./check";
 import { active } from "./feed";
 
 const STAGES: readonly (readonly [JobKind, string])[] = [
-  ["calibrate", "find the cameras"], ["keypoints", "find the person"], ["sync", "how late each camera is"], ["in_step", "synchronise"], ["check", "check"], ["track", "track"],
+  ["calibrate", "find the cameras"], ["keypoints", "find the person"], ["sync", "how late each camera is"], ["in_step", "synchronise"], ["refine", "refine the calibration"], ["check", "check"], ["track", "track"],
 ];
 
 /** From the videos to the motion by one button; then the result, or what is to be done first. jobs: of the recording, the newest first. */
@@ -30,7 +30,7 @@ function shown([result]: readonly ResultEntry[]): HTMLElement[] {
       "div",
       { class: "way-result" },
       thumbnail(result),
-      h("div", { class: "grow" }, h("h2", {}, result.name), quality(result)),
+      h("div", { class: "grow" }, h("h2", {}, result.name), quality(result), result.sentence ? h("p", {}, plain(result.sentence)) : null),
       h(
         "div",
         { class: "row wrap" },
@@ -43,9 +43,10 @@ function shown([result]: readonly ResultEntry[]): HTMLElement[] {
 
 function underWay(running: Job, jobs: readonly Job[]): HTMLElement[] {
   const done = new Set(jobs.filter((j) => j.go_on && j.state === "done").map((j) => j.kind));
+  const shown = (kind: JobKind): boolean => done.has(kind) || kind === running.kind;
   const late = done.has("sync") || running.kind === "sync" ? "in_step" : "sync"; // one of the two is on the way, or both
-  const begun = STAGES.findIndex(([kind]) => done.has(kind) || kind === running.kind);
-  const steps = STAGES.filter(([kind], k) => k >= begun && (kind !== late || done.has(kind) || kind === running.kind));
+  const begun = STAGES.findIndex(([kind]) => shown(kind));
+  const steps = STAGES.filter(([kind], k) => shown(kind) || (k >= begun && kind !== late && kind !== "refine"));
   const now = steps.findIndex(([kind]) => kind === running.kind);
   return [
     h("h2", {}, "On the way to the motion"),
@@ -75,7 +76,7 @@ function onward(recording: Recording, results: readonly ResultEntry[]): HTMLElem
   }
   if (!next) return [];
   const from = STAGES.findIndex(([k]) => k === next);
-  const rest = STAGES.slice(from).filter(([k]) => k !== "in_step" || next === "in_step").map(([, title]) => title);
+  const rest = STAGES.slice(from).filter(([k]) => k === next || (k !== "in_step" && k !== "refine")).map(([, title]) => title);
   return [
     ...found,
     h("div", { class: "row wrap" }, button(results.length ? "Track again" : "Track the person", () => void goOn(recording), { ...kind, icon: "play" }), h("span", { class: "dim" }, results.length ? "with all that is known now" : `does the rest by itself: ${rest.join(", ")}`)),

@@ -1,5 +1,5 @@
 import type { ViewData } from "../lib/bundle";
-import { h } from "../ui/dom";
+import { h, plain } from "../ui/dom";
 import { icon } from "../ui/icons";
 import { clock } from "../ui/timeline";
 import type { Source } from "./source";
@@ -26,7 +26,7 @@ export function details(data: ViewData, source: Source, doctor: HTMLElement | nu
     { class: "details" },
     h("div", { class: "figures" }, ...figures),
     header.complete ? null : h("p", { class: "warn" }, "The run was interrupted: this is what was tracked until then."),
-    ...section("Notes", header.notes.length > 0, h("ul", {}, ...header.notes.map((n) => h("li", {}, n)))),
+    ...section("Notes", header.notes.length > 0, h("ul", {}, ...header.notes.map((n) => h("li", {}, plain(n))))),
     ...section("Truth", Boolean(header.truth), h("p", { class: "dim" }, header.truth?.note ?? "")),
     ...section("Calibration", Boolean(doctor), doctor ?? h("span")),
     ...section(

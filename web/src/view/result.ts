@@ -1,6 +1,6 @@
 import { DOUBTFUL, doubtfulAt, doubtfulCounts, toLookAt, type Stretch, type ViewData } from "../lib/bundle";
 import { button, select, tabs, toggle, type Toggle } from "../ui/buttons";
-import { h, onResize, setText } from "../ui/dom";
+import { h, onResize, plain, setText } from "../ui/dom";
 import { icon, type IconName } from "../ui/icons";
 import { bindKeys } from "../ui/keyboard";
 import { splitter } from "../ui/split";
@@ -358,7 +358,7 @@ const TONES = { good: ["good", "done"], look: ["warn", "warning"], "not to be tr
 /** What is to be thought of the result, in one line on top of it. */
 function assessment({ word, sentence }: NonNullable<ViewData["header"]["assessment"]>): HTMLElement {
   const [tone, sign] = TONES[word] ?? TONES.look;
-  return h("p", { class: `view-assessment ${tone}` }, icon(sign), h("span", {}, sentence));
+  return h("p", { class: `view-assessment ${tone}` }, icon(sign), h("span", {}, plain(sentence)));
 }
 
 function round(rate: number): string {
