@@ -1,4 +1,6 @@
-"""`hypose synth`, `silhouettes`, `keypoints` and `depth-import`: recordings, and the evidence in them."""
+"""`hypose init`, `synth`, `silhouettes`, `keypoints` and `depth-import`: make recordings, and detect
+evidence in them.
+"""
 
 from __future__ import annotations
 
@@ -20,8 +22,8 @@ def init(
 ) -> None:
     """Write the recording.toml of a folder with videos, one per camera.
 
-    It looks at what lies in the folder and in the folders in it; a recording.toml that is there stays as it is. What is
-    named background or empty shows the empty room, what is named board or calib is for hypose calibrate.
+    Videos in the folder and in its subfolders are used; an existing recording.toml is kept. Videos with background or
+    empty in their name show the empty room, those with board or calib are for hypose calibrate.
     """
     from hypose.calibration.views import find_sources
     from hypose.io.calibrations.calibration_formats import read_any
@@ -115,7 +117,7 @@ def silhouettes(
 
 
 def synth(c: SynthCommand) -> None:
-    """Do what `hypose synth` is asked for."""
+    """Run `hypose synth` with the options of a command."""
     from hypose.io.files import claimed
     from hypose.synthetic import write_recording
     from hypose.synthetic.depth_scenes import DepthScene
@@ -154,7 +156,7 @@ def synth(c: SynthCommand) -> None:
 
 
 def _subject_name(text: str) -> str:
-    """A subject's name from its name or number."""
+    """Return a subject's name from its name or number."""
     if not text.isdigit():
         return text
     from hypose.synthetic.subjects import load_subjects
