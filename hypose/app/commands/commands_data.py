@@ -184,7 +184,9 @@ def depth_import(
     ] = 1.0,
     seed: Seed = 0,
 ) -> None:
-    """Make a recording of depth cameras to track: maps, lenses, floor; several are brought together by the person."""
+    """Make a recording of depth cameras to track: maps, lenses, floor; several cameras are registered by the person's
+    motion.
+    """
     from hypose.io.files import claimed
     from hypose.pipeline.import_depth import import_depth
 

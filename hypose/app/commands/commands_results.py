@@ -52,7 +52,7 @@ def report(
     out: Annotated[Path | None, Option("File to write. [default: report.html in the results folder]")] = None,
     threads: Threads = None,
 ) -> None:
-    """Write the report of a result again: one file that opens from disk and loads nothing."""
+    """Write the report of a result again: one file that needs no other files."""
     from hypose.app.reports.report import write_report
     from hypose.app.studio.view_bundle import find_recording, load_view
     from hypose.io.files import check_writable

@@ -53,7 +53,7 @@ def correct(
     formats: Formats = "trc,c3d,bvh,glb,csv,mot",
     threads: Threads = None,
 ) -> None:
-    """Track a result again from a frame whose pose was corrected; the frames before stay as they are."""
+    """Track a result again from a frame whose pose was corrected; other frames stay unchanged."""
     from hypose.app.jobs.correct import corrected_motion, read_correction
     from hypose.app.jobs.job import split_names
     from hypose.app.reports.summary import require_found

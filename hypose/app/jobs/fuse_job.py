@@ -197,7 +197,7 @@ def run_fuse(
             done.append(_write(recording, c, made, world, folders[n], notes, assessment))
         progress("fuse", total, total)
         for n, person in each(progress, "export", list(enumerate(done))):
-            # the body is for formats with poses, which have been refused
+            # only formats with poses use the body, and those were refused above
             files = export_motion(person.motion, cast(Body, None), person.files[0].parent, formats)
             done[n] = replace(person, files=(*person.files, *files))
     except KeyboardInterrupt:

@@ -78,7 +78,7 @@ def _report_outcome(job: TrackJob, outcome: Outcome, seconds: Mapping[str, float
     s = summarize(outcome.motion)
     print_notes(outcome.notes)
     views, reported = len(job.recording.rig), int(outcome.motion.n_views.max(initial=0))
-    of = f"{reported} of {views}" if 0 < reported < views else f"{views}"  # as many as ever reported anything at once
+    of = f"{reported} of {views}" if 0 < reported < views else f"{views}"  # largest number of views used in a frame
     parts = [f"{s.frames} frames in {of} views", f"{s.lost} lost", f"{s.extrapolated} extrapolated"]
     if s.iou == s.iou:
         parts.append(f"mean IoU {s.iou:.3f}")
