@@ -25,9 +25,9 @@ HEIGHT = (0.4, 2.8)
 MOST_FRAMES = 10**9
 LARGEST_SEED = 2**63 - 1
 OUTPUT, RUN, RESEARCH = "Output", "Run", "Research"
-"""Headings of what is written, of how it is run, and of what only those need who compare methods."""
+"""Headings of options: files to write, how to run, comparison of methods."""
 THREAD_VARIABLES = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-"""What limits the threads of numba and of the libraries behind numpy."""
+"""Variables that limit the threads of numba and of the libraries behind numpy."""
 _TRUTH = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
 
 

@@ -59,7 +59,7 @@ _POLL_S = 0.5
 _STOP_S = 60.0  # a frame and a checkpoint take far less
 _PATIENCE = "300s"  # a worker of a busy machine takes long to start, the first time and again
 _FILES: Mapping[str, Any] = {"formats": "trc,csv", "overlay": False}
-"""What is written of each recording, where nothing else is wanted."""
+"""Files that are written of each recording by default."""
 _COLUMNS_OF_TRACK = {
     d.flag.removeprefix("--").removeprefix("no-"): d
     for d in declared(TrackCommand)

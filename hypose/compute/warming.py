@@ -16,7 +16,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -200,21 +200,24 @@ def warm_up(*names: str, load: bool = True, progress: Callable[[int, int], None]
     start = time.perf_counter()
     parts = [part for part in KERNEL_GROUPS if part in (names or TRACKING_KERNELS)]
     missing = [part for part in parts if not _is_ready(part)]
+    total = len(missing) + 1  # the last step loads what the others have compiled
     report = progress if progress is not None and missing else lambda done, total: None
-    report(0, len(missing))
+    report(0, total)
     # where Python is embedded in a program or frozen, sys.executable is that program
     if len(missing) > 1 and _can_keep() and Path(sys.executable or "").name.lower().startswith("python"):
         began: list[subprocess.Popen[bytes]] = []
         with ThreadPoolExecutor(default_threads()) as pool:
             try:
-                for done, _ in enumerate(pool.map(lambda part: _in_another_process(part, began), missing)):
-                    report(done, len(missing))  # the last is the check that all is there
+                jobs = [pool.submit(_in_another_process, part, began) for part in missing]
+                for done, job in enumerate(as_completed(jobs), 1):
+                    job.result()
+                    report(done, total)
             finally:
                 pool.shutdown(wait=False, cancel_futures=True)
                 for process in began:
                     process.kill()
     _run([part for part in parts if load or not _is_ready(part)])
-    report(len(missing), len(missing))
+    report(total, total)
     return time.perf_counter() - start
 
 

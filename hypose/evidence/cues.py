@@ -276,11 +276,9 @@ def depth_evidence(depth: Depth) -> list[Evidence]:
     return [DepthEvidence(views, (term,), maps)]
 
 
-def keypoint_evidence(term: KeypointTerm | None, weaker: KeypointTerm | None) -> list[Evidence]:
-    """Key points of a frame, and as solves weigh them; nothing where none is known and confident."""
-    if term is None or weaker is None:
-        return []
-    return [KeypointEvidence(np.asarray((term.points[..., 2] > 0).any(1)), (weaker,), term)]
+def keypoint_evidence(term: KeypointTerm, weaker: KeypointTerm) -> KeypointEvidence:
+    """Prepare key points as they are, and as solves weigh them."""
+    return KeypointEvidence(np.asarray((term.points[..., 2] > 0).any(1)), (weaker,), term)
 
 
 def surface_evidence(frame: Frame) -> list[Term]:

@@ -136,7 +136,8 @@ def prepare(
                 f"with ({len(model.names)}); fit the subject again from this recording."
             )
         term = keypoint_term(points, body, model, prediction, keypoint_scale_px)
-        found += keypoint_evidence(term, with_masks(term, model) if masks and term is not None else term)
+        if term is not None:
+            found.append(keypoint_evidence(term, with_masks(term, model) if masks else term))
     found += [one for depth in (frame.of(Depth) if masks else ()) for one in depth_evidence(depth)]
     found += [piece.prepared(body) for piece in frame.more]
     found += own_evidence(own, body, frame)

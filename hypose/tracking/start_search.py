@@ -333,18 +333,11 @@ _ONE_ARM = ("up", "forward", "sideways")
 _TO_JOINTS = SolveSettings(iterations=30, coarse_iterations=15)
 
 
-def posture_names() -> tuple[str, ...]:
-    """Of `postures`, in their order."""
-    names = [f"{legs}, arms {arms}" for legs, all_ in _TOGETHER for arms in all_]
-    names += [f"{legs}, {side} arm {arm}" for legs in ("standing", "sitting") for arm in _ONE_ARM for side in _SIDES]
-    return tuple(names)
-
-
 _SIDES = ("left", "right")
 
 
 def postures(body: Body) -> Array:
-    """(N, D) poses of a body at the origin, facing -y, within its limits; `posture_names` names them."""
+    """(N, D) poses of a body at the origin, facing -y, within its limits."""
     return _postures(_Key(body))
 
 

@@ -218,7 +218,7 @@ def test_halpe_for_coco_is_refused(tmp_path):
         ("a.json", '[{"image_id": "x.jpg", "keypoints": [1, 2, 3]}]', r"image_id 'x\.jpg' has no frame number"),
         ("a.json", '[{"image_id": 1, "keypoints": [1, 2]}]', r"entry 0 holds something .*reshape"),
         ("a.json", '[{"image_id": 1, "keypoints": [1e999, 2, 1]}]', r"infinite|finite"),
-        ("a.csv", "frame,x,y\n1,2,3\n", r"not a file or folder of key points of DeepLabCut, Lightning Pose, Caliscope"),
+        ("a.csv", "frame,x,y\n1,2,3\n", r"is not a file .* of DeepLabCut, Lightning Pose, Caliscope, SLEAP"),
         ("a.csv", "scorer,m\n0,1\n", r"has no 'bodyparts'"),
         ("a.csv", "scorer,m\nbodyparts,nose\ncoords,x\n0,1\n", r"nose lacks x, y or likelihood"),
         ("a.csv", "sync_index,port\n1,2\n", r"has no 'keypoint_id'"),

@@ -13,7 +13,7 @@ from hypose.errors import InputError
 from hypose.evidence.frame import SensorReport
 from hypose.io.files import bounded_lines
 from hypose.io.sensors.depth import read_azure_mkv, read_depth_png, write_depth_png, write_millimetres_png
-from hypose.io.sensors.skeleton_files import KINECT_V2, FolderWriter, read_ntu, read_skeletons
+from hypose.io.sensors.skeleton_files import KINECT_V2, FolderWriter, read_skeletons
 from hypose.io.sensors.skeleton_streams import (
     MAX_SKELETON_LINE,
     SkeletonRecording,
@@ -22,7 +22,6 @@ from hypose.io.sensors.skeleton_streams import (
     common_times,
     format_line,
     parse_line,
-    read_lines,
     resample,
 )
 from tests import missing
@@ -168,8 +167,8 @@ def spoil(folder, file, old, new):
     [
         ("session.json", "{", "{{", "is not JSON"),
         ("session.json", "hypose-skeletons", "other", 'must say "format"'),
-        ("session.json", '"s1"', '"s0"', "names a sensor twice"),
-        ("session.json", '"clock": "common"', '"clock": "sun"', "common or own"),
+        ("session.json", '"s1"', '"s0"', "name each sensor once"),
+        ("session.json", '"clock": "common"', '"clock": "sun"', '"common" or "own"'),
         ("session.json", '"head"', '"neck"', "different names"),
         ("frames.csv", "sensor,frame", "frame,sensor", "first line must be"),
         ("frames.csv", "s0,0,", "s0,x,", "line 2 holds something that is not"),
@@ -268,8 +267,8 @@ def test_each_kinects_skeletons_are_put_back_before_it(tmp_path):
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        (lambda ln: [ln[0].replace("Head_Y", "Hat_Y"), *ln[1:]], "does not name"),
-        (lambda ln: [ln[0].replace("Tracker_Time", "Time"), *ln[1:]], "column Tracker_Time is missing"),
+        (lambda ln: [ln[0].replace("Head_Y", "Hat_Y"), *ln[1:]], "needs columns"),
+        (lambda ln: [ln[0].replace("Tracker_Time", "Time"), *ln[1:]], "has no 'Tracker_Time'"),
         (lambda ln: [*ln[:5], ln[5][:40]], "cells, the first line"),
         (lambda ln: [*ln[:5], ln[5].replace("0.0200", "two")], "line 6 holds something that is not"),
         (lambda ln: [*ln[:5], ln[5].replace("63562191989506", "nan")], "line 6 has no time"),
@@ -331,7 +330,7 @@ def test_ntu_of_several_cameras(tmp_path):
 def test_a_damaged_ntu_file_is_refused_in_a_sentence(tmp_path, change, sentence):
     (tmp_path / "a.skeleton").write_text("\n".join(change(ntu())))
     with pytest.raises(InputError, match=sentence):
-        read_ntu([tmp_path / "a.skeleton"])
+        read_skeletons(tmp_path / "a.skeleton")
 
 
 # ---- bounds ----
@@ -358,14 +357,19 @@ def test_a_cut_off_gzip_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "sentence"), [("a.zip", "unpacked"), ("a.txt", "no known form"), ("absent.csv", "does not exist")]
+    ("name", "sentence"),
+    [
+        ("a.zip", "unpacked"),
+        ("a.txt", "skeletons .a folder, .skel"),
+        ("absent.csv", "does not exist"),
+    ],
 )
 def test_other_files_are_named(tmp_path, name, sentence):
     if name != "absent.csv":
         (tmp_path / name).write_text("x")
     with pytest.raises(InputError, match=sentence):
         read_skeletons(tmp_path / name)
-    with pytest.raises(InputError, match="holds no skeletons"):
+    with pytest.raises(InputError, match="is not a recording of skeletons of hypose, NTU"):
         read_skeletons(tmp_path)
 
 
@@ -478,10 +482,10 @@ def test_a_file_of_lines(tmp_path, rng):
     np.testing.assert_array_equal(made.streams[0].positions, made.streams[1].positions)
     (tmp_path / "t.jsonl").write_text("\n".join([*lines[:3], "oops"]))
     with pytest.raises(InputError, match="line 4: the line is no JSON"):
-        read_lines(tmp_path / "t.jsonl")
+        read_skeletons(tmp_path / "t.jsonl")
     (tmp_path / "t.jsonl").write_text("\n".join([*lines[:3], lines[0].replace("head", "tail")]))
     with pytest.raises(InputError, match="line 4: the sensor a reports"):
-        read_lines(tmp_path / "t.jsonl")
+        read_skeletons(tmp_path / "t.jsonl")
 
 
 def test_offline_processor_of_azure_kinect(shared_data, tmp_path):

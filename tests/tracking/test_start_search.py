@@ -12,7 +12,7 @@ from hypose.evidence.frame import Frame, Silhouettes
 from hypose.geometry import so3_exp, so3_log
 from hypose.synthetic.scenes import camera_rig
 from hypose.tracking.frame_evidence import prepare
-from hypose.tracking.start_search import posture_names, postures, starts_in_frame, weigh_starts
+from hypose.tracking.start_search import _ONE_ARM, _TOGETHER, postures, starts_in_frame, weigh_starts
 from hypose.tracking.starts import turn_pose
 
 
@@ -33,6 +33,13 @@ def masks_of(body, pose, cameras, also=()):
 @pytest.fixture(scope="module")
 def cameras():
     return CameraRig(tuple(camera_rig("humaneva-4").scaled(0.4)))
+
+
+def posture_names():
+    """Of `postures`, in their order."""
+    names = [f"{legs}, arms {arms}" for legs, all_ in _TOGETHER for arms in all_]
+    one = [(legs, arm) for legs in ("standing", "sitting") for arm in _ONE_ARM]
+    return [*names, *(f"{legs}, {side} arm {arm}" for legs, arm in one for side in ("left", "right"))]
 
 
 def sitting(body, name="sitting, arms on thighs", heading=2.0):

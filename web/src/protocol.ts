@@ -57,7 +57,7 @@ export interface Recording {
   /** Clips of a calibration board: their cameras; whether these are calibrated; when the sheet of what was seen was made. */
   board: { cameras: string[]; calibrated: boolean; sheet: number | null } | null;
   /** How many frames late each view was found to be. */
-  sync: { by: string; views: { name: string; late: number; told: string }[] } | null;
+  sync: { by: string; views: { name: string; late: number; how: string }[] } | null;
 }
 
 /** What in a folder can be part of a recording; path: from that folder. */

@@ -220,7 +220,7 @@ def keep_offsets(
     words: uncertainty of each, as a text.
     folder: instead of the recording's folder.
     """
-    views = [{"name": v.name, "late": x, "told": w} for v, x, w in zip(recording.views, late, words, strict=True)]
+    views = [{"name": v.name, "late": x, "how": w} for v, x, w in zip(recording.views, late, words, strict=True)]
     with contextlib.suppress(OSError, InputError):
         write_text(
             (folder or recording.folder) / "results" / "sync.json", json.dumps({"by": by, "views": views}) + "\n"

@@ -22,8 +22,8 @@ def init(
 ) -> None:
     """Write the recording.toml of a folder with videos, one per camera.
 
-    Videos in the folder and in its subfolders are used; an existing recording.toml is kept. Videos with background or
-    empty in their name show the empty room, those with board or calib are for hypose calibrate.
+    It reads the folder and the folders in it, and never overwrites a recording.toml. Files named background or empty
+    show the empty room, files named board or calib are for hypose calibrate.
     """
     from hypose.calibration.views import find_sources
     from hypose.io.calibrations.calibration_formats import read_any

@@ -22,11 +22,8 @@ _HOW = (
 )
 
 
-def board_sheet(paper: str) -> bytes:
-    """Draw the PDF with the chessboard for a paper (a4 or a3) and the instructions for filming it.
-
-    Raises: InputError for another paper.
-    """
+def printed_board(paper: str) -> bytes:
+    """Draw the PDF of the chessboard for a paper (a4, a3) and of how to film it."""
     if paper not in _PAPERS:
         raise InputError(f"There is no board for the paper {paper[:20]!r}; choose {' or '.join(_PAPERS)}.")
     width, height, side = _PAPERS[paper]

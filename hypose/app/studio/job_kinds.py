@@ -241,8 +241,10 @@ def uncalibrated(folder: Path) -> bool:
 
 
 def found_offsets(folder: Path, names: Sequence[str]) -> list[float] | None:
-    """Read by how many frames (C,) each view is late relative to the middle one; 0 where that is less than its error.
-    None where `hypose sync` has not found them.
+    """Read how late `hypose sync` found each view to be.
+
+    Returns: (C,) frames, relative to the median view, so that few frames are lost; 0 where the lag is less than its
+        error. None where it has not been found.
     """
     found = read_found(folder, "sync.json") or {}
     views = found.get("views", [])
@@ -251,9 +253,9 @@ def found_offsets(folder: Path, names: Sequence[str]) -> list[float] | None:
     middle = sorted(v["late"] for v in views)[len(views) // 2]
     out = []
     for view in views:
-        late, told = view["late"] - middle, view["told"]
-        sd = re.match(r"sd ([\d.]+)", told)
-        unknown = told.startswith("no motion") or (sd is not None and abs(late) <= 2 * float(sd[1]))
+        late, how = view["late"] - middle, view["how"]
+        sd = re.match(r"sd ([\d.]+)", how)
+        unknown = how.startswith("no motion") or (sd is not None and abs(late) <= 2 * float(sd[1]))
         out.append(0.0 if unknown else round(late, 2))
     return out
 

@@ -26,7 +26,7 @@ from starlette.staticfiles import StaticFiles
 
 from hypose import __version__
 from hypose.app.live.servers import quiet_logs
-from hypose.app.reports.board_sheet import board_sheet
+from hypose.app.reports.board_sheet import printed_board
 from hypose.app.reports.summary import DESCRIPTIONS, OPENSIM_FILES
 from hypose.app.studio import clicks
 from hypose.app.studio.catalog import Catalog, Item, Kind, NotFound, is_recording
@@ -401,7 +401,7 @@ def _of_recordings(studio: Studio, item_of: ItemOf) -> list[Route]:
 
     def board(request: Request) -> Response:
         headers = {"Content-Disposition": 'inline; filename="hypose-board.pdf"'}
-        sheet = board_sheet(request.query_params.get("paper", "a4"))
+        sheet = printed_board(request.query_params.get("paper", "a4"))
         return Response(sheet, media_type="application/pdf", headers=headers)
 
     return [

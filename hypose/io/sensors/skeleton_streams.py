@@ -23,6 +23,7 @@ from hypose.errors import InputError
 from hypose.evidence.frame import FARTHEST_M, MISSING_MARK, SensorJoints, SensorReport
 from hypose.geometry import Array
 from hypose.io.files import bounded_lines
+from hypose.io.formats import Source
 from hypose.json_text import parse_json
 
 MAX_SENSORS = 16
@@ -573,7 +574,7 @@ def format_line(line: SensorReport, token: str = "", digits: int = 5) -> str:
     return json.dumps(value, separators=(",", ":"))
 
 
-def read_lines(path: str | Path) -> SkeletonRecording:
+def read_lines(source: Source) -> SkeletonRecording:
     """Read a file of protocol lines (.jsonl or .jsonl.gz), in the order of arrival.
 
     Each line has its sensor's own time. Where the time ranges of sensors do not overlap, their clocks are separate
@@ -581,9 +582,7 @@ def read_lines(path: str | Path) -> SkeletonRecording:
 
     Raises: InputError where a line is not valid.
     """
-    p = Path(path)
-    sensors: dict[str, StreamRows] = {}
-    names: dict[str, tuple[str, ...]] = {}
+    p, sensors = source.path, dict[str, StreamRows]()
     for number, text in enumerate(bounded_lines(p, "skeletons as JSON lines", line_limit=MAX_SKELETON_LINE), start=1):
         if not text.strip():
             continue
@@ -598,7 +597,6 @@ def read_lines(path: str | Path) -> SkeletonRecording:
             if len(sensors) >= MAX_SENSORS:
                 raise InputError(f"{p}: line {number}: more than {MAX_SENSORS} sensors; split the recording.")
             rows = sensors[line.sensor] = StreamRows(line.sensor, line.joint_names)
-            names[line.sensor] = line.joint_names
         if line.person is None:
             rows.empty.append(line.time)
             continue

@@ -165,7 +165,7 @@ def test_offsets_give_a_recording_of_their_own(folder):
 
 def test_what_was_found_of_the_timing_is_shown(own_studio, folder):
     (folder / "walk" / "results" / "sync.json").write_text(
-        json.dumps({"by": "motion", "views": [{"name": "cam1", "late": 1.5, "told": "sd 0.02"}]})
+        json.dumps({"by": "motion", "views": [{"name": "cam1", "late": 1.5, "how": "sd 0.02"}]})
     )
     id = own_studio.get("/api/state")["recordings"][0]["id"]
     assert own_studio.get(f"/api/recordings/{id}")["sync"]["views"][0]["late"] == 1.5

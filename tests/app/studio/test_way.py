@@ -6,7 +6,7 @@ import zipfile
 
 import pytest
 
-from hypose.app.reports.board_sheet import board_sheet
+from hypose.app.reports.board_sheet import printed_board
 from hypose.app.studio.job_kinds import found_offsets, next_step
 from hypose.errors import InputError
 from hypose.io.recordings.recording import load_recording
@@ -34,7 +34,7 @@ def write(walk, name, value):
 
 
 def synchronised(walk, late=(0.0, 0.1, 0.0, -0.1)):
-    views = [{"name": n, "late": x, "told": "sd 0.03"} for n, x in zip(NAMES, late, strict=True)]
+    views = [{"name": n, "late": x, "how": "sd 0.03"} for n, x in zip(NAMES, late, strict=True)]
     write(walk, "sync.json", {"by": "motion", "views": views})
 
 
@@ -92,8 +92,8 @@ def test_the_files_for_opensim_come_in_one(studio):
 
 def test_the_board_is_a_pdf(studio):
     status, headers, body = studio.ask("/api/board.pdf?paper=a3")
-    assert status == 200 and headers["Content-Type"] == "application/pdf" and body == board_sheet("a3")
+    assert status == 200 and headers["Content-Type"] == "application/pdf" and body == printed_board("a3")
     at = int(body.split(b"startxref\n")[1].split()[0])
     assert body[at:].startswith(b"xref\n0 8") and body.count(b" re f") == 27
     with pytest.raises(InputError, match="a4 or a3"):
-        board_sheet("b5")
+        printed_board("b5")

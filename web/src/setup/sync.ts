@@ -66,7 +66,7 @@ export class SyncStep {
             { class: "sync-view" },
             this.pictures.figures[k]!,
             h("div", { class: "row" }, this.sliders[k]!, this.numbers[k]!),
-            sync && this.found ? h("small", { class: "dim" }, `found: ${words(this.found[k]!)} (${sync.views[k]!.told})`) : null,
+            sync && this.found ? h("small", { class: "dim" }, `found: ${words(this.found[k]!)} (${sync.views[k]!.how})`) : null,
           ),
         ),
       ),
