@@ -235,7 +235,7 @@ class Training:
         before = trainer.session
         session, instruction = peek(before, trainer.settings, taken.time, commands)
         kept = instruction.learn is not None and int(taken.time - session.entered) % _HELD_EVERY == _HELD_EVERY - 1
-        # where the source knows the truth, a picture must show what is to be learned
+        # where the source knows the truth, a picture must show the kind of movement to be learned
         sure = instruction.learn is None or not self.feed.knows
         usable = fresh and (sure or (taken.box is not None) == (instruction.learn == "gesture"))
         if session.segment != self._before[0]:
