@@ -19,7 +19,6 @@ from hypose.evidence.cues import OwnEvidence
 from hypose.geometry import Array
 from hypose.inference.layer import Recipe
 from hypose.io.files import read_json
-from hypose.io.motions.export import export_motion
 from hypose.io.motions.results import ResultsFolder, load_result_body, save_body, save_motion
 from hypose.pipeline.assessment import ASSESSMENT_FILE, Assessment, assess
 from hypose.pipeline.first_frame import TrackedSubject
@@ -92,6 +91,8 @@ class TrackResult:
         folder: is made where it does not exist.
         formats: of `export_motion`, such as "trc" or "mot".
         """
+        from hypose.io.motions.export import export_motion  # its formats need libraries that tracking does not
+
         results = ResultsFolder(Path(folder))
         save_motion(self.motion, results.motion)
         save_body(self.body, results.file("body.npz"))
