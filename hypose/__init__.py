@@ -3,7 +3,7 @@
     import hypose
 
     result = hypose.track("my_recording")
-    hypose.export_motion(result.motion, result.body, "out", ["trc", "mot"])
+    result.save("out", ["trc", "mot"])
 
 The names below are the public interface; each is imported when it is first used, so that `import hypose` costs nothing.
 Everything else is reached by its module and may change between minor versions.
@@ -18,6 +18,7 @@ _PLACES = {
     "track": "hypose.pipeline.track",
     "TrackOptions": "hypose.pipeline.track_options",
     "TrackResult": "hypose.pipeline.run",
+    "load_result": "hypose.pipeline.run:load_tracked",
     # a motion and its files
     "Motion": "hypose.body.motion",
     "load_motion": "hypose.io.motions.results",

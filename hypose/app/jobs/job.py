@@ -37,7 +37,7 @@ from hypose.io.motions.results import (
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording, load_recording
 from hypose.io.sensors.skeleton_streams import SkeletonRecording
-from hypose.pipeline.assessment import Assessment
+from hypose.pipeline.assessment import ASSESSMENT_FILE, Assessment
 from hypose.pipeline.first_frame import SubjectOptions
 from hypose.pipeline.one_camera import POINT_STARTS, clicks_of, depth_note, one_view
 from hypose.pipeline.passes import MODES
@@ -49,8 +49,6 @@ from hypose.tracking.recipes import citation_of
 
 if TYPE_CHECKING:
     from hypose.pipeline.comparison import Truth
-
-ASSESSMENT_FILE = "assessment.json"
 
 
 @dataclass(frozen=True)
