@@ -27,7 +27,7 @@ from hypose.io.files import check_writable
 
 
 def calibrate(c: CalibrateCommand) -> None:
-    """Run `hypose calibrate` with the options of a command."""
+    """Calibrate cameras, or convert a calibration, and write the file (`hypose calibrate`)."""
     target = c.out or Path("calibration.toml")
     check_format(target)
     given = [bool(c.sources), c.points is not None, c.convert is not None]

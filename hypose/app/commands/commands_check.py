@@ -49,7 +49,10 @@ from hypose.pipeline.recording_diagnostics import (
 
 
 def check(c: CheckCommand) -> None:
-    """Run `hypose check` with the options of a command."""
+    """Check a recording and its calibration, and print what was found (`hypose check`).
+
+    Raises: Exit with code 1 where faults were found, or a refinement is no better.
+    """
     if c.to is not None and c.to.exists():
         raise InputError(f"{c.to} exists, and calibrations are never overwritten; give another name with --to.")
     if c.out is not None:
@@ -182,7 +185,7 @@ def _free_name(path: Path) -> Path:
 
 
 def sync(c: SyncCommand) -> None:
-    """Run `hypose sync` with the options of a command."""
+    """Find how late each camera is, or write the evidence on one clock (`hypose sync`)."""
     if c.out is not None and c.out.exists() and not _unfinished(c.out):
         raise InputError(f"{c.out} is not empty; give a new folder with --out.")
     loaded = load_recording(c.recording)

@@ -117,7 +117,7 @@ def silhouettes(
 
 
 def synth(c: SynthCommand) -> None:
-    """Run `hypose synth` with the options of a command."""
+    """Write a synthetic recording (`hypose synth`)."""
     from hypose.io.files import claimed
     from hypose.synthetic import write_recording
     from hypose.synthetic.depth_scenes import DepthScene

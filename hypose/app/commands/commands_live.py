@@ -30,7 +30,7 @@ _REPORT_S = 10.0
 
 
 def live(c: LiveCommand) -> None:
-    """Run `hypose live` with the options of a command."""
+    """Track people live until Ctrl-C, the end of the videos or the given time (`hypose live`)."""
     ended = threading.Event()
     with ended_by_signals(ended):  # an interrupt between two imports can be lost
         from hypose.app.jobs.job import compile_before

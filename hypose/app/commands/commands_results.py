@@ -169,7 +169,10 @@ def _table(path: Path, header: str, rows: Sequence[Sequence[object]]) -> None:
 
 
 def compare(c: CompareCommand) -> None:
-    """Run `hypose compare` with the options of a command."""
+    """Compare results with other motions, write table and page, and check limits (`hypose compare`).
+
+    Raises: Exit with code 1 where a limit is exceeded.
+    """
     from hypose.app.jobs import compare_job
     from hypose.io.files import check_writable
 

@@ -82,7 +82,7 @@ class FuseOutcome:
 
 
 def fuse(c: FuseCommand) -> None:
-    """Run `hypose fuse` with the options of a command."""
+    """Fuse skeletons of sensors: live, with cameras, or from a recording (`hypose fuse`)."""
     if c.live:
         if c.recording is not None:
             raise InputError("--live takes no recording; leave one of the two out.")

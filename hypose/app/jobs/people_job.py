@@ -61,7 +61,7 @@ def track_shown(job: TrackJob) -> None:
 
 
 def _kept(job: TrackJob) -> str:
-    """Write what an interrupted run has kept, and how to continue."""
+    """Return the sentence on what an interrupted run has kept, and how to continue."""
     results, total = job.results, len(job.recording.frames)
     again = [a for a in click.get_current_context().find_root().obj or [] if a != "--resume"]
     command = f"hypose {shlex.join([*again, '--resume'])}" if again[:1] == ["track"] else "the same command"
@@ -163,7 +163,7 @@ def run_people(job: TrackJob, people: str, progress: ProgressCall = ignore) -> O
 
 
 def _no_such_person(name: str, wanted: Sequence[Wanted], people: Sequence[TrackedPerson]) -> str:
-    """Write that the requested person was not found, and who was."""
+    """Return the sentence that the requested person was not found, and who was."""
     one = next(w for w in wanted if w.name == name)
     return (
         f"{one.not_found}; the results are those of {', '.join(p.name for p in people)} instead: "

@@ -127,7 +127,7 @@ def _show(found: PersonCalibration) -> None:
 
 
 def measure_subject(c: SubjectCommand) -> None:
-    """Run `hypose subject` with the options of a command."""
+    """Measure a person's body from a recording, or rig a mesh, and write it (`hypose subject`)."""
     if c.mesh is not None and c.recording is None:
         folder = c.out or c.mesh.with_name("subject")
         with claimed(folder):
@@ -245,7 +245,7 @@ def open_network_asking(yes: bool, why: str = "Finding people in pictures") -> P
 
 
 def track_command(command: TrackCommand) -> None:
-    """Run `hypose track` with the options of a command."""
+    """Track a recording; where it has pictures only, detect key points and masks first (`hypose track`)."""
     loaded, several = recording_of(command), command.camera is None and not command.of_picture
     if several and command.evidence != "silhouettes" and (loaded.detected or wants_detector(loaded)):
         if not loaded.detected:

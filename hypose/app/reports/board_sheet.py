@@ -23,7 +23,10 @@ _HOW = (
 
 
 def printed_board(paper: str) -> bytes:
-    """Draw the PDF of the chessboard for a paper (a4, a3) and of how to film it."""
+    """Draw the PDF with the chessboard for a paper (a4 or a3) and the instructions for filming it.
+
+    Raises: InputError for another paper.
+    """
     if paper not in _PAPERS:
         raise InputError(f"There is no board for the paper {paper[:20]!r}; choose {' or '.join(_PAPERS)}.")
     width, height, side = _PAPERS[paper]

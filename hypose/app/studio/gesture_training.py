@@ -267,9 +267,10 @@ class Training:
         return message, density
 
     def _look(self, taken: Taken, f: Feedback, wanted: bool) -> tuple[Localisation, NDArray[np.float32] | None]:
-        """Localise the gesture; in a frame that is learned, with the forest before it.
+        """Localise the gesture in a picture; where the picture is learned, with the forest as it was before.
 
-        wanted: return the map of votes too.
+        wanted: the map of votes is wanted.
+        Returns: the place of the gesture, and the map or None.
         """
         maxima = f.taught.maxima if f.taught is not None else ()
         if maxima and not wanted:
