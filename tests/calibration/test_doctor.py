@@ -81,7 +81,7 @@ def test_of_two_cameras_that_disagree_neither_is_accused(walk):
     found = judge_extrinsics(pair, o.keypoints[:2], Limits())
     assert found is not None
     (finding,) = found.findings
-    assert set(finding.views) == set(pair.names) and "which of them is off cannot be told" in finding.text
+    assert set(finding.views) == set(pair.names) and "cannot show which of them is wrong" in finding.text
 
 
 def test_a_late_camera_is_found_and_its_key_points_are_put_in_step(walk):
