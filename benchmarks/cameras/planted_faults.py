@@ -410,7 +410,7 @@ def run_set(
         faulty = planted(base, kinds[k % len(kinds)], first_seed + k)
         for kind, one in (("healthy", base), (faulty.name, faulty)):
             one = with_bystander(one, first_seed + k) if bystander else one
-            found = examine(one.observed, limits).findings
+            found = examine(one.observed, limits)[0].findings
             right, wrong = judged(one, found)
             out.append((kind, one, right, wrong, found))
     return out
