@@ -227,12 +227,12 @@ class CameraTopic(LiveTopic):
         self._following.engine.learn_room()
 
     async def _start(self, message: Message) -> None:
-        """Start live tracking.
+        """Start live tracking. The message has these fields:
 
         recording: id of a recording with calibrated cameras.
         sources: addresses by camera name; empty: its videos are played.
-        countdown: s.
-        people: most people.
+        countdown: time before the empty room is learned, s.
+        people: most people that are tracked.
         record, osc, vmc: as for the fusion.
         """
         recording = self._catalog.find("recording", text(message.get("recording"), "recording", 200, "choose one"))

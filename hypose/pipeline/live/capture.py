@@ -1,9 +1,9 @@
 """Capture for live tracking: read cameras, choose instants and make masks, in a process of its own so that tracking has
 the Python interpreter to itself.
 
-`Capture.look` gives the newest instant not processed yet; nothing queues up, so a slow tracker skips instants instead
-of falling behind. `CaptureProcess` runs it in another process; while the caller works on one result, the next is
-prepared.
+An instant is a time of which all present cameras have sent the nearest picture. `Capture.look` gives the newest instant
+not processed yet; nothing queues up, so a slow tracker skips instants instead of falling behind. `CaptureProcess` runs
+it in another process; while the caller works on one result, the next is prepared.
 """
 
 from __future__ import annotations
@@ -191,7 +191,9 @@ class Capture:
         return all(f.status().ended for f in self._feeds)
 
     def look(self, question: CaptureRequest, wait: float = 0.1) -> CaptureResult:
-        """Return the newest instant; after `wait` seconds without one, the state of the cameras."""
+        """Make the masks of the newest instant, with pictures and depth where requested; after `wait` seconds without
+        an instant, return the state of the cameras only.
+        """
         if question.room:
             self._learn_room()
         if question.offsets is not None:
