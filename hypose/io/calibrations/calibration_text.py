@@ -47,7 +47,7 @@ from hypose.io.calibrations.calibration_camera import (
     numbers,
     plain_lenses,
 )
-from hypose.io.calibrations.camera_tables import add_cameras, tables_of, unit_of
+from hypose.io.calibrations.camera_tables import add_cameras, strange_keys, tables_of, unit_of
 from hypose.io.file_names import natural_key, text_of
 from hypose.io.files import open_file, read_bytes, read_json, read_toml, text_lines, toml_key, toml_lines, write_text
 from hypose.io.formats import Source
@@ -77,6 +77,8 @@ def read_tables(source: Source, rig: RigFile) -> None:
         rig.unit = "cm"
         rig.notes.append(f"{rig.path.name}: translations are taken as centimetres, as CMU Panoptic's are.")
     add_cameras(rig, tables)
+    if strange := strange_keys(documents[0], tables):
+        rig.notes.append(f"{rig.path.name}: {', '.join(strange[:6])} is not understood and passed over.")
     if source.path.is_dir() and (others := [p.name for p in source.files(".xml", ".yml", ".yaml") if p not in files]):
         rig.notes.append(f"{rig.path.name}: {', '.join(others)} is no camera's calibration and is left out.")
 
