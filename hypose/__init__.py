@@ -3,7 +3,7 @@
     import hypose
 
     result = hypose.track("my_recording")
-    result.save("out", ["trc", "mot"])
+    hypose.export_motion(result.motion, result.body, "out", ["trc", "mot"])
 
 The names below are the public interface; each is imported when it is first used, so that `import hypose` costs nothing.
 Everything else is reached by its module and may change between minor versions.

@@ -85,20 +85,16 @@ class TrackResult:
                 columns[f"{name}_p"] = m.error_probability[:, j]
         return pandas.DataFrame(columns)
 
-    def save(self, folder: str | Path, formats: Sequence[str] = ()) -> None:
-        """Write the files that `load_result` reads, and motion files for other programs.
+    def save(self, folder: str | Path) -> None:
+        """Write motion.npz, body.npz, provenance.json and assessment.json, which `load_result` reads.
 
         folder: is made where it does not exist.
-        formats: of `export_motion`, such as "trc" or "mot".
         """
-        from hypose.io.motions.export import export_motion  # its formats need libraries that tracking does not
-
         results = ResultsFolder(Path(folder))
         save_motion(self.motion, results.motion)
         save_body(self.body, results.file("body.npz"))
         results.write_json("provenance.json", self.motion.provenance)
         results.write_json(ASSESSMENT_FILE, self.assessment.with_joints(self.motion))
-        export_motion(self.motion, self.body, results.path, formats)
 
     @staticmethod
     def of(clip: ClipState) -> TrackResult:
