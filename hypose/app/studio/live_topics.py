@@ -216,7 +216,8 @@ class CameraTopic(LiveTopic):
 
     async def _start(self, message: Message) -> None:
         """recording: id of one with calibrated cameras; sources: where each camera is, by name, empty: its videos are
-        played; countdown s; people: at most so many; record, osc, vmc as for the fusion."""
+        played, again and again unless they are recorded; countdown s; people: at most so many; record, osc, vmc as for
+        the fusion."""
         recording = self._catalog.find("recording", text(message.get("recording"), "recording", 200, "choose one"))
         sources = _sources(message.get("sources") or {})
         countdown = request_number(message.get("countdown", 5), "the countdown", 0, 600)
@@ -224,9 +225,10 @@ class CameraTopic(LiveTopic):
         ws = whole(message.get("ws", 0), "the ws port", 0, 65535)
         people = whole(message.get("people", 1), "the number of people", 1, SETTINGS.engine_most_people)
         osc, vmc = _target(message, "osc", 9000), _target(message, "vmc", 39539)
-        cameras = await run_in_threadpool(live_rig, recording.path, sources, rate)
+        recorded = message.get("record") is True
+        cameras = await run_in_threadpool(live_rig, recording.path, sources, rate, not recorded)
         names = tuple(v.name for v in cameras.views)
-        record = recording_folder(self._catalog, _FOLDER, "cameras") if message.get("record") is True else None
+        record = recording_folder(self._catalog, _FOLDER, "cameras") if recorded else None
         recorder = None
         async with contextlib.AsyncExitStack() as undone:  # what was begun, when the rest cannot be
             outputs = PoseOutputs(names, cameras.rate, ws=ws, osc=osc, vmc=vmc, clock=time.monotonic)

@@ -83,12 +83,15 @@ class CameraSource(Protocol):
         ...
 
 
-def open_camera(address: str, rate: float, size: tuple[int, int], begin: float | None = None) -> CameraSource:
+def open_camera(
+    address: str, rate: float, size: tuple[int, int], begin: float | None = None, loop_s: float | None = None
+) -> CameraSource:
     """A camera by its address: the number of a device (0), the address of a stream (http://, https://, rtsp://), a
     video file or a folder of pictures.
 
     rate Hz and size (width, height) px are asked of a device; files are played at `rate`, the first picture at `begin`
-    (s, monotonic), the same for all that belong together. An InputError says what cannot be opened."""
+    (s, monotonic), and again after every loop_s seconds, where these are given: the same for all that belong together.
+    An InputError says what cannot be opened."""
     if is_device(address):
         return _device(int(address), rate, size)
     if address.lower().startswith(("http://", "https://")):
@@ -100,7 +103,7 @@ def open_camera(address: str, rate: float, size: tuple[int, int], begin: float |
             f"There is no file {address}; a camera is the number of a device (0), an address (http://, rtsp://), a "
             "video or a folder of pictures."
         )
-    return Played(open_video(Path(address)), rate, time.monotonic() if begin is None else begin)
+    return Played(open_video(Path(address)), rate, time.monotonic() if begin is None else begin, loop_s)
 
 
 def is_device(address: str) -> bool:
@@ -307,18 +310,23 @@ class Film(Protocol):
 class Played:
     """A video or a folder of pictures at its own pace: a picture whose time has passed is left out, as a camera would
     have it. The pictures carry the times at which they were due. rate Hz: where the film's own is not known; begin: s,
-    monotonic, of the first picture."""
+    monotonic, of the first picture; loop_s: it begins again after so many seconds, None: it ends."""
 
     live = False
 
-    def __init__(self, reader: Film, rate: float, begin: float) -> None:
-        self._reader, self._rate, self._begin = reader, reader.frame_rate or rate, begin
+    def __init__(self, reader: Film, rate: float, begin: float, loop_s: float | None = None) -> None:
+        self._reader, self._rate, self._begin, self._loop_s = reader, reader.frame_rate or rate, begin, loop_s
 
     def read(self) -> CameraImage:
         """See `CameraSource`."""
-        due = int((time.monotonic() - self._begin) * self._rate)
-        number = max(self._reader.position, min(due, self._reader.n_frames - 1))
-        if self._reader.position >= self._reader.n_frames:
+        now, next_one = time.monotonic(), self._reader.position
+        due_s, following = now - self._begin, next_one / self._rate
+        if self._loop_s is not None and max(due_s, following) >= self._loop_s - 0.5 / self._rate:
+            laps = max(1, int(due_s // self._loop_s))
+            self._begin += laps * self._loop_s
+            due_s, next_one = now - self._begin, 0
+        number = max(next_one, min(int(due_s * self._rate), self._reader.n_frames - 1))
+        if next_one >= self._reader.n_frames:
             raise StreamEnded(f"{self._reader.path} is over.")
         image = self._reader.read(number)
         at = self._begin + number / self._rate

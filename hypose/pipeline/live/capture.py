@@ -45,7 +45,8 @@ from hypose.pipeline.settings import SETTINGS
 class LiveView:
     """address: as `open_camera` takes it; shift: px of the calibrated size added to image positions; background: the
     empty room, where it is known; stretched: pictures of another shape than calibrated are taken as they are; depth:
-    it is a depth camera (`open_depth_camera`), and depth_room its empty room, where that is known."""
+    it is a depth camera (`open_depth_camera`), and depth_room its empty room, where that is known; loop_s: a video
+    begins again after so many seconds, None: it ends."""
 
     name: str
     address: str
@@ -54,6 +55,7 @@ class LiveView:
     stretched: bool = False
     depth: bool = False
     depth_room: DepthBackground | None = None
+    loop_s: float | None = None
 
 
 @dataclass(frozen=True)
@@ -343,7 +345,7 @@ def stored(image: NDArray[Any]) -> bytes | None:
 def _opener(view: LiveView, size: tuple[int, int], rate: float, begin: float) -> Callable[[], CameraSource]:
     if view.depth:
         return lambda: open_depth_camera(view.address, rate, begin)
-    return lambda: open_camera(view.address, rate, size, begin)
+    return lambda: open_camera(view.address, rate, size, begin, view.loop_s)
 
 
 # ---- in a process of their own -------------------------------------------------------------------------------------
