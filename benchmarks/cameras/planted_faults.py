@@ -21,9 +21,8 @@ from hypose.evidence.frame import Silhouettes
 from hypose.evidence.keypoints import BODY_25
 from hypose.evidence.one_person import one_person
 from hypose.geometry import Array, se3, so3_exp
-from hypose.synthetic.corruptions import keypoint_detections
 from hypose.synthetic.performance import moved
-from hypose.synthetic.scenes import Scene, make_scene
+from hypose.synthetic.scenes import Scene, keypoint_detections, make_scene
 
 FIRST_SEED = 1000
 _LEAD = 6  # frames before the recording, so that a late camera has something to show
