@@ -99,9 +99,7 @@ class SyntheticSubject:
 
 @lru_cache(maxsize=1)
 def load_subjects() -> dict[str, SyntheticSubject]:
-    """Load the shipped subjects by name.
-
-    """
+    """Load the shipped subjects by name."""
     file = resources.files("hypose.assets").joinpath("subjects.npz")
     with file.open("rb") as stream:
         data = dict(np.load(stream, allow_pickle=False))
