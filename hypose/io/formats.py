@@ -97,15 +97,24 @@ class FormatTable:
         arguments: further arguments of the reader.
         Raises: InputError where no format fits, or the file is damaged; it names the formats.
         """
-        path = Path(path)
+        found, source = self.find(Path(path))
+        assert found.read is not None  # `find` gives no other
+        with numbers_of(str(path)):
+            return found.read(source, *arguments)
+
+    def find(self, path: Path) -> tuple[Format, Source]:
+        """Find the first format that fits a file or folder.
+
+        Raises: InputError where there is none.
+        """
         if not path.exists():
             raise InputError(f"{path} does not exist; check the path, or {self.advice}.")
         source = Source(path, self.kind, self.parse)
         fitting = [f for f in self.formats if f.read is not None and f.fits(path)]
         with numbers_of(str(path)):
-            for found in fitting:
-                if found.read is not None and found.sniff(source):
-                    return found.read(source, *arguments)
+            found = next((f for f in fitting if f.sniff(source)), None)
+        if found is not None:
+            return found, source
         known = f"of {', '.join(dict.fromkeys(f.name for f in fitting))}" if fitting else f"({self.listing()})"
         raise InputError(f"{path} is not {self.kind} {known}; {self.advice}.")
 

@@ -15,6 +15,10 @@ from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.start_search import _ONE_ARM, _TOGETHER, postures, starts_in_frame, weigh_starts
 from hypose.tracking.starts import turn_pose
 
+POSTURES = [f"{legs}, arms {arms}" for legs, all_ in _TOGETHER for arms in all_] + [
+    f"{legs}, {side} arm {arm}" for legs in ("standing", "sitting") for arm in _ONE_ARM for side in ("left", "right")
+]
+
 
 def masks_of(body, pose, cameras, also=()):
     """Silhouettes of a posed body, and of boxes ((low), (high)) m."""
@@ -35,15 +39,8 @@ def cameras():
     return CameraRig(tuple(camera_rig("humaneva-4").scaled(0.4)))
 
 
-def posture_names():
-    """Of `postures`, in their order."""
-    names = [f"{legs}, arms {arms}" for legs, all_ in _TOGETHER for arms in all_]
-    one = [(legs, arm) for legs in ("standing", "sitting") for arm in _ONE_ARM]
-    return [*names, *(f"{legs}, {side} arm {arm}" for legs, arm in one for side in ("left", "right"))]
-
-
 def sitting(body, name="sitting, arms on thighs", heading=2.0):
-    pose = turn_pose(postures(body)[posture_names().index(name)], heading)
+    pose = turn_pose(postures(body)[POSTURES.index(name)], heading)
     pose[2] -= body.skin(pose)[:, 2].min()
     return pose
 

@@ -235,7 +235,7 @@ class Training:
         before = trainer.session
         session, instruction = peek(before, trainer.settings, taken.time, commands)
         kept = instruction.learn is not None and int(taken.time - session.entered) % _HELD_EVERY == _HELD_EVERY - 1
-        # where the source knows the truth, a picture must show what is to be learned
+        # where the source knows the truth, a picture must show the kind of movement to be learned
         sure = instruction.learn is None or not self.feed.knows
         usable = fresh and (sure or (taken.box is not None) == (instruction.learn == "gesture"))
         if session.segment != self._before[0]:
@@ -267,9 +267,10 @@ class Training:
         return message, density
 
     def _look(self, taken: Taken, f: Feedback, wanted: bool) -> tuple[Localisation, NDArray[np.float32] | None]:
-        """Localise the gesture; in a frame that is learned, with the forest before it.
+        """Localise the gesture in a picture; where the picture is learned, with the forest as it was before.
 
-        wanted: return the map of votes too.
+        wanted: the map of votes is wanted.
+        Returns: the place of the gesture, and the map or None.
         """
         maxima = f.taught.maxima if f.taught is not None else ()
         if maxima and not wanted:

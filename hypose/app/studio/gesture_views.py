@@ -137,11 +137,11 @@ def _brief(folder: Path) -> tuple[list[str], int]:
 
 
 def gesture_thumbnail(model: Path) -> bytes | None:
-    """Return a JPEG thumbnail of a gesture, made from a frame of a training session of the model.
+    """Return a JPEG thumbnail of a gesture: the middle one of the frames that a training session learned the gesture
+    from.
 
-    model: path of the model file; the session folders are searched in the same folder, the latest first.
-    The frame is the middle one of the session's training frames that show the gesture.
-    Return None when no such session or frame is found.
+    model: path of the model file; its sessions are searched in the same folder, the latest first.
+    Returns: None where no session or frame is found.
     """
     learned = load_model(model)
     for entry in reversed(learned.history):

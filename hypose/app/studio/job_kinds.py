@@ -91,7 +91,7 @@ def form_of(kind: str) -> tuple[Declared, ...]:
 
 
 def forms() -> dict[str, list[dict[str, Any]]]:
-    """The options of every job that a page may set, as JSON."""
+    """Return the options of every job that a page may set, as JSON values."""
     return {
         kind: [
             {"name": o.name, "kind": o.kind.__name__, "default": o.default, **asdict(o.option)} for o in form_of(kind)

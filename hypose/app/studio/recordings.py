@@ -59,13 +59,13 @@ _REFINED = "results/calibration_refined*.toml"
 
 
 def edit_recording(folder: Path, recording: Recording | None, asked: dict[str, Any], catalog: Catalog) -> None:
-    """Correct a fault of a recording by an edit of recording.toml; the edit is undone where the recording cannot be
-    read with it.
+    """Correct a fault of a recording by an edit of recording.toml.
 
     recording: as it is read now; None where it cannot be read.
     asked: {"what": one of _KINDS, "view": name, "path": picture or video of an empty room, "frames": by which key
         points are early, "x", "y": px by which a view's pictures are moved, "metres": height}.
-    Raises: InputError names the cause.
+    Raises: InputError names the cause. Where the recording cannot be read with the edit, the old text is restored
+        first; height and board are not checked in this way.
     """
     what = request_choice(asked.get("what"), "way to repair", _KINDS)
     path = described(folder, recording)

@@ -293,7 +293,7 @@ def _of_folders(studio: Studio, item_of: ItemOf) -> list[Route]:
 
     @contextlib.contextmanager
     def changing(item: Item, what: str) -> Iterator[None]:
-        """Close all open files while the folder of an item is changed, and refuse it while a job uses the item."""
+        """Prepare the change of an item's folder: refuse it while a job uses the item, and close all open files."""
         if item.path == catalog.root:
             raise InputError(f"{item.path.name} is the folder that is served; change it from outside.")
         if any(studio.jobs.needs(i.id) for i in catalog.every() if i.path.is_relative_to(item.path)):
