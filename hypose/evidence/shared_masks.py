@@ -1,7 +1,7 @@
 """Extract the evidence for one person from masks that show several people.
 
-Pixels that another person's body covers say nothing about this person, whoever of the two is in front: they are in the
-mask either way. In views without other people nearby, the masks are cut to where the person is expected, and all pixels
+Pixels that another person's body covers say nothing about this person: they are in the mask, no matter which of the two
+is in front. In views without other people nearby, the masks are cut to where the person is expected, and all pixels
 count.
 """
 
