@@ -126,16 +126,12 @@ def read_any(path: str | Path, unit: str = "auto") -> tuple[CameraRig, tuple[str
         raise CalibrationError(str(error)) from None
 
 
-def _writer(path: Path) -> Callable[[CameraRig, Path], list[Path]]:
+def writer_of(path: Path) -> Callable[[CameraRig, Path], list[Path]]:
+    """Find the writer for a file's name; InputError where there is none."""
     write = next((f.write for f in CALIBRATIONS.formats if f.write is not None and f.fits(path)), None)
     if write is None:
         raise InputError(f"{path} cannot be written: name the calibration .toml, .yml or .pickle.")
     return write
-
-
-def check_format(path: Path) -> None:
-    """Check that the ending of a file's name gives a format that can be written; InputError otherwise."""
-    _writer(path)
 
 
 def write_any(rig: CameraRig, path: str | Path) -> list[Path]:
@@ -143,7 +139,7 @@ def write_any(rig: CameraRig, path: str | Path) -> list[Path]:
 
     Files of EasyMocap and OpenCap are written to the folder of the given name.
     """
-    return _writer(Path(path))(rig, Path(path))
+    return writer_of(Path(path))(rig, Path(path))
 
 
 def find_calibration(folder: Path) -> Path | None:
