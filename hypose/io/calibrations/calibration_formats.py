@@ -35,6 +35,7 @@ from hypose.io.calibrations.calibration_text import (
     write_caliscope,
     write_easymocap,
 )
+from hypose.io.calibrations.camera_tables import tables_of
 from hypose.io.file_names import natural_key
 from hypose.io.formats import Format, FormatTable, Source
 
@@ -85,7 +86,12 @@ CALIBRATIONS = FormatTable(
             _PLAIN_LENSES,
             1e-9,
         ),
-        Format("CMU Panoptic, XRMoCap, 3 x 4 projections", (".json",), read_tables),
+        Format(
+            "CMU Panoptic, XRMoCap, 3 x 4 projections",
+            (".json",),
+            read_tables,
+            lambda source: tables_of(source.document, source.path.stem),
+        ),
         Format(
             "Qualisys",
             (".qca.txt", ".qca", ".xml"),

@@ -465,7 +465,12 @@ SKELETONS = FormatTable(
             read_azure,
             lambda source: any("joint_names" in _json(file) for file in source.files(".json")[:1]),
         ),
-        Format("KinectMultiTrack", (".csv", ".csv.gz"), read_kinect_csv),
+        Format(
+            "KinectMultiTrack",
+            (".csv", ".csv.gz"),
+            read_kinect_csv,
+            lambda source: any("Kinect" in c for c in source.header),
+        ),
         Format("lines of hypose", (".jsonl", ".ndjson", ".jsonl.gz", ".ndjson.gz"), read_lines),
     ),
 )
