@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from hypose.io.calibrations.calibration_formats import CALIBRATIONS
 from hypose.io.keypoints.keypoint_files import KEYPOINTS
-from hypose.io.motions.export import MOTIONS
+from hypose.io.motions.export import MOTION_FILES
 from hypose.io.sensors.skeleton_files import SKELETONS
 
 _HEAD = """# File formats
@@ -16,7 +16,7 @@ A file is recognised by its ending and its content.
 _TABLES = {
     "Calibrations": CALIBRATIONS,
     "Key points": KEYPOINTS,
-    "Motions": MOTIONS,
+    "Motions": MOTION_FILES,
     "Skeletons of sensors": SKELETONS,
 }
 

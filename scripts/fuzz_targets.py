@@ -126,10 +126,10 @@ _BINARY = (".npy", ".pickle", ".c3d")
 
 def _of_tables() -> list[Target]:
     from hypose.io.calibrations.calibration_formats import read_any
-    from hypose.io.motions.export import MOTIONS
+    from hypose.io.motions.export import MOTION_FILES
     from hypose.io.sensors.skeleton_files import read_skeletons
 
-    reads = {"calibration": read_any, "keypoints": _keypoints, "motion": MOTIONS.read, "skeleton": read_skeletons}
+    reads = {"calibration": read_any, "keypoints": _keypoints, "motion": MOTION_FILES.read, "skeleton": read_skeletons}
     return [
         Target(
             f"{table}-{name}",

@@ -59,7 +59,7 @@ def boards(options: BenchOptions) -> BenchReport:
 def solve_scene(scene: BoardScene) -> RigCalibration:
     """Lenses and places of the scene's cameras from its corners alone."""
     lenses = [
-        calibrate_lens(c.name, s, scene.board, c.size, fisheye=c.fisheye, strict=False)
+        calibrate_lens(c.name, s, scene.board, c.size, fisheye=c.fisheye)
         for c, s in zip(scene.rig, scene.sightings, strict=True)
     ]
     return calibrate_rig(lenses, scene.sightings, scene.board)
@@ -162,7 +162,6 @@ def _real(case: str, found: BoardCalibration, given: CameraRig, board: Board) ->
     ]
     return [
         Row("rms_px", case, found.fit.rms_px, "px", n=len(found.fit.errors)),
-        Row("rms_px, moving boards weighed down", case, found.fit.weighted_px, "px", n=len(found.fit.errors)),
         Row("rms_px, left out", case, float(len(found.fit.dropped)), "boards", n=len(alone) + len(found.fit.dropped)),
         Row("rms_px, each camera by itself", case, float(np.median(alone)), "px", n=len(alone)),
         Row("rms_px, the given rig on the same corners", case, fit_of_poses(given, found.fit, board), "px"),

@@ -6,7 +6,7 @@ import numpy as np
 
 from benchmarks.bench_report import BenchOptions, BenchReport, Row
 from hypose.body.body import Body
-from hypose.calibration.diagnostics import Cured, PersonReport, examine_and_cure
+from hypose.calibration.diagnostics import Cured, PersonReport, examine
 from hypose.geometry import Array
 from hypose.io.recordings.recording import Recording, load_recording
 from hypose.pipeline.recording_diagnostics import Refinement, cured_recording, observe_recording, refine_recording
@@ -36,7 +36,7 @@ def doctor_real(options: BenchOptions) -> BenchReport:
     recording = load_recording(options.folder("pose2sim_balancing"))
     options.progress("doctor", 0, 5)
     observed = observe_recording(recording, 60 if options.quick else 100)
-    report, cured = examine_and_cure(observed)
+    report, cured = examine(observed)
     rows = [Row("found", case, value, "1") for case, value in _found(report, cured).items()]
     rows += [Row("findings", "all", float(len(report.findings)), "1")]
     healed = cured_recording(recording, cured)

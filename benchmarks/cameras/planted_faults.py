@@ -21,9 +21,8 @@ from hypose.evidence.frame import Silhouettes
 from hypose.evidence.keypoints import BODY_25
 from hypose.evidence.one_person import one_person
 from hypose.geometry import Array, se3, so3_exp
-from hypose.synthetic.corruptions import keypoint_detections
 from hypose.synthetic.performance import moved
-from hypose.synthetic.scenes import Scene, make_scene
+from hypose.synthetic.scenes import Scene, keypoint_detections, make_scene
 
 FIRST_SEED = 1000
 _LEAD = 6  # frames before the recording, so that a late camera has something to show
@@ -410,7 +409,7 @@ def run_set(
         faulty = planted(base, kinds[k % len(kinds)], first_seed + k)
         for kind, one in (("healthy", base), (faulty.name, faulty)):
             one = with_bystander(one, first_seed + k) if bystander else one
-            found = examine(one.observed, limits).findings
+            found = examine(one.observed, limits)[0].findings
             right, wrong = judged(one, found)
             out.append((kind, one, right, wrong, found))
     return out

@@ -11,8 +11,8 @@ from hypose.evidence.frame import Silhouettes
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.geometry import Array
 from hypose.io.videos.video import Sound
-from hypose.synthetic.corruptions import CORRUPTIONS, corrupt_mask, keypoint_detections
-from hypose.synthetic.scenes import Scene, make_scene
+from hypose.synthetic.corruptions import CORRUPTIONS, corrupt_mask
+from hypose.synthetic.scenes import Scene, keypoint_detections, make_scene
 
 _FINE, _RATE, _PAD = 10, 25.0, 8
 FIRST_SEED = 1000

@@ -34,9 +34,8 @@ from hypose.pipeline.first_frame import SubjectOptions, TrackedSubject, find_sub
 from hypose.pipeline.run import track_source
 from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.track_options import TrackOptions
-from hypose.synthetic.corruptions import keypoint_detections
 from hypose.synthetic.depth_scenes import DepthScene
-from hypose.synthetic.scenes import Scene, make_scene
+from hypose.synthetic.scenes import Scene, keypoint_detections, make_scene
 from hypose.tracking.covariance_calibration import apart_factors, beyond_usual, fitted_spread_table, kind_of
 from hypose.tracking.error_model import as_mixture, judged, without_mixture
 

@@ -23,10 +23,9 @@ from hypose.geometry import Array
 from hypose.pipeline.run import track_source
 from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.track_options import TrackOptions
-from hypose.synthetic.corruptions import keypoint_detections
 from hypose.synthetic.metrics import EVALUATED
 from hypose.synthetic.performance import moved
-from hypose.synthetic.scenes import Scene, make_scene
+from hypose.synthetic.scenes import Scene, keypoint_detections, make_scene
 
 FIRST_SEED = 3000
 _SECONDS = 3.0

@@ -32,11 +32,10 @@ from hypose.pipeline.run import track_source
 from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.track_options import TrackOptions
 from hypose.pipeline.tracked_people import TrackedPerson
-from hypose.synthetic.corruptions import keypoint_detections
 from hypose.synthetic.metrics import joint_errors, population_offsets
 from hypose.synthetic.motions import act
 from hypose.synthetic.performance import Performance, moved
-from hypose.synthetic.scenes import Scene, make_scene
+from hypose.synthetic.scenes import Scene, keypoint_detections, make_scene
 from hypose.synthetic.subjects import SyntheticSubject
 
 RATE = 25.0

@@ -23,7 +23,6 @@ from hypose.body.default_body import JOINT_NAMES, human
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.evidence.keypoints import BODY_25
 from hypose.geometry import Array, Image
-from hypose.synthetic.corruptions import keypoint_detections
 from hypose.synthetic.metrics import carriers, population_offsets
 from hypose.synthetic.performance import Performance, heading
 from hypose.synthetic.render_rgb import (
@@ -34,7 +33,7 @@ from hypose.synthetic.render_rgb import (
     noise_bank,
     render_person,
 )
-from hypose.synthetic.scenes import Scene, look_at, make_scene
+from hypose.synthetic.scenes import Scene, keypoint_detections, look_at, make_scene
 from hypose.synthetic.subjects import SyntheticSubject, dress, load_subjects
 from hypose.tracking.monocular.settings import body_dofs
 

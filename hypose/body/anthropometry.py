@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hypose.body.body import Body, Mesh, Shape, deform
 from hypose.body.default_body import JOINT_NAMES
+from hypose.body.skin_weights import vertex_normals
 from hypose.errors import InputError
 from hypose.geometry import Array
 
@@ -144,16 +145,10 @@ def body_of(template: Body, factors: ArrayLike, *, clothed: bool = True) -> Body
 
 def dressed(mesh: Mesh, thickness: float) -> Mesh:
     """Move the surface of a mesh of the 19-joint body outwards by `thickness` m where clothes usually are."""
-    v, f = mesh.vertices, mesh.faces
-    flat = np.cross(v[f[:, 1]] - v[f[:, 0]], v[f[:, 2]] - v[f[:, 0]])
-    normals = np.zeros_like(v)
-    for k in range(3):
-        for c in range(3):
-            normals[:, c] += np.bincount(f[:, k], flat[:, c], len(v))
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    normals = vertex_normals(mesh.vertices, mesh.faces)
     share = np.array([_COVERED.get(n.split("_")[-1], 1.0) for n in JOINT_NAMES])
     covered = (share[mesh.skin_index] * mesh.skin_weight).sum(1)
-    out = replace(mesh, vertices=v + thickness * covered[:, None] * normals)
+    out = replace(mesh, vertices=mesh.vertices + thickness * covered[:, None] * normals)
     if "edges" in mesh.__dict__:
         out.__dict__["edges"] = mesh.edges
     return out
@@ -298,10 +293,10 @@ def girth_at(vertices: Array, faces: NDArray[np.integer], point: Array, normal: 
     x /= np.linalg.norm(x)
     basis = np.stack([x, np.cross(normal, x)], 1)
     flat: list[Array] = [np.asarray((loop - point) @ basis, dtype=np.float64) for loop in loops]
-    around = [abs(_winding(f)) > np.pi for f in flat]
-    inner = [k for k, a in enumerate(around) if a] or list(range(len(flat)))
-    best = min(inner, key=lambda k: float(np.linalg.norm(flat[k], axis=1).min()) if not around[k] else -len(flat[k]))
-    return _tape(flat[best])
+    around = [f for f in flat if _surrounds(f)]
+    if around:
+        return _tape(max(around, key=len))
+    return _tape(min(flat, key=lambda f: float(np.linalg.norm(f, axis=1).min())))
 
 
 def cross_section(vertices: Array, faces: NDArray[np.integer], point: Array, normal: Array) -> list[Array]:
@@ -309,42 +304,30 @@ def cross_section(vertices: Array, faces: NDArray[np.integer], point: Array, nor
 
     vertices, faces: (V, 3) m and (F, 3).
     point, normal: (3,) m in the plane, and (3,) normal of the plane.
-    Returns: the closed loops, each (n, 3) m.
+    Returns: the points of each closed loop, (n, 3) m, in any order.
     """
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
     height = (np.asarray(vertices, dtype=np.float64) - point) @ normal
     height = np.where(height == 0, 1e-12, height)  # no vertex lies in the plane: every cut face has two cut edges
     above = height > 0
-    cut = np.flatnonzero(np.ptp(above[faces].astype(np.int8), axis=1))
-    points: dict[tuple[int, int], Array] = {}
-    neighbours: dict[tuple[int, int], list[tuple[int, int]]] = {}
-    for face in np.asarray(faces)[cut].tolist():
-        ends = []
-        for a, b in ((face[0], face[1]), (face[1], face[2]), (face[2], face[0])):
-            if above[a] != above[b]:
-                key = (min(a, b), max(a, b))
-                t = height[key[0]] / (height[key[0]] - height[key[1]])
-                points[key] = vertices[key[0]] + t * (vertices[key[1]] - vertices[key[0]])
-                ends.append(key)
-        neighbours.setdefault(ends[0], []).append(ends[1])
-        neighbours.setdefault(ends[1], []).append(ends[0])
-    loops, seen = [], set()
-    for first in points:
-        if first in seen:
-            continue
-        loop, here = [], first
-        while here not in seen:
-            seen.add(here)
-            loop.append(points[here])
-            here = next((n for n in neighbours[here] if n not in seen), here)
-        if len(loop) > 2:
-            loops.append(np.array(loop))
-    return loops
+    corners = np.asarray(faces)[np.ptp(above[faces].astype(np.int8), axis=1) > 0]
+    edges = np.sort(np.stack([corners, np.roll(corners, -1, axis=1)], -1), axis=-1)
+    crossed, ends = np.unique(edges[above[edges[..., 0]] != above[edges[..., 1]]], axis=0, return_inverse=True)
+    low, high = crossed.T
+    share = (height[low] / (height[low] - height[high]))[:, None]
+    points = vertices[low] + share * (vertices[high] - vertices[low])
+    a, b = ends.reshape(-1, 2).T
+    _, loop = connected_components(coo_matrix((np.ones(len(a)), (a, b)), shape=(len(points), len(points))))
+    loops = [points[loop == k] for k in np.unique(loop)]
+    return [one for one in loops if len(one) > 2]
 
 
-def _winding(flat: Array) -> float:
-    angle = np.unwrap(np.arctan2(flat[:, 1], flat[:, 0]))
-    last = np.arctan2(flat[0, 1], flat[0, 0])
-    return float(angle[-1] - angle[0] + np.angle(np.exp(1j * (last - angle[-1]))))
+def _surrounds(flat: Array) -> bool:
+    """Test whether the points (n, 2) of a loop lie all round the origin: seen from it, no gap reaches half a turn."""
+    angle = np.sort(np.arctan2(flat[:, 1], flat[:, 0]))
+    return bool(np.diff(angle, append=angle[0] + 2 * np.pi).max() < np.pi)
 
 
 def _tape(flat: Array) -> float:

@@ -14,6 +14,7 @@ from scipy.sparse import coo_matrix, csc_matrix, identity
 from scipy.sparse.linalg import spsolve
 from scipy.spatial import KDTree
 
+from hypose.body.skin_weights import vertex_normals
 from hypose.errors import InputError, extra
 from hypose.geometry import Array
 
@@ -71,8 +72,8 @@ def coarse_mesh(vertices: ArrayLike, faces: ArrayLike, target: int = 550) -> tup
     out = _fitted(out, g, samples)
     volume = enclosed_volume(v, f)
     for _ in range(4):
-        normal, double = _normals(out, g)
-        out = out + (volume - enclosed_volume(out, g)) / (0.5 * double.sum()) * normal
+        area = 0.5 * np.linalg.norm(_across(out, g), axis=1).sum()
+        out = out + (volume - enclosed_volume(out, g)) / area * vertex_normals(out, g)
     return out, g
 
 
@@ -126,8 +127,8 @@ def _fitted(v: Array, f: Faces, samples: Array, rounds: int = 3) -> Array:
         points = np.einsum("sc,fcd->fsd", corner, out[f]).reshape(-1, 3)
         gap, nearest = KDTree(points).query(samples)
         face, bary = nearest // len(corner), corner[nearest % len(corner)]
-        normal, _ = _normals(out, f)
-        across = np.cross(out[f[:, 1]] - out[f[:, 0]], out[f[:, 2]] - out[f[:, 0]])
+        normal = vertex_normals(out, f)
+        across = _across(out, f)
         n = (across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-15))[face]
         signed = ((samples - points[nearest]) * n).sum(1)
         keep = gap < 0.02 * size
@@ -142,10 +143,6 @@ def _fitted(v: Array, f: Faces, samples: Array, rounds: int = 3) -> Array:
     return out
 
 
-def _normals(v: Array, f: Faces) -> tuple[Array, Array]:
-    """Compute the unit vertex normals (V, 3), and twice the area of each face (F,)."""
-    across = np.cross(v[f[:, 1]] - v[f[:, 0]], v[f[:, 2]] - v[f[:, 0]])
-    out = np.zeros_like(v)
-    for k in range(3):
-        np.add.at(out, f[:, k], across)
-    return out / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-15), np.linalg.norm(across, axis=1)
+def _across(v: Array, f: Faces) -> Array:
+    """Compute the outward normals (F, 3) of faces, as long as twice their area."""
+    return np.cross(v[f[:, 1]] - v[f[:, 0]], v[f[:, 2]] - v[f[:, 0]])

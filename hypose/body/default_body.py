@@ -56,21 +56,9 @@ def human_skeleton(rest_joints: Array) -> Skeleton:
     (about x), ankle 2 (about x and y). The elbow turns about the normal of the plane of the resting arm, so that its
     zero is the bent arm of the template. Step sizes (sigma) are those of everyday motion recorded at 25 fps.
     """
-    names, axes, joint_of_dof, lower, upper, sigma = [], [], [], [], [], []
-
-    def add(name: str, axis: Array, joint: int, low: float, high: float, sd: float) -> None:
-        names.append(name)
-        axes.append(axis)
-        joint_of_dof.append(joint)
-        lower.append(low)
-        upper.append(high)
-        sigma.append(sd)
-
     eye = np.eye(3)
-    for k, c in enumerate("xyz"):
-        add(f"pelvis_t{c}", eye[k], 0, -np.inf, np.inf, _ROOT_SIGMA[k])
-    for k, c in enumerate("xyz"):
-        add(f"pelvis_r{c}", eye[k], 0, -np.inf, np.inf, np.radians(_ROOT_TURN_SIGMA[k]))
+    root = zip("tr", (_ROOT_SIGMA, np.radians(_ROOT_TURN_SIGMA)), strict=True)
+    rows = [(f"pelvis_{kind}{c}", eye[k], 0, -np.inf, np.inf, sd[k]) for kind, sd in root for k, c in enumerate("xyz")]
     ball = np.zeros(len(JOINTS), dtype=bool)
     ball[0] = True
     for j, (name, _) in enumerate(JOINTS):
@@ -78,25 +66,15 @@ def human_skeleton(rest_joints: Array) -> Skeleton:
         if kind in _BALLS:
             limit, sd = np.radians(_BALLS[kind])
             ball[j] = True
-            for k, c in enumerate("xyz"):
-                add(f"{name}_r{c}", eye[k], j, -limit, limit, sd)
+            rows += [(f"{name}_r{c}", eye[k], j, -limit, limit, sd) for k, c in enumerate("xyz")]
         elif kind in _HINGES:
             for axis_name, low, high, sd in _HINGES[kind]:
                 axis = _hinge_axis(name, kind, axis_name, rest_joints)
-                add(f"{name}_{axis_name}", axis, j, *np.radians([low, high, sd]))
+                rows.append((f"{name}_{axis_name}", axis, j, *np.radians([low, high, sd])))
     offsets = rest_joints - np.where(PARENTS[:, None] >= 0, rest_joints[PARENTS], rest_joints[:1])
-    return Skeleton(
-        JOINT_NAMES,
-        PARENTS,
-        offsets,
-        ball,
-        np.array(axes),
-        np.array(joint_of_dof),
-        tuple(names),
-        np.array(lower),
-        np.array(upper),
-        np.array(sigma),
-    )
+    names, axes, joint_of_dof, lower, upper, sigma = zip(*rows, strict=True)
+    numbers = (np.array(v) for v in (lower, upper, sigma))
+    return Skeleton(JOINT_NAMES, PARENTS, offsets, ball, np.array(axes), np.array(joint_of_dof), names, *numbers)
 
 
 def _hinge_axis(name: str, kind: str, axis_name: str, joints: Array) -> Array:

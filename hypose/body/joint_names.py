@@ -14,7 +14,7 @@ from hypose.body.default_body import JOINT_NAMES, human
 from hypose.body.motion import Motion
 from hypose.body.skeleton import Skeleton
 from hypose.errors import InputError
-from hypose.geometry import Array
+from hypose.geometry import Array, procrustes, transform
 
 
 def _sided(rows: Mapping[str, str], left: str, right: str) -> dict[str, str]:
@@ -222,10 +222,6 @@ def _placed(found: Mapping[str, int], at: Array) -> Array:
     have = np.array([names.index(n) for n in found])
     there = at[list(found.values())]
     # the similarity that brings the template's joints nearest to the rig's
-    a, b = rest[have] - rest[have].mean(0), there - there.mean(0)
-    u, s, vt = np.linalg.svd(b.T @ a)
-    sign = np.diag([1.0, 1.0, float(np.sign(np.linalg.det(u @ vt)))])
-    turn, scale = u @ sign @ vt, float((s * np.diag(sign)).sum() / (a**2).sum())
-    out = (rest - rest[have].mean(0)) @ turn.T * scale + there.mean(0)
+    out = transform(procrustes(rest[have], there, scale=True)[0], rest)
     out[have] = there
     return out

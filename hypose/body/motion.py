@@ -95,16 +95,15 @@ class Motion:
             "n_views": (t,),
             "cost": (t,),
         }
-        if self.low_confidence is not None:
-            expected["low_confidence"] = (t,)
-        if self.error_probability is not None:
-            expected["error_probability"] = (t, j)
-        if self.low_confidence_joints is not None:
-            expected["low_confidence_joints"] = (t, j)
-        if self.angle_sd is not None:
-            expected["angle_sd"] = (t, len(ANGLE_NAMES))
-        if self.systematic_covariance is not None:
-            expected["systematic_covariance"] = (t, j, 3, 3)
+        optional = {
+            "poses": (t, self.skeleton.dof),
+            "low_confidence": (t,),
+            "error_probability": (t, j),
+            "low_confidence_joints": (t, j),
+            "angle_sd": (t, len(ANGLE_NAMES)),
+            "systematic_covariance": (t, j, 3, 3),
+        }
+        expected |= {name: shape for name, shape in optional.items() if getattr(self, name) is not None}
         if self.rivals is not None or self.rival_weights is not None:
             count = 0 if self.rival_weights is None else self.rival_weights.shape[-1]
             expected |= {"rivals": (t, count, self.skeleton.dof), "rival_weights": (t, count)}
@@ -114,11 +113,6 @@ class Motion:
                     f"Motion.{name} has shape {np.shape(getattr(self, name))}, {shape} is needed; "
                     "give every array one row per frame."
                 )
-        if self.poses is not None and self.poses.shape != (t, self.skeleton.dof):
-            raise InputError(
-                f"Motion.poses has shape {self.poses.shape}, {(t, self.skeleton.dof)} is needed; "
-                "give one pose per frame in the skeleton's degrees of freedom."
-            )
 
     def __len__(self) -> int:
         return len(self.times)

@@ -150,7 +150,7 @@ def make_detector(board: Board) -> Detector:
         pixels = _refined(gray, _numbered(picture, found, board.size), board.size)
         if not _regular(pixels, board.size):
             return None
-        return BoardDetection(np.arange(len(pixels)), pixels, edge_width(gray, pixels, _spacing(pixels, board.size)))
+        return BoardDetection(np.arange(len(pixels)), pixels, edge_width(gray, pixels))
 
     return detect
 
@@ -170,7 +170,7 @@ def _charuco_detector(board: Board) -> Detector:
             return None
         pixels = np.asarray(corners, dtype=np.float64).reshape(-1, 2)
         order = np.argsort(numbers)
-        return BoardDetection(numbers[order], pixels[order], edge_width(gray, pixels, _nearest(pixels)))
+        return BoardDetection(numbers[order], pixels[order], edge_width(gray, pixels))
 
     return detect
 
@@ -299,7 +299,7 @@ def _refined(gray: Gray, corners: Array, size: tuple[int, int]) -> Array:
         px).
     """
     nx, ny = size
-    largest = float(_spacing(corners, size).max())
+    largest = float(_spacing(corners).max())
     cell = int(np.clip(np.ceil(1.5 * largest), 16, 40))
     flat = np.stack(np.meshgrid(np.arange(nx), np.arange(ny)), -1).reshape(-1, 2) * float(cell) + 1.5 * cell
     sheet_from_image = cv2.findHomography(corners, flat)[0]
@@ -346,25 +346,11 @@ def _refined(gray: Gray, corners: Array, size: tuple[int, int]) -> Array:
     return np.asarray(back, dtype=np.float64).reshape(-1, 2)
 
 
-def _spacing(corners: Array, size: tuple[int, int]) -> Array:
-    """Compute the distance (N,) of each corner from its nearest neighbour in the grid, px."""
-    grid = corners.reshape(size[1], size[0], 2)
-    out = np.full(grid.shape[:2], np.inf)
-    for axis in (0, 1):
-        step = np.linalg.norm(np.diff(grid, axis=axis), axis=-1)
-        pad = [(0, 0), (0, 0)]
-        pad[axis] = (0, 1)
-        out = np.minimum(out, np.pad(step, pad, constant_values=np.inf))
-        pad[axis] = (1, 0)
-        out = np.minimum(out, np.pad(step, pad, constant_values=np.inf))
-    return out.ravel()
-
-
-def _nearest(corners: Array) -> Array:
+def _spacing(corners: Array) -> Array:
     """Compute the distance (N,) of each corner from the nearest other corner, px."""
-    distance = np.linalg.norm(corners[:, None] - corners[None], axis=-1)
-    np.fill_diagonal(distance, np.inf)
-    return distance.min(1)
+    from scipy.spatial import KDTree  # takes long to import
+
+    return KDTree(corners).query(corners, 2)[0][:, 1]
 
 
 def _regular(corners: Array, size: tuple[int, int]) -> bool:
@@ -378,17 +364,17 @@ def _regular(corners: Array, size: tuple[int, int]) -> bool:
     return bool(np.isfinite(corners).all())
 
 
-def edge_width(gray: Gray, corners: Array, spacing: Array) -> float:
+def edge_width(gray: Gray, corners: Array) -> float:
     """Compute the median width of the edges at corners: contrast divided by the steepest gradient in a window.
 
     gray: (h, w) picture.
     corners: (N, 2) px.
-    spacing: (N,) distance of each corner from its neighbour, px.
     Returns: px; NaN where no edge can be measured.
     """
     h, w = gray.shape
     widths = []
-    for (x, y), gap in zip(corners[:: max(1, len(corners) // 24)], spacing[:: max(1, len(corners) // 24)], strict=True):
+    some = slice(None, None, max(1, len(corners) // 24))
+    for (x, y), gap in zip(corners[some], _spacing(corners)[some], strict=True):
         half = int(np.clip(0.45 * gap, 3, 16))
         cx, cy = round(float(x)), round(float(y))
         if not (half < cx < w - half - 1 and half < cy < h - half - 1):

@@ -90,31 +90,20 @@ def _level(source: Array, target: Array, weight: Array) -> Array:
     return procrustes(flat[0], flat[1], weight)[0]
 
 
-@dataclass(frozen=True)
-class DepthRegistration:
-    """The result of `refine_registration`.
-
-    camera_from_world: (C, 4, 4).
-    poses: (F, D) poses of the body.
-    """
-
-    camera_from_world: Array
-    poses: Array
-
-
 def refine_registration(
     body: Body,
     poses: Array,
     seen: Sequence[Sequence[SurfacePoints]],
     camera_from_world: Array,
     iterations: int = 12,
-) -> DepthRegistration:
+) -> Array:
     """Refine the poses of depth sensors and the poses of the body together. The first sensor is fixed.
 
     poses: (F, D) start poses of the body.
     seen: per sensor and frame, the measured points in the CAMERA's frame.
     camera_from_world: (C, 4, 4) at the start.
     iterations: largest number of iterations.
+    Returns: (C, 4, 4) camera_from_world.
     Why: sensors only rotate about the vertical and move along the floor, because each measures the floor better than a
         body can. Poses are eliminated frame by frame.
     """
@@ -126,7 +115,7 @@ def refine_registration(
     frames = [[_cue(sensor[f], s) for s, sensor in enumerate(seen)] for f in range(len(poses))]
     start = np.array(camera_from_world, dtype=np.float64), anchor.centre
     problem = _SensorProblem(body, frames, [usual, anchor], len(camera_from_world))
-    return DepthRegistration(*problem.solve(start, iterations, Rule(slack=1.002, moved=1e-4)).state)
+    return problem.solve(start, iterations, Rule(slack=1.002, moved=1e-4)).state[0]
 
 
 def _cue(seen: SurfacePoints, sensor: int) -> Cue[Array]:

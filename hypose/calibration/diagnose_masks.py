@@ -16,10 +16,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.calibration.diagnose_points import sizes, undistorted
+from hypose.calibration.diagnose_points import undistorted
 from hypose.calibration.findings import INVALID, REVIEW, Finding
 from hypose.calibration.refine_points import apply_parameters
 from hypose.calibration.sync_motion import MaskTrack, tangent_planes
+from hypose.calibration.synchronisation import sizes
 from hypose.cameras.camera import CameraRig, triangulate
 from hypose.compute.linear import weighted_squares
 from hypose.compute.losses import lorentzian_weight

@@ -352,13 +352,6 @@ class PersonReport:
         """List the findings about one camera, and those about all cameras."""
         return tuple(f for f in self.findings if view in f.views or not f.views)
 
-    def assessment(self, view: str) -> str:
-        """Format the findings about one camera as one line."""
-        found = self.of(view)
-        if not found:
-            return f"{view}: no fault found"
-        return " ".join(f.sentence if f.text.startswith(view) else f"{view}: {f.sentence}" for f in found)
-
 
 def clip_findings(rig: CameraRig, clips: Sequence[ViewFile], frame_rate: float) -> Iterator[Finding]:
     """Check the sizes, frame rates and numbers of frames of the views' files.

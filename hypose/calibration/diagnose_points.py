@@ -27,7 +27,7 @@ from hypose.calibration.refine_points import (
     transform_rig,
 )
 from hypose.calibration.sync_motion import Curves, farther, keypoint_curves, offsets_within, solve_offsets, solve_widely
-from hypose.calibration.synchronisation import point_sd
+from hypose.calibration.synchronisation import point_sd, sizes
 from hypose.cameras.camera import Camera, CameraRig, triangulate
 from hypose.errors import EvidenceError
 from hypose.geometry import Array, se3_inverse, transform
@@ -143,19 +143,6 @@ def undistorted(rig: CameraRig, pixels: Array) -> tuple[Array, Array]:
     far = 20 * rig.sizes.max()
     fine = np.isfinite(uv).all(-1) & (np.abs(np.nan_to_num(uv)) < far).all(-1)
     return np.where(fine[..., None], uv, 0.0), np.where(fine, pixels[..., 2], 0.0)
-
-
-def sizes(pixels: Array) -> Array:
-    """Compute the person's size in each view: the median over frames of the longer side.
-
-    pixels: (C, T, K, 3) px, and confidence.
-    Returns: (C,) px; 0 where no person is seen.
-    """
-    out = np.zeros(len(pixels))
-    for c, view in enumerate(pixels):
-        found = [np.ptp(p[p[:, 2] > 0.3, :2], axis=0).max() for p in view if (p[:, 2] > 0.3).sum() > 5]
-        out[c] = float(np.median(found)) if found else 0.0
-    return out
 
 
 def trials(
@@ -408,20 +395,10 @@ class Extrinsics:
 
     findings: faults.
     changes: change of each camera by the refinement.
-    before_px, after_px: median residual before and after the refinement, on frames that it did not use, px.
-    radial, radial_sd: (C,) missing radial term of each lens, and its standard deviation.
-    lens_cured: the given rig.
-    refined: the rig that fits, in the gauge of the given one.
     """
 
     findings: tuple[Finding, ...]
     changes: tuple[CameraChange, ...]
-    before_px: float
-    after_px: float
-    radial: Array
-    radial_sd: Array
-    lens_cured: CameraRig
-    refined: CameraRig
 
 
 def judge_extrinsics(rig: CameraRig, pixels: Array, o: Limits) -> Extrinsics | None:
@@ -429,7 +406,7 @@ def judge_extrinsics(rig: CameraRig, pixels: Array, o: Limits) -> Extrinsics | N
 
     pixels: (C, T, K, 3) synchronous distorted px, and confidence.
     o: limits.
-    Returns: findings, camera changes and the refined rig; None where two views see too few common points.
+    Returns: findings and camera changes; None where two views see too few common points.
     """
     c, frames = pixels.shape[:2]
     uv, confidence = undistorted(rig, pixels)
@@ -453,13 +430,10 @@ def judge_extrinsics(rig: CameraRig, pixels: Array, o: Limits) -> Extrinsics | N
     before, after = (_residual(r, *of(rest)) for r in (ideal, refined))
     moved = changes(ideal, refined, transform(old_from_new, found.points))
     findings: list[Finding] = []
-    radial, radial_sd = np.zeros(c), np.full(c, np.inf)
     far = any(m.turn_deg > FAR_DEG or m.move_m > FAR_M for m in moved)
     if min(before, after) > o.scatter * person or (far and after > AGREE * person):
-        scatter = (_no_one_person(rig, pixels, before, after),)
-        return Extrinsics(scatter, moved, before, after, radial, radial_sd, rig, _with_lenses(refined, rig))
+        return Extrinsics((_no_one_person(rig, pixels, before, after),), moved)
     if lens is not None:
-        radial, radial_sd = lens.radial, lens.radial_sd
         findings += _lenses(rig, ideal, lens, uv, confidence, rest, found, person, o)
     if not any(f.fault for f in findings) and after < o.extrinsics * before and before - after > o.gain * person:
         own = np.array([m.image_px for m in moved]) / np.where(size > 0, size, person)
@@ -479,7 +453,7 @@ def judge_extrinsics(rig: CameraRig, pixels: Array, o: Limits) -> Extrinsics | N
                 findings.append(Finding("extrinsics", (m.name,), text, cure, float(m.image_px)))
         if unsure and not any(f.fault for f in findings):
             findings.append(_undecided(rig, unsure, confidence, before, after, max(moved[k].image_px for k in unsure)))
-    return Extrinsics(tuple(findings), moved, before, after, radial, radial_sd, rig, _with_lenses(refined, rig))
+    return Extrinsics(tuple(findings), moved)
 
 
 def _no_one_person(rig: CameraRig, pixels: Array, before: float, after: float) -> Finding:
@@ -526,13 +500,6 @@ def _undecided(
         f"points miss each other by {before:.1f} px, after a refinement by {after:.1f} px (frames not used)"
     )
     return Finding("extrinsics", names, text, "film with a third camera, or run hypose check --refine", image_px)
-
-
-def _with_lenses(rig: CameraRig, like: CameraRig) -> CameraRig:
-    """Combine the poses and focal lengths of a rig with the lens distortion of another."""
-    return CameraRig(
-        tuple(replace(a, distortion=b.distortion, fisheye=b.fisheye) for a, b in zip(rig, like, strict=True))
-    )
 
 
 def _residual(rig: CameraRig, uv: Array, confidence: Array) -> float:

@@ -35,14 +35,13 @@ from hypose.calibration.diagnose_points import (
     gross_finding,
     judge_extrinsics,
     late_views,
-    sizes,
     timing_findings,
     undistorted,
 )
 from hypose.calibration.findings import REVIEW, Finding, Limits, Trial, ViewFile, depth_findings
 from hypose.calibration.refine_points import apply_parameters, changes, left_out_residual, point_residual
 from hypose.calibration.sync_motion import MaskTrack, farther, mask_tracks, silhouette_curves, solve_widely
-from hypose.calibration.synchronisation import points_at
+from hypose.calibration.synchronisation import points_at, sizes
 from hypose.cameras.camera import CameraRig
 from hypose.errors import EvidenceError
 from hypose.evidence.depth_evidence import Depth
@@ -412,19 +411,9 @@ class _State:
     findings: list[Finding] = field(default_factory=list)
 
 
-def examine(observed: Observed, limits: Limits | None = None) -> PersonReport:
-    """Diagnose the calibration of a recording: run all checks for which there is evidence.
-
-    observed: evidence of consecutive frames.
-    limits: limits above which a fault is reported; the defaults where None.
-    Returns: the report.
-    Raises: EvidenceError where there are neither key points nor silhouettes.
-    """
-    return examine_and_cure(observed, limits)[0]
-
-
-def examine_and_cure(observed: Observed, limits: Limits | None = None) -> tuple[PersonReport, Cured]:
-    """Diagnose the calibration of a recording as `examine` does, and undo the faults for a refinement.
+def examine(observed: Observed, limits: Limits | None = None) -> tuple[PersonReport, Cured]:
+    """Diagnose the calibration of a recording with all checks for which there is evidence, and undo the faults for a
+    refinement.
 
     observed: evidence of consecutive frames.
     limits: limits above which a fault is reported; the defaults where None.
@@ -463,7 +452,6 @@ def examine_and_cure(observed: Observed, limits: Limits | None = None) -> tuple[
         if extrinsics is not None and later:
             findings += [f for f in extrinsics.findings if f.kind == "scatter"]
         elif extrinsics is not None:
-            state.rig = extrinsics.lens_cured
             findings += extrinsics.findings
     if any(f.kind == "scatter" for f in findings):  # views that never agree give no delay and no body size
         findings = [f for f in findings if f.kind != "late"]
@@ -628,5 +616,4 @@ __all__ = [
     "PersonReport",
     "disagreement",
     "examine",
-    "examine_and_cure",
 ]

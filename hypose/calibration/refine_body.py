@@ -56,12 +56,11 @@ class BodyAdjustment:
 
     rig: refined cameras, at the size of the given ones.
     poses: (F, D) refined poses.
-    cost_before, cost: before and after, at the scale of the last stage.
+    cost: at the scale of the last stage.
     """
 
     rig: CameraRig
     poses: Array
-    cost_before: float
     cost: float
 
 
@@ -87,13 +86,11 @@ def adjust_with_body(
         raise EvidenceError("No frame has silhouettes or key points to refine the calibration with; choose others.")
     problem = _BodyProblem(body, cues, [anatomical_prior(body.skeleton)], CameraUnknowns(rig, o.focal, free))
     state = list(rig), np.array(poses, dtype=np.float64)
-    problem.factor = o.coarse[-1]
-    before = problem.evaluate(state)[0]
     outlines = any(isinstance(one, ContourTerm) for of in evidence for one in of)
     stages = (o.coarse, o.iterations) if outlines else ((1.0,), (sum(o.iterations),))
     found = problem.stages(state, *stages, 1e-4)
     cameras, q = found.state
-    return BodyAdjustment(CameraRig(tuple(cameras)), q, before, found.cost)
+    return BodyAdjustment(CameraRig(tuple(cameras)), q, found.cost)
 
 
 def _cue(one: Term, o: BodySettings) -> Cue[_Cameras]:

@@ -147,16 +147,6 @@ def scale_rig(rig: CameraRig, factor: float) -> CameraRig:
     return CameraRig(tuple(calibration_camera.rescaled(c, factor) for c in rig))
 
 
-def free_cameras(rig: CameraRig, fixed: tuple[str, ...]) -> NDArray[np.bool_]:
-    """Mark the cameras that may move (C,): all except the fixed ones.
-
-    Raises: CalibrationError where a name does not exist; it lists the names that do.
-    """
-    if fixed:
-        rig.select(fixed)
-    return np.array([c.name not in fixed for c in rig])
-
-
 _Shared = tuple[list[Camera], Array]
 """Cameras, and radial terms (C,)."""
 _ITERATIONS = 30

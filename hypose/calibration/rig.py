@@ -117,7 +117,6 @@ class RigCalibration:
     sightings: the used detections by camera index and frame, numbered alike in all cameras.
     errors: rms per coordinate by (camera, frame), px.
     rms_px: rms over all, px.
-    weighted_px: the same with less weight for moving boards, as in the fit.
     camera_rms: (C,) rms of each camera, px.
     focal_sd: (C,) standard deviation of the focal length, px.
     position_sd: (C,) standard deviation of the position, m.
@@ -130,7 +129,6 @@ class RigCalibration:
     sightings: Mapping[int, Mapping[int, BoardDetection]]
     errors: Mapping[tuple[int, int], float]
     rms_px: float
-    weighted_px: float
     camera_rms: Array
     focal_sd: Array
     position_sd: Array
@@ -165,15 +163,15 @@ def calibrate_rig(
             links.append(link)
     tree = _tree(links, cameras, sightings, choose, notes)
     placed = _placed(tree, cameras)
-    named = _numbered(placed, sightings, poses, board)
-    frames = _choose_frames(named, cameras, _MAX_FRAMES)
+    named, boards = _numbered(placed, sightings, poses, board)
+    frames = _choose_frames(named, boards, cameras)
     extra: dict[int, dict[int, BoardDetection]] = {}
     number = -1
     for c, seen in enumerate(lens_sightings or ()):
         for f in () if lenses[c].given else spread_out(seen, cameras[c].size, 30):
             extra.setdefault(c, {})[number] = seen[f]
             number -= 1
-    return _refined(placed, named, frames, extra, lenses, board, tuple(notes))
+    return _refined(placed, named, boards, frames, extra, lenses, board, tuple(notes))
 
 
 # ---- relative poses ------------------------------------------------------------------------------------------------
@@ -339,12 +337,8 @@ def _placed(tree: Sequence[Link], cameras: Sequence[Camera]) -> list[Camera]:
     return [replace(c, camera_from_world=poses[i]) for i, c in enumerate(cameras)]
 
 
-@dataclass(frozen=True)
-class _Numbered:
-    """Detections by camera and frame, numbered alike, and the boards' poses in the world."""
-
-    sightings: dict[int, dict[int, BoardDetection]]
-    boards: dict[int, Array]
+_Sightings = dict[int, dict[int, BoardDetection]]
+"""Detections by camera and frame."""
 
 
 def _numbered(
@@ -352,11 +346,14 @@ def _numbered(
     sightings: Sequence[Mapping[int, BoardDetection]],
     poses: Sequence[Mapping[int, list[tuple[Array, float]]]],
     board: Board,
-) -> _Numbered:
+) -> tuple[_Sightings, dict[int, Array]]:
     """Choose per frame the board pose of one camera with which the others agree best, and each camera's numbering for
-    it."""
+    it.
+
+    Returns: the detections, numbered alike, and world_from_board (4, 4) by frame.
+    """
     boards: dict[int, Array] = {}
-    out: dict[int, dict[int, BoardDetection]] = {c: {} for c in range(len(cameras))}
+    out: _Sightings = {c: {} for c in range(len(cameras))}
     for f in sorted({f for seen in sightings for f in seen}):
         who = [c for c in range(len(cameras)) if f in sightings[c]]
         best: tuple[float, Array, list[int]] | None = None
@@ -380,22 +377,22 @@ def _numbered(
         boards[f] = best[1]
         for d, t in zip(who, best[2], strict=True):
             out[d][f] = sightings[d][f].turned(board.turns[t])
-    return _Numbered(out, boards)
+    return out, boards
 
 
-def _choose_frames(named: _Numbered, cameras: Sequence[Camera], count: int) -> list[int]:
-    """Choose at most `count` frames: for each pair of cameras those that differ most, then others for the lenses."""
-    seen = named.sightings
-    if len(named.boards) <= count:
-        return sorted(named.boards)
+def _choose_frames(seen: _Sightings, boards: Mapping[int, Array], cameras: Sequence[Camera]) -> list[int]:
+    """Choose at most _MAX_FRAMES frames: for each pair of cameras those that differ most, then others for the
+    lenses."""
+    if len(boards) <= _MAX_FRAMES:
+        return sorted(boards)
     pairs = [(c, d) for c, d in combinations(range(len(cameras)), 2) if set(seen[c]) & set(seen[d])]
     picked: set[int] = set()
     for c, d in pairs:
         both = {f: s for f, s in seen[c].items() if f in seen[d]}
-        picked |= set(spread_out(both, cameras[c].size, max(4, count // (2 * len(pairs)))))
+        picked |= set(spread_out(both, cameras[c].size, max(4, _MAX_FRAMES // (2 * len(pairs)))))
     for c, camera in enumerate(cameras):
         left = {f: s for f, s in seen[c].items() if f not in picked}
-        picked |= set(spread_out(left, camera.size, max(2, (count - len(picked)) // (len(cameras) - c))))
+        picked |= set(spread_out(left, camera.size, max(2, (_MAX_FRAMES - len(picked)) // (len(cameras) - c))))
     return sorted(picked)
 
 
@@ -404,7 +401,8 @@ def _choose_frames(named: _Numbered, cameras: Sequence[Camera], count: int) -> l
 
 def _refined(
     cameras: Sequence[Camera],
-    named: _Numbered,
+    named: _Sightings,
+    boards: dict[int, Array],
     frames: Sequence[int],
     extra: Mapping[int, Mapping[int, BoardDetection]],
     lenses: Sequence[CalibratedLens],
@@ -412,11 +410,10 @@ def _refined(
     notes: tuple[str, ...],
 ) -> RigCalibration:
     all_frames = [*frames, *(f for seen in extra.values() for f in seen)]
-    boards = dict(named.boards)
     for c, seen in extra.items():
         for f, s in seen.items():
             boards[f] = se3_inverse(cameras[c].camera_from_world) @ board_poses(cameras[c], s, board.points)[0][0]
-    seen = {c: {**named.sightings[c], **extra.get(c, {})} for c in range(len(cameras))}
+    seen = {c: {**named[c], **extra.get(c, {})} for c in range(len(cameras))}
     seen = {
         c: {f: s for f, s in v.items() if f in boards and _in_front(cameras[c], boards[f], board)}
         for c, v in seen.items()
@@ -427,7 +424,6 @@ def _refined(
     moving: dict[tuple[int, int], float] = {}
     result: Refined | None = None
     obs = collect_observations(seen, all_frames)
-    motion = np.zeros(len(obs))
     start_shape = (len(cameras), len(all_frames))
     for attempt in range(_ROUNDS):
         start = np.stack([boards[f] for f in all_frames])
@@ -473,7 +469,7 @@ def _refined(
         for c in range(len(cameras))
         if count[c, k]
     }
-    used = {c: {f: s for f, s in named.sightings[c].items() if (c, f) in errors} for c in range(len(cameras))}
+    used = {c: {f: s for f, s in named[c].items() if (c, f) in errors} for c in range(len(cameras))}
     if moving:
         notes = (
             *notes,
@@ -487,7 +483,6 @@ def _refined(
         used,
         errors,
         result.rms_px,
-        float(np.sqrt(np.mean((result.residuals * (NOISE_PX / np.hypot(NOISE_PX, motion))[:, None]) ** 2))),
         per_camera,
         result.focal_sd,
         result.position_sd,

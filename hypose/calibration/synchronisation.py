@@ -89,13 +89,22 @@ def point_sd(pixels: Array, confidence: Array) -> float:
     pixels: (C, T, K, 2) px.
     confidence: (C, T, K).
     """
-    sizes = []
-    for p, c in zip(pixels, confidence, strict=True):
-        seen = c > 0.3
-        size = [np.ptp(x[s], axis=0).max() for x, s in zip(p, seen, strict=True) if s.sum() > 3]
-        if size:
-            sizes.append(float(np.median(size)))
-    return max(0.016 * float(np.median(sizes)) if sizes else 4.0, 0.5)
+    known = sizes(np.concatenate([pixels, confidence[..., None]], -1))
+    known = known[known > 0]
+    return max(0.016 * float(np.median(known)) if len(known) else 4.0, 0.5)
+
+
+def sizes(pixels: Array) -> Array:
+    """Compute the person's size in each view: the median over frames of the longer side.
+
+    pixels: (C, T, K, 3) px, and confidence.
+    Returns: (C,) px; 0 where no person is seen.
+    """
+    out = np.zeros(len(pixels))
+    for c, view in enumerate(pixels):
+        found = [np.ptp(p[p[:, 2] > 0.3, :2], axis=0).max() for p in view if (p[:, 2] > 0.3).sum() > 5]
+        out[c] = float(np.median(found)) if found else 0.0
+    return out
 
 
 def points_at(points: Array, late: float) -> Array:
@@ -367,13 +376,14 @@ def light_event(brightness: Array, name: str) -> tuple[float, str]:
 # cause when boards contradict each other.
 
 
+_LONGEST = 150  # frames
 _LEAST_MOMENTS = 12  # moments with a known speed in both cameras
 _CLEAR = 0.7  # correlation of the speeds at the right lag
 _BETTER = 0.1  # by how much it must exceed that without lag
 
 
 def estimate_lags(
-    cameras: Sequence[Camera], sightings: Sequence[Mapping[int, BoardDetection]], board: Board, longest: int = 150
+    cameras: Sequence[Camera], sightings: Sequence[Mapping[int, BoardDetection]], board: Board
 ) -> dict[int, int]:
     """Estimate which videos of a moving board are not synchronous, from the board's speed.
 
@@ -381,7 +391,6 @@ def estimate_lags(
     of the reference.
 
     sightings: detected boards per camera, by frame.
-    longest: largest lag, frames.
     Returns: lag by camera index, frames, only for cameras that are clearly not synchronous.
     """
     speeds = [_speed(c, s, board) for c, s in zip(cameras, sightings, strict=True)]
@@ -391,7 +400,7 @@ def estimate_lags(
         if c == base or len(speeds[c][0]) < _LEAST_MOMENTS or len(speeds[base][0]) < _LEAST_MOMENTS:
             continue
         step = float(np.median(np.diff(speeds[base][0])))
-        tried = np.arange(-longest, longest + 1, max(1, round(step / 2)))
+        tried = np.arange(-_LONGEST, _LONGEST + 1, max(1, round(step / 2)))
         scores = np.array([_correlation(speeds[base], speeds[c], int(lag), 2.5 * step) for lag in tried])
         if not np.isfinite(scores).any():
             continue

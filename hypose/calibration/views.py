@@ -56,7 +56,6 @@ class Look:
     sighting: BoardDetection | None
     reason: str
     focus: float
-    """Mean of the squared Laplacian, for comparison with other pictures of the same camera only."""
     brightness: float
 
 
@@ -272,18 +271,15 @@ def _with_reasons(looks: Mapping[int, Look]) -> dict[int, Look]:
     return out
 
 
-def diagnose(views: CameraViews, board: Board, pictures: int = 6) -> str:
+def diagnose(views: CameraViews, board: Board) -> str:
     """Explain why a camera saw no board at all.
 
     Tested are another number of corners, other markers, inverted colours and a mirrored picture.
 
     views: the results of the search in the camera's pictures.
-    pictures: number of pictures that are tested.
     Returns: the explanation; empty where there is none.
     """
-    with open_video(views.path) as reader:
-        chosen = evenly_spread(0, reader.n_frames, pictures)
-        grays = [np.asarray(cv2.cvtColor(reader.read(i), cv2.COLOR_BGR2GRAY), dtype=np.uint8) for i in chosen]
+    grays = list(_spread_pictures(views.path, _TESTED))
     return _diagnose_markers(grays, board) if board.kind == "charuco" else _diagnose_chessboard(grays, board)
 
 
@@ -336,26 +332,8 @@ def _markers(grays: Sequence[Gray], dictionary: str, inverted: bool) -> float:
 
 def _diagnose_markers(grays: Sequence[Gray], board: Board) -> str:
     if _markers(grays, board.dictionary, board.inverted) >= 4:
-        swapped = Board(
-            "charuco",
-            board.rows,
-            board.columns,
-            board.square,
-            board.marker,
-            board.dictionary,
-            board.legacy,
-            board.inverted,
-        )
-        legacy = Board(
-            "charuco",
-            board.columns,
-            board.rows,
-            board.square,
-            board.marker,
-            board.dictionary,
-            not board.legacy,
-            board.inverted,
-        )
+        swapped = replace(board, columns=board.rows, rows=board.columns)
+        legacy = replace(board, legacy=not board.legacy)
         for other, what in ((swapped, "columns and rows exchanged"), (legacy, "the legacy pattern switched")):
             detect = make_detector(other)
             if any(detect(g) is not None for g in grays):
@@ -390,8 +368,8 @@ def positions(sightings: Mapping[int, BoardDetection], size: tuple[int, int]) ->
 # Identification of a chessboard: its corners are counted in the pictures, so that the user need not count them.
 
 
-_PICTURES = 8
-"""Number of pictures per camera that are searched."""
+_PICTURES, _TESTED = 8, 6
+"""Numbers of pictures per camera that are searched for a count, and for the reason why no board was found."""
 _ENOUGH = 4
 """Number of pictures with the same number of corners after which no further camera is searched."""
 
@@ -405,7 +383,7 @@ def count_corners(sources: Sequence[BoardFootage]) -> tuple[int, int]:
     """
     votes: dict[tuple[int, int], int] = {}
     for source in sources:
-        for gray in _spread_counted(source):
+        for gray in _spread_pictures(source.path, _PICTURES):
             seen = chessboard_seen([gray])
             if seen is not None:
                 votes[seen] = votes.get(seen, 0) + 1
@@ -420,7 +398,8 @@ def count_corners(sources: Sequence[BoardFootage]) -> tuple[int, int]:
     return found
 
 
-def _spread_counted(source: BoardFootage) -> Iterator[Gray]:
-    with open_video(source.path) as reader:
-        for frame in evenly_spread(0, reader.n_frames, _PICTURES):
+def _spread_pictures(path: Path, count: int) -> Iterator[Gray]:
+    """Read `count` grey pictures, evenly spread over a video or folder of photos."""
+    with open_video(path) as reader:
+        for frame in evenly_spread(0, reader.n_frames, count):
             yield np.asarray(cv2.cvtColor(reader.read(frame), cv2.COLOR_BGR2GRAY), dtype=np.uint8)

@@ -25,7 +25,7 @@ from hypose.body.motion import Motion
 from hypose.errors import InputError
 from hypose.evidence.keypoint_sets import common_name
 from hypose.geometry import Array, procrustes, transform
-from hypose.io.motions.export import MOTIONS
+from hypose.io.motions.export import MOTION_FILES
 from hypose.io.motions.marker_files import Markers
 from hypose.io.motions.results import load_archive
 from hypose.pipeline.settings import SETTINGS
@@ -70,7 +70,7 @@ def read_other(
     subject: person to read, where the file names points SUBJECT:POINT.
     Raises: InputError where no joint or angle is known, or where it is not clear which person is meant.
     """
-    found = MOTIONS.read(path)
+    found = MOTION_FILES.read(path)
     if isinstance(found, Motion):
         points = {n: found.joints[:, i] for i, n in enumerate(found.skeleton.joint_names)}
         return OtherMotion(path, found.times, points, angles_of(found))

@@ -390,7 +390,7 @@ def register_depth(
         assert poses is not None
         chosen = different_poses(body, poses, 1 - tracked.cost, SETTINGS.placing_frames)
         seen = [[_surface(clips[k][paired[t][k]]) for t in chosen] for k in range(len(clips))]
-        cameras = refine_registration(body, poses[chosen], seen, cameras).camera_from_world
+        cameras = refine_registration(body, poses[chosen], seen, cameras)
     report("together", SETTINGS.placing_rounds, SETTINGS.placing_rounds)
     rig = CameraRig(tuple(replace(c, camera_from_world=e) for c, e in zip(alone, cameras, strict=True)))
     return RegisteredSensors(rig, seconds, body, tuple(rough))

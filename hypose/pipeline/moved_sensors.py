@@ -148,7 +148,7 @@ def _refined(
     views = np.flatnonzero(np.any([np.zeros(len(reported), np.bool_), *(d.usable for own in depths for d in own)], 0))
     seen = [[_surface(own, int(c), reported[c]) for own in depths] for c in views]
     out = reported.copy()
-    out[views] = refine_registration(body, poses, seen, reported[views], iterations).camera_from_world
+    out[views] = refine_registration(body, poses, seen, reported[views], iterations)
     return out
 
 

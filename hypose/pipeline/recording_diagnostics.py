@@ -20,7 +20,6 @@ from hypose.calibration.refine_points import (
     CameraChange,
     adjust,
     changes,
-    free_cameras,
     gauge,
     left_out_residual,
     point_residual,
@@ -221,7 +220,9 @@ def refine_recording(
     if len(used) < 3:
         raise InputError(f"{n} frames are too few to refine a calibration and to judge it; give at least 10.")
     rest = np.setdiff1d(np.arange(n, dtype=np.int64), used).astype(np.int64)
-    free = free_cameras(few.rig, fixed)
+    if fixed:
+        few.rig.select(fixed)  # its error lists the names that exist
+    free = np.array([c.name not in fixed for c in few.rig])
     judge = _Judge(few.rig, points, rest)
     notes: list[str] = []
     if method == "keypoints":

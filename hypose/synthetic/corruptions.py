@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from statistics import NormalDist
-from typing import Protocol
 
 import cv2
 import numpy as np
@@ -17,7 +16,6 @@ from hypose.cameras.camera import CameraRig
 from hypose.errors import InputError
 from hypose.evidence.keypoints import BODY_25
 from hypose.geometry import Array, Mask, se3, so3_exp
-from hypose.synthetic.performance import Performance
 from hypose.synthetic.subjects import SyntheticSubject
 
 
@@ -231,42 +229,6 @@ def dropped_frames(n_frames: int, share: float, rng: np.random.Generator) -> NDA
 # 2D key points of a synthetic scene, as a detector would give them.
 
 
-class Filmed(Protocol):
-    """Interface of the filmed views of a scene (`hypose.synthetic.scenes.Scene`)."""
-
-    @property
-    def subject(self) -> SyntheticSubject:
-        """The person."""
-        ...
-
-    @property
-    def performance(self) -> Performance:
-        """The person's motion."""
-        ...
-
-    @property
-    def rig(self) -> CameraRig:
-        """The cameras."""
-        ...
-
-    @property
-    def seed(self) -> int:
-        """Seed of the noise."""
-        ...
-
-    def __len__(self) -> int:
-        """Return the number of frames."""
-        ...
-
-    def shown(self, view: int, index: int, /) -> int:
-        """Return the frame of the scene that a view shows as its frame `index`."""
-        ...
-
-    def dead(self, view: int, index: int, /) -> bool:
-        """Return whether the images of a view are black at frame `index`."""
-        ...
-
-
 def surface_landmarks(subject: SyntheticSubject) -> dict[str, tuple[int, Array]]:
     """Compute the positions of nose, eyes, ears, toes and heels on a subject.
 
@@ -310,39 +272,3 @@ def keypoint_places(subject: SyntheticSubject, rotations: Array, joints: Array) 
         else:
             world[:, k] = joints[:, JOINT_NAMES.index(name)]
     return world
-
-
-def keypoint_detections(scene: Filmed, view: int, noise_px: float = 4.0) -> Array:
-    """Simulate BODY_25 detections of the subject in one camera's own (distorted) images.
-
-    scene: the filmed scene.
-    view: index of the camera.
-    noise_px: sd of the noise at a person 250 px tall; it grows with the person's size.
-    Returns: (T, 25, 3) = (u px, v px, confidence), 0 where missing.
-
-    The noise is half white, half slow, because detectors make similar errors in neighbouring frames. 2 % of the points
-    are off by ten times the noise, with low confidence; 2 % are missing. Systematic offsets of detectors and left-right
-    swaps are not simulated.
-    """
-    p, camera = scene.performance, scene.rig[view]
-    t = np.array([scene.shown(view, k) for k in range(len(scene))])
-    world = keypoint_places(scene.subject, p.rotations[t], p.joints[t])
-    uv = camera.project(world)
-    rng = np.random.default_rng([scene.seed, 100, view])
-    height = np.nanmax(uv[..., 1], axis=1) - np.nanmin(uv[..., 1], axis=1)
-    sd = noise_px * height[:, None] / 250.0
-    knots = rng.normal(size=(len(t) // 8 + 3, len(BODY_25), 2))
-    at = np.arange(len(t)) / 8
-    low = at.astype(int)
-    s = (at - low)[:, None, None]
-    slow = ((1 - s) * knots[low] + s * knots[low + 1]) / np.sqrt((1 - s) ** 2 + s**2)
-    white = rng.normal(size=uv.shape)
-    wild = rng.random(uv.shape[:2]) < 0.02
-    error = (slow + white) / np.sqrt(2) * np.where(wild, 10.0, 1.0)[..., None]
-    points = uv + sd[..., None] * error
-    confidence = np.clip(rng.normal(0.8, 0.08, uv.shape[:2]) - 0.45 * wild, 0.05, 1.0)
-    w, h = camera.size
-    inside = np.isfinite(points).all(-1) & (points >= 0).all(-1) & (points < [w, h]).all(-1)
-    dead = np.array([scene.dead(view, k) for k in range(len(scene))])
-    seen = inside & (rng.random(uv.shape[:2]) > 0.02) & ~dead[:, None]
-    return np.where(seen[..., None], np.concatenate([points, confidence[..., None]], -1), 0.0)

@@ -192,17 +192,10 @@ def load_people(cloth_m: float = 0.008) -> tuple[GesturePerson, ...]:
     """Load the people, dressed.
 
     cloth_m: clothes stand off by up to 1.5 cloth_m (another share for each person), but not on head and hands.
-    Raises: InputError where the asset is missing.
     """
     file = resources.files("hypose.assets").joinpath("gesture_people.npz")
-    try:
-        with file.open("rb") as stream:
-            data = dict(np.load(stream, allow_pickle=False))
-    except FileNotFoundError:
-        raise InputError(
-            "The people of the simulated depth sensor (hypose/assets/gesture_people.npz) are missing from this "
-            "installation; install hypose again."
-        ) from None
+    with file.open("rb") as stream:
+        data = dict(np.load(stream, allow_pickle=False))
     names = tuple(str(n) for n in data["joint_names"])
     index, weight = data["skin_index"].astype(int), data["skin_weight"].astype(np.float32)
     weights = np.zeros((len(index), len(names)), np.float32)

@@ -28,7 +28,7 @@ from hypose.synthetic.corruptions import (
     corruptions,
     disturb_rig,
     dropped_frames,
-    keypoint_detections,
+    keypoint_places,
     occluder_mesh,
 )
 from hypose.synthetic.motions import act
@@ -201,7 +201,7 @@ class Scene(OfPerformance):
     def mask_frames(self, scale: float = 1.0, *, keypoints: bool = False) -> Iterator[Frame]:
         """Yield frames with corrupted silhouettes made from the truth, undistorted, at `scale` times the cameras' size.
 
-        keypoints: whether to add noisy 2D key points (`corruptions.keypoint_detections`).
+        keypoints: whether to add noisy 2D key points (`keypoint_detections`).
 
         Views without an image (dropped, dead) are marked unusable with the reason.
         """
@@ -354,6 +354,42 @@ def _mask(
         return covered(uv, z, subject.faces, camera.size[::-1])
     depth = rasterize(uv, z, subject.faces, camera.size)[0]
     return (depth < hidden).astype(np.uint8)
+
+
+def keypoint_detections(scene: Scene, view: int, noise_px: float = 4.0) -> Array:
+    """Simulate BODY_25 detections of the subject in one camera's own (distorted) images.
+
+    scene: the filmed scene.
+    view: index of the camera.
+    noise_px: sd of the noise at a person 250 px tall; it grows with the person's size.
+    Returns: (T, 25, 3) = (u px, v px, confidence), 0 where missing.
+
+    The noise is half white, half slow, because detectors make similar errors in neighbouring frames. 2 % of the points
+    are off by ten times the noise, with low confidence; 2 % are missing. Systematic offsets of detectors and left-right
+    swaps are not simulated.
+    """
+    p, camera = scene.performance, scene.rig[view]
+    t = np.array([scene.shown(view, k) for k in range(len(scene))])
+    world = keypoint_places(scene.subject, p.rotations[t], p.joints[t])
+    uv = camera.project(world)
+    rng = np.random.default_rng([scene.seed, 100, view])
+    height = np.nanmax(uv[..., 1], axis=1) - np.nanmin(uv[..., 1], axis=1)
+    sd = noise_px * height[:, None] / 250.0
+    knots = rng.normal(size=(len(t) // 8 + 3, len(BODY_25), 2))
+    at = np.arange(len(t)) / 8
+    low = at.astype(int)
+    s = (at - low)[:, None, None]
+    slow = ((1 - s) * knots[low] + s * knots[low + 1]) / np.sqrt((1 - s) ** 2 + s**2)
+    white = rng.normal(size=uv.shape)
+    wild = rng.random(uv.shape[:2]) < 0.02
+    error = (slow + white) / np.sqrt(2) * np.where(wild, 10.0, 1.0)[..., None]
+    points = uv + sd[..., None] * error
+    confidence = np.clip(rng.normal(0.8, 0.08, uv.shape[:2]) - 0.45 * wild, 0.05, 1.0)
+    w, h = camera.size
+    inside = np.isfinite(points).all(-1) & (points >= 0).all(-1) & (points < [w, h]).all(-1)
+    dead = np.array([scene.dead(view, k) for k in range(len(scene))])
+    seen = inside & (rng.random(uv.shape[:2]) > 0.02) & ~dead[:, None]
+    return np.where(seen[..., None], np.concatenate([points, confidence[..., None]], -1), 0.0)
 
 
 def make_scene(

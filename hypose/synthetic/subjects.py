@@ -99,19 +99,10 @@ class SyntheticSubject:
 
 @lru_cache(maxsize=1)
 def load_subjects() -> dict[str, SyntheticSubject]:
-    """Load the shipped subjects by name.
-
-    Raises: InputError where the asset is missing from the installation.
-    """
+    """Load the shipped subjects by name."""
     file = resources.files("hypose.assets").joinpath("subjects.npz")
-    try:
-        with file.open("rb") as stream:
-            data = dict(np.load(stream, allow_pickle=False))
-    except FileNotFoundError:
-        raise InputError(
-            "The synthetic subjects (hypose/assets/subjects.npz) are missing from this installation; "
-            "install hypose again."
-        ) from None
+    with file.open("rb") as stream:
+        data = dict(np.load(stream, allow_pickle=False))
     vertices = np.cumsum(data["vertices_step"], axis=0) * float(data["vertex_scale"])  # stored as differences
     out = {}
     for k, name in enumerate(data["names"].tolist()):

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -24,12 +25,18 @@ from hypose.io.files import atomic_path, write_text
 from hypose.io.recordings.recording import Recording, ViewSettings, write_recording
 from hypose.io.sensors.depth import write_depth_png
 from hypose.io.videos.video import VideoWriter
-from hypose.synthetic.corruptions import keypoint_detections
 from hypose.synthetic.depth_scenes import DepthScene, depth_rig, depth_scene, to_profile, turning
 from hypose.synthetic.motions import act
 from hypose.synthetic.render_rgb import LIGHT
-from hypose.synthetic.scenes import Scene
+from hypose.synthetic.scenes import Scene, keypoint_detections
 from hypose.synthetic.subjects import dress, load_subjects
+
+_Progress = Callable[[int, int], None]
+"""Function that is called with the numbers of steps done and in total."""
+
+
+def _silent(done: int, total: int) -> None:
+    """Report nothing."""
 
 
 def check_folder(folder: Path) -> None:
@@ -44,12 +51,7 @@ def check_folder(folder: Path) -> None:
             raise InputError(f"The folder {folder} holds other files; give an empty or new folder.")
 
 
-def write_truth(scene: Scene, folder: Path) -> None:
-    """Write the truth of a scene to a folder (`save_truth`)."""
-    save_truth(folder, scene.times, scene.joints, scene.rotations, scene.subject.stature)
-
-
-def save_truth(folder: Path, times: Array, joints: Array, rotations: Array, stature: float) -> None:
+def write_truth(scene: Scene | DepthScene, folder: Path) -> None:
     """Write truth.npz: times (T,) s, joints (T, 19, 3) m, rotations (T, 19, 3, 3), joint_names, stature m.
 
     Write it first, because `check_folder` recognises an unfinished folder by it.
@@ -57,11 +59,11 @@ def save_truth(folder: Path, times: Array, joints: Array, rotations: Array, stat
     with atomic_path(folder / "truth.npz") as temporary, open(temporary, "wb") as file:
         np.savez_compressed(
             file,
-            times=times,
-            joints=joints,
-            rotations=rotations,
+            times=scene.times,
+            joints=scene.joints,
+            rotations=scene.rotations,
             joint_names=np.array(JOINT_NAMES),
-            stature=np.array(stature),
+            stature=np.array(scene.subject.stature),
         )
 
 
@@ -72,7 +74,7 @@ def write_scene(
     background_frames: int = 25,
     keypoints: bool = False,
     keypoint_noise_px: float = 4.0,
-    progress: Callable[[int, int], None] | None = None,
+    progress: _Progress = _silent,
 ) -> Path:
     """Write a scene to a folder as a recording.
 
@@ -90,7 +92,7 @@ def write_scene(
     for sub in ("videos", "background"):
         (folder / sub).mkdir(exist_ok=True)
     rig = CameraRig(tuple(_even(c) for c in scene.given_rig))
-    total, done = len(rig) * (len(scene) + background_frames), 0
+    step = _counter(progress, len(rig) * (len(scene) + background_frames))
     views = []
     for c, camera in enumerate(rig):
         size = camera.size
@@ -100,12 +102,7 @@ def write_scene(
             (background, iter(scene.background_frames(c, background_frames))),
             (video, scene.rgb_frames(c)),
         ):
-            with VideoWriter(path, scene.frame_rate, size) as writer:
-                for picture in pictures:
-                    writer.write(picture[: size[1], : size[0]])
-                    done += 1
-                    if progress is not None:
-                        progress(done, total)
+            _write_video(path, scene.frame_rate, size, pictures, step)
         pose = None
         if keypoints:
             pose = folder / "pose" / f"{name}_json"
@@ -126,6 +123,22 @@ def write_scene(
         n_frames=len(scene),
     )
     return write_recording(recording, folder)
+
+
+def _counter(progress: _Progress, total: int) -> Callable[[], None]:
+    """Make a function that reports one more step of `total` at each call."""
+    done = itertools.count(1)
+    return lambda: progress(next(done), total)
+
+
+def _write_video(
+    path: Path, frame_rate: float, size: tuple[int, int], pictures: Iterable[Image], step: Callable[[], None]
+) -> None:
+    """Write pictures as a video, cut to a size (width and height, px); `step` is called after each one."""
+    with VideoWriter(path, frame_rate, size) as writer:
+        for picture in pictures:
+            writer.write(picture[: size[1], : size[0]])
+            step()
 
 
 def _even(camera: Camera) -> Camera:
@@ -156,9 +169,7 @@ def walking_scene(
     return depth_scene(turning(performance, body, heading), body, depth_rig(sensors), seed=seed)
 
 
-def write_depth_scene(
-    scene: DepthScene, folder: str | Path, progress: Callable[[int, int], None] | None = None
-) -> Path:
+def write_depth_scene(scene: DepthScene, folder: str | Path, progress: _Progress = _silent) -> Path:
     """Write a scene of depth sensors to a folder as a recording.
 
     folder: gets depth/NAME/ and background/NAME/ with 16-bit PNG in millimetres, calibration.toml, recording.toml and
@@ -167,8 +178,8 @@ def write_depth_scene(
     Returns: path of recording.toml.
     """
     folder = Path(folder)
-    save_truth(folder, scene.times, scene.joints, scene.rotations, scene.subject.stature)
-    total, done = len(scene.rig) * (len(scene) + EMPTY_FRAMES), 0
+    write_truth(scene, folder)
+    step = _counter(progress, len(scene.rig) * (len(scene) + EMPTY_FRAMES))
     views = []
     for c, camera in enumerate(scene.rig):
         depth, empty = folder / "depth" / camera.name, folder / "background" / camera.name
@@ -176,9 +187,7 @@ def write_depth_scene(
             target.mkdir(parents=True, exist_ok=True)
             for t in range(count):
                 write_depth_png(target / f"{t:06d}.png", make(c, t))
-                done += 1
-                if progress is not None:
-                    progress(done, total)
+                step()
         views.append(ViewSettings(camera.name, depth=depth, background=empty))
     recording = Recording(
         folder, scene.name, scene.rig, tuple(views), scene.frame_rate, None, keypoint_set=None, n_frames=len(scene)
@@ -275,7 +284,7 @@ places.
 """
 
 
-def write_session(scene: Scene, folder: str | Path, *, progress: Callable[[int, int], None] | None = None) -> Path:
+def write_session(scene: Scene, folder: str | Path, *, progress: _Progress = _silent) -> Path:
     """Write the videos of a film session: a carried board, the empty room, and the person.
 
     scene: the scene.
@@ -289,21 +298,16 @@ def write_session(scene: Scene, folder: str | Path, *, progress: Callable[[int, 
     write_truth(scene, folder)
     poses = carried_board(BOARD, np.random.default_rng([scene.seed, 31]))
     empty = round(_EMPTY_S * scene.frame_rate)
-    total, done = len(scene.rig) * (len(poses) + empty + len(scene)), 0
+    step = _counter(progress, len(scene.rig) * (len(poses) + empty + len(scene)))
     for c, camera in enumerate(scene.rig):
-        w, h = (n // 2 * 2 for n in camera.size)
         for name, pictures in (
             ("board", _boards(scene, c, poses)),
             ("empty", scene.background_frames(c, empty)),
             ("walk", scene.rgb_frames(c)),
         ):
             (folder / name).mkdir(exist_ok=True)
-            with VideoWriter(folder / name / f"{file_name(camera.name)}.mp4", scene.frame_rate, (w, h)) as writer:
-                for picture in pictures:
-                    writer.write(picture[:h, :w])
-                    done += 1
-                    if progress is not None:
-                        progress(done, total)
+            path = folder / name / f"{file_name(camera.name)}.mp4"
+            _write_video(path, scene.frame_rate, _even(camera).size, pictures, step)
     return folder
 
 

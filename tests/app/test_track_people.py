@@ -8,8 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from hypose.synthetic.corruptions import keypoint_detections
-from hypose.synthetic.scenes import camera_rig, make_scene
+from hypose.synthetic.scenes import camera_rig, keypoint_detections, make_scene
 from hypose.synthetic.write_recording import write_scene
 from tests.standing_people import name_people, standing_at, where
 

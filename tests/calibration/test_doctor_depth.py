@@ -76,9 +76,9 @@ def test_the_doctor_names_what_depth_says_and_not_what_its_masks_make_of_it():
     frames = frames_of(count=8)
     wrong = [mirrored(f.depth, [0, 1]) for f in frames]
     masks = [replace(f.silhouettes, masks=f.silhouettes.masks[:, :, ::-1].copy()) for f in frames]
-    report = examine(Observed(frames[0].depth.rig, silhouettes=masks, depths=wrong))
+    report = examine(Observed(frames[0].depth.rig, silhouettes=masks, depths=wrong))[0]
     assert not report.healthy and len(report.findings) == 1 and "mirrored" in report.findings[0].text
-    right = examine(Observed(frames[0].depth.rig, silhouettes=[f.silhouettes for f in frames]))
+    right = examine(Observed(frames[0].depth.rig, silhouettes=[f.silhouettes for f in frames]))[0]
     assert "mirrored" not in str(right.findings)
 
 
@@ -88,9 +88,11 @@ def test_one_camera_is_examined_by_its_floor():
     lower = se3(np.eye(3), np.array([0, 0, 0.9]))
     low = CameraRig((replace(rig[0], camera_from_world=rig[0].camera_from_world @ lower),))
     silhouettes = [f.silhouettes for f in frames]
-    found = examine(Observed(low, silhouettes=silhouettes, depths=[replace(f.depth, rig=low) for f in frames])).findings
+    found = examine(Observed(low, silhouettes=silhouettes, depths=[replace(f.depth, rig=low) for f in frames]))[
+        0
+    ].findings
     assert [f.kind for f in found] == ["floor"] and found[0].fault
-    assert examine(Observed(rig, silhouettes=silhouettes, depths=[f.depth for f in frames])).healthy
+    assert examine(Observed(rig, silhouettes=silhouettes, depths=[f.depth for f in frames]))[0].healthy
 
 
 @pytest.mark.parametrize("often", [1.0, 0.8])

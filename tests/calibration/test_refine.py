@@ -147,7 +147,6 @@ def test_silhouettes_alone_bring_a_turned_camera_back(rng):
     before, after = (np.median([c.image_px for c in changes(true, r, person)]) for r in (off, back))
     worst_before, worst_after = (np.max([c.image_px for c in changes(true, r, person)]) for r in (off, back))
     assert worst_after < 0.35 * worst_before and after < 1.5, (before, after, worst_before, worst_after)
-    assert found.cost < found.cost_before
 
 
 def test_no_evidence_is_told():

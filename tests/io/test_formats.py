@@ -11,13 +11,13 @@ from hypose.geometry import se3, so3_exp
 from hypose.io.calibrations.calibration_formats import CALIBRATIONS, read_any, write_any
 from hypose.io.keypoints.keypoint_files import KEYPOINTS
 from hypose.io.keypoints.read_keypoints import read_keypoints
-from hypose.io.motions.export import MOTIONS, export_motion
+from hypose.io.motions.export import MOTION_FILES, export_motion
 from hypose.io.sensors.skeleton_files import SKELETONS, read_skeletons
 from hypose.pipeline.comparison import read_other
 from scripts.formats_page import formats_page
 from scripts.fuzz_targets import targets, write_good
 
-TABLES = {"calibration": CALIBRATIONS, "keypoints": KEYPOINTS, "motion": MOTIONS, "skeleton": SKELETONS}
+TABLES = {"calibration": CALIBRATIONS, "keypoints": KEYPOINTS, "motion": MOTION_FILES, "skeleton": SKELETONS}
 SAMPLES = [t for t in targets().values() if t.name.split("-")[0] in TABLES and t.name != "calibration-points"]
 NOT_SAMPLED = {"OpenPose (one frame)"}
 """Formats that are recognised only to say what to give instead."""
@@ -53,7 +53,7 @@ def numbers(kind, path):
             (name, n): np.asarray(table.people[n]) for name, table in found.items() for n in list(table.people)[:30]
         }
     if kind == "motion":
-        found = MOTIONS.read(path)
+        found = MOTION_FILES.read(path)
         if isinstance(found, tuple):
             return dict(zip(found[1], found[2].T, strict=True))
         points = getattr(found, "points", getattr(found, "joints", None))
@@ -84,7 +84,7 @@ def test_what_is_written_comes_back(tmp_path, rng, small_motion, small_body, tab
             assert a.size == b.size
             for name in ("K", "distortion", "camera_from_world"):
                 np.testing.assert_allclose(getattr(a, name)[:5], getattr(b, name)[:5], atol=one.precision)
-    elif table is MOTIONS:
+    elif table is MOTION_FILES:
         path, *_ = export_motion(small_motion, small_body, tmp_path, [one.name])
         back = read_other(path)
         np.testing.assert_allclose(np.diff(back.times), np.diff(small_motion.times), atol=1e-6)

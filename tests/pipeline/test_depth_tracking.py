@@ -202,7 +202,7 @@ def test_places_are_refined_by_the_measured_points(rng):
     at = np.array([0, 0, 1.0])
     before = place_error(off[1], true[1], at)
     found = refine_registration(body, np.stack(poses), seen, off)
-    after = place_error(found.camera_from_world[1], true[1], at)
+    after = place_error(found[1], true[1], at)
     assert before[1] > 0.04 and after[1] < 0.008
     assert before[0] > 2 and after[0] < 0.3
     assert np.array_equal(found.camera_from_world[0], true[0])

@@ -6,8 +6,7 @@ import pytest
 from hypose.evidence.keypoints import BODY_25
 from hypose.io.recordings.recording import load_recording
 from hypose.io.videos.video import VideoReader
-from hypose.synthetic.corruptions import keypoint_detections
-from hypose.synthetic.scenes import make_scene
+from hypose.synthetic.scenes import keypoint_detections, make_scene
 from hypose.synthetic.write_recording import write_scene
 
 

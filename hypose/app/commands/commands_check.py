@@ -139,7 +139,7 @@ def _refine(loaded: Recording, cured: Cured | None, c: CheckCommand) -> None:
     say(f"Use it: hypose track {loaded.folder} --calibration {target}")
     if cured is not None:
         for text in _settings(loaded, cured):
-            say(f"In recording.toml besides: {text}")
+            say(f"Also set in recording.toml: {text}")
 
 
 def _tell(result: Refinement) -> bool:

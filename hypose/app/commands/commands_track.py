@@ -114,7 +114,7 @@ def batch(
     threads: Annotated[int | None, Option("Threads of each worker. [default: the cores shared]", 1, 256)] = None,
     scheduler: Annotated[str | None, Option("Address of a running Dask scheduler, tcp://HOST:8786, instead.")] = None,
     out: Annotated[
-        Path | None, Option("Results folder. [default: TABLE-results beside the table, else batch-results]")
+        Path | None, Option("Results folder. [default: TABLE-results next to the table, else batch-results]")
     ] = None,
     formats: Formats = "trc,csv",
     overlay: Annotated[bool, Option("Write overlay.mp4 as well.")] = False,

@@ -18,7 +18,7 @@ from hypose.app.reports.result_pictures import (
     open_images,
     tile_layout,
 )
-from hypose.calibration.diagnostics import Cured, PersonReport, examine_and_cure
+from hypose.calibration.diagnostics import Cured, PersonReport, examine
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.frame import Silhouettes
 from hypose.evidence.hull import hull_iou, visual_hull
@@ -143,7 +143,7 @@ def examine_recording(
     observed = observe_recording(recording, frames, progress)
     progress("doctor", 0, 1)
     try:
-        report, cured = examine_and_cure(observed)
+        report, cured = examine(observed)
     except EvidenceError:  # without any evidence there is nothing more to report
         return None, None
     finally:

@@ -230,7 +230,7 @@ class CameraTopic(LiveTopic):
         """Start live tracking. The message has these fields:
 
         recording: id of a recording with calibrated cameras.
-        sources: addresses by camera name; empty: its videos are played.
+        sources: addresses by camera name; empty: its videos are played, again and again unless they are recorded.
         countdown: time before the empty room is learned, s.
         people: most people that are tracked.
         record, osc, vmc: as for the fusion.
@@ -242,9 +242,10 @@ class CameraTopic(LiveTopic):
         ws = whole(message.get("ws", 0), "the ws port", 0, 65535)
         people = whole(message.get("people", 1), "the number of people", 1, SETTINGS.engine_most_people)
         osc, vmc = _target(message, "osc", 9000), _target(message, "vmc", 39539)
-        cameras = await run_in_threadpool(live_rig, recording.path, sources, rate)
+        recorded = message.get("record") is True
+        cameras = await run_in_threadpool(live_rig, recording.path, sources, rate, not recorded)
         names = tuple(v.name for v in cameras.views)
-        record = recording_folder(self._catalog, _FOLDER, "cameras") if message.get("record") is True else None
+        record = recording_folder(self._catalog, _FOLDER, "cameras") if recorded else None
         recorder = None
         async with contextlib.AsyncExitStack() as undone:  # undo the beginning where a later part fails
             outputs = PoseOutputs(names, cameras.rate, ws=ws, osc=osc, vmc=vmc, clock=time.monotonic)

@@ -104,7 +104,7 @@ class Results:
         """
         folder = self._catalog.recording_of(item.path)
         if folder is None:
-            raise NotFound("The result has no recording beside it, so there are no pictures of it.")
+            raise NotFound("The result is in no recording's folder, so there are no pictures of it.")
         facts = self.head(item)  # the motion itself, which may be large, is not needed
         frames = facts["first_frame"], facts["frames"]
         return self._pictures.use(

@@ -151,7 +151,7 @@ def _osim(motion: Motion, body: Body, folder: Path) -> list[Path]:
 
 
 _POSES = "needs poses: joint positions alone are not enough"
-MOTIONS = FormatTable(
+MOTION_FILES = FormatTable(
     "a motion",
     "give results of hypose, .c3d, .trc, .mot or .sto",
     (
@@ -188,7 +188,7 @@ MOTIONS = FormatTable(
 )
 """Motions: readers of a source that return Markers, the columns of `read_mot`, or a Motion; writers of motion and body
 to a folder, which return the written files."""
-_WRITERS = {f.name: f for f in MOTIONS.formats if f.write is not None}
+_WRITERS = {f.name: f for f in MOTION_FILES.formats if f.write is not None}
 MOTION_FORMATS = tuple(name for name in _WRITERS if name != "rrd")
 """Names of the formats that are written by default; those that need an extra are written on request only."""
 
