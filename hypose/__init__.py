@@ -18,6 +18,7 @@ _PLACES = {
     "track": "hypose.pipeline.track",
     "TrackOptions": "hypose.pipeline.track_options",
     "TrackResult": "hypose.pipeline.run",
+    "load_result": "hypose.pipeline.run:load_tracked",
     # a motion and its files
     "Motion": "hypose.body.motion",
     "load_motion": "hypose.io.motions.results",

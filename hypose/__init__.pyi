@@ -25,8 +25,8 @@ from hypose.inference.layer import Layer as Layer
 from hypose.inference.layer import Recipe as Recipe
 from hypose.inference.layer import search as search
 from hypose.inference.layer import stream as stream
-from hypose.io.calibrations.calibration_formats import read_any as read_calibration
-from hypose.io.calibrations.calibration_formats import write_any as write_calibration
+from hypose.io.calibrations.calibration_formats import read_any as _read_calibration
+from hypose.io.calibrations.calibration_formats import write_any as _write_calibration
 from hypose.io.motions.export import export_motion as export_motion
 from hypose.io.motions.results import load_body as load_body
 from hypose.io.motions.results import load_motion as load_motion
@@ -35,8 +35,9 @@ from hypose.io.motions.results import save_motion as save_motion
 from hypose.io.recordings.recording import Recording as Recording
 from hypose.io.recordings.recording import load_recording as load_recording
 from hypose.io.sensors.skeleton_files import read_skeletons as read_skeletons
-from hypose.pipeline.gesture_files import load_model as load_gesture_model
+from hypose.pipeline.gesture_files import load_model as _load_gesture_model
 from hypose.pipeline.run import TrackResult as TrackResult
+from hypose.pipeline.run import load_tracked as _load_result
 from hypose.pipeline.track import track as track
 from hypose.pipeline.track_loop import FrameList as FrameList
 from hypose.pipeline.track_options import TrackOptions as TrackOptions
@@ -46,6 +47,11 @@ from hypose.tracking.recipes import recipe as recipe
 from hypose.tracking.refinement import pose_mean as pose_mean
 from hypose.tracking.tracker import Tracker as Tracker
 from hypose.tracking.tracker import TrackerSettings as TrackerSettings
+
+read_calibration = _read_calibration
+write_calibration = _write_calibration
+load_gesture_model = _load_gesture_model
+load_result = _load_result
 
 __version__: str
 __all__: list[str]

@@ -2,7 +2,7 @@
 
 benchmarks.md and accuracy.md from kept figures, licences.md from installed packages, and images/architecture.svg from
 imports. --check writes nothing; exit code 1 when a number of a page of figures differs, whatever its words. The pages
-api.md and commands.md are made by the site's build (scripts/site_files.py).
+api.md, commands.md and formats.md are made by the site's build (scripts/site_files.py).
 """
 
 from __future__ import annotations

@@ -8,12 +8,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
 from benchmarks.robustness.keypoint_layouts import LAYOUTS, detections, write_keypoints
 from benchmarks.robustness.small_recordings import small_scene, write_gesture_session, write_masks, write_skeletons
 from hypose.cameras.camera import CameraRig
 from hypose.fusion.joints import COMMON
+from hypose.geometry import so3_log
 from scripts import fuzz_names, fuzz_servers
 
 
@@ -37,48 +39,24 @@ def targets() -> dict[str, Target]:
     from hypose.app.batch import read_table
     from hypose.calibration.from_points import read_scene_points
     from hypose.evidence.keypoints import BODY_25, parse_openpose
-    from hypose.io.calibrations import calibration_formats
-    from hypose.io.motions import c3d, marker_files, meshes, results
+    from hypose.io.motions import meshes, results
     from hypose.io.recordings import recording
     from hypose.io.sensors.depth import read_depth_png
-    from hypose.io.sensors.skeleton_files import read_skeletons
     from hypose.io.sensors.skeleton_streams import parse_line
     from hypose.io.videos import video
     from hypose.pipeline.gesture_files import load_model, read_recording
 
-    cameras = calibration_formats.read_any
     found = [
-        Target("calibration-toml", "rig/calibration.toml", cameras),
-        Target("calibration-caliscope", "rig/caliscope/camera_array.toml", cameras),
-        Target("calibration-yml", "rig/easymocap/extri.yml", cameras),
-        Target("calibration-yml-lenses", "rig/easymocap/intri.yml", cameras, given="rig/easymocap/extri.yml"),
-        Target("calibration-qca", "rig/rig.qca.txt", cameras),
-        Target("calibration-xcp", "rig/rig.xcp", cameras),
-        Target("calibration-opencap", "rig/opencap/cam1.pickle", cameras, "binary"),
-        Target("calibration-json", "rig/rig.json", cameras),
-        Target("calibration-mcal", "rig/rig.mcal", cameras),
-        Target("calibration-projections", "rig/projections.txt", cameras),
-        Target("calibration-biocv", "rig/biocv.calib", cameras),
-        Target("mot", "motion/motion.mot", marker_files.read_mot),
+        *_of_tables(),
         Target("calibration-points", "points.toml", read_scene_points),
         Target("recording-toml", "walk/recording.toml", recording.load_recording, given="walk"),
         Target("batch-table", "study.csv", read_table),
-        *_of_keypoints(),
         Target("openpose-json", "pose.json", lambda b: parse_openpose(b, BODY_25, "pose.json"), lines=True),
-        Target("trc", "motion/motion.trc", marker_files.read_trc),
-        Target("c3d", "motion/motion.c3d", c3d.read_c3d, "binary"),
-        Target("motion-npz", "motion/motion.npz", results.load_motion, "npz"),
         Target("body-npz", "motion/body.npz", results.load_body, "npz"),
         Target("checkpoint-npz", "motion/checkpoint.npz", lambda p: results.Checkpoint.load(p, {}), "npz"),
         Target("gesture-model", "model.npz", load_model, "npz"),
         Target("gesture-session", "session/session.json", read_recording, given="session"),
         Target("gesture-frames", "session/frames.csv", read_recording, given="session"),
-        Target("skeleton-session", "sensors/session.json", read_skeletons, given="sensors"),
-        Target("skeleton-frames", "sensors/frames.csv", read_skeletons, given="sensors"),
-        Target("skeleton-bodies", "sensors/skeleton.csv", read_skeletons, given="sensors"),
-        Target("skeleton-lines", "people.jsonl", read_skeletons),
-        Target("skeleton-kinect", "kinect.csv", read_skeletons),
-        Target("skeleton-ntu", "S001C001P001R001A001.skeleton", read_skeletons),
         Target("live-line", "line.json", parse_line, lines=True),
         Target("live-server", "line.json", _live(), lines=True),
         Target("mesh-obj", "person.obj", meshes.read_person),
@@ -94,32 +72,74 @@ def targets() -> dict[str, Target]:
     return {t.name: t for t in found}
 
 
-_KEYPOINTS = {
-    "openpose": ("openpose/cam1_json/cam1_000000.json", "openpose/cam1_json"),
-    "mmpose-results": ("mmpose-results/results_cam1.json", ""),
-    "mmpose-predictions": ("mmpose-predictions/cam1.json", ""),
-    "coco-results": ("coco-results/cam1_results.json", ""),
-    "alphapose": ("alphapose/cam1/alphapose-results.json", ""),
-    "easymocap": ("easymocap/annots/cam1/000000.json", "easymocap/annots/cam1"),
-    "ultralytics": ("ultralytics/cam1/labels/cam1_1.txt", "ultralytics/cam1/labels"),
-    "deeplabcut-csv": ("deeplabcut-csv/cam1DLC_resnet50_humanMay1shuffle1_100000.csv", ""),
-    "sleap-csv": ("sleap-csv/cam1.analysis.csv", ""),
-    "caliscope": ("caliscope/POSE/xy_POSE.csv", ""),
-    "freemocap": ("freemocap/mediapipe_2dData_numCams_numFrames_numTrackedPoints_pixelXY.npy", ""),
+_TABLES = {
+    "calibration": {
+        "toml": ("calibration.toml", ""),
+        "caliscope": ("caliscope/camera_array.toml", ""),
+        "yml": ("easymocap/extri.yml", ""),
+        "yml-lenses": ("easymocap/intri.yml", "easymocap/extri.yml"),
+        "folder-yml": ("easymocap/intri.yml", "easymocap"),
+        "kalibr": ("camchain.yaml", ""),
+        "opencv": ("lenses/cam1.xml", ""),
+        "opencv-folder": ("lenses/cam1.xml", "lenses"),
+        "qca": ("rig.qca.txt", ""),
+        "xcp": ("rig.xcp", ""),
+        "opencap": ("opencap/cam1.pickle", ""),
+        "json": ("rig.json", ""),
+        "mcal": ("rig.mcal", ""),
+        "projections": ("projections.txt", ""),
+        "biocv": ("biocv.calib", ""),
+    },
+    "keypoints": {
+        "openpose": ("openpose/cam1_json/cam1_000000.json", "openpose/cam1_json"),
+        "mmpose-results": ("mmpose-results/results_cam1.json", ""),
+        "mmpose-predictions": ("mmpose-predictions/cam1.json", ""),
+        "coco-results": ("coco-results/cam1_results.json", ""),
+        "alphapose": ("alphapose/cam1/alphapose-results.json", ""),
+        "alphapose-cmu": ("alphapose-cmu.json", ""),
+        "easymocap": ("easymocap/annots/cam1/000000.json", "easymocap/annots/cam1"),
+        "ultralytics": ("ultralytics/cam1/labels/cam1_1.txt", "ultralytics/cam1/labels"),
+        "deeplabcut-csv": ("deeplabcut-csv/cam1DLC_resnet50_humanMay1shuffle1_100000.csv", ""),
+        "sleap-csv": ("sleap-csv/cam1.analysis.csv", ""),
+        "caliscope": ("caliscope/POSE/xy_POSE.csv", ""),
+        "freemocap": ("freemocap/mediapipe_2dData_numCams_numFrames_numTrackedPoints_pixelXY.npy", ""),
+    },
+    "motion": {
+        "trc": ("motion.trc", ""),
+        "c3d": ("motion.c3d", ""),
+        "mot": ("motion.mot", ""),
+        "npz": ("motion.npz", ""),
+    },
+    "skeleton": {
+        "session": ("sensors/session.json", "sensors"),
+        "frames": ("sensors/frames.csv", "sensors"),
+        "bodies": ("sensors/skeleton.csv", "sensors"),
+        "lines": ("people.jsonl", ""),
+        "kinect": ("kinect.csv", ""),
+        "ntu": ("S001C001P001R001A001.skeleton", ""),
+        "azure": ("offline.json", ""),
+    },
 }
-"""Layout -> the file that is spoilt, and what is read instead of it."""
+"""Samples of the formats by table: name -> the file that is spoilt, and what is read instead of it."""
+_BINARY = (".npy", ".pickle", ".c3d")
 
 
-def _of_keypoints() -> list[Target]:
+def _of_tables() -> list[Target]:
+    from hypose.io.calibrations.calibration_formats import read_any
+    from hypose.io.motions.export import MOTION_FILES
+    from hypose.io.sensors.skeleton_files import read_skeletons
+
+    reads = {"calibration": read_any, "keypoints": _keypoints, "motion": MOTION_FILES.read, "skeleton": read_skeletons}
     return [
         Target(
-            f"keypoints-{name}",
-            f"keypoints/{file}",
-            _keypoints,
-            "binary" if file.endswith(".npy") else "text",
-            f"keypoints/{given}" if given else "",
+            f"{table}-{name}",
+            f"{table}/{file}",
+            reads[table],
+            "npz" if file.endswith(".npz") else "binary" if file.endswith(_BINARY) else "text",
+            f"{table}/{given}" if given else "",
         )
-        for name, (file, given) in _KEYPOINTS.items()
+        for table, samples in _TABLES.items()
+        for name, (file, given) in samples.items()
     ]
 
 
@@ -203,11 +223,11 @@ def write_good(folder: Path) -> None:
     rng = np.random.default_rng(5)
     cameras = CameraRig(camera_rig("humaneva-4", distorted=True).scaled(0.25).cameras[:2])
     for name in ("calibration.toml", "caliscope/camera_array.toml", "easymocap/extri.yml"):
-        write_any(cameras, folder / "rig" / name)
-    write_any(cameras, folder / "rig" / "opencap" / "cam1.pickle")
-    _write_calibrations(cameras, folder / "rig")
+        write_any(cameras, folder / "calibration" / name)
+    write_any(cameras, folder / "calibration" / "opencap" / "cam1.pickle")
+    _write_calibrations(cameras, folder / "calibration")
     write_masks(small_scene(1, 2), folder / "walk")
-    write_skeletons(folder / "sensors", seconds=0.5)
+    write_skeletons(folder / "skeleton" / "sensors", seconds=0.5)
     body = human()
     poses = np.zeros((4, body.skeleton.dof)) + 0.01 * rng.standard_normal((4, body.skeleton.dof))
     joints, flags = body.joints(poses), np.zeros(4, bool)
@@ -229,7 +249,7 @@ def write_good(folder: Path) -> None:
     learner = Learner.new(np.random.default_rng(0), ForestSettings())
     model = GestureModel(("wave",), learner.forest, (None,), LocaliseSettings(), learner)
     save_model(model, folder / "model.npz")
-    for layout in _KEYPOINTS:
+    for layout in _TABLES["keypoints"].keys() & LAYOUTS.keys():
         kind = LAYOUTS[layout][0]
         write_keypoints(layout, folder / "keypoints" / layout, detections(kind, cameras, 4), cameras, kind)
     _write_texts(folder)
@@ -258,6 +278,17 @@ def _write_calibrations(cameras: CameraRig, folder: Path) -> None:
     turn = " ".join(f'r{i}{j}="{int(i == j)}"' for i in (1, 2, 3) for j in (1, 2, 3))
     lens = 'focalLengthU="9600" focalLengthV="9600" centerPointU="5120" centerPointV="3840" '
     lens += 'radialDistortion1="0" radialDistortion2="0" tangentalDistortion1="0" tangentalDistortion2="0"'
+    entries = f"  T_cn_cnm1: {np.eye(4).tolist()}\n  intrinsics: [150, 150, 80, 60]\n  resolution: [160, 120]\n"
+    (folder / "camchain.yaml").write_text("".join(f"{c.name}:\n{entries}" for c in cameras))
+    (folder / "lenses").mkdir()
+    for c in cameras:
+        storage = cv2.FileStorage(str(folder / "lenses" / f"{c.name}.xml"), cv2.FILE_STORAGE_WRITE)
+        storage.write("image_width", c.size[0])
+        storage.write("image_height", c.size[1])
+        storage.write("camera_matrix", c.K)
+        storage.write("rvec", so3_log(c.camera_from_world[:3, :3]))
+        storage.write("tvec", c.camera_from_world[:3, 3])
+        storage.release()
     (folder / "rig.qca.txt").write_text(
         '<calibration><cameras><camera model="none" serial="1"><fov_video left="0" top="0" right="159" bottom="119"/>'
         f'<transform x="1" y="2" z="3" {turn}/><intrinsic {lens}/></camera></cameras></calibration>'
@@ -279,14 +310,23 @@ def _write_texts(folder: Path) -> None:
     (folder / "points.toml").write_text("\n".join(lines) + "\n")
     (folder / "study.csv").write_text("recording,name,recipe,seed,height\nwalk,a,sir,0,1.8\nwalk,a,,1,\n")
     person = {"person_id": [-1], "pose_keypoints_2d": [1.5, 2.5, 0.9] * 25}
+    bodies = {f"{t}.jpg": {"bodies": [{"joints": [10.0 + t, 20.0, 0.9] * 18}]} for t in range(4)}
+    (folder / "keypoints" / "alphapose-cmu.json").write_text(json.dumps(bodies))
     (folder / "pose.json").write_text(json.dumps({"version": 1.3, "people": [person, person]}))
     joints = {n: [0.1, 0.1 * k, 2.0, 2] for k, n in enumerate(COMMON)}
     line = json.dumps({"sensor": "s0", "time": 1.25, "person": 0, "joints": joints})
     (folder / "line.json").write_text(line)
-    (folder / "people.jsonl").write_text("\n".join(line.replace("1.25", f"{t / 30:.4f}") for t in range(8)) + "\n")
+    lines = [line.replace("1.25", f"{t / 30:.4f}") + "\n" for t in range(8)]
+    (folder / "skeleton" / "people.jsonl").write_text("".join(lines))
+    azure = [
+        {"timestamp_usec": 40_000 * t, "bodies": [{"body_id": 1, "joint_positions": [[100.0, 200.0, 2000.0 + t]] * 4}]}
+        for t in range(8)
+    ]
+    document = {"joint_names": ["HEAD", "NECK", "PELVIS", "NOSE"], "frames": azure}
+    (folder / "skeleton" / "offline.json").write_text(json.dumps(document))
     header = "Tracker_Time,Kinect_Id,Person_Id,Head_X,Head_Y,Head_Z,Neck_X,Neck_Y,Neck_Z"
     rows = [f"{33 * t},{t % 2},0,0.1,0.2,2.0,0.1,0.0,2.0" for t in range(12)]
-    (folder / "kinect.csv").write_text("\n".join([header, *rows]) + "\n")
+    (folder / "skeleton" / "kinect.csv").write_text("\n".join([header, *rows]) + "\n")
     joint = "0.1 0.2 3.0 0 0 0 0 0 0 0 1 2"
     frame = "\n".join(["1", "72057594037944738 0 1 1 0 0 0 0.1 0.2 2", "25", *[joint] * 25])
-    (folder / "S001C001P001R001A001.skeleton").write_text("\n".join(["3", frame, frame, frame]) + "\n")
+    (folder / "skeleton" / "S001C001P001R001A001.skeleton").write_text("\n".join(["3", frame, frame, frame]) + "\n")

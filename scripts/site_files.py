@@ -11,8 +11,9 @@ from mkdocs.structure.pages import Page
 
 from scripts.api_page import api_page
 from scripts.commands_page import commands_page
+from scripts.formats_page import formats_page
 
-MADE = {"api.md": api_page, "commands.md": commands_page}
+MADE = {"api.md": api_page, "commands.md": commands_page, "formats.md": formats_page}
 """Pages by name that are not kept, so that they cannot become outdated."""
 _OUTSIDE = re.compile(r"\]\(\.\./(CHANGELOG\.md|CONTRIBUTING\.md|examples/[^)#]+|benchmarks/results/[^)#]+)")
 

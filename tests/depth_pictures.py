@@ -36,15 +36,15 @@ def drawn(body: Body, pose, rig: CameraRig):
 
 def limbs_of(body: Body, pose, rig: CameraRig):
     """(C, h, w) labels of the limbs that the scoring mesh shows."""
-    vertices, given = body.skin(pose), (body.coarse.faces, limb_of_faces(body))
-    return np.stack([shown_parts(vertices, *given, camera.projection, camera.size[::-1])[0] for camera in rig])
+    given = body.skin(pose), body.coarse.faces, limb_of_faces(body)
+    return np.stack([shown_parts(*given, camera.projection, camera.size[::-1])[0] for camera in rig])
 
 
-def frame_of(body: Body, pose, rig: CameraRig, index: int = 0) -> Frame:
-    """A frame with silhouettes and depth."""
+def frame_of(body: Body, pose, rig: CameraRig, index: int = 0, **more) -> Frame:
+    """A frame with silhouettes and depth, and more pieces."""
     maps, persons = drawn(body, pose, rig)
     silhouettes = make_silhouettes(list(persons), rig)
-    return Frame(index / 25, index, silhouettes, depth=Depth(maps, persons, rig, np.ones(len(rig), bool)))
+    return Frame(index / 25, index, silhouettes, depth=Depth(maps, persons, rig, np.ones(len(rig), bool)), **more)
 
 
 def seen_in_room(camera: Camera, person: bool = True, wall: float = 4.0, x: float = 0.0) -> np.ndarray:

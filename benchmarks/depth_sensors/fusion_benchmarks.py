@@ -28,7 +28,7 @@ from hypose.fusion.fuse import FusionSettings, common_positions, fuse_clip, fuse
 from hypose.fusion.register import common_joints, register
 from hypose.geometry import Array
 from hypose.io.motions.results import ResultsFolder
-from hypose.io.sensors.skeleton_files import read_kinect_csv
+from hypose.io.sensors.skeleton_files import read_skeletons
 from hypose.pipeline.assessment import GOOD, UNTRUSTED
 
 
@@ -174,7 +174,7 @@ def _verdicts(file: Path, frames: list[SensorJoints], found: dict[tuple[str, str
     """How `hypose fuse` ends: 1 or 0 per recording, of which that is so of any of its people."""
     hard = bool(set(_scenarios(file).values()) & {"4", "5", "6", "8"})
     with TemporaryDirectory() as folder:
-        people = run_fuse(read_kinect_csv(file), ResultsFolder(Path(folder)), FuseCommand(formats="csv")).people
+        people = run_fuse(read_skeletons(file), ResultsFolder(Path(folder)), FuseCommand(formats="csv")).people
     words = [p.assessment.word for p in people]
     case = "occlusion or two people" if hard else "one person"
     found.setdefault(("not_good", case, "share"), []).append(float(any(w != GOOD for w in words)))
@@ -187,7 +187,7 @@ def _verdicts(file: Path, frames: list[SensorJoints], found: dict[tuple[str, str
 
 def main_person(file: Path) -> list[SensorJoints]:
     """Instants in which both sensors report the person that is seen most, common joints."""
-    recording = read_kinect_csv(file)
+    recording = read_skeletons(file)
     if len(recording.streams) < 2:
         raise InputError(f"{file} holds one sensor; two are compared here.")
     a, b = recording.streams[:2]

@@ -3,13 +3,11 @@
 import sys
 from pathlib import Path
 
-import numpy as np
-
 import hypose
 
 folder = Path(sys.argv[1])
-motion = hypose.load_motion(folder / "motion.npz")
-names, angles = hypose.joint_angles(motion.skeleton, motion.poses)
-good = ~(motion.lost | motion.extrapolated)
-knee = np.degrees(angles[good, names.index("knee_angle_r")])
-print(f"{good.sum()} of {len(motion)} frames; right knee {knee.min():.0f} to {knee.max():.0f} degrees")
+result = hypose.load_result(folder)
+good = ~(result.motion.lost | result.motion.extrapolated)
+knee = result.angles["knee_angle_r"][good]
+print(f"{good.sum()} of {len(good)} frames; right knee {knee.min():.0f} to {knee.max():.0f} degrees")
+print(result.assessment.sentence)

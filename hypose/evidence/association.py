@@ -1,12 +1,11 @@
-"""Which detections of all views belong to which person, through a whole clip: candidates -> people with 3D points.
+"""Associate the detections of all views with people through a whole clip: candidates -> people with 3D points.
 
-Frame by frame: those who are followed take their detections first, view by view (an assignment problem, solved exactly,
-on the distance in metres between detection and prediction); the rest may be a new person, when its rays meet in
-points whose bones a body can have. What one view alone sees is no person. A person dies after a while with fewer than
-two views. Left and right of arms, legs or face are exchanged where that, and only that, explains a view.
-
-After the idea of tracking first (4D Association, Zhang et al. 2020: candidates of all views and the last frame in one
-problem) with whole skeletons, and distances of rays, in the place of graphs of limbs; no learning.
+In every frame, people who are already tracked take their detections first, view by view (an exactly solved assignment
+problem on the distance in metres between detection and prediction). The remaining detections start a new person where
+their rays meet in points whose bones have a body's lengths; one view alone never starts a person. A track ends after a
+while with fewer than two views. Left and right of arms, legs or face are exchanged where only that explains a view.
+Source: the idea of tracking first is that of 4D Association, Zhang et al. 2020 (candidates of all views and the last
+    frame in one problem); here with whole skeletons and distances of rays instead of graphs of limbs, without learning.
 """
 
 from __future__ import annotations
@@ -48,17 +47,24 @@ _BONES = (
 
 @dataclass(frozen=True)
 class AssociationSettings:
-    """gate: m, mean distance from the prediction up to which a detection is the person's. birth: m, mean distance of
-    the rays of two detections of a new person; all others of that person may pass each other 1.5 times as far. near:
-    m, of a ray that counts for a point. complete: m, up to which a single point that no person has completes a person.
-    limit: m, at which distances end. merge: m, nearer than which two people are one; apart: m, nearer than which
-    no new person is born. patience: s without two views after which a person is no longer followed; stale: s for which
-    a point that is not seen is expected with the others; trial: s for which a person seen by two views has to be
-    followed to be believed; three views are believed at once. exchanged: share of the distance that may be left where
-    left and right are exchanged; exchanged_m: m that it has to win. plausible: share of bones that have a body's
-    lengths.
-    stretched: times the usual length of a person's bone from which the end of a limb is not believed when only two
-    views show it."""
+    """Settings of the association of detections with people.
+
+    gate: m, largest mean distance between prediction and detection.
+    birth: m, largest mean distance of the rays of two detections of a new person; the other pairs of its detections may
+        have 1.5 times as much.
+    near: m, largest distance of a ray that counts for a point.
+    complete: m, largest distance at which a single free point completes a person.
+    limit: m, at which distances are cut off.
+    merge: m, two people nearer than this are one; apart: m, no new person starts nearer than this to another.
+    patience: s without two views after which a track ends.
+    stale: s for which a point that is not seen is predicted with the others.
+    trial: s for which a person seen by two views must be tracked to be accepted; three views are accepted at once.
+    exchanged: largest share of the distance that remains when left and right are exchanged; exchanged_m: m that the
+        exchange must gain.
+    plausible: least share of bones with a body's lengths.
+    stretched: the end of a limb is not accepted when only two views show it and its bone is longer than this many times
+        its usual length.
+    """
 
     gate: float = 0.22
     birth: float = 0.10
@@ -83,12 +89,14 @@ def people_of(
     frame_rate: float = 25.0,
     settings: AssociationSettings | None = None,
 ) -> list[PersonTrack]:
-    """The people of a clip, those seen most first.
+    """Find the people of a clip; those seen most come first.
 
     candidates: per frame and view the detections (P, K, 3 or more) = (u px, v px, confidence, ...) in undistorted
-    pixels of the pinhole `rig`, confidence 0 where missing; None or none: no person is seen. Further columns are
-    carried along. A candidate with fewer than four points is a part that may complete a person. names: of the K points.
-    With one view alone, or two that do not agree, there is no person: see `hypose.evidence.one_person`."""
+        pixels of the pinhole `rig`, confidence 0 where missing; None where there is none. Further columns are kept. A
+        candidate with fewer than four points is a part that may complete a person.
+    names: of the K points.
+    There is no person with one view alone, or with two that do not agree: see `hypose.evidence.one_person`.
+    """
     given = (view.shape[2] for frame in candidates for view in frame if view is not None and len(view))
     at = Association(names, rig, frame_rate, settings, columns=max(given, default=3))
     for frame in candidates:
@@ -98,9 +106,13 @@ def people_of(
 
 @dataclass(eq=False)  # two of the same frame are two
 class _Followed:
-    """A person who is followed: points (K, 3) m (the last known), their motion per frame, for how many frames each has
-    not been seen, in which views (C, G + 1) which group's sides are exchanged, for how many frames most views had all
-    sides reversed, lengths (B,) m of the limbs' bones and how often each was measured."""
+    """State of a person who is being tracked.
+
+    points: (K, 3) last known points, m; motion: (K, 3) per frame; stale: (K,) frames for which each has not been seen.
+    exchanged: (C, G + 1) groups of points whose sides are exchanged in a view.
+    reversed: number of frames in which most views had all sides reversed.
+    length: (B,) bones of the limbs, m; measured: (B,) how often each was measured.
+    """
 
     first: int
     points: Array
@@ -120,8 +132,10 @@ class _Followed:
 
 
 class Association:
-    """The association of a clip frame by frame: `step` with every frame, then `people`.
-    columns: of all candidates."""
+    """Association of detections with people, frame by frame: call `step` for every frame, then `people`.
+
+    columns: number of columns of all candidates.
+    """
 
     def __init__(
         self,
@@ -157,7 +171,7 @@ class Association:
         self._ended: list[_Followed] = []
 
     def step(self, views: Sequence[Array | None], /) -> None:
-        """One frame: per view the candidates (P, K, columns), None for none."""
+        """Process one frame: per view the candidates (P, K, columns), None where there is none."""
         found = self._stacked(views)
         count = np.count_nonzero(found[..., 2] > 0.1, axis=-1)
         is_person, free = count >= _LEAST_POINTS, count > 0
@@ -182,7 +196,7 @@ class Association:
         self._frame += 1
 
     def people(self) -> list[PersonTrack]:
-        """All people up to now, those seen in most frames and views first."""
+        """List all people up to now, those seen in most frames and views first."""
         out = []
         for t in [*self._ended, *self._alive]:
             kept = len(t.seen) - t.missed
@@ -194,7 +208,8 @@ class Association:
         return sorted(out, key=lambda p: -int(p.seen.sum()))
 
     def _stacked(self, views: Sequence[Array | None]) -> Array:
-        """(C, P, K, 3), at least one candidate per view, empty ones with confidence 0."""
+        """Stack the candidates of all views (C, P, K, columns), at least one per view; missing ones have confidence
+        0."""
         some = [v for v in views if v is not None and len(v)]
         out = np.zeros((len(self._views), max((len(v) for v in some), default=1), self._k, self._columns))
         for c, v in enumerate(views):
@@ -203,7 +218,7 @@ class Association:
         return out
 
     def _expected(self) -> Array:
-        """(N, K, 3) where the points of those followed should be, NaN where not known."""
+        """Predict the points (N, K, 3) of the tracked people; NaN where unknown."""
         if not self._alive:
             return np.zeros((0, self._k, 3))
         return np.stack([np.where((t.stale < self._stale)[:, None], t.points + t.motion, np.nan) for t in self._alive])
@@ -211,7 +226,10 @@ class Association:
     def _taken(
         self, found: Array, is_person: NDArray[np.bool_], free: NDArray[np.bool_], expected: Array
     ) -> tuple[Array, NDArray[np.int64]]:
-        """What those followed see of themselves: points (C, N, K, 3) and candidates (C, N); `free` loses them."""
+        """Assign candidates to the tracked people; assigned ones are removed from `free`.
+
+        Returns: points (C, N, K, columns); candidates (C, N), -1 for none.
+        """
         from scipy.optimize import linear_sum_assignment  # takes long to import
 
         n = len(expected)
@@ -236,7 +254,8 @@ class Association:
         return self._repaired(seen, views, who, plain[at], turned[at], exchange[at]), which
 
     def _both(self, found: Array, expected: Array) -> tuple[Array, Array]:
-        """Distances (C, N, P, K) m of candidates (C, P, K, 3) as they are, and with left and right exchanged."""
+        """Compute the distances (C, N, P, K), m, of candidates (C, P, K, 3) as named, and with left and right
+        exchanged."""
         limit = self.settings.limit
         return (
             distances(self._views, expected, found, limit),
@@ -246,8 +265,10 @@ class Association:
     def _better_exchanged(
         self, plain: Array, turned: Array, before: NDArray[np.bool_] | None = None
     ) -> NDArray[np.bool_]:
-        """(..., G + 1) whether a group's sides are exchanged in a candidate; the last group has no sides. before: where
-        they were so in the frame before, so that the slightest advantage is enough."""
+        """Decide which groups' sides (..., G + 1) are exchanged in a candidate; the last group has no sides.
+
+        before: groups that were exchanged in the previous frame, for which the slightest advantage is enough.
+        """
         o = self.settings
         out = np.zeros((*plain.shape[:-1], len(_GROUPS) + 1), dtype=np.bool_)
         for g in range(len(_GROUPS)):
@@ -268,11 +289,14 @@ class Association:
         turned: Array,
         exchange: NDArray[np.bool_],
     ) -> Array:
-        """Points (C, N, K, 3) with left and right as expected. views, who (M,): of those that a view sees; plain,
-        turned (M, K), exchange (M, G + 1): as `_both` and `_better_exchanged` tell. Where most views say otherwise for
-        some frames, it is the person's own sides that had been taken for each other. Arms and legs are not taken for
-        each other in the same frame: where both are said to be otherwise it is the names that are wrong, before that
-        frame or since, whichever are the fewer."""
+        """Correct left and right of the points (C, N, K, 3) by the points expected of each person.
+
+        views, who: (M,) view and person of each assigned candidate.
+        plain, turned: (M, K) distances from `_both`; exchange: (M, G + 1) from `_better_exchanged`.
+        Where most views contradict a person's sides for some frames, the person's own sides had been confused and are
+        exchanged. Arms and legs are not both confused in the same frame: where both are contradicted, the names are
+        wrong in the fewer of the frames before and after.
+        """
         if not exchange.any():
             for n in np.unique(who):
                 self._alive[n].otherwise[:] = 0
@@ -308,7 +332,7 @@ class Association:
         return out
 
     def _wrung(self, t: _Followed) -> bool:
-        """Whether a person's left shoulder lies above the right hip."""
+        """Decide whether the trunk is twisted so far that the left shoulder lies above the right hip."""
         if self._girdles is None:
             return False
         a, b, c, d = t.points[self._girdles]
@@ -316,7 +340,8 @@ class Association:
         return bool((a - b) @ (c - d) < _WRUNG * size)
 
     def _repaired_births(self, seen: Array, which: NDArray[np.int64], expected: Array) -> Array:
-        """Points (C, B, K, 3) of those born, left and right as most of their views say: `expected` (B, K, 3)."""
+        """Correct left and right of the points (C, B, K, 3) of new people by what most of their views say:
+        `expected` (B, K, 3)."""
         out = seen.copy()
         for b in range(len(expected)):
             plain, turned = (d[:, 0, 0] for d in self._both(seen[:, b][:, None], expected[b][None]))
@@ -325,7 +350,7 @@ class Association:
         return out
 
     def _turn(self, t: _Followed, group: int) -> None:
-        """Left and right of one who is followed, exchanged from the frame on since which most views say so."""
+        """Exchange left and right of one person's group of points in all frames in which most views said so."""
         of = self._group == group
         t.points[of], t.motion[of] = t.points[self._twin][of], t.motion[self._twin][of]
         t.stale[of] = t.stale[self._twin][of]
@@ -336,7 +361,7 @@ class Association:
         t.otherwise[group] = 0
 
     def _born(self, found: Array, is_person: NDArray[np.bool_], free: NDArray[np.bool_]) -> list[list[tuple[int, int]]]:
-        """A person new among the candidates left: the views and candidates of each; they are followed from now on."""
+        """Start new people from the remaining candidates; return (view, candidate) pairs of each."""
         o = self.settings
         view, number = np.nonzero(is_person)
         if len(np.unique(view)) < 2:
@@ -370,7 +395,7 @@ class Association:
         return new
 
     def _plausible(self, points: Array) -> bool:
-        """Whether the bones of points (K, 3) m have lengths of a body."""
+        """Decide whether the bones of points (K, 3), m, have a body's lengths."""
         length = [(float(np.linalg.norm(points[a] - points[b])), lo, hi) for a, b, lo, hi in self._bones]
         right = [lo <= x <= hi for x, lo, hi in length if np.isfinite(x)]
         return len(right) >= _LEAST_POINTS and float(np.mean(right)) >= self.settings.plausible
@@ -387,10 +412,11 @@ class Association:
         which: NDArray[np.int64],
         expected: Array,
     ) -> None:
-        """Fill missing points in `seen` from free detections that have one near to where it is expected.
+        """Fill missing points in `seen` with free detections near their expected places.
 
-        A free detection that is no part (it has points enough for a person) only completes a person whom that view sees
-        already (who was detected in two pieces)."""
+        A free detection with enough points for a person only completes a person whom that view already sees, because it
+        was then detected in two pieces.
+        """
         if not free.any():
             return
         left = np.where(free[..., None, None], found, 0.0)
@@ -405,8 +431,10 @@ class Association:
         seen[c, n, k, 2] *= 0.5
 
     def _of_own_size(self, world: Array, used: NDArray[np.bool_]) -> Array:
-        """Points (N, K, 3) without ends of limbs that two rays alone put farther away than the person's bones reach;
-        used (C, N, K). The rest tells how long the bones are."""
+        """Remove ends of limbs (NaN) that only two rays show and that lie further away than the person's bone is long.
+
+        used: (C, N, K) rays used per point. The other points update the lengths of the bones.
+        """
         if not len(self._limbs):
             return world
         a, b = self._limbs.T
@@ -447,7 +475,7 @@ class Association:
             t.which.append(which[:, n].copy())
 
     def _end(self) -> None:
-        """Those who are no longer seen, never were, or are another person as well."""
+        """End the tracks of people who are no longer seen, never were accepted, or are the same as another person."""
         alive = []
         for t in self._alive:
             age = len(t.seen)
@@ -472,15 +500,19 @@ def _other_side(name: str) -> str:
 
 
 def _apart(a: Array, b: Array) -> float:
-    """m, mean distance of the points (K, 3) that both have; FAR without any."""
+    """Compute the mean distance, m, of the points (K, 3) that both have; NOT_COMPARABLE_M where there is none."""
     d = np.sqrt(((a - b) ** 2).sum(-1))
     known = np.isfinite(d)
     return float(d[known].mean()) if known.any() else NOT_COMPARABLE_M
 
 
 def clusters(apart: Array, birth: float) -> list[list[int]]:
-    """Groups of two or more candidates of different views, of distances (M, M) m: nearest pairs first, each group with
-    all people near to all people (cycle consistency)."""
+    """Group candidates of different views by their distances: nearest pairs first, all members near to each other.
+
+    apart: (M, M) m; at least NOT_COMPARABLE_M within a view.
+    birth: largest distance of a pair, m; all pairs of a group are within 1.5 times this (cycle consistency).
+    Returns: groups of two or more candidates, largest first.
+    """
     m = len(apart)
     group = [[i] for i in range(m)]
     of = list(range(m))
@@ -501,7 +533,10 @@ _LIMIT, _LEAST_COMMON = 1.0, 6
 
 
 def object_points(mask: NDArray[np.uint8]) -> Array:
-    """(3, 2) px: the middle of a mask (h, w), of its top tenth and of its bottom tenth; NaN when it is empty."""
+    """Compute three points of a mask (h, w): the middle of it, of its top tenth and of its bottom tenth.
+
+    Returns: (3, 2) px; NaN where the mask is empty.
+    """
     rows = np.flatnonzero(mask.any(1))
     if not len(rows):
         return np.full((3, 2), np.nan)
@@ -514,11 +549,12 @@ def object_points(mask: NDArray[np.uint8]) -> Array:
 
 
 def people_of_objects(points: Sequence[Mapping[str, Array]], rig: CameraRig) -> list[dict[int, str]]:
-    """People as {view: object}, those seen in most views and frames first; an object that no other view shows is a
-    person of its own.
+    """Match the objects of all views to people; those seen in most views and frames come first.
 
-    points: per view and object (S, 3, 2) undistorted px of the pinhole `rig` in S common frames (`object_points`), NaN
-    where it is not there."""
+    points: per view and object (S, 3, 2), undistorted px of the pinhole `rig` in S common frames (`object_points`); NaN
+        where the object is missing.
+    Returns: people as {view: object}; an object that no other view shows is a person of its own.
+    """
     at = [(c, name) for c, view in enumerate(points) for name in view]
     if not at:
         return []

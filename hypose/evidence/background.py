@@ -1,7 +1,7 @@
-"""Background models: what each pixel looks like when the person is not there.
+"""Build background models: the colour of each pixel when the person is not there.
 
-From a clip of the empty room, from photos, or from the recording itself (the person moves, the room does
-not). Images are BGR uint8 at working size, undistorted; all arrays (h, w[, 3]).
+They come from a clip of the empty room, from photos, or from the recording itself (the person moves, the room does
+not). Images are BGR uint8 at working size, undistorted; all arrays are (h, w[, 3]).
 """
 
 from __future__ import annotations
@@ -32,10 +32,11 @@ _MIN_FREE_SHARE = 0.12
 
 @dataclass(frozen=True)
 class BackgroundModel:
-    """A Gaussian per pixel and channel.
+    """Gaussian model of each pixel and channel of the empty room.
 
-    mean, sd: (h, w, 3) float32 grey levels (BGR, 0-255). valid: (h, w) bool, False where the room was
-    never seen. note: a sentence for the user about doubtful areas, "" when there are none.
+    mean, sd: (h, w, 3) float32 grey levels (BGR, 0-255).
+    valid: (h, w) False where the room was never seen.
+    note: a sentence for the user about doubtful areas, "" when there are none.
     """
 
     mean: NDArray[np.float32]
@@ -53,21 +54,20 @@ class BackgroundModel:
 
     @property
     def plate(self) -> Image:
-        """(h, w, 3) uint8 picture of the empty room."""
+        """Picture (h, w, 3) uint8 of the empty room."""
         return np.clip(np.rint(self.mean), 0, 255).astype(np.uint8)
 
 
 def from_frames(frames: Images) -> BackgroundModel:
-    """Model of a clip of the empty room: frames (N, h, w, 3) uint8 -> median and robust sd per pixel
-    (1.4826 MAD)."""
+    """Build the model from a clip of the empty room (N, h, w, 3) uint8: median and robust sd (1.4826 MAD) per pixel."""
     stack = _stack(frames, "background clip")
     median, sd, _ = _masked_median(stack, None)
     return BackgroundModel(median, sd, np.ones(stack.shape[1:3], dtype=np.bool_))
 
 
 def from_plates(images: Images) -> BackgroundModel:
-    """Model of one or more photos of the empty room (N, h, w, 3) uint8: median, and an sd that allows for
-    the light."""
+    """Build the model from one or more photos of the empty room (N, h, w, 3) uint8, with an sd that allows for other
+    light."""
     stack = _stack(images, "background photos")
     median, sd, _ = _masked_median(stack, None)
     return BackgroundModel(median, np.maximum(sd, np.float32(_PLATE_SD)), np.ones(stack.shape[1:3], dtype=np.bool_))
@@ -76,15 +76,17 @@ def from_plates(images: Images) -> BackgroundModel:
 def from_recording(
     frames: Images, covered: NDArray[np.generic] | None = None, plate: BackgroundModel | None = None
 ) -> BackgroundModel:
-    """Model of the room from the recording of the moving person.
+    """Build the model from a recording in which the person moves.
 
-    frames (N, h, w, 3) uint8, spread over the recording. covered (N, h, w), non-zero where the person is
-    or may be (thick skeleton of key points, or the silhouette of a tracked model): a pixel is the median
-    over the frames in which it is free, the photo where it never is. Without `covered`, the photo, except
-    where the recording shows another thing there nearly all the time (a box that was moved after the
-    photo, a person in the photo): there the temporal median. Such a static thing is kept out of the room
-    when its outline moves: then it is a part of the person that stands still. Without `plate` and
-    `covered` the temporal median; `note` says what to mistrust.
+    frames: (N, h, w, 3) uint8, spread over the recording.
+    covered: (N, h, w) not 0 where the person is or may be (thick skeleton of key points, or silhouette of a tracked
+        model). Then a pixel is the median over the frames in which it is free, and that of the photo where it never is
+        free.
+    plate: model of photos. Without `covered` it is the result, except where the recording nearly always shows something
+        else there (a box moved after the photo, a person in the photo): there the temporal median is used. A static
+        thing whose outline moves is no part of the room, but a part of the person that stands still.
+    Returns: the model; without `plate` and `covered` the temporal median, whose `note` says what to mistrust.
+    Raises: InputError where the sizes differ.
     """
     stack = _stack(frames, "recording")
     shape = stack.shape[1:3]
@@ -105,14 +107,17 @@ def from_recording(
 
 
 def match_gain(plate: BackgroundModel, reference: NDArray[np.floating]) -> BackgroundModel:
-    """The plate with every channel's brightness scaled to the reference picture (h, w, 3), by the median
-    ratio over the pixels where both roughly agree. The plate itself when hardly any do."""
+    """Scale each channel of a model to the brightness of a reference picture (h, w, 3).
+
+    The scale is the median ratio over the pixels where both roughly agree; 1 where hardly any do.
+    """
     gain = gain_between(plate.mean, reference)
     return replace(plate, mean=np.clip(plate.mean * gain, 0, 255).astype(np.float32))
 
 
 def gain_between(mean: NDArray[np.float32], reference: NDArray[np.floating]) -> NDArray[np.float32]:
-    """(3,) by which every channel of `mean` (h, w, 3) is scaled to be as bright as the reference: see `match_gain`."""
+    """Compute the factors (3,) that scale the channels of `mean` (h, w, 3) to the reference's brightness: see
+    `match_gain`."""
     # numpy takes ten times as long to go along an axis of three
     apart = np.maximum.reduce([np.abs(mean[..., c] - reference[..., c]) for c in range(3)])
     agree = (apart < _AGREE) & (np.minimum.reduce([mean[..., c] for c in range(3)]) > _BLACK)
@@ -133,7 +138,7 @@ def _stack(images: Images, what: str) -> Image:
 def _masked_median(
     stack: Image, free: NDArray[np.bool_] | None
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int64]]:
-    """Median and robust sd (h, w, 3) of stack (N, h, w, 3) over the frames where free (N, h, w), and their
+    """Compute median and robust sd (h, w, 3) of the stack (N, h, w, 3) over the free frames (N, h, w), and their
     number."""
     n, h, w, _ = stack.shape
     count = np.full((h, w), n) if free is None else free.sum(0)
@@ -195,7 +200,7 @@ def _from_median_alone(stack: Image, median: NDArray[np.float32], sd: NDArray[np
 def _cure_ghosts(
     stack: Image, median: NDArray[np.float32], sd: NDArray[np.float32], plate: BackgroundModel
 ) -> BackgroundModel:
-    """The plate, with the recording's median where a static thing contradicts it (see from_recording)."""
+    """Replace a model by the recording's median where a static thing contradicts it (see from_recording)."""
     stable = (_deviation(stack, median) < _STATIC).mean(0) > _STATIC_SHARE
     ghost = stable & (np.abs(median - plate.mean).max(2) > _OTHER_THING)
     low = np.ceil(np.clip(plate.mean - _OTHER_THING, 0, 255)).astype(np.uint8)
@@ -216,10 +221,11 @@ def _cure_ghosts(
 
 
 def _person_who_never_moves(ghost: NDArray[np.bool_], unlike: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The largest static region unlike the photo, when little else differs from the photo: a person who sits
-    through the whole recording. Empty when a person of comparable size is seen besides.
+    """Find a person who does not move in the whole recording: the largest static region unlike the photo.
 
-    ghost (h, w): what would become room. unlike (N, h, w): differs from the photo, per frame.
+    ghost: (h, w) what would become part of the room.
+    unlike: (N, h, w) pixels that differ from the photo, per frame.
+    Returns: (h, w); empty where something else of comparable size differs from the photo too.
     """
     label, area = _regions(ghost)
     if not len(area):
@@ -231,17 +237,18 @@ def _person_who_never_moves(ghost: NDArray[np.bool_], unlike: NDArray[np.bool_])
 
 
 def _regions(mask: ArrayLike) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
-    """Connected regions of mask (h, w): labels (h, w) from 1, areas."""
+    """Label the connected regions of a mask (h, w): labels (h, w) from 1, areas."""
     _, label, stats, _ = cv2.connectedComponentsWithStats(np.asarray(mask, dtype=np.uint8), connectivity=8)
     return np.asarray(label, dtype=np.int32), np.asarray(stats[1:, cv2.CC_STAT_AREA], dtype=np.int64)
 
 
 def _parts_of_the_person(ghost: NDArray[np.bool_], differs: NDArray[np.floating]) -> NDArray[np.bool_]:
-    """Of the static regions that contradict the photo, those whose surroundings come and go.
+    """Find the static regions that contradict the photo but are parts of the person: their surroundings come and go.
 
-    ghost (h, w): static and unlike the photo. differs (h, w): share of frames that differ from the photo.
-    The torso of a person who moves the limbs is static too, but along its outline pixels are now person,
-    now room.
+    ghost: (h, w) static and unlike the photo.
+    differs: (h, w) share of the frames that differ from the photo.
+    Why: the torso of a person who moves the limbs is static too, but pixels along its outline alternate between person
+        and room.
     """
     count, label = cv2.connectedComponents(ghost.astype(np.uint8), connectivity=4)
     moving = ((differs > 0.1) & (differs < 0.9) & ~ghost).astype(np.uint8)
@@ -255,7 +262,7 @@ def _parts_of_the_person(ghost: NDArray[np.bool_], differs: NDArray[np.floating]
 
 
 def _deviation(stack: Image, median: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """(N, h, w) largest channel difference from the median picture."""
+    """Compute the largest channel difference (N, h, w) from the median picture."""
     reference = np.rint(median).astype(np.uint8)
     out = np.empty(stack.shape[:3], np.uint8)
     for made, picture in zip(out, stack, strict=True):

@@ -1,8 +1,7 @@
-"""Body parts from several views: what detectors see in images, gathered on the surface of the visual hull.
+"""Detect body ends from several views: a detector's probabilities in images are combined on the visual hull's surface.
 
-Oriented surface points, their visibility in every view, the probability that each shows a part, clusters of likely
-points, and which end of the body each cluster is.
-Source: Alcoverro 2014, section 2.5.1, eqs. 2.16 to 2.19.
+In order: oriented surface points, their visibility in every view, the probability that each shows a part, clusters of
+likely points, and the body end of each cluster. Source: Alcoverro 2014, section 2.5.1, eqs. 2.16 to 2.19.
 """
 
 from __future__ import annotations
@@ -24,12 +23,15 @@ from hypose.evidence.skin import ColorTable, learned_table
 from hypose.geometry import Array
 
 UNNAMED = -1
-"""Part of a detection that may be any of the ends (a skin detector does not tell hands and head)."""
+"""Part of a detection that may be any of the ends (a skin detector does not distinguish hands and head)."""
 
 
 @dataclass(frozen=True)
 class Surface:
-    """points (S, 3) m world, outward unit normals (S, 3), spacing: m between neighbours."""
+    """Oriented points of a surface in the world.
+
+    points: (S, 3) m; normals: (S, 3) outward unit vectors; spacing: distance of neighbours, m.
+    """
 
     points: Array
     normals: Array
@@ -37,10 +39,11 @@ class Surface:
 
 
 def oriented_surface(hull: Hull) -> Surface:
-    """Surface points of a visual hull with normals: away from the occupied voxels around.
+    """Compute surface points of a visual hull with normals.
 
-    Each normal is the direction from the centre of the occupied voxels in a 5 x 5 x 5 neighbourhood. (The thesis takes
-    the method of Salvador et al. 2010; any oriented points serve.)"""
+    Each normal points away from the centre of the occupied voxels in a 5 x 5 x 5 neighbourhood. (The thesis uses the
+    method of Salvador et al. 2010; any oriented points serve.)
+    """
     solid = np.pad(hull.occupancy, 2)
     rim = solid & ~np.asarray(ndimage.binary_erosion(solid), dtype=np.bool_)
     index = np.argwhere(rim)
@@ -55,12 +58,13 @@ def oriented_surface(hull: Hull) -> Surface:
 
 
 def visibility(surface: Surface, rig: CameraRig, usable: NDArray[np.bool_] | None = None) -> Array:
-    """(C, S) visibility factor: -z_c . n_q where point q is seen by camera c, else 0; columns sum to 1, or are all 0
-    where no camera sees the point.
+    """Compute how well each camera sees each surface point.
 
-    Seen: nothing on the surface lies before it (z-buffer whose cells are two spacings wide, so that the points leave no
-    holes) and it faces the camera (else the factor would be negative); z_c is the camera's optical axis. Source:
-    Alcoverro 2014, eq. 2.16, normalised as after eq. 2.17.
+    A point is seen where no other surface point lies in front of it (z-buffer with cells of two spacings, so that the
+    points leave no holes) and it faces the camera. The factor is -z_c . n_q, with the camera's optical axis z_c and the
+    normal n_q.
+    Returns: (C, S) factors, 0 where not seen; columns sum to 1, or are all 0 where no camera sees the point.
+    Source: Alcoverro 2014, eq. 2.16, normalised as after eq. 2.17.
     """
     out = np.zeros((len(rig), len(surface.points)))
     for c, camera in enumerate(rig):
@@ -91,10 +95,11 @@ def visibility(surface: Surface, rig: CameraRig, usable: NDArray[np.bool_] | Non
 
 
 def surface_probability(surface: Surface, seen: Array, maps: NDArray[np.float32], rig: CameraRig) -> Array:
-    """(S,) probability that each surface point shows a part: sum over views of visibility times detector.
+    """Compute the probability (S,) that each surface point shows a part: sum over views of visibility times detector.
 
-    seen (C, S) from `visibility`; maps (C, h, w): the detector's probability at the pixels of the pinhole rig; 0
-    outside the images. Source: Alcoverro 2014, eq. 2.17.
+    seen: (C, S) from `visibility`.
+    maps: (C, h, w) the detector's probability at the pixels of the pinhole rig; 0 outside the images.
+    Source: Alcoverro 2014, eq. 2.17.
     """
     out = np.zeros(len(surface.points))
     for c, camera in enumerate(rig):
@@ -108,9 +113,13 @@ def surface_probability(surface: Surface, seen: Array, maps: NDArray[np.float32]
 
 @dataclass(frozen=True)
 class ClusterSettings:
-    """threshold: least probability of a surface point (Gamma). tolerance: m, farthest neighbours of one cluster. low,
-    high: m^2, smallest and largest surface of a cluster (a hand has 0.02 to 0.05 m^2 on a hull, a head with the neck up
-    to 0.15). Sizes at a stature of 1.75 m."""
+    """Settings of the clusters of likely surface points; sizes at a stature of 1.75 m.
+
+    threshold: least probability of a surface point (Gamma).
+    tolerance: m, largest distance of neighbours in a cluster.
+    low, high: m^2, smallest and largest surface of a cluster (a hand has 0.02 to 0.05 m^2 on a hull, a head with the
+        neck up to 0.15).
+    """
 
     threshold: float = 0.5
     tolerance: float = 0.045
@@ -121,9 +130,10 @@ class ClusterSettings:
 def likely_clusters(
     surface: Surface, probability: Array, settings: ClusterSettings = ClusterSettings(), stature: float = 1.75
 ) -> tuple[Array, Array]:
-    """Centres (E, 3) m and mean probabilities (E,) of the clusters of likely surface points, largest first.
+    """Cluster the likely surface points: points within the tolerance of each other (single linkage on a kd-tree).
 
-    Points within the tolerance of each other belong together (single linkage on a kd-tree).
+    probability: (S,) of the surface points.
+    Returns: centres (E, 3), m, and mean probabilities (E,), largest cluster first.
     Source: Alcoverro 2014, eq. 2.18 and the clustering after it.
     """
     from scipy.sparse import coo_matrix  # takes long to import
@@ -148,12 +158,13 @@ def likely_clusters(
 
 
 def assign_ends(points: ArrayLike, ends: ArrayLike, limits: ArrayLike) -> NDArray[np.int64]:
-    """(E,) which end each detected point is, UNNAMED for none: as many as possible within the limits, then the least
-    total distance.
+    """Assign detected points to body ends: as many as possible within the limits, then with the least total distance.
 
-    points (E, 3) m, ends (I, 3) m: end-effectors of the previous pose, limits (I,) m (Upsilon). Each end gets at most
-    one point. Source: Alcoverro 2014, eq. 2.19. Deviation: printed is the least mean distance of an assignment, which
-    one close pair alone would have; taken is what the text says of it. Deviation: solved exactly instead of greedily.
+    points: (E, 3) m; ends: (I, 3) end effectors of the previous pose, m; limits: (I,) m (Upsilon).
+    Returns: (E,) index of the end of each point, UNNAMED for none; each end gets at most one point.
+    Source: Alcoverro 2014, eq. 2.19. Deviations: the printed equation has the least mean distance of an assignment,
+        which a single close pair would minimise; this follows the text instead. It is solved exactly instead of
+        greedily.
     """
     from scipy.optimize import linear_sum_assignment  # takes long to import
 
@@ -182,12 +193,14 @@ def detect_ends(
     voxel: float = 0.03,
     settings: ClusterSettings = ClusterSettings(),
 ) -> tuple[Detections, Array]:
-    """Unnamed ends of the body in one frame: maps (C, h, w) of a detector on the surface of the silhouettes' hull; and
-    the hull's centroid (3,) m, the centre for the next frame.
+    """Detect the unnamed body ends of one frame from a detector's maps, on the surface of the silhouettes' hull.
 
-    centre (3,) m: where the person is about (the start pose's pelvis); the hull is carved within 0.75 statures of it.
-    With four views or more one of them may miss a part of the person. Without a hull there is no detection and the
-    centre stays. An InputError when maps and masks differ in shape.
+    maps: (C, h, w) probabilities.
+    centre: (3,) m, approximate place of the person (the start pose's pelvis); the hull is carved within 0.75 statures
+        of it.
+    Returns: the detections (none without a hull); the hull's centroid (3,), m, as the centre for the next frame.
+    With four views or more, one of them may miss a part of the person.
+    Raises: InputError where maps and masks differ in shape.
     """
     if maps.shape != silhouettes.masks.shape:
         raise InputError(f"The detector's maps {maps.shape} and the masks {silhouettes.masks.shape} differ in shape.")
@@ -205,16 +218,18 @@ def detect_ends(
 
 
 END_JOINTS = ("left_wrist", "right_wrist", "head")
-"""The joints whose parts are the ends that a skin detector shows: hands and head."""
+"""The joints whose parts a skin detector shows: hands and head."""
 
 
 def end_colors(
     body: Body, pose: Array, silhouettes: Silhouettes, images: NDArray[np.uint8], prior: float = 0.3
 ) -> ColorTable:
-    """A table of the colours of a person's head and hands against the rest, from one frame whose pose (D,) is known.
+    """Learn the colours of a person's head and hands against the rest, from one frame with a known pose (D,).
 
-    images (C, h, w, 3) uint8 BGR at the masks' pixels. Pixels count where the posed body shows a part at least a pixel
-    inside the mask."""
+    images: (C, h, w, 3) uint8 BGR at the masks' pixels. Pixels count where the posed body shows a part at least a pixel
+        inside the mask.
+    Raises: InputError where pictures and masks differ in shape.
+    """
     if images.shape[:3] != silhouettes.masks.shape:
         raise InputError(f"The pictures {images.shape} and the masks {silhouettes.masks.shape} differ in shape.")
     mesh = body.fine

@@ -1,4 +1,4 @@
-"""Colours of pictures as one number per pixel, made so that light and shade change it little."""
+"""Encode colours of pictures as one number per pixel that changes little with light and shade."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 SHADES = (4, 16, 16)
-"""Levels of brightness (an octave each), and of the shares of red and green in it."""
+"""Number of levels of brightness (an octave each), of the share of red and of the share of green."""
 COLOURS = SHADES[0] * SHADES[1] * SHADES[2]
 _DARKEST = 48
-"""Sum of the three channels up to which all is dark."""
+"""Sum of the three channels below which all colours are the darkest level."""
 _RED, _GREEN = (0.15, 0.03), (0.20, 0.02)
 """First share and width of a level: of red in skin and cloth 0.2 to 0.65, of green 0.2 to 0.5."""
 
 
 def colour_codes(image: NDArray[np.uint8]) -> NDArray[np.uint16]:
-    """(h, w) below COLOURS: the colour of each pixel of an image (h, w, 3) BGR."""
+    """Compute the colour code (h, w), below COLOURS, of each pixel of an image (h, w, 3) BGR."""
     whole = image.sum(2, dtype=np.float32)
     share = image[..., :0:-1] / np.maximum(whole, 1)[..., None]  # red, green
     red, green = (
@@ -28,11 +28,11 @@ def colour_codes(image: NDArray[np.uint8]) -> NDArray[np.uint16]:
 
 
 _STEEP = 8.0
-"""What one grey level per pixel counts in edges, which end at 255."""
+"""Factor from grey levels per pixel to edge values, which end at 255."""
 
 
 def colour_edges(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """(2, h, w): how fast the colour changes along the rows and along the columns of an image (h, w, 3) BGR."""
+    """Compute how fast the colour changes along rows and columns (2, h, w) of an image (h, w, 3) BGR."""
     smooth = cv2.GaussianBlur(image, (0, 0), 1.0).astype(np.float32)
     slopes = [cv2.Sobel(smooth, cv2.CV_32F, 1 - k, k) / 8 for k in (0, 1)]
     return np.stack([np.minimum(_STEEP * np.sqrt((s**2).sum(-1)), 255) for s in slopes]).astype(np.uint8)

@@ -1,8 +1,8 @@
-"""The person in a depth map: what stands before the empty room as a sensor saw it, or above the floor.
+"""Find the person in a depth map: in front of the empty room as a sensor saw it, or standing on the floor.
 
-A room that was learnt tells per pixel how far the sensor sees without anybody; where it never saw anything it tells
-nothing. Without a picture of the empty room the floor is taken away, and of what stands on it, cut apart at jumps of
-depth, the piece that is most like a person is kept.
+A learnt room gives the distance of the empty room per pixel; where the sensor never saw anything it gives nothing.
+Without a recording of the empty room, the floor is removed, the rest is split at jumps of depth, and the piece that is
+most like a person is kept.
 """
 
 from __future__ import annotations
@@ -22,48 +22,56 @@ from hypose.evidence.frame import Expected, Silhouettes
 from hypose.geometry import DepthMap, Mask
 
 _LEAST_M, _SDS = 0.03, 4.0
-"""m, and standard deviations: how far before the room a person has to stand"""
+"""m, and standard deviations: least distance of a person in front of the room"""
 _USUAL_SD = 0.006
 _ABOVE_FLOOR_M = 0.05
 _TALL_M, _SMALL_M, _WIDE_M = 2.4, 0.5, 2.2
-"""m: what a person's visible surface spans upwards, at most and at least, and across"""
+"""m: largest and smallest height, and largest width, of a person's visible surface"""
 _LEAST_PX, _REACH_M = 15, 0.6
 _LIKE = 0.1
-"""how much like a person a piece is from which it may be one, or half of one behind another: 0.12 to 2.5 m^2 of it"""
+"""likeness from which a piece may be a person, or half of one behind another: 0.12 to 2.5 m^2 visible"""
 _TOP_M, _HEAD_M = 0.2, 0.35
-"""m from the top of a person down, and how much they fill there across: a head .13 to .2, with hands next to it .34 at
-most (eight motions, seeds 1 to 17)"""
+"""m below the top of a person, and width there: a head .13 to .2, with hands next to it .34 at most (eight motions,
+seeds 1 to 17)"""
 STILL_FRAMES = 16
-"""maps, spread over a recording, that are looked at, at most, for things that stand still"""
+"""largest number of maps, spread over a recording, that are used to find things that stand still"""
 _SEEN_SHARE = 0.5
 """share of the maps in which a pixel must be measured to be known"""
 _FARTHER_SHARE, _WHOLE = 0.15, 0.7
-"""share of the maps that may show something behind what stands still, and share of a thing that does"""
+"""largest share of the maps that may show something behind a thing that stands still; least share of a thing's pixels
+that must stand still"""
 _SPAN_M, _AREA_M2 = 1.75, 0.55
-"""m, m^2: how tall a person is, and shows"""
+"""m, m^2: height and visible area of a person"""
 _BEFORE_M, _NEARBY_M, _HIDES = 0.25, 0.4, 0.03
-"""m by which a thing stands before the middle of who is seen, and next to; share of a person's area that it covers"""
+"""m by which a thing stands in front of the person's middle, and next to it; share of a person's area that it covers"""
 _APART_M = 0.35
-"""m between the sides of the person and of a thing that is none of theirs"""
+"""m between the sides of the person and of a thing that is not part of it"""
 _STILL_SHARE, _STILL_M = 0.8, 0.01
-"""share of a recording's maps in which a thing is to be seen, and m by which its values may scatter"""
+"""least share of a recording's maps in which a thing is seen, and largest scatter of its values, m"""
 _ELSEWHERE_M, _ELSEWHERE_SHARE, _PERSON_PX = 0.9, 0.25, 300
-"""m that who moves stands away from a thing, in which share of the maps; px of a person, at least"""
+"""m from a thing at which a moving person stands, in which share of the maps; least number of pixels of a person"""
 _RIM = 3
-"""px around what stands before the room that may still be the person's"""
+"""px around what stands in front of the room that may still be the person's"""
 
 
 @dataclass(frozen=True)
 class DepthBackground:
-    """depth (h, w) m of the empty room, 0 where the sensor sees nothing; sd (h, w) m of its values."""
+    """Depth of the empty room.
+
+    depth: (h, w) m; 0 where the sensor sees nothing.
+    sd: (h, w) of its values, m.
+    """
 
     depth: DepthMap
     sd: DepthMap
 
 
 def learn_background(maps: Sequence[DepthMap]) -> DepthBackground:
-    """The empty room from maps (h, w) m of it: median of what was measured, where that was at least a quarter of the
-    time. An InputError without maps or when their sizes differ."""
+    """Learn the empty room from depth maps (h, w), m: the median where a pixel is measured at least a quarter of the
+    time.
+
+    Raises: InputError where there are no maps or their sizes differ.
+    """
     if not maps:
         raise InputError("The empty room needs at least one depth map; give the folder of its recording.")
     if len({m.shape for m in maps}) > 1:
@@ -81,9 +89,12 @@ def learn_background(maps: Sequence[DepthMap]) -> DepthBackground:
 
 
 def with_still_things(room: DepthBackground, maps: Sequence[DepthMap], camera: Camera) -> tuple[DepthBackground, float]:
-    """The room with things in it that were not there when it was empty, and how much of them is seen, m^2, by maps
-    (h, w) m spread over a recording: what keeps its place while a person moves elsewhere. The same room when no person
-     is ever so far away that this can be known."""
+    """Add things to the room that were not there when it was empty.
+
+    maps: (h, w) m, spread over a recording. A thing keeps its place while a person moves elsewhere.
+    Returns: the new room, and the visible area of the things, m^2; the same room and 0 where no person is ever far
+        enough away to know this.
+    """
     stack = np.stack(maps)
     before = np.stack([_calm(before_room(m, room.depth, room.sd, _SDS, _LEAST_M)) for m in maps]) > 0
     often = before.sum(0) >= _STILL_SHARE * np.maximum((stack > 0).sum(0), 0.5 * len(maps))
@@ -114,14 +125,18 @@ def with_still_things(room: DepthBackground, maps: Sequence[DepthMap], camera: C
 
 
 def _place(camera: Camera, own: NDArray[np.bool_], depth: DepthMap) -> NDArray[np.float64]:
-    """(2,) m: where on the floor the middle of some pixels (h, w) stands."""
+    """Compute where on the floor (2,), m, the middle of some pixels (h, w) stands."""
     v, u = np.nonzero(own & (depth > 0))
     return np.median(in_world(camera, back_projected(camera, u, v, depth[v, u]))[:, :2], axis=0)
 
 
 def person_before(depth: DepthMap, background: DepthBackground, focal_px: float | None = None) -> Mask:
-    """(h, w) 0/1: what stands before the empty room, its holes filled; the largest thing and the parts near it, also to
-    its sides, where the focal length is known: another person who stands next to the person is left out."""
+    """Segment the person in front of the empty room: the largest thing and the parts near it, with holes filled.
+
+    focal_px: focal length; with it, parts too far to the side are left out, because they are another person.
+    Returns: (h, w) 0 or 1.
+    Raises: InputError where map and room differ in size.
+    """
     if depth.shape != background.depth.shape:
         raise InputError(
             f"The depth map is {depth.shape[1]} x {depth.shape[0]} px, the empty room "
@@ -136,7 +151,7 @@ def person_before(depth: DepthMap, background: DepthBackground, focal_px: float 
 
 
 def people_before(depth: DepthMap, background: DepthBackground) -> Mask:
-    """(h, w) 0/1: everything that stands before the empty room, specks left out, its holes filled."""
+    """Segment everything in front of the empty room, without specks, with holes filled; return (h, w) 0 or 1."""
     before = _calm(before_room(depth, background.depth, background.sd, _SDS, _LEAST_M))
     _, found, stats, _ = cv2.connectedComponentsWithStats(before, connectivity=8)
     keep = np.asarray(stats, dtype=np.int64)[:, cv2.CC_STAT_AREA] >= _LEAST_PX
@@ -146,9 +161,11 @@ def people_before(depth: DepthMap, background: DepthBackground) -> Mask:
 
 
 def person_on_floor(depth: DepthMap, camera: Camera, room: DepthMap | None = None) -> Mask:
-    """(h, w) 0/1: of what stands on the floor (z = 0 in the world), cut apart at jumps of depth, the piece most like a
-    person; all 0 when nothing is of a person's size. room (h, w) m: the empty room, 0 = not known
-    (`unlike_people`)."""
+    """Segment the piece most like a person among everything that stands on the floor (z = 0), split at jumps of depth.
+
+    room: (h, w) distance of the room, m, 0 = unknown (`unlike_people`).
+    Returns: (h, w) 0 or 1; all 0 where nothing has a person's size.
+    """
     found = _standing(_without(depth, room), camera)
     best = max(found.pieces, key=lambda k: found.pieces[k].like, default=0)
     if not best or not found.pieces[best].like:
@@ -158,15 +175,19 @@ def person_on_floor(depth: DepthMap, camera: Camera, room: DepthMap | None = Non
 
 
 def people_on_floor(depth: DepthMap, camera: Camera, room: DepthMap | None = None) -> Mask:
-    """(h, w) 0/1: the same of everything that may be a person, or what of one is seen next to another."""
+    """Segment everything on the floor that may be a person, or a part of one next to another; return (h, w) 0 or 1."""
     own = _standing(_without(depth, room), camera).people()
     return holes_filled(_calm(own), depth, np.zeros(depth.shape, dtype=np.bool_))
 
 
 def unlike_people(maps: Sequence[DepthMap], camera: Camera) -> DepthMap:
-    """(h, w) m: what stands still in maps spread over a recording and is not like a person, 0 elsewhere: walls, also
-    where a person passes before them, small things, and those as wide at their top as a box. The person who stands
-    still the whole time is none of it."""
+    """Find the parts of a recording that stand still and are not like a person: walls, small things, things as wide as
+    a box.
+
+    maps: (h, w) m, spread over the recording.
+    Returns: (h, w) their distance, m, 0 elsewhere. A person who stands still the whole time is not included; walls are,
+        also where a person passes in front of them.
+    """
     stack = np.stack(maps)
     known = (stack > 0).mean(0) >= _SEEN_SHARE
     values = np.where(known, np.where(stack > 0, stack, np.nan), 0.0)
@@ -184,12 +205,12 @@ def unlike_people(maps: Sequence[DepthMap], camera: Camera) -> DepthMap:
 
 
 def _tolerance(depth: DepthMap) -> DepthMap:
-    """(h, w) m: so far apart two values of one surface may lie."""
+    """Compute the largest difference (h, w), m, of two values of one surface."""
     return np.asarray(np.maximum(_LEAST_M, _SDS * DepthNoise().sd(depth)), dtype=np.float32)
 
 
 def _without(depth: DepthMap, room: DepthMap | None) -> DepthMap:
-    """The map with 0 where a pixel is known to be of the room."""
+    """Set the pixels of a map to 0 that are known to be of the room."""
     if room is None:
         return depth
     return np.where((room > 0) & (depth > room - _tolerance(room)), 0, depth).astype(np.float32)
@@ -197,8 +218,12 @@ def _without(depth: DepthMap, room: DepthMap | None) -> DepthMap:
 
 @dataclass(frozen=True)
 class _Piece:
-    """middle on the floor (2,) m; wide, on the floor, and top, its height, m; head: how much across its uppermost part
-    fills, m; like: how much it is like a person, 0 where it is not of that size."""
+    """One connected piece of a depth map.
+
+    middle: (2,) on the floor, m; wide: width on the floor, m; top: height of its top, m.
+    head: mean width of its uppermost part, m.
+    like: likeness to a person, 0 where it has another size.
+    """
 
     middle: NDArray[np.float64]
     wide: float
@@ -209,20 +234,26 @@ class _Piece:
 
 @dataclass(frozen=True)
 class _Standing:
-    """What stands on the floor of a map: above (h, w), everything higher than the floor; labels (h, w) of the
-    pieces."""
+    """Everything that stands on the floor of a map, split into pieces.
+
+    above: (h, w) everything higher than the floor.
+    labels: (h, w) number of the piece.
+    pieces: by their numbers.
+    """
 
     above: NDArray[np.bool_]
     labels: NDArray[np.int32]
     pieces: dict[int, _Piece]
 
     def people(self, head: float = np.inf) -> Mask:
-        """(h, w) 0/1: everything that may be a person, or half of one behind another, and is no wider at its top."""
+        """Segment all pieces (h, w) that may be a person, or half of one behind another, and are no wider than
+        `head` at the top."""
         low = {k: p for k, p in self.pieces.items() if p.top < _TALL_M}  # walls and ceilings reach higher
         return self.with_limbs([k for k, p in low.items() if p.like > _LIKE and p.head < head], low)
 
     def with_limbs(self, people: Sequence[int], among: Mapping[int, _Piece]) -> Mask:
-        """(h, w) 0/1: these pieces, and those among others that may be limbs of theirs, before or behind the trunk."""
+        """Segment these pieces (h, w), and those among others that may be their limbs in front of or behind the
+        trunk."""
         middles = [self.pieces[k].middle for k in people]
 
         def nearby(p: _Piece) -> bool:
@@ -258,8 +289,12 @@ def _standing(depth: DepthMap, camera: Camera) -> _Standing:
 def behind_things(
     silhouettes: Silhouettes, depth: Depth | None, rooms: Sequence[DepthBackground | None]
 ) -> Silhouettes:
-    """The silhouettes with the pixels ignored in which a thing of the empty room stands before the person, who may be
-    behind it or not; the same ones where nothing does. rooms: of each view, None: not known."""
+    """Mark pixels as ignored where a thing of the empty room stands in front of the person, who may be behind it or
+    not.
+
+    rooms: of each view; None: unknown.
+    Returns: the silhouettes with ignored pixels; the same silhouettes where nothing stands in front.
+    """
     if depth is None:
         return silhouettes
     ignored: Mask | None = None
@@ -291,7 +326,7 @@ def behind_things(
 
 
 def _pieces(mask: NDArray[np.bool_], depth: DepthMap) -> tuple[NDArray[np.int32], int]:
-    """Labels (h, w) of the pieces of a mask that hang together without a jump, and their number."""
+    """Label the pieces (h, w) of a mask that have no jump of depth inside; return their number too."""
     kernel = np.ones((3, 3), np.uint8)
     far = np.where(mask, depth, 0.0).astype(np.float32)
     near = np.where(mask, depth, 1e3).astype(np.float32)
@@ -303,19 +338,21 @@ def _pieces(mask: NDArray[np.bool_], depth: DepthMap) -> tuple[NDArray[np.int32]
 
 
 def _labelled(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int32], int]:
-    """Labels (h, w) of the pieces of a mask, 0 outside, and their number."""
+    """Label the connected pieces (h, w) of a mask, 0 outside; return their number too."""
     n, labels = cv2.connectedComponents(mask.astype(np.uint8), connectivity=8)
     return np.asarray(labels, dtype=np.int32), n - 1
 
 
 def _calm(mask: Mask) -> Mask:
-    """The mask without single pixels."""
+    """Remove single pixels from a mask."""
     return np.asarray(cv2.medianBlur(mask, 3), dtype=np.uint8)
 
 
 def _one_thing(before: Mask, depth: DepthMap, solid: NDArray[np.bool_], focal_px: float | None) -> Mask:
-    """The largest thing of a mask and the parts near it in space, its holes filled; solid (h, w): where the sensor
-    would see something behind it, so that a hole is the person's."""
+    """Keep the largest thing of a mask and the parts near it in space, with holes filled.
+
+    solid: (h, w) where the sensor would see something behind, so that a hole belongs to the person.
+    """
     n, found, stats, _ = cv2.connectedComponentsWithStats(before, connectivity=8)
     if n < 2:
         return np.zeros(depth.shape, np.uint8)

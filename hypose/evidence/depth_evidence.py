@@ -1,9 +1,9 @@
-"""Depth: what depth cameras measure of a person, as points of the surface and as space that is known to be empty.
+"""Depth as evidence: measured points on the person's surface, and space that is known to be empty.
 
-A depth pixel says two things: the surface is there, within the noise of the sensor; and nothing lies before it. Values
-next to jumps of depth are mixtures of both sides (flying pixels), and are left out.
-Source of the form of the noise: Khoshelham & Elberink 2012 (growing with the square of the distance); Nguyen, Izadi &
-Lovell 2012 (growing at grazing angles).
+A depth pixel means two things: the surface is there, within the sensor's noise; and nothing lies in front of it. Values
+next to jumps of depth are mixtures of both sides (flying pixels) and are left out.
+Source: noise model of Khoshelham & Elberink 2012 (grows with the square of the distance) and Nguyen, Izadi & Lovell
+    2012 (grows at grazing angles).
 """
 
 from __future__ import annotations
@@ -21,31 +21,36 @@ from hypose.errors import InputError
 from hypose.geometry import Array
 
 POINTS = 200
-"""points of the surface that are taken from one sensor's map; more cost time and tell nothing new"""
+"""number of surface points used of one sensor's map; more take time and give no new information"""
 JUMP_M = 0.06
-"""m: neighbours that lie further apart belong to different surfaces"""
+"""m: neighbours with a larger difference belong to different surfaces"""
 _LEAST_COSINE = 0.15
 
 
 @dataclass(frozen=True)
 class DepthNoise:
-    """sd (m) of one value at z m: constant + square z^2, divided by the cosine between the ray and the normal.
+    """Noise model of a depth sensor: sd at z m is (constant + square z^2), m, divided by the cosine between ray and
+    normal.
 
-    The usual figures are checked against real frames in docs/depth.md."""
+    The default values are compared with real frames in docs/depth.md.
+    """
 
     constant: float = 0.0015
     square: float = 0.0012
 
     def sd(self, z: ArrayLike, cosine: ArrayLike = 1.0) -> Array:
-        """(...,) m at distances z (...,) m, where the surface's normal has this cosine with the ray."""
+        """Compute the sd (...,), m, at distances z (...,), m, for surfaces with this cosine between normal and ray."""
         along = np.maximum(np.asarray(cosine, dtype=np.float64), _LEAST_COSINE)
         return (self.constant + self.square * np.asarray(z, dtype=np.float64) ** 2) / along
 
 
 @dataclass(frozen=True)
 class SurfacePoints:
-    """Points (M, 3) m in the world on the person's surface, unit outward normals (M, 3), sd (M,) m along the ray, first
-    (C + 1,): points first[c] to first[c + 1] are those of view c."""
+    """Measured points on the person's surface in the world.
+
+    points: (M, 3) m; normals: (M, 3) outward unit vectors; sd: (M,) along the ray, m.
+    first: (C + 1,) points first[c] to first[c + 1] are those of view c.
+    """
 
     points: Array
     normals: Array
@@ -55,11 +60,16 @@ class SurfacePoints:
 
 @dataclass(frozen=True)
 class Depth:
-    """Depth maps of one instant, one per view of a rig; views that are no depth cameras are not usable.
+    """Depth maps of one instant, one per view of a rig.
 
-    maps (C, h, w) float32 m along the optical axis, 0 = hole, undistorted; person (C, h, w) uint8, 1 = the person;
-    views of different size are padded with 0, `rig.sizes` tells each view's own size. usable (C,): False for a view
-    without a map. noise: of the sensors. blank (C,): depth cameras whose whole map is a hole; None = none is."""
+    maps: (C, h, w) float32 m along the optical axis, 0 = hole, undistorted; views of different size are padded with 0,
+        see `rig.sizes`.
+    person: (C, h, w) uint8, 1 = the person.
+    usable: (C,) False for a view without a map, for example one that is no depth camera.
+    noise: of the sensors.
+    blank: (C,) depth cameras whose whole map is a hole; None: none.
+    Raises: InputError where the shapes do not fit.
+    """
 
     maps: NDArray[np.float32]
     person: NDArray[np.uint8]
@@ -78,23 +88,23 @@ class Depth:
             raise InputError(f"Depth needs one usable per view, {len(self.rig)}, got {self.usable.shape}.")
 
     def unseen(self) -> Depth:
-        """Return the maps with no usable view."""
+        """Copy the maps with no usable view."""
         return replace(self, usable=np.zeros_like(self.usable))
 
     @cached_property
     def boxes(self) -> list[tuple[int, int, int, int]]:
-        """x0, y0, x1, y1 (half open, px) around each view's person; all 0 where there is no person."""
+        """Boxes x0, y0, x1, y1 (half open, px) around each view's person; all 0 where there is no person."""
         around = [cv2.boundingRect(own) for own in self.person]
         return [(x, y, x + w, y + h) for x, y, w, h in around]
 
     @cached_property
     def surface(self) -> SurfacePoints:
-        """At most POINTS points of each usable view, evenly over its person."""
+        """At most POINTS surface points of each usable view, evenly over its person."""
         return surface_points(self, POINTS)
 
     @cached_property
     def pixels(self) -> tuple[NDArray[np.int64], Array]:
-        """View, row, column (N, 3) of the person's pixels that were measured, and where these are, (N, 3) m, world."""
+        """Measured pixels of the person: view, row, column (N, 3), and their positions in the world (N, 3), m."""
         at = np.argwhere((self.person > 0) & (self.maps > 0) & self.usable[:, None, None])
         points = np.empty((len(at), 3))
         for c, camera in enumerate(self.rig):
@@ -105,12 +115,12 @@ class Depth:
 
     @cached_property
     def centre(self) -> Array | None:
-        """(3,) m: median of the surface's points, None when there are none."""
+        """Median (3,) of the surface points, m; None when there are none."""
         return np.median(self.surface.points, axis=0) if len(self.surface.points) else None
 
 
 def surface_points(depth: Depth, count: int) -> SurfacePoints:
-    """At most `count` points per usable view of what the maps show of the person."""
+    """Sample at most `count` points per usable view on the person's surface."""
     found, first = [], [0]
     for c, camera in enumerate(depth.rig):
         made = 0
@@ -130,20 +140,23 @@ def surface_points(depth: Depth, count: int) -> SurfacePoints:
 
 
 def back_projected(camera: Camera, u: ArrayLike, v: ArrayLike, z: ArrayLike) -> Array:
-    """(..., 3) m in the camera's frame: pixels (...,) at z (...,) m along the optical axis of a pinhole camera."""
+    """Back-project pixels (...,) at z (...,) m along the optical axis of a pinhole camera; return (..., 3), m, in
+    its frame."""
     u, v, z = (np.asarray(a, dtype=np.float64) for a in (u, v, z))
     return np.stack([(u - camera.K[0, 2]) / camera.K[0, 0] * z, (v - camera.K[1, 2]) / camera.K[1, 1] * z, z], -1)
 
 
 def in_world(camera: Camera, points_camera: Array) -> Array:
-    """(..., 3) m in the world from points (..., 3) m in the camera's frame."""
+    """Transform points (..., 3), m, from the camera's frame to the world."""
     rotation, shift = camera.camera_from_world[:3, :3], camera.camera_from_world[:3, 3]
     return (points_camera - shift) @ rotation
 
 
 def smooth_surface(depth: NDArray[np.float32], jump_m: float = JUMP_M) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """A map (h, w) m with the median of 3 x 3 px in place of every value, and where that stands on one surface: no
-    hole and no jump among the 3 x 3 px."""
+    """Smooth a depth map (h, w), m, by the median of 3 x 3 px, and mark where these lie on one surface.
+
+    Returns: the smoothed map (h, w); (h, w) true where the 3 x 3 px have no hole and no jump.
+    """
     kernel = np.ones((3, 3), np.uint8)
     low, high = cv2.erode(depth, kernel), cv2.dilate(depth, kernel)
     sound = (low > 0) & (high - low < jump_m)

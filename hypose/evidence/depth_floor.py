@@ -1,4 +1,4 @@
-"""The floor in a depth map: which way is up, and how high the sensor hangs."""
+"""Find the floor in a depth map: the upward direction, and the height of the sensor."""
 
 from __future__ import annotations
 
@@ -15,15 +15,18 @@ _NEAR_M, _TILTED = 0.02, np.cos(np.radians(50))
 _LEAST_SHARE = 0.04
 """share of the map that the floor must fill"""
 _BELOW_M, _LEVEL = 0.15, np.cos(np.radians(8))
-"""m: a floor lies lower than that below a table; level planes are parallel but for so much"""
+"""m: least distance of a floor below a table; cosine of the largest angle between two level planes"""
 
 
 def camera_on_floor(depth: NDArray[np.float32], camera: Camera) -> Array:
-    """camera_from_world (4, 4) of a sensor by its map (h, w) m: the floor at z = 0, the sensor above the origin,
-    looking along +y. The sensor is held upright, give or take 50 degrees; the camera's own place is not looked at. Of
-    level planes below each other (a table, the floor) the lowest is the floor.
+    """Estimate a sensor's pose from its depth map (h, w), m: floor at z = 0, sensor above the origin, looking along +y.
 
-    An EvidenceError when no plane fills enough of the map. Source: Fischler & Bolles 1981 (random sample consensus)."""
+    The sensor must be upright within 50 degrees; the given camera's own pose is not used. Of several level planes (a
+    table, the floor) the lowest is the floor.
+    Returns: camera_from_world (4, 4).
+    Raises: EvidenceError where no plane fills enough of the map.
+    Source: Fischler & Bolles 1981 (random sample consensus).
+    """
     v, u = np.nonzero(depth > 0)
     chosen = np.linspace(0, max(len(v) - 1, 0), min(_POINTS, len(v))).astype(int)
     v, u = v[chosen], u[chosen]
@@ -52,8 +55,10 @@ def camera_on_floor(depth: NDArray[np.float32], camera: Camera) -> Array:
 
 
 def _plane(points: Array, rng: np.random.Generator, least: float) -> tuple[Array, float] | None:
-    """Upward normal (3,) and offset of the plane below the sensor that holds most of the points (N, 3) m in the
-    camera's frame; None when it holds fewer than `least`."""
+    """Fit the plane below the sensor that holds most of the points (N, 3), m, in the camera's frame.
+
+    Returns: upward normal (3,) and offset; None where it holds fewer than `least` points.
+    """
     best: tuple[int, Array, float] | None = None
     for _ in range(_DRAWS if len(points) > 3 else 0):
         a, b, c = points[rng.choice(len(points), 3, replace=False)]

@@ -1,8 +1,8 @@
-"""Depth maps of one frame as a term of the solver: points on the body's surface, and space that is empty.
+"""Build the solver's term of depth maps: points on the body's surface, and space that is empty.
 
 Source: points drawn to the surface as in articulated ICP (Knoop et al. 2006; Ganapathi et al. 2012, who also keep the
-body out of what was seen to be empty). Deviation: the nearest place is looked for among all of the body that faces the
-sensor and looks about as the point does, instead of drawing the body in every iteration.
+    body out of space seen to be empty). Deviation: the nearest place is searched on all of the body that faces the
+    sensor and has a similar normal, instead of drawing the body in every iteration.
 """
 
 from __future__ import annotations
@@ -21,21 +21,27 @@ from hypose.evidence.terms import Term
 from hypose.geometry import Array
 
 BODY_SD = 0.012
-"""m: how far a person's surface lies next to that of a body of the right size: clothes, folds, flesh"""
+"""m: usual distance of a person's surface from that of a body of the right size: clothes, folds, flesh"""
 WEIGHT, SCALE_M = 0.1, 0.025
-"""Of one point, the robust scale of its distance. Chosen on simulated recordings of the seeds 0 to 9
+"""Weight of one point, and robust scale of its distance, m. Chosen on simulated recordings of the seeds 0 to 9
 (benchmark `depth`)."""
 FREE_SHARE, FREE_SCALE_M, SLACK_M = 0.5, 0.06, 0.02
 _MAP_SIDE = 160
-"""px: maps in which the body is looked up need no more"""
+"""px: largest side of the maps in which the body is looked up; more is not needed"""
 
 
 @dataclass(frozen=True)
 class DepthTerm(Term):
-    """Built by `depth_term`. points, normals (M, 3) m, world; weight (M,); first (C + 1,): the points of each sensor;
-    eyes (C, 3) m; maps (C, h, w) float32 m, 0: not known; sizes (C, 2) width, height; projections (C, 3, 4); scale_m:
-    Geman-McClure scale; free_share: weight of body before what was seen, per point; free_scale_m; slack_m before what
-    was seen that cost nothing."""
+    """Term of depth in the solver; built by `depth_term`.
+
+    points, normals: (M, 3) in the world, m; weight: (M,); first: (C + 1,) ranges of each sensor's points.
+    eyes: (C, 3) positions of the sensors, m.
+    maps: (C, h, w) float32 m, 0: unknown; sizes: (C, 2) width, height; projections: (C, 3, 4).
+    scale_m: Geman-McClure scale of a point's distance.
+    free_share: weight, per point, of body in front of what was seen; free_scale_m: its scale; slack_m: m in front that
+        cost nothing.
+    Raises: InputError where the shapes do not fit or a scale is not positive.
+    """
 
     points: Array
     normals: Array
@@ -62,13 +68,13 @@ class DepthTerm(Term):
             raise InputError("DepthTerm.scale_m and free_scale_m must be positive.")
 
     def arrays(self, body: Body) -> DepthArrays | None:
-        """What the solver takes; None where there are no points."""
+        """Build the solver's arrays; None where there are no points."""
         scales = float(self.scale_m), float(self.free_share), float(self.free_scale_m), float(self.slack_m)
         return DepthArrays._make((*self._flat, *rings(body), *scales)) if len(self.points) else None
 
     @cached_property
     def _flat(self) -> tuple[NDArray, ...]:
-        """The arrays in the solver's order, made once for all solves of a frame."""
+        """The arrays in the solver's order, built once for all solves of a frame."""
         given: list[tuple[NDArray, type]] = [(self.points, np.float64), (self.normals, np.float64)]
         given += [(self.weight, np.float64), (self.first, np.int64), (self.eyes, np.float64), (self.maps, np.float32)]
         given += [(self.sizes, np.int64), (self.projections, np.float64)]
@@ -76,10 +82,10 @@ class DepthTerm(Term):
 
 
 def depth_term(depth: Depth, weight: float = WEIGHT, scale_m: float = SCALE_M) -> DepthTerm | None:
-    """The depth evidence of a frame; None when no sensor shows a surface of the person.
+    """Build the depth term of a frame; None where no sensor shows a surface of the person.
 
-    weight: of one point that the sensor knows as well as one can know where a body's surface is; noisier points weigh
-    less."""
+    weight: of a point whose noise is far below BODY_SD; noisier points weigh less.
+    """
     surface = depth.surface
     if len(surface.points) == 0:
         return None
@@ -102,7 +108,7 @@ def depth_term(depth: Depth, weight: float = WEIGHT, scale_m: float = SCALE_M) -
 
 
 def shrunk(projections: Array, step: int) -> Array:
-    """Projections (C, 3, 4) of pictures of which every step-th pixel is kept, the first one included."""
+    """Scale projections (C, 3, 4) for pictures of which every step-th pixel is kept, the first one included."""
     out = np.array(projections, dtype=np.float64)
     out[:, :2] /= step
     return out
@@ -112,9 +118,11 @@ _RINGS: dict[int, tuple[Body, NDArray[np.int64], NDArray[np.int32]]] = {}
 
 
 def rings(body: Body) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-    """The faces around each vertex of the scoring mesh: first (V + 1,), and (3 F, 3) their other corners in the face's
-    order and the row of the face around this vertex that shares the edge to the first of them (its own where none
-    does); kept for the last bodies."""
+    """List the faces around each vertex of the coarse mesh; cached for the last bodies.
+
+    Returns: first (V + 1,) ranges of each vertex; (3 F, 3) rows: the two other corners in the face's order, and the row
+        of the face around this vertex that shares the edge to the first of them (its own row where none does).
+    """
     kept = _RINGS.get(id(body.coarse))
     if kept is None or kept[0].coarse is not body.coarse:
         while len(_RINGS) > 15:

@@ -1,4 +1,4 @@
-"""What a detector of 2D key points has to offer, and the file that its points are kept in."""
+"""Interface of a detector of 2D key points, and the file in which its points are stored."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hypose.evidence.pose_network import Crop, Sighting
 
 
 class PoseDetector(Protocol):
-    """Finds people in the pictures of a view, one after the other."""
+    """Interface of a detector that finds people in the pictures of a view, one picture after the other."""
 
     @property
     def keypoint_set(self) -> str:
@@ -21,23 +21,27 @@ class PoseDetector(Protocol):
 
     @property
     def identity(self) -> dict[str, Any]:
-        """Everything that decides what it finds, as JSON values: program, version, model, settings."""
+        """Everything that determines its results, as JSON values: program, version, model, settings."""
         ...
 
     @property
     def gives_masks(self) -> bool:
-        """Whether it finds masks as well; then it may be called by several threads at once."""
+        """Whether it finds masks as well; then several threads may call it at once."""
         ...
 
     def look(self, image: NDArray[np.uint8], number: int, before: Sequence[Crop], /) -> list[Sighting]:
-        """People in a picture (h, w, 3) BGR with its number in the video, pixel centres at integers; before: where the
-        people of the picture before it are expected. The result depends on these alone, so that work can go on where
-        it stopped."""
+        """Detect the people in a picture.
+
+        image: (h, w, 3) BGR; pixel centres at integers.
+        number: of the picture in the video.
+        before: expected places of the people of the previous picture.
+        The result depends on these alone, so that interrupted work can be resumed.
+        """
         ...
 
 
 def openpose_document(people: ArrayLike) -> dict[str, Any]:
-    """People (P, K, 3) as OpenPose writes them; who has no point with confidence is left out."""
+    """Convert people (P, K, 3) to OpenPose's JSON document; people without a confident point are left out."""
     seen = [p for p in np.asarray(people, dtype=np.float64) if (p[:, 2] > 0).any()]
     return {
         "version": 1.3,

@@ -1,5 +1,5 @@
-"""What one picture tells of contours: edges, the gradient of a smoothed picture in units of a full edge, and optical
-flow to the next picture with its outliers and motion boundaries."""
+"""Compute edges of a picture (the gradient in units of a full edge), and optical flow with outliers and motion
+boundaries."""
 
 from __future__ import annotations
 
@@ -12,15 +12,17 @@ from numpy.typing import NDArray
 from hypose.errors import InputError
 
 WEAKEST = 3.0
-"""grey levels per px: the least gradient that may count as a full edge; below lies the noise"""
+"""grey levels per px: least gradient that can count as a full edge; below is noise"""
 
 
 def edge_field(image: NDArray[np.uint8], smoothing_px: float = 1.2, strength: float = 0.93) -> NDArray[np.float32]:
-    """Gradient (h, w, 2) float32 of image (h, w, 3) or (h, w) uint8, of length 1 where it is at least a full edge.
+    """Compute the gradient (h, w, 2) float32 of a picture, with length 1 where it is at least a full edge.
 
-    Each pixel takes the colour channel of largest gradient; a full edge is the `strength` quantile of all lengths.
-    Source: Sminchisescu & Triggs 2001, section 3.2 (Gaussian smoothing, then Sobel). Deviation: Scharr's kernels, which
-    turn with the edge more exactly, and the cut, so that the contrast of the background does not outvote the body.
+    image: (h, w, 3) or (h, w) uint8. Each pixel uses the colour channel with the largest gradient.
+    strength: quantile of all lengths that is a full edge.
+    Source: Sminchisescu & Triggs 2001, section 3.2 (Gaussian smoothing, then Sobel). Deviations: Scharr's kernels,
+        whose direction is more exact; and the limit of 1, so that high contrast in the background does not outweigh the
+        body.
     """
     if image.ndim not in (2, 3) or image.dtype != np.uint8:
         raise InputError(f"A picture must be (h, w) or (h, w, 3) uint8, got {image.shape} {image.dtype}.")
@@ -35,7 +37,8 @@ def edge_field(image: NDArray[np.uint8], smoothing_px: float = 1.2, strength: fl
 
 
 def _strongest_gradient(image: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Scharr gradient (h, w, 2) per px of the channel of image (h, w, C) in which it is largest; 0 along the border."""
+    """Compute the Scharr gradient (h, w, 2) per px of the channel of image (h, w, C) in which it is largest; 0 on
+    the border."""
     slopes = np.stack([cv2.Scharr(image, cv2.CV_32F, 1 - k, k, scale=1 / 32).reshape(image.shape) for k in range(2)], 2)
     best = (slopes**2).sum(2).argmax(2)
     field = np.take_along_axis(slopes, best[..., None, None], 3)[..., 0]
@@ -45,18 +48,22 @@ def _strongest_gradient(image: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 _STEEP, WRONG = 6.0, 2.0
-"""Sobel slope of the flow and forward-backward error (px) that make a full motion boundary"""
+"""Sobel slope of the flow, and forward-backward error (px), that make a full motion boundary"""
 SMOOTHING, GAIN = 3.0, 1.6
-"""px by which boundaries are smoothed, and what makes up for the height that this takes"""
+"""px by which boundaries are smoothed, and the factor that restores their height"""
 _LEAST_SIDE_PX = 48
-"""px: the flow of a smaller part of a picture has no support at its coarse scales"""
+"""px: a smaller part of a picture has too little support at the coarse scales of flow"""
 
 
 @dataclass(frozen=True)
 class Flow:
-    """Flow in a part of the picture that begins at corner (x, y): flow (h, w, 2) float32 px from the previous picture
-    to this one, at the previous one's pixels; error (h, w) px, forward-backward, at the same pixels: the outlier map;
-    boundaries (h, w) 0..1 at this picture's pixels."""
+    """Optical flow in a part of the picture, from the previous picture to this one.
+
+    flow: (h, w, 2) float32 px, at the previous picture's pixels.
+    error: (h, w) forward-backward error, px, at the same pixels: the outlier map.
+    boundaries: (h, w) motion boundaries, 0 to 1, at this picture's pixels.
+    corner: (x, y) where the part begins.
+    """
 
     flow: NDArray[np.float32]
     error: NDArray[np.float32]
@@ -67,12 +74,13 @@ class Flow:
 def optical_flow(
     previous: NDArray[np.uint8], current: NDArray[np.uint8], box: tuple[int, int, int, int] | None = None
 ) -> Flow:
-    """Flow from the previous to the current grey picture (h, w) uint8, in the box x0, x1, y0, y1 (half open; default:
-    all).
+    """Compute the flow from the previous to the current grey picture (h, w) uint8.
 
-    Source: section 3.2 of Sminchisescu & Triggs 2001: robust flow with an outlier map, of which smoothed motion
-    boundaries are made. Deviation: DIS flow (Kroeger et al. 2016) both ways with the forward-backward error as outlier
-    map, instead of Black & Anandan's flow.
+    box: x0, x1, y0, y1 (half open; default: the whole picture).
+    Raises: InputError where the pictures differ in size or are too small.
+    Source: Sminchisescu & Triggs 2001, section 3.2: robust flow with an outlier map, from which smoothed motion
+        boundaries are made. Deviation: DIS flow (Kroeger et al. 2016) in both directions, with the forward-backward
+        error as the outlier map, instead of Black & Anandan's flow.
     """
     if previous.shape != current.shape or previous.ndim != 2:
         raise InputError(
@@ -97,7 +105,8 @@ def optical_flow(
 
 
 def _flow_error(there: NDArray[np.float32], back: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Length (h, w) px of there(x) + back(x + there(x)); outside the picture the border's flow counts."""
+    """Compute the length (h, w), px, of there(x) + back(x + there(x)); outside the picture the border's flow is
+    used."""
     h, w = there.shape[:2]
     x, y = np.meshgrid(np.arange(w, dtype=np.float32), np.arange(h, dtype=np.float32))
     at = x + there[..., 0], y + there[..., 1]
@@ -106,7 +115,7 @@ def _flow_error(there: NDArray[np.float32], back: NDArray[np.float32]) -> NDArra
 
 
 def _wide_enough(box: tuple[int, int, int, int], w: int, h: int) -> tuple[int, int, int, int]:
-    """The box inside the picture, at least _LEAST_SIDE_PX px wide and high where the picture is."""
+    """Clip the box to the picture, and enlarge it to at least _LEAST_SIDE_PX px where possible."""
     out: list[int] = []
     for low, high, size in ((box[0], box[1], w), (box[2], box[3], h)):
         low, high = max(int(low), 0), min(int(high), size)

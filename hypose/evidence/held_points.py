@@ -1,7 +1,8 @@
-"""Key points that were held over gaps: a detector, or what filled its gaps, went on giving the last place it knew.
+"""Find key points that were held over gaps: a detector, or a program that filled its gaps, repeated the last known
+place.
 
-Detections of a person who stands still differ in their last digits; values that are the same to the last digit in
-several frames, while most other points of the same view move on, was not seen there.
+Real detections of a person who stands still differ in their last digits. A point with exactly the same value in several
+frames, while most other points of the view move on, was not seen there.
 """
 
 from __future__ import annotations
@@ -20,8 +21,12 @@ _LEAST_POINTS = 6  # points of a frame that tell whether the others move
 
 
 def without_held(column: Sequence[Array | None], first: int = 0) -> tuple[list[Array | None], int]:
-    """The frames' people (P, K, M) of one view, confidence in column 2, with the points that were held set to
-    confidence 0, and how many those are. first: of the two columns with their places in px as they were given."""
+    """Set held key points of one view to confidence 0.
+
+    column: per frame the people (P, K, M), confidence in column 2; None where there are none.
+    first: of the two columns with the places in px as they were given.
+    Returns: the frames with held points removed; the number of held points.
+    """
     out = [None if people is None else people.copy() for people in column]
     seen = repeated = count = 0
     before: tuple[Array, NDArray[np.int64]] | None = None  # the people of the frame before, and for how long

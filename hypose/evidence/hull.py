@@ -1,4 +1,4 @@
-"""Visual hull: the space that the silhouettes leave to the person (space carving on voxels, coarse to
+"""Compute the visual hull: the space that all silhouettes leave to the person (space carving on voxels, coarse to
 fine)."""
 
 from __future__ import annotations
@@ -22,8 +22,12 @@ _MAX_CELLS = 20_000_000
 
 @dataclass(frozen=True)
 class Hull:
-    """Occupied voxels. occupancy: (nx, ny, nz) bool; origin: (3,) m, centre of voxel [0, 0, 0] in the
-    world; voxel: m."""
+    """Occupied voxels of a visual hull.
+
+    occupancy: (nx, ny, nz) bool.
+    origin: (3,) centre of voxel [0, 0, 0] in the world, m.
+    voxel: edge length, m.
+    """
 
     occupancy: NDArray[np.bool_]
     origin: Array
@@ -31,17 +35,17 @@ class Hull:
 
     @cached_property
     def points(self) -> Array:
-        """(M, 3) centres of the occupied voxels in the world, m."""
+        """Centres (M, 3) of the occupied voxels in the world, m."""
         return self.origin + np.argwhere(self.occupancy) * self.voxel
 
     @property
     def volume(self) -> float:
-        """m^3."""
+        """Volume, m^3."""
         return float(self.occupancy.sum()) * self.voxel**3
 
     @property
     def centroid(self) -> Array:
-        """(3,) world, m."""
+        """Mean of the occupied voxels (3,) in the world, m."""
         return self.points.mean(0)
 
     @property
@@ -63,18 +67,22 @@ class Hull:
 
     @property
     def surface_points(self) -> Array:
-        """(S, 3) centres of the voxels that touch free space, m."""
+        """Centres (S, 3) of the voxels that touch free space, m."""
         return self._surface[0]
 
     @property
     def normals(self) -> Array:
-        """(S, 3) unit outward normals at surface_points (gradient of the smoothed occupancy)."""
+        """Outward unit normals (S, 3) at surface_points (gradient of the smoothed occupancy)."""
         return self._surface[1]
 
 
 def common_view_bounds(rig: CameraRig) -> Array:
-    """(2, 3) m, lowest and highest corner of the cube in which the cameras look: around the point nearest
-    to all optical axes, as far as the farthest camera. An EvidenceError when the axes do not meet."""
+    """Compute the cube that all cameras look at: around the point nearest to all optical axes, as far as the farthest
+    camera.
+
+    Returns: (2, 3) lowest and highest corner, m.
+    Raises: EvidenceError where the axes do not meet.
+    """
     directions = np.stack([c.camera_from_world[2, :3] for c in rig])
     across = np.eye(3) - directions[:, :, None] * directions[:, None, :]
     a = across.sum(0)
@@ -98,18 +106,23 @@ def visual_hull(
     largest: bool = True,
     surely: int | None = None,
 ) -> Hull:
-    """The visual hull of the usable silhouettes.
+    """Compute the visual hull of the usable silhouettes.
 
-    A voxel is occupied when at most `miss` of the views that see it (in front of the camera and inside the
-    image) have no person at its centre, and at least min_views have it
-    there (default: three quarters of the usable views, at least 2, as far as `miss` allows). bounds (2, 3)
-    m: the space searched (default: the cameras' common view). voxel: edge, m. largest: keep only the
-    biggest connected body. Works coarse to fine: a cell is refined unless more than `miss` views are free
-    of person all over the circle around its image. Raises EvidenceError when fewer than min_views views
-    are usable or nothing is left. Source: shape from inconsistent silhouettes, Landabaso, Pardas & Casas
-    2008; Alcoverro 2014, section 2.3.4, places the body by such a hull. Ignored pixels may show a person or not,
-    and at least `surely` views must show one in pixels that are not ignored (default: three, or all there are; two
-    where it is known where the person is expected: masks end there, and others hide a leg from two of four views).
+    A voxel is occupied where at most `miss` of the views that see its centre have no person there, and at least
+    min_views have one. It works coarse to fine: a cell is refined unless more than `miss` views have no person anywhere
+    in its image.
+    bounds: (2, 3) space to search, m (default: the cameras' common view).
+    voxel: edge length, m.
+    miss: number of views that may miss the person.
+    min_views: default three quarters of the usable views, at least 2, as far as `miss` allows.
+    largest: keep only the largest connected body.
+    surely: where there are ignored pixels, which may show a person or not, number of views that must show one in pixels
+        that are not ignored. Default: three, or all views; two where the person's expected place is known, since masks
+        end there and other people can hide a leg from two of four views.
+    Raises: EvidenceError where fewer than min_views views are usable, or nothing is left; InputError for wrong
+        arguments.
+    Source: shape from inconsistent silhouettes, Landabaso, Pardas & Casas 2008; Alcoverro 2014, section 2.3.4, places
+        the body by such a hull.
     """
     views = np.flatnonzero(silhouettes.usable)
     if min_views is None:
@@ -182,7 +195,10 @@ def _summed(mask: NDArray[np.uint8]) -> NDArray[np.int32]:
 def _free_cells(
     camera: Camera, mask: NDArray[np.uint8], sums: NDArray[np.int32], centres: Array, edge: float
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """For cubes (M,): surely without person in this view; and possibly with. edge 0: judged at the centre."""
+    """Decide for cubes (M,) whether this view surely shows no person there, and whether it possibly shows one.
+
+    edge: of the cubes, m; 0: only their centres are tested.
+    """
     w, h = camera.size
     x = centres @ camera.camera_from_world[:3, :3].T + camera.camera_from_world[:3, 3]
     radius = 0.5 * np.sqrt(3.0) * edge
@@ -220,7 +236,7 @@ def _largest(occupancy: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], NDArray[n
 
 
 def hull_masks(hull: Hull, rig: CameraRig) -> NDArray[np.uint8]:
-    """(C, h, w) uint8 pictures of the hull's voxel cubes in pinhole cameras, padded to the common size."""
+    """Draw the hull's voxels in pinhole cameras: (C, h, w) uint8, padded to the common size."""
     points = hull.surface_points
     sizes = rig.sizes
     out = np.zeros((len(rig), int(sizes[:, 1].max()), int(sizes[:, 0].max())), np.uint8)
@@ -245,7 +261,7 @@ def hull_masks(hull: Hull, rig: CameraRig) -> NDArray[np.uint8]:
 
 
 def hull_iou(hull: Hull, silhouettes: Silhouettes) -> Array:
-    """(C,) intersection over union of the hull's picture and each mask; NaN for views that are not usable."""
+    """Compute the intersection over union (C,) of the drawn hull and each mask; NaN for views that are not usable."""
     pictures = hull_masks(hull, silhouettes.rig).astype(bool)
     masks = silhouettes.masks > 0
     both = (pictures & masks).sum((1, 2))

@@ -113,15 +113,8 @@ def read_text(path: str | Path, kind: str, limit: int = MAX_TEXT_BYTES) -> str:
 
 
 def text_lines(path: str | Path, kind: str, limit: int = MAX_TEXT_BYTES) -> list[str]:
-    """Read the lines of a text file; invalid UTF-8 becomes U+FFFD.
-
-    kind, limit: as for `open_file`.
-    Raises: InputError as `open_file`, and for a binary file.
-    """
-    data = read_bytes(path, kind, limit)
-    if b"\0" in data[:65536]:
-        raise InputError(f"{path} is a binary file, not {kind}.")
-    return data.decode("utf-8", errors="replace").lstrip("\ufeff").splitlines()
+    """Read the lines of a text file as `bounded_lines` does, all at once."""
+    return list(bounded_lines(path, kind, limit, limit))
 
 
 def csv_rows(

@@ -19,6 +19,7 @@ from hypose.tracking.error_features import AROUND_S
 from hypose.tracking.error_model import LOOK_P
 
 GOOD, LOOK, UNTRUSTED = "good", "look", "not to be trusted"
+ASSESSMENT_FILE = "assessment.json"
 EXIT_UNTRUSTED = 3
 """Exit code of a command whose result is not to be trusted."""
 LIMB_S = 2 * AROUND_S

@@ -25,9 +25,9 @@ from hypose.body.motion import Motion
 from hypose.errors import InputError
 from hypose.evidence.keypoint_sets import common_name
 from hypose.geometry import Array, procrustes, transform
-from hypose.io.motions.c3d import read_c3d
-from hypose.io.motions.marker_files import read_mot, read_trc
-from hypose.io.motions.results import load_archive, load_result
+from hypose.io.motions.export import MOTION_FILES
+from hypose.io.motions.marker_files import Markers
+from hypose.io.motions.results import load_archive
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.track_options import CompareOptions
 from hypose.synthetic.metrics import carriers, coverage, joint_errors, population_offsets
@@ -70,18 +70,14 @@ def read_other(
     subject: person to read, where the file names points SUBJECT:POINT.
     Raises: InputError where no joint or angle is known, or where it is not clear which person is meant.
     """
-    ending = path.suffix.lower()
-    if path.is_dir() or ending == ".npz":
-        motion = load_result(path)
-        names = motion.skeleton.joint_names
-        points = {n: motion.joints[:, i] for i, n in enumerate(names)}
-        return OtherMotion(path, motion.times, points, angles_of(motion))
-    if ending in (".mot", ".sto"):
-        times, names, values = read_mot(path)
+    found = MOTION_FILES.read(path)
+    if isinstance(found, Motion):
+        points = {n: found.joints[:, i] for i, n in enumerate(found.skeleton.joint_names)}
+        return OtherMotion(path, found.times, points, angles_of(found))
+    if isinstance(found, tuple):
+        times, names, values = found
         return OtherMotion(path, times, {}, {n: values[:, i] for i, n in enumerate(names)})
-    if ending not in (".c3d", ".trc"):
-        raise InputError(f"{path} cannot be compared with; give results of hypose, .c3d, .trc, .mot or .sto.")
-    markers = read_c3d(path) if ending == ".c3d" else read_trc(path)
+    markers: Markers = found
     names, kept = _of_subject(path, markers.names, subject)
     twice = {n for n in names if names.count(n) > 1}
     notes = (

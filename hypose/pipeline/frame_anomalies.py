@@ -61,8 +61,8 @@ def looked_at(
 def looked_again(
     tracker: Tracker, estimate: FrameEstimate, old: FrameEstimate, frame: Frame, last: Frame | None
 ) -> FrameEstimate:
-    """Apply `looked_at` to a new estimate of a frame that has an old estimate; the mask change is taken from the old
-    one.
+    """Add view statistics and features of the error model to a new estimate of a frame, see `looked_at`; the mask
+    change is taken from the old estimate of the frame.
     """
     return looked_at(tracker, estimate, frame, last, old.seen[:, 1] if len(old.seen) else None)
 
@@ -315,7 +315,7 @@ def _worse(overlap: Array, known: NDArray[np.bool_], frame_rate: float) -> NDArr
 
 
 def in_words(found: Sequence[range]) -> str:
-    """Write ranges of frames as text, at most five: 'frames 10-19, 40'."""
+    """Return ranges of frames as text, at most five: 'frames 10-19, 40'."""
     shown = [f"{r.start}-{r.stop - 1}" if len(r) > 1 else str(r.start) for r in found[:5]]
     more = f" and {len(found) - 5} more" if len(found) > 5 else ""
     return f"frame{'s' if sum(map(len, found)) > 1 else ''} {', '.join(shown)}{more}"

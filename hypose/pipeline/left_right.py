@@ -118,7 +118,9 @@ class _Retracked:
 def _retracked_from(
     tracker: Tracker, old: Sequence[FrameEstimate], at: int, frames: FrameRange, memory: Memory | None
 ) -> _Retracked:
-    """Track again in both directions from frame `at`, from the body with exchanged sides or where it was found."""
+    """Track again from frame `at` in both directions, starting with exchanged sides, or where the lost body was found;
+    return the frames that become better.
+    """
     start = tracker.start(tracker.rival(old[at].pose, next(iter(frames(range(at, at + 1))))), memory)
     ahead, back = range(at, len(old)), range(at - 1, -1, -1)
     later, won, after = _while_better(tracker, start, old, ahead, _forwards(frames, at, len(old)))

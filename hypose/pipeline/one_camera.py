@@ -191,7 +191,7 @@ class PictureFrames:
 
 
 def depth_note(motion: Motion, modes: Modes) -> str:
-    """Write the sentence that says how uncertain the depth is, in mm, and how many other poses are possible."""
+    """Return the sentence that says how uncertain the depth is, in mm, and how many other poses are possible."""
     depth = 1e3 * float(np.nanmedian(modes.depth_sd))
     whole = 3 * np.asarray(motion.joint_sd) ** 2
     across = 1e3 * float(np.nanmedian(np.sqrt(np.maximum(whole - modes.depth_sd**2, 0.0) / 2)))

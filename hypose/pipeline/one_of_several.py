@@ -40,7 +40,7 @@ from hypose.pipeline.tracked_people import Wanted, said_of_places
 
 
 def several_apart(silhouettes: Sequence[Silhouettes], often: float = SETTINGS.several_often) -> bool:
-    """Return whether a share of these frames (more than `often`) shows people side by side in at least two views."""
+    """Return whether at least two views show people side by side in a share of the frames larger than `often`."""
     if not silhouettes:
         return False
     usable = np.array([s.usable for s in silhouettes])

@@ -285,7 +285,11 @@ class PeopleRun:
         return list(range(first, min(len(self.source), first + round(SETTINGS.people_fit_s * self.frame_rate)), step))
 
     def _followed(self, paths: Sequence[Path], numbers: Sequence[int]) -> list[Path]:
-        """Find the same people in the frames from which bodies are fitted."""
+        """Find the paths of the same people through the frames from which bodies are fitted.
+
+        paths: of the people who were found.
+        Returns: one path per person; the old one where no new one is near.
+        """
         found, out = self._places(numbers), list[Path]()
         for p in paths:
             free = [q for q in found if not any(q is o for o in out)]

@@ -178,12 +178,12 @@ def fitted_again(
     numbers: Sequence[int],
     known: Callable[[str], Wanted],
 ) -> dict[int, TrackedSubject]:
-    """Fit bodies again that were fitted in shared masks once, now that the bodies of all people are known.
+    """Fit bodies again that were fitted once to shared masks, now that the bodies of all people are known.
 
     people: at their starts in the first of the frames `numbers`.
     known: gives the prior knowledge of a person by name.
-    Returns: by index, the subjects with new body and start; with only a note added where that explains the masks no
-        better.
+    Returns: by index of the person, the subject with new body and start; where that explains the masks no better, the
+        old subject with a note.
     """
     once = [k for k, p in enumerate(people) if known(p.name).body is None and AGAIN not in p.subject.notes]
     if len(people) < 2 or not once:

@@ -4,20 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.body import Body
+from hypose.body.joint_angles import is_length, joint_angles
 from hypose.body.motion import Modes, Motion
 from hypose.calibration.findings import Finding
-from hypose.errors import InputError
+from hypose.errors import InputError, extra
 from hypose.evidence.cues import OwnEvidence
 from hypose.geometry import Array
 from hypose.inference.layer import Recipe
-from hypose.io.motions.results import ResultsFolder
-from hypose.pipeline.assessment import Assessment, assess
+from hypose.io.files import read_json
+from hypose.io.motions.results import ResultsFolder, load_result_body, save_body, save_motion
+from hypose.pipeline.assessment import ASSESSMENT_FILE, Assessment, assess
 from hypose.pipeline.first_frame import TrackedSubject
 from hypose.pipeline.moved_sensors import Places
 from hypose.pipeline.passes import AFTER_TRACKING, PASSES, ClipState, Pass, keep_motion, run_pass, to_motion
@@ -39,6 +42,7 @@ class TrackResult:
     findings: reasons to distrust or review the motion, and remarks.
     places: corrected places of depth cameras.
     unsure: that of the subject (`TrackedSubject`).
+    judged: assessment of a result that was loaded; None: it is made of motion and findings.
     """
 
     motion: Motion
@@ -51,11 +55,46 @@ class TrackResult:
     findings: tuple[Finding, ...] = ()
     places: tuple[Places, ...] = ()
     unsure: Array | None = None
+    judged: Assessment | None = None
 
     @property
     def assessment(self) -> Assessment:
         """Assessment of the motion: good, to be reviewed, or not to be trusted, with reasons."""
-        return assess(self.motion, self.findings)
+        return self.judged or assess(self.motion, self.findings)
+
+    @property
+    def angles(self) -> dict[str, Array]:
+        """Joint angles (T,) by OpenSim's names: degrees; metres for positions of the pelvis."""
+        assert self.motion.poses is not None
+        names, values = joint_angles(self.motion.skeleton, self.motion.poses)
+        return {n: v if is_length(n) else np.degrees(v) for n, v in zip(names, values.T, strict=True)}
+
+    def to_dataframe(self) -> Any:  # noqa: ANN401 (a pandas.DataFrame)
+        """Make a pandas.DataFrame with one row per frame.
+
+        Columns: time (s), lost, extrapolated, the joint angles, and of each joint x, y, z, sd (m) and p (probability of
+            an error of more than 100 mm).
+        Raises: InputError where pandas is not installed.
+        """
+        m, pandas = self.motion, extra("pandas", "A data frame", "pandas")
+        columns = {"time": m.times, "lost": m.lost, "extrapolated": m.extrapolated, **self.angles}
+        for j, name in enumerate(m.skeleton.joint_names):
+            columns |= {f"{name}_{axis}": m.joints[:, j, k] for k, axis in enumerate("xyz")}
+            columns[f"{name}_sd"] = m.joint_sd[:, j]
+            if m.error_probability is not None:
+                columns[f"{name}_p"] = m.error_probability[:, j]
+        return pandas.DataFrame(columns)
+
+    def save(self, folder: str | Path) -> None:
+        """Write motion.npz, body.npz, provenance.json and assessment.json, which `load_result` reads.
+
+        folder: is made where it does not exist.
+        """
+        results = ResultsFolder(Path(folder))
+        save_motion(self.motion, results.motion)
+        save_body(self.body, results.file("body.npz"))
+        results.write_json("provenance.json", self.motion.provenance)
+        results.write_json(ASSESSMENT_FILE, self.assessment.with_joints(self.motion))
 
     @staticmethod
     def of(clip: ClipState) -> TrackResult:
@@ -73,6 +112,20 @@ class TrackResult:
             clip.places,
             clip.who.unsure,
         )
+
+
+def load_tracked(folder: str | Path) -> TrackResult:
+    """Load a result from its folder, as `hypose track` or `TrackResult.save` wrote it.
+
+    Raises: InputError where files are missing or damaged.
+    """
+    motion, body = load_result_body(Path(folder))
+    path = Path(folder) / ASSESSMENT_FILE
+    try:
+        judged = Assessment.of_document(read_json(path, "an assessment"))
+    except (ValueError, KeyError, TypeError):
+        raise InputError(f"{path} is not an assessment of hypose; track the recording again.") from None
+    return TrackResult(motion, body, True, (), judged=judged, findings=judged.findings)
 
 
 def track_source(

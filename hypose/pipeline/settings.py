@@ -13,10 +13,6 @@ class PipelineSettings:
         (seeds 440 and 441).
     again_least_won: Least sum over frames of the IoU won by the backward track to replace the start. Where nothing was
         wrong it won up to .21 (seeds 432, 440 and 441), where legs were exchanged .80 (432).
-    worth_frames: Frames used, spread over the motion.
-    worth_prior: Standard deviation of a joint that the cameras do not determine, from the body alone, m.
-    worth_noise: Standard deviation of a detection, as a share of a picture's longer side.
-    worth_places: Places around the person at which one more camera is tried.
     compare_levels: Probabilities of the regions whose coverage is compared.
     compare_most_lag: Largest time offset that is searched, s.
     compare_longest_gap: Longest gap over which the other motion is interpolated, s.
@@ -288,10 +284,6 @@ class PipelineSettings:
 
     again_poses: int = 12
     again_least_won: float = 0.3
-    worth_frames: int = 60
-    worth_prior: float = 0.25
-    worth_noise: float = 2.0 / 480
-    worth_places: int = 36
     compare_levels: tuple[float, float, float] = (0.5, 0.9, 0.95)
     compare_most_lag: float = 5.0
     compare_longest_gap: float = 0.1

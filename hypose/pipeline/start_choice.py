@@ -37,7 +37,7 @@ _UNITS = {"cm": 0.01, "mm": 0.001, "m": 1.0}
 
 
 def no_two_views(frame: Frame) -> str:
-    """Write why a body cannot be measured in a frame with too few usable views, and what to do."""
+    """Return the sentence why a body cannot be measured in a frame with too few usable views, and what to do."""
     why = [r for masks in frame.of(Silhouettes) for r in masks.reasons if r]
     first = f" ({why[0].rstrip('.')})" if why else ""
     if frame.depth is not None:
@@ -156,7 +156,10 @@ def check_named_pose(named: str, value: float, others: Mapping[str, float], fram
 
 
 def follow(tracker: Tracker, start: Array, frames: Sequence[Frame], tick: Callable[[], None]) -> list[FrameEstimate]:
-    """Track the frames one after the other, the first from a pose (D,); `tick` is called after each."""
+    """Track the frames one after the other from a pose (D,) before the first; return their estimates.
+
+    tick: called after each frame.
+    """
     found: list[FrameEstimate] = []
     for _, estimate in tracker.follow(tracker.start(start), frames):
         found.append(estimate)
@@ -191,7 +194,8 @@ def way_of(
 
     at: number of the start's frame.
     rate: of the frames, Hz.
-    best: cheapest trial so far; None is returned as soon as this one clearly costs more.
+    best: cheapest trial so far.
+    Returns: the trial; None as soon as it clearly costs more than `best`.
     """
     body = start.body
     recipe = replace(default(body, SETTINGS.choice_particles, rate, rivals=1), recover=Recovery(find=recover))
@@ -215,7 +219,7 @@ def way_of(
 
 
 def _mean_more(found: Mapping[int, FrameEstimate], best: StartTrial) -> float:
-    """Compute the mean additional cost of the frames compared with the best trial."""
+    """Compute by how much more the tracked frames cost than the same frames of the best trial, on average."""
     more = np.array([e.cost - best.costs[k] for k, e in found.items()])
     return float(np.nan_to_num(more).mean())
 

@@ -381,7 +381,7 @@ def measured_height(frame_at: _FrameAt, body: Body, poses: Array, iou: Array) ->
 
 
 def height_sentence(reported: float, given: float) -> str:
-    """Write the sentence that the cameras show another height than the given one, both in m."""
+    """Return the sentence that the cameras show another height than the given one, both in m."""
     return (
         f"the person is {reported:.2f} m tall by what the cameras see, not {given:.2f} m as given: leave the height "
         "out or correct it, give the person's own body, or check the scale of the calibration (the board's square size)"

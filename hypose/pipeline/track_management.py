@@ -183,8 +183,8 @@ def _explains(p: Followed, others: Sequence[Followed], frame: Frame) -> float:
 
 
 def not_parts(found: Sequence[HullPerson], people: Sequence[Followed]) -> list[HullPerson]:
-    """Select the people in the hull who are no limb of a tracked person: those no taller than a child
-    must stand apart.
+    """Select the people in the hull who cannot be a limb of a tracked person: tall ones, and those who stand far enough
+    from all tracked people.
     """
     at = [p.estimates[-1].pose[:2] for p in people if p.member.sure]
     return [h for h in found if h.tall or all(np.linalg.norm(h.axis - q) > SETTINGS.newcomer_reach for q in at)]
@@ -291,6 +291,8 @@ def back_again(
 
 
 def unfollowed(coming: Sequence[Array]) -> tuple[str, ...]:
-    """Write a sentence on people or objects to which no body could be fitted, from the last look (x, y, tries, ...)."""
+    """Return a sentence on people or objects to which no body could be fitted; coming: (x, y, failed fits, ...) of the
+    last look.
+    """
     at = ", ".join(f"[{c[0]:.1f}, {c[1]:.1f}]" for c in coming if c[2] > 1)
     return (f"a person or an object at {at} m is not tracked, since no body could be fitted to it",) if at else ()

@@ -173,9 +173,9 @@ def check_views(recording: Recording, of_picture: bool = False) -> None:
 
     if of_picture:
         view = one_view(recording, None).views[0]
-        if view.depth is not None:
+        if view in recording.depth_views:
             raise InputError(f"{view.name} is a depth camera, and this recipe looks at pictures; leave --recipe out.")
-    elif len(recording.views) == 1 and recording.views[0].depth is None:
+    elif len(recording.views) == 1 and not recording.depth_views:
         name = recording.views[0].name
         raise InputError(
             f"{recording.name} has one camera, {name}, and this needs two or more; track one with --recipe monocular "

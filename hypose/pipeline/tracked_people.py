@@ -109,7 +109,7 @@ def while_present(motion: Motion, present: NDArray[np.bool_]) -> Motion:
 
 
 def said_of(people: Sequence[TrackedPerson], frame_rate: float) -> tuple[str, ...]:
-    """Write sentences on who was there, and when."""
+    """Return sentences on who was there, and when."""
     said = [f"{len(people)} {'people' if len(people) != 1 else 'person'}: {', '.join(p.name for p in people)}"]
     for p in people:
         if not p.present.all() and p.present.any():
@@ -119,8 +119,8 @@ def said_of(people: Sequence[TrackedPerson], frame_rate: float) -> tuple[str, ..
 
 
 def said_of_places(wanted: Sequence[Wanted], count: int) -> tuple[str, ...]:
-    """Write a sentence on people whose given places are too early to identify them among `count` people; none where all
-    are fine.
+    """Return a sentence on people whose given places are too early to identify them among `count` people; none where
+    all are usable.
     """
     early = [w for w in wanted if w.early]
     if not early or count < 2:

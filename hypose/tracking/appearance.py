@@ -1,7 +1,7 @@
-"""The colours of people's clothes: nothing else separates people of one size at one place.
+"""Compare the colours of people's clothes; nothing else distinguishes people of one size at one place.
 
-What covers trunk and legs where the body is in front is counted by colour, all views together: who turns round shows
-the same shirt to another camera.
+The colours of trunk and legs are counted in all views together, because a person who turns round shows the same shirt
+to another camera.
 """
 
 from __future__ import annotations
@@ -21,28 +21,31 @@ from hypose.geometry import Array
 from hypose.tracking.part_colours import counted_colours, part_layout
 
 ZONES = ((1, 2), (5, 6))
-"""Of part_colours.PARTS: trunk and sleeves, thighs and shanks."""
+"""Indices in part_colours.PARTS of each zone: trunk and sleeves, thighs and shanks."""
 FEW = 150.0
-"""Pixels that a zone must have shown to be compared."""
+"""Number of pixels that a zone must have shown to be compared."""
 
 
 @dataclass(frozen=True)
 class Appearance:
-    """counts (Z, COLOURS): how often each zone showed each colour."""
+    """Colour counts of a person's clothes; counts: (Z, COLOURS) how often each zone showed each colour."""
 
     counts: NDArray[np.float32]
 
     @property
     def known(self) -> NDArray[np.bool_]:
-        """(Z,) zones of which enough was seen."""
+        """Zones (Z,) of which enough pixels were seen."""
         return self.counts.sum(1) >= FEW
 
     def __add__(self, other: Appearance) -> Appearance:
         return Appearance(self.counts + other.counts)
 
     def likeness(self, other: Appearance) -> float:
-        """From 0 (no colour in common) to 1 (the same): mean over the zones of the Bhattacharyya coefficient of how the
-        colours are distributed; NaN where no zone is known of both."""
+        """Compare two appearances: 0 (no colour in common) to 1 (the same).
+
+        Returns: mean over the zones of the Bhattacharyya coefficient of the colour distributions; NaN where no zone is
+            known of both.
+        """
         both = self.known & other.known
         if not both.any():
             return float("nan")
@@ -51,14 +54,17 @@ class Appearance:
 
 
 def no_appearance() -> Appearance:
-    """Of a person who has not been looked at."""
+    """Build the empty appearance of a person who has not been seen yet."""
     return Appearance(np.zeros((len(ZONES), COLOURS), np.float32))
 
 
 @dataclass(eq=False)
 class AppearanceModel:
-    """Of one person. worn: before others came near; lately, looks: since then, and how often; met: with whom, by name,
-    from which frame on (where they were nearest)."""
+    """Appearance model of one person.
+
+    worn: colours from before other people came near; lately: colours since then; looks: number of frames in lately.
+    met: names of the people who came near, with the frame in which they were nearest.
+    """
 
     worn: Appearance = field(default_factory=no_appearance)
     lately: Appearance = field(default_factory=no_appearance)
@@ -66,27 +72,29 @@ class AppearanceModel:
     met: dict[str, int] = field(default_factory=dict)
 
     def settle(self) -> None:
-        """It is the same one: what was seen lately is theirs."""
+        """Accept that the person is still the same: the recent colours are added to the model."""
         self.worn, self.lately, self.looks, self.met = self.worn + self.lately, no_appearance(), 0, {}
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """For a checkpoint; see `of_arrays`."""
+        """Convert the counts to arrays for a checkpoint; see `of_arrays`."""
         return {"worn": self.worn.counts, "lately": self.lately.counts}
 
     @classmethod
     def of_arrays(cls, arrays: Mapping[str, np.ndarray], about: Mapping[str, Any]) -> AppearanceModel:
-        """What `arrays` and `about` gave."""
+        """Restore the model from `arrays` and `about`."""
         return cls(Appearance(arrays["worn"]), Appearance(arrays["lately"]), int(about["looks"]), dict(about["met"]))
 
     @property
     def about(self) -> dict[str, Any]:
-        """The rest, for a checkpoint."""
+        """The other values for a checkpoint."""
         return {"looks": self.looks, "met": self.met}
 
 
 def appearance_in(body: Body, pose: Array, frame: Frame) -> Appearance:
-    """What a frame shows of the clothes of a person at a pose (D,): in the person's mask, where no other person covers
-    it; nothing where the frame has no pictures."""
+    """Measure the appearance of a person at a pose (D,) in a frame.
+
+    Pixels in the person's mask count where no other person covers them; nothing where the frame has no pictures.
+    """
     out = no_appearance()
     for s, colours in zip(frame.of(Silhouettes), frame.of(Colours), strict=False):
         vertices, (faces, part, _), given = body.skin(pose), part_layout(body), s.informative

@@ -1,9 +1,9 @@
-"""Rival arms: the estimate and the best of what the arms could be instead, carried along from frame to frame.
+"""Keep alternative poses of the arms (rivals) from frame to frame, in addition to the estimate.
 
-A lost arm lies in plain sight, yet its pose overlaps the masks better only once the body, which has made up for the
-wrong arm, is solved again. So the arms that a table of reach finds in the masks are solved before they are compared,
-and a few that are nearly as good live on, each with its own history, until what they predict decides. Source: as for
-the pruned multiple hypotheses of Sminchisescu & Triggs 2001; the scores and the table are hypose's own.
+A lost arm is visible in the masks, but its true pose overlaps them better only after the rest of the body, which has
+adapted to the wrong arm, is solved again. So the arms that a table of reach finds in the masks are solved before they
+are compared, and a few that are nearly as good are kept, each with its own history, until later frames decide.
+Source: pruned multiple hypotheses as in Sminchisescu & Triggs 2001; the scores and the table are hypose's own.
 """
 
 from __future__ import annotations
@@ -29,23 +29,28 @@ from hypose.tracking.part_colours import ColourSettings, colour_scores, known_co
 from hypose.tracking.refinement import COMPOSITE, RIVAL, SOLVED, keep_fits, member, mismatch, refine, solve_poses
 
 _SOLVE, _LOOK, _ORDERED = "rivals solved", "arms looked up", "rivals in order"
-"""What has been begun next to other layers, and the hypotheses of the last frame, in a frame's `shared`."""
+"""Keys in a frame's `shared`: of what was started in the background while other layers run, and of the last frame's
+hypotheses."""
 
 SEARCH_ROLES = tuple(FOUND_BY + name for name in ("limb search", "arm table", "rival's arm", "old rival"))
-"""Roles: where a hypothesis was found."""
+"""Roles that name the origin of a hypothesis."""
 
 DEPTH_KEEPS = 2
-"""hypotheses that live on where depth cameras see, which leave less open; a third one is no gain there. Chosen on the
-seeds 0 to 29 (benchmark `depth`)."""
+"""largest number of hypotheses kept with depth cameras, which leave less undecided; a third one is no gain there.
+Chosen on the seeds 0 to 29 (benchmark `depth`)."""
 
 
 @dataclass(frozen=True)
 class LookedUp:
-    """Which arms of a table become rivals. Lengths are m, of elbow, wrist or hand. cutoff: m^2 by which an arm's points
-    may lie worse than the current arm's; pool: how many are drawn; far: from the current arm and from each other;
-    ratio: of their energy to the current one, unsolved; most: rivals per arm.
+    """Settings that choose which arms of a table become rivals. Lengths are m, of elbow, wrist or hand.
 
-    Chosen on scenes (walk, box, run, combo) of the seeds 500 to 507; 520 to 525 gave the same."""
+    cutoff: m^2 by which an arm's points may fit worse than the current arm's.
+    pool: number of arms that are drawn.
+    far: least distance from the current arm and from each other.
+    ratio: largest energy relative to the current one, before solving.
+    most: largest number of rivals per arm.
+    Chosen on scenes (walk, box, run, combo) of the seeds 500 to 507; 520 to 525 gave the same.
+    """
 
     cutoff: float = 0.1
     pool: int = 192
@@ -56,11 +61,14 @@ class LookedUp:
 
 @dataclass(frozen=True)
 class Contest:
-    """How hypotheses are compared over time. memory: share of the last frame's score that counts again; doubt: what a
-    new rival has against it, in mismatches of the estimate; apart: m, nearer arms are one hypothesis; behind: share of
-    its mismatch by which a hypothesis that is kept lies behind; softness: log-weight 1 in scores.
+    """Settings for comparing hypotheses over time; chosen on the same scenes as LookedUp.
 
-    Chosen as LookedUp's."""
+    memory: share of the last frame's score that counts again.
+    doubt: penalty of a new rival, in mismatches of the estimate.
+    apart: arms nearer than this are one hypothesis, m.
+    behind: share of its mismatch by which a kept hypothesis may be worse than the best.
+    softness: score difference that corresponds to a log-weight of 1.
+    """
 
     memory: float = 0.8
     doubt: float = 0.02
@@ -71,14 +79,18 @@ class Contest:
 
 @dataclass(frozen=True)
 class RefineRivals:
-    """Kernel: solves what a limb search put together, arms that were looked up, and the rivals of the last frame, each
-    from its own prediction, and hands on the best: the estimate in the role SOLVED, the others as RIVALs.
+    """Kernel that solves alternative arms and keeps the best hypotheses: the estimate (role SOLVED) and its RIVALs.
 
-    arms: tables, and when each is looked up; keep: how many hypotheses live; margin: share of the energy that the
-    search must win before its result is solved; options, near, with_depth: of solves from a prediction, of those that
-    begin near their end, and of all where depth cameras see. Scores are those of `contest`; log-weights tell them,
-    origins the parents, and `before` what each was in the last frame: its parent, but an arm found elsewhere has not
-    moved.
+    It solves the result of the limb search, arms found in a table, and the rivals of the last frame from their own
+    predictions; then it compares their scores. In the result the log-weights are the scores, the origins are the
+    parents, and the column `before` is each hypothesis' pose in the last frame (of its parent, without motion for an
+    arm found elsewhere).
+    arms: tables of reach, each with a function that decides when it is searched.
+    keep: largest number of hypotheses.
+    options: of solves from a prediction; near: of solves that begin near their end; with_depth: of all solves where
+        there are depth cameras.
+    margin: share of the energy that the limb search must gain before its result is solved.
+    look: choice of arms from the table; contest: comparison of hypotheses; colours: comparison by pictures.
     """
 
     arms: tuple[tuple[ArmReach, Callable[[Hypotheses, PreparedFrame], bool]], ...]
@@ -92,7 +104,7 @@ class RefineRivals:
     colours: ColourSettings = ColourSettings()
 
     def __call__(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
-        """The hypotheses that live on."""
+        """Compute the hypotheses that are kept, best first."""
         s, c = frame.body.skeleton, self.contest
         winner, alive, last = member(h, SOLVED), *_best_first(frame)
         if not frame.silhouettes.seen:  # nothing to compare them by
@@ -128,13 +140,13 @@ class RefineRivals:
         return _roles(found.take(living))
 
     def before_solve(self, frame: PreparedFrame, /) -> None:
-        """Begins with solving the rivals of the last frame."""
+        """Start solving the rivals of the last frame in the background."""
         if frame.silhouettes.seen and frame.rivals is not None:
             for q in frame.body.skeleton.on_branch(_best_first(frame)[0].values[1:], frame.prediction):
                 frame.shared[_SOLVE, q.tobytes()] = in_background(partial(self._solved_rival, q, frame))
 
     def before_search(self, h: Hypotheses, frame: PreparedFrame, /) -> None:
-        """Begins with looking arms up."""
+        """Start the search of the arm tables in the background."""
         if frame.silhouettes.seen and frame.rivals is not None:
             old = frame.body.skeleton.on_branch(_best_first(frame)[0].values[1:], frame.prediction)
             frame.shared[_LOOK] = in_background(partial(self._look, h, member(h, SOLVED), old, frame))
@@ -142,7 +154,7 @@ class RefineRivals:
     def _look(
         self, h: Hypotheses, winner: Array, old: Array, frame: PreparedFrame
     ) -> tuple[list[Array], list[tuple[int, int]], list[Array]]:
-        """What `_crossed` and `_looked_up` find."""
+        """Run `_crossed` and `_looked_up`; return their results."""
         elsewhere = self._elsewhere(winner, old)
         crossed, whose = self._crossed(winner, old, elsewhere, frame)
         tried = [
@@ -153,8 +165,10 @@ class RefineRivals:
     def _by_pictures(
         self, poses: Array, expected: Array, frame: PreparedFrame, rng: np.random.Generator
     ) -> tuple[Array, Array, Array]:
-        """The poses (N, D), with the arms of the best put where the pictures show them; their mismatches (N,), and what
-        the pictures say against them (N,)."""
+        """Score poses (N, D) by masks and pictures, and move the arms of the best ones to where the pictures show them.
+
+        Returns: poses (N, D); mismatches (N,); scores of the pictures (N,), low is good.
+        """
         costs = mismatch(poses, frame, expected=expected)
         said = self.colours.weight * colour_scores(poses, frame, self.colours)
         # key points know better where hands are
@@ -177,7 +191,8 @@ class RefineRivals:
         return poses, costs, said
 
     def _composite(self, h: Hypotheses, winner: Array, frame: PreparedFrame) -> list[Array]:
-        """The pose (D,) that the search put together, when it has won anything."""
+        """Return the pose (D,) that the limb search put together, in a list; an empty list where it gained too
+        little."""
         composite = member(h, COMPOSITE) if h.has(COMPOSITE).any() else winner
         if np.array_equal(winner, composite):
             return []
@@ -185,8 +200,10 @@ class RefineRivals:
         return [composite] if energy[1] < (1 - self.margin) * energy[0] else []
 
     def _looked_up(self, h: Hypotheses, winner: Array, tried: list[Array], frame: PreparedFrame) -> list[Array]:
-        """Poses (D,) with one arm elsewhere than in the winner, and than in the rivals (K, D) that are tried anyway, of
-        each arm: those that differ in this arm alone, and those whose arm is crossed over."""
+        """Find poses (D,) with one arm elsewhere than in the winner, from the tables.
+
+        tried: per arm, rivals (K, D) that are solved anyway; arms near theirs are left out.
+        """
         found: list[Array] = []
         for (arm, turn), known in zip(self.arms, tried, strict=True):
             if turn(h, frame):
@@ -196,8 +213,11 @@ class RefineRivals:
     def _crossed(
         self, winner: Array, old: Array, elsewhere: NDArray[np.bool_], frame: PreparedFrame
     ) -> tuple[list[Array], list[tuple[int, int]]]:
-        """The winner with one arm of a rival (K, D) that has more than this elsewhere, when that overlaps about as
-        well; and the rival's and the arm's numbers: one may be right where the other is wrong."""
+        """Build poses that combine the winner with one arm of a rival that differs in both arms.
+
+        Why: one arm of a rival may be right while the other is wrong. Only poses that overlap about as well are kept.
+        Returns: poses (D,); the numbers of rival and arm of each.
+        """
         pairs = [(int(k), int(n)) for k, n in np.argwhere(elsewhere) if elsewhere[k].sum() > 1]
         if not pairs:
             return [], []
@@ -209,14 +229,15 @@ class RefineRivals:
         return [poses[1 + i] for i in good], [pairs[i] for i in good]
 
     def _elsewhere(self, winner: Array, old: Array) -> NDArray[np.bool_]:
-        """(K, A) which arms of rivals (K, D) are far from the winner's."""
+        """Decide which arms of rivals (K, D) are far from the winner's; return (K, A)."""
         if not len(old):
             return np.zeros((0, len(self.arms)), np.bool_)
         at = arm_ends([arm for arm, _ in self.arms], np.concatenate([winner[None], old]))
         return np.linalg.norm(at[1:] - at[0], axis=-1).max(-1, initial=0.0) > self.look.far
 
     def _solved(self, starts: list[Array], old: Array, frame: PreparedFrame) -> list[Array]:
-        """The solutions (D,) from starts and from the predictions (K, D) of rivals, over threads."""
+        """Solve from the starts and from the predictions (K, D) of the rivals, in several threads; return the poses
+        (D,)."""
         near = self.with_depth if frame.depth.seen else self.near
         tasks = [partial(solve_poses, frame.body, q[None], frame, near) for q in starts]
         tasks += [frame.shared.pop((_SOLVE, q.tobytes()), partial(self._solved_rival, q, frame)) for q in old]
@@ -232,12 +253,12 @@ class RefineRivals:
         return [fit.pose for fit in in_order]
 
     def _solved_rival(self, q: Array, frame: PreparedFrame) -> list[PoseFit]:
-        """The fit of a rival from where it is expected (D,)."""
+        """Solve a rival from its predicted pose (D,)."""
         options = self.with_depth if frame.depth.seen else self.options
         return solve_poses(frame.body, q[None], replace(frame, prediction=q), options)
 
     def _living(self, scores: Array, costs: Array, at: Array, frame: PreparedFrame) -> list[int]:
-        """Which hypotheses live on, best first: those with arms (E, 3) elsewhere that are not far behind."""
+        """Choose the hypotheses that are kept, best first: arms (E, 3) elsewhere, scores not far behind the best."""
         kept: list[int] = []
         for n in np.argsort(scores, kind="stable"):
             alone = all(_farthest(at[n, None], at[k]) > self.contest.apart for k in kept)
@@ -251,8 +272,12 @@ class RefineRivals:
 def rival_arms(
     arm: ArmReach, pose: Array, frame: PreparedFrame, look: LookedUp, known: Array | None = None
 ) -> list[Array]:
-    """Poses (D,) that differ from a pose in one arm, which lies in the masks where the body is not, elsewhere than in
-    the pose and in those that are known (K, D). Nowhere else where depth cameras show the arm as it is in the pose."""
+    """Find poses that differ from a pose in one arm, which lies in the masks where the body does not cover them.
+
+    pose: (D,).
+    known: (K, D) poses whose arm is not to be found again (default: `pose`).
+    Returns: poses (D,), at most look.most; none where depth cameras show the arm as it is in the pose.
+    """
     body, standing = frame.body, None
     if frame.depth.seen:
         standing = frame.depth.standing(body, pose, arm.moving)
@@ -280,8 +305,10 @@ def rival_arms(
 
 
 def _apart(at: Array, order: NDArray[np.intp], known: Array, look: LookedUp) -> NDArray[np.intp]:
-    """The first `pool` of an order of arms that lie at (N, E, 3) whose ends are all far from those known (K, E, 3);
-    only as many are looked at as it takes."""
+    """Select the first `pool` arms in an order whose ends (N, E, 3) are all far from the known ones (K, E, 3).
+
+    Only as many are examined as necessary.
+    """
     found = [order[:0]]
     while len(order) and sum(map(len, found)) < look.pool:
         some, order = order[: 2 * look.pool], order[2 * look.pool :]
@@ -292,14 +319,15 @@ def _apart(at: Array, order: NDArray[np.intp], known: Array, look: LookedUp) -> 
 
 
 def _farthest(ends: Array, other: Array) -> Array:
-    """(N,) m: by how much the farthest of ends (N, E, 3) is off the other (E, 3)."""
+    """Compute the largest distance (N,), m, between corresponding ends (N, E, 3) and (E, 3)."""
     d = ends - other
     d *= d  # numpy's reductions of three numbers take five times as long
     return np.sqrt((d[..., 0] + d[..., 1] + d[..., 2]).max(-1))
 
 
 def _best_first(frame: PreparedFrame) -> tuple[Hypotheses, Array]:
-    """The hypotheses of the last frame, expected in this one, and what they were (N, D)."""
+    """Return the hypotheses of the last frame, best first and predicted into this frame, and their last poses (N,
+    D)."""
     assert frame.rivals is not None, "the recipe does not say how many rivals"
     of, h = frame.shared.get(_ORDERED, (None, frame.rivals))
     if of is not frame.rivals:
@@ -309,5 +337,5 @@ def _best_first(frame: PreparedFrame) -> tuple[Hypotheses, Array]:
 
 
 def _roles(h: Hypotheses) -> Hypotheses:
-    """The first one is the estimate, the others are its rivals."""
+    """Mark the first hypothesis as the estimate and the others as its rivals."""
     return h.marked(SOLVED, [0]).marked(RIVAL, np.arange(1, h.count))

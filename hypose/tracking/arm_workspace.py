@@ -1,6 +1,7 @@
-"""Where an arm may be: poses of it over its whole reach, made once for a body, each as a few points of its axis.
+"""Tabulate the poses of an arm over its whole reach, once per body; each pose is a few points on the arm's axis.
 
-What a local solve and diffusion never find again is looked up: thousands of arms a frame, as points in the masks.
+A local solve and diffusion cannot find a lost arm again. The table can: thousands of arms per frame are compared with
+the masks as points.
 """
 
 from __future__ import annotations
@@ -21,23 +22,32 @@ from hypose.geometry import Array
 from hypose.tracking.frame_evidence import PreparedFrame
 
 _POSES = 4096
-"""of an arm; twice as many find nothing more"""
+"""poses per arm; twice as many find nothing more"""
 _ALONG = ((0.4, 0.7, 1.0), (0.33, 0.67, 1.0), (0.5, 0.9))
-"""where the points of upper arm, forearm and hand lie on their axes: at the shoulder an arm is never alone"""
+"""positions of the points on the axes of upper arm, forearm and hand; none near the shoulder, where other parts
+overlap"""
 _PART = np.repeat(np.arange(len(_ALONG)), [len(at) for at in _ALONG])
 _SHARE = np.concatenate(_ALONG)[:, None]
 _WIDTH = (0.09, 0.07, 0.06)
-"""m, of upper arm, forearm and hand: what a point stands for is its share of the part's area"""
+"""m, width of upper arm, forearm and hand; a point stands for its share of the part's area"""
 _ENDS = [2, 5, 7]
-"""the points at elbow, wrist, and near the tip of the hand"""
+"""indices of the points at elbow, wrist, and near the tip of the hand"""
 _Way = tuple[list[int], TreeArrays]
 
 
 @dataclass(frozen=True)
 class ArmReach:
-    """A table of an arm's poses. body: whose arm; own (d,): its coordinates; parent: the joint it hangs on (the chest);
-    chain: shoulder, elbow, wrist; tip (3,) m: of the hand, in the wrist's frame; moving (J,): its joints; poses (N, d);
-    points (N, 8, 3) m: the poses as the parent sees them; area (8,) m^2: what each point stands for."""
+    """Table of an arm's poses over its whole reach.
+
+    body: the body of the arm.
+    own: (d,) the arm's coordinates.
+    parent: joint that carries the arm (the chest); chain: shoulder, elbow, wrist.
+    tip: (3,) tip of the hand in the wrist's frame, m.
+    moving: (J,) true for the arm's joints.
+    poses: (N, d) values of the coordinates.
+    points: (N, 8, 3) points of the arm in these poses, in the parent's frame, m.
+    area: (8,) area that each point stands for, m^2.
+    """
 
     body: Body
     own: NDArray[np.int64]
@@ -51,11 +61,11 @@ class ArmReach:
 
     @cached_property
     def ends(self) -> Array:
-        """(N, 3, 3) m: elbow, wrist and hand in its poses."""
+        """Return elbow, wrist and hand (N, 3, 3) of all poses of the table, in the parent's frame, m."""
         return np.ascontiguousarray(ends(self.points))
 
     def here(self, poses: Array) -> Array:
-        """(N, 8, 3) m: the arm's points in poses (N, D), as its parent sees them."""
+        """Compute the arm's points (N, 8, 3), m, in the poses (N, D) of a body, in the parent's frame."""
         return _points(self._way, poses[:, self.own], self.own, self.parent, self.chain, self.tip)
 
     @cached_property
@@ -63,18 +73,27 @@ class ArmReach:
         return _way_to(self.chain[2], self.own, self.body.skeleton.tree)
 
     def score(self, points: Array, pose: Array, frame: PreparedFrame, rest: Standing, cutoff: float) -> Array:
-        """(N,) m^2: what of an arm at points (N, 8, 3) of a body at a pose (D,) lies outside the masks, less what of it
-        explains them, summed over the views; no more than `above cutoff` where it lies above."""
+        """Compute how badly arms at given points fit the masks of a frame, in m^2, summed over the views.
+
+        It is the area of the arm outside the masks minus the mask area that only this arm explains.
+        points: (N, 8, 3) in the parent's frame, m; pose: (D,) of the rest of the body; rest: what does not move, drawn
+            before.
+        cutoff: points are no longer counted once the score is above it.
+        Returns: (N,) scores, exact up to the cutoff; larger ones are only known to be above it.
+        """
         return self.score_in(points, pose, frame.silhouettes.masks, rest, cutoff)
 
     def score_in(self, points: Array, pose: Array, masks: PreparedMasks, rest: Standing, cutoff: float) -> Array:
-        """`score` against masks."""
+        """Compute `score` against given masks."""
         rotation, centre = self.body.skeleton.forward(pose)
         return reach.score_points(points, self.area, rotation[self.parent], centre[self.parent], masks, rest, cutoff)
 
 
 def in_practice(skeleton: Skeleton) -> tuple[Array, Array]:
-    """(D,), (D,): the range that joints use in practice: 60 % of the limits for balls, whose corners are unnatural."""
+    """Return the range of joint angles (D,), (D,) that people use: 60 % of the limits of ball joints, 0 for the root.
+
+    Why: poses in the corners of a ball's limits are unnatural.
+    """
     lower, upper = skeleton.lower.copy(), skeleton.upper.copy()
     lower[:6] = upper[:6] = 0
     for start in skeleton.ball_starts[1:]:
@@ -84,12 +103,13 @@ def in_practice(skeleton: Skeleton) -> tuple[Array, Array]:
 
 
 def ends(points: Array) -> Array:
-    """(N, 3, 3) m: elbow, wrist and hand of an arm's points (N, 8, 3)."""
+    """Select elbow, wrist and hand (N, 3, 3) from an arm's points (N, 8, 3)."""
     return points[:, _ENDS]
 
 
 def arm_ends(arms: Sequence[ArmReach], poses: Array) -> Array:
-    """(N, A, 3, 3) m: elbow, wrist and hand of arms of one body in poses (N, D), as the arms' parents see them."""
+    """Compute elbow, wrist and hand (N, A, 3, 3), m, of the arms of one body in poses (N, D), in the frames of the
+    arms' parents."""
     if not arms:
         return np.zeros((len(poses), 0, 3, 3))
     rotations, centres = arms[0].body.skeleton.forward(poses)
@@ -101,8 +121,11 @@ def arm_ends(arms: Sequence[ArmReach], poses: Array) -> Array:
 
 
 def arm_reach(body: Body, joints: tuple[str, ...], lower: Array, upper: Array, count: int = _POSES) -> ArmReach:
-    """The table of the arm with these joints (clavicle, shoulder, elbow of a side), whose coordinates are spread evenly
-    between lower and upper (D,)."""
+    """Build the table of an arm, with its coordinates spread evenly between lower and upper (D,).
+
+    joints: names of the arm's joints: clavicle, shoulder, elbow of one side.
+    count: number of poses.
+    """
     s, side = body.skeleton, joints[0].split("_")[0]
     own = s.dofs_of(*joints)
     a, b, c = (s.joint(f"{side}_{name}") for name in ("shoulder", "elbow", "wrist"))
@@ -120,8 +143,11 @@ def arm_reach(body: Body, joints: tuple[str, ...], lower: Array, upper: Array, c
 
 @lru_cache(4)
 def _evenly_spread(count: int, dimension: int) -> Array:
-    """(N, d) in [0, 1): the Halton sequence, whose n-th number of the k-th coordinate is n mirrored at the point in the
-    base of the k-th prime. Source: Halton 1960."""
+    """Compute the Halton sequence (N, d) in [0, 1): n in the base of the k-th prime, with its digits mirrored at the
+    point.
+
+    Source: Halton 1960.
+    """
     out = np.zeros((count, dimension))
     primes = [p for p in range(2, 100) if all(p % q for q in range(2, p))][:dimension]
     for k, base in enumerate(primes):
@@ -136,7 +162,7 @@ def _evenly_spread(count: int, dimension: int) -> Array:
 def _points(
     the_way: _Way, values: Array, own: NDArray[np.int64], parent: int, chain: tuple[int, int, int], tip: Array
 ) -> Array:
-    """(N, 8, 3) m: an arm's points with its coordinates at values (N, d), as its parent sees them."""
+    """Compute the arm's points (N, 8, 3), m, in the parent's frame, for values (N, d) of its coordinates."""
     way, tree = the_way
     poses = np.zeros((len(values), len(tree.axes)))
     poses[:, own] = values
@@ -150,7 +176,7 @@ def _points(
 
 
 def _way_to(joint: int, own: NDArray[np.int64], tree: TreeArrays) -> _Way:
-    """The joints from the root to a joint, and the tree of them alone, in which only the coordinates own (d,) turn."""
+    """Reduce the joint tree to the joints from the root to a joint; only the coordinates own (d,) remain movable."""
     way = [joint]
     while (parent := int(tree.parents[way[0]])) >= 0:
         way.insert(0, parent)

@@ -1,9 +1,9 @@
-"""Feet on the ground: when heel or ball of a foot stands still, and what holds it there when a clip is solved.
+"""Find foot contacts with the ground, and build the terms that hold the feet while a clip is solved.
 
-Found on a motion that is already smooth: a point of the sole that is slow for a while and, where there is a common
-floor, near it. What a person stands on need not be flat (a beam, a step): without a common height each contact has its
-own. Source: foot-plant clean-up as of Kovar, Schreiner & Gleicher 2002, here as weighted points of the clip's solve, so
-that the legs give in where the evidence is weak and the evidence may disagree where it is strong.
+Contacts are found on a motion that is already smooth: a point of the sole that is slow for a while and, where there is
+a common floor, near it. The ground need not be flat (a beam, a step): without a common height each contact has its own.
+Source: foot-plant clean-up as in Kovar, Schreiner & Gleicher 2002, here as weighted points of the clip's solve, so that
+    the legs give in where their evidence is weak and strong evidence can override the contact.
 """
 
 from __future__ import annotations
@@ -20,9 +20,15 @@ from hypose.geometry import Array
 
 @dataclass(frozen=True)
 class ContactSettings:
-    """slow, fast: m/s, a contact begins below and ends above; shortest: s; near: m above the floor that is still on it;
-    common: share of the contacts' frames within `near` of one height that makes it a floor; drift: m, a point that
-    goes further away begins another contact; hold: m, how exactly a point in contact is held."""
+    """Settings for finding and holding foot contacts.
+
+    slow, fast: m/s, a contact begins below slow and ends above fast.
+    shortest: s, shortest contact.
+    near: m above the floor that still counts as on it.
+    common: share of the contact frames within `near` of one height that makes it a floor.
+    drift: m, a point that moves further away begins a new contact.
+    hold: m, standard deviation with which a point in contact is held.
+    """
 
     slow: float = 0.25
     fast: float = 0.5
@@ -35,19 +41,23 @@ class ContactSettings:
 
 @dataclass(frozen=True)
 class Soles:
-    """Heel and ball of the left foot, then of the right one: joint (4,), offset (4, 3) m in its frame."""
+    """Points on the soles of a body: heel and ball of the left foot, then of the right foot.
+
+    joint: (4,) joint of each point; offset: (4, 3) position in the joint's frame, m.
+    """
 
     joint: NDArray[np.int64]
     offset: Array
 
     def positions(self, body: Body, poses: Array) -> Array:
-        """(T, 4, 3) m in the world at poses (T, D)."""
+        """Compute the world positions (T, 4, 3), m, at poses (T, D)."""
         rotations, centres = body.skeleton.forward(poses)
         return centres[:, self.joint] + np.einsum("tkab,kb->tka", rotations[:, self.joint], self.offset)
 
 
 def soles_of(body: Body) -> Soles:
-    """The middle of the hindmost and of the foremost part of each sole's skin (its lowest 2 cm at rest)."""
+    """Locate heel and ball of each foot: the middle of the hindmost and foremost skin of the sole (lowest 2 cm at
+    rest)."""
     joint, offset = [], []
     for side in ("left", "right"):
         j = body.skeleton.joint(f"{side}_ankle")
@@ -63,8 +73,12 @@ def soles_of(body: Body) -> Soles:
 
 @dataclass(frozen=True)
 class Contacts:
-    """touching (T, 4): a point of the soles stands; place (T, 4, 3) m: where (NaN where it does not); floor: the
-    common height, m (NaN: none)."""
+    """Foot contacts of a motion.
+
+    touching: (T, 4) true where a point of the soles stands.
+    place: (T, 4, 3) where it stands, m; NaN where it does not.
+    floor: common height, m; NaN: none.
+    """
 
     touching: NDArray[np.bool_]
     place: Array
@@ -74,7 +88,11 @@ class Contacts:
 def find_contacts(
     positions: Array, known: NDArray[np.bool_], frame_rate: float, settings: ContactSettings | None = None
 ) -> Contacts:
-    """Contacts of the soles' points (T, 4, 3) m of a smooth motion; frames that are not known (T,) have none."""
+    """Find the contacts of the soles' points in a smooth motion.
+
+    positions: (T, 4, 3) m.
+    known: (T,) false for frames without evidence, which have no contacts.
+    """
     o = settings or ContactSettings()
     t = len(positions)
     speed = np.linalg.norm(np.gradient(positions, 1 / frame_rate, axis=0), axis=-1) if t > 1 else np.zeros((t, 4))
@@ -100,7 +118,7 @@ def find_contacts(
 
 
 def contact_terms(contacts: Contacts, soles: Soles, settings: ContactSettings | None = None) -> list[list[PointTerm]]:
-    """Points that hold the soles of every frame."""
+    """Build the terms that hold the soles in every frame, one list per frame."""
     o = settings or ContactSettings()
     return [
         [PointTerm(place[on], np.ones(int(on.sum())), soles.joint[on], soles.offset[on], o.hold)]
@@ -110,15 +128,21 @@ def contact_terms(contacts: Contacts, soles: Soles, settings: ContactSettings | 
 
 @dataclass(frozen=True)
 class FootMotion:
-    """What feet do that they should not: sliding, mm/s, mean horizontal speed of points in contact; contacts:
-    share of the frames with any."""
+    """Faults of the feet in a motion.
+
+    sliding: mean horizontal speed of points in contact, mm/s.
+    contacts: share of the frames with any contact.
+    """
 
     sliding: float
     contacts: float
 
 
 def foot_motion(positions: Array, contacts: Contacts, frame_rate: float) -> FootMotion:
-    """Of the soles' points (T, 4, 3) m, over given contacts: the same for all motions that are compared."""
+    """Measure the sliding of the soles' points (T, 4, 3), m, over given contacts.
+
+    Use the same contacts for all motions that are compared.
+    """
     both = contacts.touching[1:] & contacts.touching[:-1]
     speed = np.linalg.norm(np.diff(positions[..., :2], axis=0), axis=-1) * frame_rate
     return FootMotion(
@@ -135,8 +159,7 @@ def _hysteresis(speed: Array, known: NDArray[np.bool_], slow: float, fast: float
 
 
 def _standing(points: Array, first: int, last: int, drift: float) -> list[tuple[int, int]]:
-    """The frames first to last cut where a point (T, 3) has gone further than drift from where it stood (its mean so
-    far): who shuffles does not stand."""
+    """Split the frames first to last where a point (T, 3) has moved further than drift from its mean so far."""
     out, begin = [], first
     for t in range(first + 1, last):
         if np.linalg.norm(points[t] - points[begin:t].mean(0)) > drift:
@@ -153,13 +176,14 @@ def _only_long(flags: NDArray[np.bool_], shortest: int) -> NDArray[np.bool_]:
 
 
 def runs(flags: NDArray[np.bool_]) -> list[range]:
-    """Find the frames (T,) that are marked, as ranges."""
+    """Find the consecutive marked frames in flags (T,), as ranges."""
     edges = np.flatnonzero(np.diff(np.r_[False, flags, False].astype(np.int8)))
     return [range(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
 def _common_height(heights: Array, settings: ContactSettings) -> float:
-    """The low height that most contacts share, NaN when they do not: a foot may be held up for long."""
+    """Estimate the low height that most contacts share; NaN where they share none, for example because a foot is
+    held up."""
     if len(heights) == 0:
         return float("nan")
     near = np.abs(heights - np.quantile(heights, 0.1)) < settings.near

@@ -1,4 +1,4 @@
-"""Costs of hypotheses on the evidence of a frame: the silhouette XOR and values derived from it."""
+"""Compute the costs of hypotheses on the evidence of a frame: the silhouette XOR and values derived from it."""
 
 from __future__ import annotations
 
@@ -21,16 +21,17 @@ from hypose.tracking.frame_evidence import PreparedFrame
 
 @dataclass(frozen=True)
 class SilhouetteXor:
-    """Energy E = sum over usable views of XOR(M_v, S_v) / C(S_v), so that the weight is exp(-E).
+    """Energy of hypotheses on silhouettes: E = sum over usable views of XOR(M_v, S_v) / C(S_v), so that the weight is
+    exp(-E).
 
-    M_v: silhouette of the posed coarse mesh in view v, S_v: the mask, C: its foreground pixels (those expected of the
-    whole person where others hide a part: pixels that say nothing count nowhere). With no usable view
-    every hypothesis costs the same (0). Source: Alcoverro 2014, eq. 2.8. What the user's own evidence says, if there is
-    any, is added.
+    M_v: silhouette of the posed coarse mesh in view v; S_v: the mask; C: its number of foreground pixels (those
+        expected of the whole person where others hide a part; ignored pixels count nowhere).
+    All hypotheses cost 0 where no view is usable. The energies of depth and of the user's own evidence are added.
+    Source: Alcoverro 2014, eq. 2.8.
     """
 
     def __call__(self, h: Hypotheses, frame: PreparedFrame, /) -> Array:
-        """(N,) energies of h.values (N, D)."""
+        """Compute the energies (N,) of h.values (N, D)."""
         return frame_energy(h.values, frame)
 
 
@@ -40,15 +41,18 @@ def frame_energy(
     moving: NDArray[np.bool_] | None = None,
     rest: Standing | None = None,
 ) -> Array:
-    """(N,) what poses (N, D) of the frame's body cost by all its evidence: eq. 2.8, what depth cameras say, and the
-    user's own. moving (J,) bool: the joints that differ in the poses; everything else stands as in the last one and is
-    drawn once. rest: what does not move, where it has been drawn."""
+    """Compute the energies (N,) of poses (N, D) of the frame's body on all its evidence.
+
+    The evidence is silhouettes (eq. 2.8), depth and the user's own.
+    moving: (J,) true for the joints that differ between the poses; all others are as in the last pose and drawn once.
+    rest: the parts that do not move, where they are drawn already.
+    """
     limb = None if moving is None else Limb(moving, rest)
     return evidence_energy(frame.body, poses, frame.evidence, limb)
 
 
 def evidence_energy(body: Body, poses: Array, evidence: Iterable[Evidence], limb: Limb | None = None) -> Array:
-    """(N,) what poses (N, D) of a body cost by all evidence given."""
+    """Compute the sum (N,) of the energies of poses (N, D) of a body over all evidence given."""
     total = np.zeros(len(poses))
     for one in evidence:
         total += one.energy(body, poses, limb)
@@ -63,8 +67,11 @@ def limb_energy(
     slack: float = 1.0,
     rest_depth: StandingDepth | None = None,
 ) -> Array:
-    """`frame_energy` where only what costs at most `slack` times as much as the first pose counts: others may be
-    infinite. rest_depth: as rest, before depth cameras."""
+    """Compute `frame_energy` for poses that differ in one limb, exact only for poses near the first one.
+
+    slack: poses that cost more than this many times the first pose may get an infinite energy.
+    rest_depth: the parts that do not move, as depth cameras see them.
+    """
     body, silhouettes, depth = frame.body, frame.silhouettes, frame.depth
     if not silhouettes.seen or (depth.seen and len(poses) <= MEASURED):
         return frame_energy(poses, frame, moving, rest)
@@ -79,16 +86,16 @@ def limb_energy(
 
 
 _IN_LANES = 8
-"""From so many numbers on numpy adds them in another order."""
+"""numpy adds this many numbers, or more, in another order."""
 
 
 def mean_overlap(body: Body, pose: Array, frame: PreparedFrame) -> float:
-    """Mean IoU over the views that tell; 0 when none does."""
+    """Compute the mean IoU of a pose with the masks over the views where it is known; 0 where there is none."""
     return _mean_of_known(frame.silhouettes.overlap(body, pose), 0.0)
 
 
 def _mean_of_known(overlap: Array, otherwise: float) -> float:
-    """np.nanmean, bit by bit; of a few numbers, which numpy adds one after the other as well, many times sooner."""
+    """Compute np.nanmean with the same bits, but faster for a few numbers."""
     if len(overlap) >= _IN_LANES:
         return float(np.nanmean(overlap)) if np.isfinite(overlap).any() else otherwise
     total, count = 0.0, 0
@@ -99,8 +106,10 @@ def _mean_of_known(overlap: Array, otherwise: float) -> float:
 
 
 def agreement(body: Body, pose: Array, frame: PreparedFrame) -> float:
-    """How well a pose (D,) agrees with the masks: mean IoU over the views, less half of what it is off in depth where
-    depth cameras see; NaN when no view tells. Who stands back to front has nearly the same outline, but other
-    depths."""
+    """Compute how well a pose (D,) agrees with masks and depth.
+
+    Returns: mean IoU over the views minus half of the mean depth energy; NaN where no view is usable.
+    Why: a person who stands back to front has nearly the same outline, but other depths.
+    """
     mean, depth = _mean_of_known(frame.silhouettes.overlap(body, pose), float("nan")), frame.depth
     return mean - 0.5 * float(depth.energy(body, pose[None])[0]) / max(int(depth.views.sum()), 1)

@@ -1,17 +1,15 @@
-"""Standard deviations that hold: of joint centres and of joint angles, from what the evidence says and what it cannot.
+"""Calibrate the standard deviations of joint centres and joint angles, so that 90 % regions hold 90 % of the errors.
 
-The curvature of a cost tells how well the evidence fixes a pose, not how far the body's joint lies from the
-anatomical one. So the variance is a^2 V + b^2: V from the curvature, a because rows err together, b for the definition
-and the body, the same all along. a and b were fitted to errors on scenes (scripts/train_doubt.py), per joint, angle and
-kind of evidence, so that regions of 90 % hold 90 % of them, and others theirs (`hypose.body.motion`). What lasts in
-the residuals of key points is added to b^2 (`systematic_covariance`). Views that
-contradict each other as a whole (`hypose.tracking.joint_features`) by more than they do in such scenes add (c x)^2, x
-being the excess: calibrations, lags and bodies that are wrong are wrong in all frames.
+The curvature of a cost gives the covariance V of a pose, but not how far the body's joint lies from the anatomical one.
+So the variance is a^2 V + b^2: a because errors of neighbouring residuals are correlated, b for the definition of the
+joint and for the body, the same in all frames. a and b were fitted to errors on scenes (scripts/train_doubt.py), per
+joint, angle and kind of evidence (`hypose.body.motion`). Two terms are added: the lasting residuals of key points
+(`systematic_covariance`), and (c x)^2, where x is by how much more than usual the views contradict each other
+(`hypose.tracking.joint_features`): wrong calibrations, delays and bodies are wrong in all frames.
 
-The systematic error of joints found from key points is the part that more frames and more such views would not average
-away. A detector's errors last. Those that differ between views, and those of a wrong calibration, stay in the residuals
-of single views over the whole clip, where they are measured. Those that all views share (where the detector puts the
-joint of this person) leave no residual: they are taken to be in proportion to what the views show.
+The systematic error of joints from key points does not average out over frames. The share that differs between views
+stays in the residuals of single views over the whole clip, where it is measured. The share that is the same in all
+views (where the detector places this person's joint) leaves no residual; it is assumed to be proportional to the other.
 """
 
 from __future__ import annotations
@@ -36,15 +34,16 @@ from hypose.tracking.joint_features import columns_of_joints, views_apart
 from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, KeypointModel, check_sides_and_views, pixels_per_metre
 
 LASTING_S = 0.5
-"""s from which on two residuals of one point in one view share only what lasts: errors of detections are correlated
-over a few tenths of a second."""
+"""s from which two residuals of one point in one view share only their lasting component: errors of detections are
+correlated over a few tenths of a second."""
 SHARED = 2.0
-"""Standard deviation of the error that all views share, per axis, in those of a usual view's lasting residuals. Chosen
-on the Shelf recording (Belagiannis et al. 2014), people who are annotated in most frames: 90 % regions hold .48 to .49
-of the annotations with 2, .15 to .17 with nothing; annotations by hand err by 20 mm themselves."""
+"""Ratio of the sd of the error that all views share, per axis, to the sd of a usual view's lasting residuals. Chosen on
+the Shelf recording (Belagiannis et al. 2014), people annotated in most frames: 90 % regions hold .48 to .49 of the
+annotations with 2, .15 to .17 with 0; annotations by hand have errors of 20 mm themselves.
+"""
 MOST_SHARED_M = 0.03
-"""m per axis: detectors' hips and knees lie 30 to 50 mm from the joints' centres (Needham et al. 2021, doi
-10.1038/s41598-021-00212-x); residuals that would make more of it are a calibration's."""
+"""m per axis: largest shared error. Detectors' hips and knees lie 30 to 50 mm from the joints' centres (Needham et al.
+2021, doi 10.1038/s41598-021-00212-x); larger residuals come from the calibration."""
 _USUAL_SD = 0.03  # m, of points whose noise was not measured
 _LOOSE = 0.1
 _FRAMES = 500  # at once
@@ -53,12 +52,16 @@ _FRAMES = 500  # at once
 def lasting_residuals(
     body: Body, model: KeypointModel, keypoints: Sequence[Keypoints | None], poses: Array, frame_rate: float
 ) -> tuple[Array, Array]:
-    """Variances (C, K) m^2 per axis of what lasts in the residuals of each view and key point (0: too few residuals),
-    and the weights (T, C, K) that points have in the solve (0: not used), 1 at most.
+    """Estimate the lasting component of the key points' residuals, of each view and point over a clip.
 
-    poses (T, D): the solved clip. Residuals count by their weights in the solve, 1 / (1 + (r / 2 sd)^2). The weighted
-    mean product of those LASTING_S or more apart is the power of what lasts, whatever noise there is; views and points
-    are taken to have independent factors."""
+    It is the weighted mean product of residuals that are LASTING_S or more apart; noise cancels in it. Views and points
+    are assumed to have independent factors.
+    model: where key points sit on the body.
+    keypoints: T frames, None where there are none.
+    poses: (T, D) the solved clip.
+    Returns: (C, K) variances per axis, m^2, 0 where there are too few residuals; (T, C, K) weights of the points in the
+        solve, 1 / (1 + (r / 2 sd)^2), 0 where not used.
+    """
     first = next(k for k in keypoints if k is not None)
     residual = np.zeros((len(poses), len(first.rig), len(model.names), 2))
     weights, scale = np.zeros(residual.shape[:3]), 2 * (_USUAL_SD if model.sd is None else model.sd)
@@ -78,7 +81,7 @@ def lasting_residuals(
     apart = max(1, min(round(LASTING_S * frame_rate), len(poses) // 2))
 
     def later(values: Array) -> Array:
-        """Sums over frames that are `apart` frames or more later."""
+        """Sum over the frames that are at least `apart` frames later."""
         total = np.zeros_like(values)
         total[:-apart] = values[apart:][::-1].cumsum(0)[::-1]
         return total
@@ -97,12 +100,12 @@ def lasting_residuals(
 def systematic_covariance(
     body: Body, model: KeypointModel, keypoints: Sequence[Keypoints | None], poses: Array, frame_rate: float
 ) -> Array:
-    """(T, J, 3, 3) m^2: systematic error of the joints of a clip solved on its key points, of which less is left where
-    BlazePose's, which are seldom right to the centimetre, weigh less when there are masks too.
+    """Compute the systematic error (T, J, 3, 3), m^2, of the joints of a clip that was solved on key points.
 
-    That of single views goes through the triangulation of the views that see the point in the frame, weighted as the
-    solve weighs them; the shared one (SHARED) is the same in all directions. Joints without a key point of their own
-    get the mean of all."""
+    The error of single views is propagated through the triangulation of the views that see the point, weighted as in
+    the solve. The shared error (SHARED) is the same in all directions. Joints without a key point of their own get the
+    mean of all. For BlazePose, whose weight is lower when there are masks too, the result is reduced by that weight.
+    """
     lasting, weights = lasting_residuals(body, model, keypoints, poses, frame_rate)
     first = next(k for k in keypoints if k is not None)
     usual = weights.sum(0) / np.maximum((weights > 0).sum(0), 1) * model.worse(len(first.rig))[:, None] ** -2.0
@@ -147,17 +150,17 @@ _SETS = {
         )
     },
 }
-"""Angles by the beginnings of their names, and the joints whose coordinates they depend on."""
+"""Sets of angles by the beginnings of their names, and the joints on whose coordinates they depend."""
 
 
 def kind_of(name: str) -> str:
-    """A joint's or an angle's name without its side."""
+    """Remove the side from the name of a joint or an angle."""
     return name.removeprefix("left_").removeprefix("right_").removesuffix("_l").removesuffix("_r")
 
 
 @cache
 def fitted_spread_table() -> Mapping[str, Mapping[str, Mapping[str, tuple[float, float]]]]:
-    """{"joints" or "angles": {evidence: {kind: (a, b)}}}; b in m, or rad."""
+    """Load the fitted factors {"joints" or "angles": {evidence: {kind: (a, b)}}}; b in m or rad."""
     kept = _kept()
     return {
         what: {e: {k: (a, b) for k, (a, b) in own.items()} for e, own in kept[what].items()}
@@ -171,20 +174,27 @@ def _kept() -> Mapping[str, Mapping[str, Mapping[str, tuple[float, ...]]]]:
 
 
 def apart_factors(evidence: str) -> tuple[float, float, float]:
-    """m, by how much views contradict each other as a rule, and c of joints, and of angles in rad / m; (inf, 0, 0) with
-    key points, whose solve finds the view that is wrong and gives it less weight."""
+    """Look up how contradictions between views widen the standard deviations, for a kind of evidence.
+
+    Returns: usual contradiction, m; factor c of joints; factor c of angles, rad / m. (inf, 0, 0) with key points: their
+        solve finds the wrong view and lowers its weight.
+    """
     usual, joints, angles = _kept()["apart"].get(evidence, {}).get("all", (float("inf"), 0.0, 0.0))
     return usual, joints, angles
 
 
 def beyond_usual(audit: ArrayLike, evidence: str) -> float:
-    """m, by how much the views of a clip with this audit (T, J, A) contradict each other beyond the usual."""
+    """Compute by how much the views of a clip with this audit (T, J, A) contradict each other beyond the usual, m."""
     return float(np.sqrt(max(views_apart(audit) ** 2 - apart_factors(evidence)[0] ** 2, 0.0)))
 
 
 def with_fitted_joints(motion: Motion, evidence: str, beyond: float = 0.0) -> Motion:
-    """The motion with covariances a^2 V + S + (b^2 + c^2 beyond^2) I, all but the first of which is systematic; its own
-    systematic_covariance is S (None: zero); beyond: m, see `beyond_usual`."""
+    """Calibrate a motion's joint covariances: a^2 V + S + (b^2 + c^2 beyond^2) I.
+
+    V is the motion's joint covariance, S its systematic covariance (None: zero). All but a^2 V becomes the new
+    systematic covariance.
+    beyond: contradiction between the views, m, see `beyond_usual`.
+    """
     own = fitted_spread_table()["joints"][evidence]
     pairs = np.array([own.get(kind_of(n), (1.0, 0.0)) for n in motion.skeleton.joint_names])
     a, b = pairs[:, 0], pairs[:, 1]
@@ -197,13 +207,19 @@ def with_fitted_joints(motion: Motion, evidence: str, beyond: float = 0.0) -> Mo
 
 
 def with_fitted_angles(motion: Motion, covariance: Array, evidence: str, beyond: float = 0.0) -> Motion:
-    """The motion with the sd of its angles, from the covariances (T, D, D) of its poses; beyond: as for joints."""
+    """Compute a motion's calibrated standard deviations of angles from the covariances (T, D, D) of its poses.
+
+    beyond: contradiction between the views, m, see `beyond_usual`.
+    """
     assert motion.poses is not None
     return with_angle_variance(motion, angle_variance(motion.skeleton, motion.poses, covariance), evidence, beyond)
 
 
 def with_angle_variance(motion: Motion, variance: Array, evidence: str, beyond: float = 0.0) -> Motion:
-    """The same from the variances (T, A) rad^2 that the curvature says."""
+    """Calibrate a motion's standard deviations of angles from their variances (T, A), rad^2, before calibration.
+
+    beyond: contradiction between the views, m, see `beyond_usual`.
+    """
     own = fitted_spread_table()["angles"][evidence]
     pairs = np.array([own.get(kind_of(n), (1.0, 0.0)) for n in ANGLE_NAMES])
     floor = pairs[:, 1] ** 2 + (apart_factors(evidence)[2] * beyond) ** 2
@@ -217,10 +233,12 @@ def pose_covariance(information: Array) -> Array:
 
 
 def angle_variance(skeleton: Skeleton, poses: Array, covariance: Array) -> Array:
-    """(T, A) rad^2, and m^2 of positions: J C J^T of the angles at poses (T, D) with covariances C (T, D, D), the
-    root's rotation as a small turn in the world.
+    """Compute the variances (T, A) of the angles, rad^2 (m^2 of positions), from the covariances of poses: J C J^T.
 
-    J by differences; coordinates of sets of joints that share no angle are moved together."""
+    poses: (T, D).
+    covariance: C, (T, D, D), the root's rotation as a small rotation in the world.
+    J is computed by differences; coordinates that share no angle are moved together.
+    """
     sets = [
         (
             np.array([k for k, n in enumerate(ANGLE_NAMES) if any(_belongs(n, b) for b in begins)]),
@@ -249,6 +267,6 @@ def angle_variance(skeleton: Skeleton, poses: Array, covariance: Array) -> Array
 
 
 def _belongs(name: str, begin: str) -> bool:
-    """Is the angle one of a set: 'hip_r' holds hip_flexion_r, 'pelvis' pelvis_tilt?"""
+    """Decide whether an angle is in a set: 'hip_r' holds hip_flexion_r, 'pelvis' holds pelvis_tilt."""
     part, _, side = begin.rpartition("_")
     return name.startswith(f"{part}_") and name.endswith(f"_{side}") if part else name.startswith(f"{begin}_")

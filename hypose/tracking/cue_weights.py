@@ -1,10 +1,10 @@
-"""The weight of key points in solves that use masks too: measured on a few frames of the clip, limb by limb.
+"""Measure the weight of key points in solves that use masks too, on a few frames of the clip, limb by limb.
 
-Outlines know where they are right to about a centimetre, but their cost hardly grows beyond that: points that scatter
-by more pull a limb out of its outline, and are not averaged against it as two measurements would be. So with masks
-points weigh as if they knew no better than outlines that hold, and in full where outlines do not. Whether they do is
-shown by the points: a body that is fitted to the outlines alone lies as near to them as they scatter, or else further
-(a skirt, a bag, a chair, another person, shadows).
+Outlines locate a limb to about a centimetre, but their cost hardly grows beyond that: key points with a larger scatter
+pull a limb out of its outline instead of being averaged with it. So with masks, key points get a reduced weight where
+the outlines are right, and their full weight where the outlines are wrong (a skirt, a bag, a chair, another person,
+shadows). To decide, the body is fitted to the outlines alone: where they are right it lies within the key points'
+scatter, else further away.
 """
 
 from __future__ import annotations
@@ -26,34 +26,36 @@ from hypose.tracking.keypoint_offsets import OffsetResiduals, residual_rows, sol
 from hypose.tracking.refinement import settled_start, solve_poses
 
 OUTLINES_M = 0.015
-"""m: points that scatter by no more weigh in full next to masks, whatever these say."""
+"""m: points with no larger scatter keep their full weight next to masks, even where these contradict them."""
 _STEEP = 3
-"""Power of that share of their weight that points keep which scatter by more: outlines pull hardly more on a limb that
-is far than on one that is near, so points are followed long before they know as much. On scenes (walk, box, serve,
-cross-arms; seeds 1040 and 1041) a third to a tenth of the weight is better; on balancing all of it is needed, and
-kept."""
+"""Exponent of the share of their weight that points with a larger scatter keep. Outlines pull hardly more on a distant
+limb than on a near one, so points dominate too early. On scenes (walk, box, serve, cross-arms; seeds 1040 and 1041) a
+third to a tenth of the weight is better; on balancing all of it is needed, and kept.
+"""
 LEAST_POINT_WEIGHT = 0.03
-"""Share of their weight that points keep next to masks that are right."""
+"""Least share of their weight that points keep next to correct masks."""
 _CLEARLY = 2.0
-"""So many times further from the outlines' solve than in half of the views are points that are wrong in a view."""
+"""In a view where points are wrong their distance from the outlines' solve is this many times that in half of the
+views."""
 _APART = 1.5
-"""So many times further than usual from the body that is solved for by them are points of which those of a view are
-wrong; else it may be the outlines that are."""
+"""Points of a view are wrong only where some view has this many times the usual distance from the points' own solve;
+otherwise the outlines may be wrong."""
 _FRAMES, _SPARSE, _MOST_TIMES = 8, 0.5, 3
-"""frames in which the two are compared, and so many times more, at most, where fewer points than this share are seen"""
+"""frames that are compared; share of points seen below which more frames are compared, at most so many times more"""
 _PARTS = (("elbow", "wrist"), ("knee", "ankle", "toe", "heel"), ("shoulder", "hip", "neck"), ("",))
 _LEAST_FRAMES, _LEAST_ROWS, _LEAST_LEFT = 3, 8, 0.2
 _SOLVE = SolveSettings(iterations=12, coarse_iterations=4)
 
 
 def weigh_against_masks(body: Body, model: KeypointModel, frames: Sequence[Frame]) -> KeypointModel:
-    """Return the model with the weights that its points keep in solves with masks (`KeypointModel.cue_weight`);
-    unchanged when fewer than three of the frames (of one person) tell.
+    """Measure the weights that key points keep in solves with masks (`KeypointModel.cue_weight`).
 
-    Of the points of each part of the body, noise: variance per axis about the body that is solved for by them, which
-    takes up a part of it; away (C,): about the body that is solved for by the outlines. The excess in most
-    views, and no lasting error of the points, is the outlines' fault, a clear excess in others is that of
-    the points there."""
+    frames: frames of one person; those with key points and masks are used.
+    Returns: the model with the weights; the same model where fewer than three frames can be compared.
+    Method: the body is solved on the points and on the outlines. The points' scatter about the first is their noise;
+        what their scatter about the second has in excess in most views is the outlines' fault, a clear excess in single
+        views is the points' fault there.
+    """
     both = [f for f in frames for _ in f.of(Keypoints) for _ in f.of(Silhouettes)]
     count = min(_FRAMES * _times(model, both), len(both))
     both = [both[int(n)] for n in np.unique(np.linspace(0, len(both) - 1, count).astype(int))]
@@ -89,13 +91,14 @@ def weigh_against_masks(body: Body, model: KeypointModel, frames: Sequence[Frame
 
 
 def start_with_masks(body: Body, model: KeypointModel, frame: Frame, start: Array) -> Array:
-    """Solve a start pose (D,) from key points on the masks of its frame as well; as it is without masks."""
+    """Solve a start pose (D,) from key points also on the masks of its frame; return it unchanged where there are no
+    masks."""
     prepared = prepare(frame, body, start, use_keypoints=True, keypoints_on_body=model, prediction_weight=0.0)
     return settled_start(start, prepared) if prepared.silhouettes.seen else start
 
 
 def _times(model: KeypointModel, frames: Sequence[Frame]) -> int:
-    """How many times as many frames are compared for so few points."""
+    """Compute how many times as many frames to compare, because few points are seen."""
     seen = [np.nan_to_num(k.points[:, model.known, 2]) > MIN_CONFIDENCE for k in pieces_of(frames, Keypoints)]
     share = float(np.mean([s.mean() for s in seen])) if seen else 1.0
     return int(np.clip(np.ceil(_SPARSE / max(share, 1e-3)), 1, _MOST_TIMES))
@@ -104,7 +107,10 @@ def _times(model: KeypointModel, frames: Sequence[Frame]) -> int:
 def _solved_either_way(
     body: Body, model: KeypointModel, frames: Sequence[Frame]
 ) -> tuple[list[Keypoints], Array, Array]:
-    """The key points of those of the frames in which both tell the pose; poses (T, D) by points, and by outlines."""
+    """Solve frames on the points alone and on the outlines alone.
+
+    Returns: key points of the frames where both work; poses (T, D) by points; poses (T, D) by outlines.
+    """
     seen = pieces_of(frames, Keypoints)
     starts = triangulated_starts(body, model, seen) if seen else np.zeros((0, body.skeleton.dof))
     kept, by_points, outlines = list[Keypoints](), list[Array](), list[PreparedFrame]()
@@ -124,7 +130,7 @@ def _solved_either_way(
 
 
 def _parts(names: Sequence[str]) -> list[NDArray[np.bool_]]:
-    """(K,) each: the points of a limb, of the trunk, of the head."""
+    """Group key points by part: masks (K,) of a limb of one side, of the trunk, of the head."""
     out, free = [], np.ones(len(names), np.bool_)
     for words in _PARTS:
         own = free & np.array([any(w in n.lower() for w in words) for n in names])
@@ -135,8 +141,8 @@ def _parts(names: Sequence[str]) -> list[NDArray[np.bool_]]:
 
 
 def _scatter(rows: OffsetResiduals, members: NDArray[np.bool_]) -> Array:
-    """(C,) m per axis: robust standard deviation of the distances of these points (K,) in each view; NaN where there
-    are few."""
+    """Compute the robust standard deviation (C,), m per axis, of these points' residuals (K,) in each view; NaN
+    where few."""
     used = (rows.confidence > 0) & members
     metres = np.abs(rows.residual) / rows.size[..., None, None]
     views = [metres[:, c][used[:, c]] for c in range(used.shape[1])]

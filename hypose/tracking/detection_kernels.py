@@ -1,7 +1,7 @@
-"""Detections in the search: particles posed by inverse kinematics on a detected end, and a cost that knows the ends.
+"""Use detected body ends in the search: particles posed on them by inverse kinematics, and a cost with their distances.
 
-Source: Alcoverro 2014, section 2.5.2. The set itself carries which of its members were posed on a detection (a role,
-inherited by selection), so the share of such proposals follows their survival without hidden state.
+The set itself stores which members were posed on a detection (a role, inherited by selection), so the share of such
+proposals follows their survival without hidden state. Source: Alcoverro 2014, section 2.5.2.
 """
 
 from __future__ import annotations
@@ -23,32 +23,37 @@ from hypose.inference.layer import Kernel
 from hypose.tracking.frame_evidence import PreparedFrame
 
 END_NAMES = ("left_hand", "right_hand", "head", "left_wrist", "right_wrist", "left_ankle", "right_ankle")
-"""The parts that a detection can name (`Detections.part`). Unnamed ones can become the first three."""
+"""Names of the body ends, in the order of `Detections.part`. Unnamed detections can only become one of the first
+three."""
 LIMITS = np.array([0.35, 0.35, 0.25])
-"""m: farthest an unnamed detection may be from the end of the last pose (hands, head; Alcoverro 2014, section
+"""m: largest distance of an unnamed detection from the end of the predicted pose (hands, head; Alcoverro 2014, section
 2.5.1)."""
 _KEYPOINT_OF = {"left_wrist": 3, "right_wrist": 4, "left_ankle": 5, "right_ankle": 6}
 
 
 @dataclass(frozen=True)
 class Ends:
-    """Where the ends are on a body: joint (7,), offset (7, 3) m in that joint's frame, in the order of END_NAMES."""
+    """Places of the ends on a body, in the order of END_NAMES.
+
+    joint: (7,) joint of each end; offset: (7, 3) position in that joint's frame, m.
+    """
 
     joint: NDArray[np.int64]
     offset: Array
 
     def positions(self, body: Body, poses: Array) -> Array:
-        """(N, 7, 3) m in the world at poses (N, D)."""
+        """Compute the world positions (N, 7, 3) of the ends, m, at poses (N, D)."""
         rotations, centres = body.skeleton.forward(poses)
         turned = np.einsum("njab,jb->nja", rotations[:, self.joint], self.offset)
         return centres[:, self.joint] + turned
 
 
 def ends_of(body: Body) -> Ends:
-    """Hands: middle of the hand's skin, a little nearer to the wrist; head: middle of the head's skin; wrists and
-    ankles: the joints.
+    """Locate the ends on a body: hands, head (middle of their skin), wrists and ankles (the joints).
 
-    A hull keeps little of the fingers: detected hands lay 10 to 35 mm nearer to the wrist than the skin's middle."""
+    Hands are put at three quarters of the way to the skin's middle, because a visual hull keeps little of the fingers:
+    detected hands lay 10 to 35 mm nearer to the wrist.
+    """
     s, mesh = body.skeleton, body.fine
     rest, joint, offset = s.rest_joints, [], []
     for name in END_NAMES:
@@ -62,10 +67,11 @@ def ends_of(body: Body) -> Ends:
 
 
 def found_ends(body: Body, ends: Ends, frame: PreparedFrame) -> dict[int, Array]:
-    """{index in END_NAMES: (3,) m}: the ends detected in a frame.
+    """Find the ends that are detected in a frame.
 
-    From `frame.detections` (named ones as they are, unnamed ones assigned to hands and head by eq. 2.19 against the
-    predicted pose); without them from key points in two or more views, triangulated: wrists and ankles.
+    `Frame.detections` are used where there are any: named ones directly, unnamed ones assigned to hands and head by eq.
+    2.19 with the predicted pose. Otherwise wrists and ankles are triangulated from key points in two or more views.
+    Returns: index in END_NAMES -> (3,) position, m.
     """
     found: dict[int, Array] = {}
     for detections in frame.frame.of(Detections):
@@ -92,11 +98,12 @@ def found_ends(body: Body, ends: Ends, frame: PreparedFrame) -> dict[int, Array]
 
 @dataclass(frozen=True)
 class DetectedLimb:
-    """A ball, the hinge below it and the end it carries: what analytic inverse kinematics poses.
+    """Limb that analytic inverse kinematics can pose: a ball joint, the hinge below it, and the end it carries.
 
-    joint, parent: indices of the ball and of the joint that carries it; ball, hinge: first coordinates; upper (3,) m:
-    hinge minus ball; lower (3,) m: end minus hinge; axis (3,): the hinge's; all in the model frame at rest. The end
-    does not move against the hinge's segment (wrists have no freedom; an ankle's is left out for ankle centres).
+    joint: index of the ball joint; parent: of the joint that carries it.
+    ball, hinge: their first coordinates.
+    upper: (3,) hinge minus ball; lower: (3,) end minus hinge; axis: (3,) of the hinge; in the model frame at rest, m.
+    The end is fixed to the hinge's segment (wrists do not move; an ankle's own freedom does not move its centre).
     """
 
     joint: int
@@ -109,7 +116,7 @@ class DetectedLimb:
 
 
 def limb_to(body: Body, ends: Ends, end: int) -> DetectedLimb | None:
-    """The limb that carries an end (index in END_NAMES); None for the head."""
+    """Build the limb that carries an end (index in END_NAMES); None for the head."""
     name = END_NAMES[end]
     if name == "head":
         return None
@@ -125,12 +132,15 @@ def limb_to(body: Body, ends: Ends, end: int) -> DetectedLimb | None:
 
 
 def pose_limb(body: Body, limb: DetectedLimb, poses: Array, targets: Array, swivel: Array) -> Array:
-    """Poses (N, D) with the limb's ball and hinge set so that its end lies at targets (N, 3) m, or as near as the
-    limb's length and limits let it.
+    """Set the limb's ball and hinge in poses (N, D) so that its end lies at the targets, as near as length and limits
+    allow.
 
-    The hinge gives the distance from the ball's centre to the target (law of cosines; of two angles the one inside the
-    limits and nearer to the pose's own). The ball then turns by the smallest rotation that points the end at the
-    target, and by swivel (N,) rad about the line to it, the freedom that the end's place leaves.
+    targets: (N, 3) m.
+    swivel: (N,) rotation about the line from the ball to the target, rad, which the end's place does not determine.
+    Returns: (N, D) poses.
+    The hinge is set by the distance from ball to target (law of cosines; of two angles the one inside the limits and
+    nearer to the current one). The ball then turns by the smallest rotation that points the end at the target, and by
+    the swivel.
     """
     s = body.skeleton
     rotations, centres = s.forward(poses)
@@ -163,7 +173,7 @@ def pose_limb(body: Body, limb: DetectedLimb, poses: Array, targets: Array, swiv
 
 
 def _between(a: Array, b: Array) -> Array:
-    """Rotation vectors (N, 3) of the smallest turns from directions a to b (N, 3)."""
+    """Compute the rotation vectors (N, 3) of the smallest rotations from directions a to b (N, 3)."""
     axis = np.cross(a, b)
     sine = np.linalg.norm(axis, axis=1)
     angle = np.arctan2(sine, (a * b).sum(1))
@@ -172,18 +182,19 @@ def _between(a: Array, b: Array) -> Array:
 
 @dataclass(frozen=True)
 class DetectorDriven:
-    """Kernel: part of the set is posed on the detected end, the rest diffuses; the parts follow their survival.
+    """Kernel that poses a part of the set on a detected end; the rest diffuses by the base kernel.
 
-    base: the Gaussian kernel of the layer, by which all members move first. end: index in END_NAMES of the detection
-    that drives the layer; others, tried in turn where it is missing. noise: m, sd of a detection per axis. swivel:
-    rad, sd of the turn about the line to the end, far_swivel: that of a third of the members. sigma (D,): usual steps
-    of the coordinates that the layer may move, for the head. step: share mutated per layer; least: smallest share of
-    either kind. limb: the posed part, which names its roles.
-
-    For limbs the ball and the hinge are posed by analytic inverse kinematics. The head is the end of no limb: its
-    members take the least step, in units of sigma, that brings it to the detection (the gain of a Kalman update). The
-    kinds: half at first; where more than half of the survivors are of the detection's kind, `step` of the others
-    become so too, else the reverse. Without a detection all diffuse and keep their kinds.
+    base: Gaussian kernel of the layer; moves all members first.
+    end: indices in END_NAMES of the ends that can drive the layer; the first detected one is used.
+    sigma: (D,) usual steps of the coordinates that the layer may move, for the head.
+    limb: the posed part, which names the roles.
+    noise: sd of a detection per axis, m.
+    swivel, far_swivel: sd of the rotation about the line to the end, rad; far_swivel for a third of the members.
+    step: share of the members that change their kind per layer; least: smallest share of either kind.
+    Limbs are posed by analytic inverse kinematics. For the head, members take the least step, in units of sigma, that
+    brings it to the detection (the gain of a Kalman update). Kinds: half of the members are posed at first; later,
+    where more than half of the survivors are of that kind, its share grows by `step`, otherwise it shrinks. Without a
+    detection all members only diffuse and keep their kinds.
     """
 
     body: Body
@@ -199,7 +210,7 @@ class DetectorDriven:
     least: float = 0.25
 
     def __call__(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
-        """The moved set, its kinds in the roles."""
+        """Move the set; the roles store the kinds."""
         moved = self.base(h, frame, rng)
         found = found_ends(self.body, self.ends, frame)
         end = next((i for i in self.end if i in found), None)
@@ -222,16 +233,16 @@ class DetectorDriven:
 
     @property
     def posed(self) -> str:
-        """The role of the members that are posed on the detection."""
+        """Role of the members that are posed on the detection."""
         return f"{self.limb} posed"
 
     @property
     def sorted(self) -> str:
-        """The role of the members whose kind is known: all, after the first detection."""
+        """Role of the members whose kind is known: all, after the first detection."""
         return f"{self.limb} sorted"
 
     def _kinds(self, h: Hypotheses, rng: np.random.Generator) -> NDArray[np.bool_]:
-        """(N,) members of the detection's kind after mutation."""
+        """Choose the members (N,) that are posed on the detection in this layer."""
         n = h.count
         order = rng.permutation(n)
         driven = np.zeros(n, dtype=bool)
@@ -263,11 +274,12 @@ class DetectorDriven:
 
 @dataclass(frozen=True)
 class DetectionCost:
-    """Energy C + kappa D of the refinement layer; the same for all where nothing is detected (the layer is not used).
+    """Energy C + kappa D of the refinement layer; 0 for all members where nothing is detected.
 
-    energy: C, the silhouettes' cost. D, m: mean over the detected ends of the distance to the nearest end of the model
-    among those of its kind of point (hands and head; wrists; ankles), whichever it was assigned to. kappa: 1 / m.
-    Source: Alcoverro 2014, eqs. 2.20 and 2.21. Detections that were assigned to no end are left out.
+    energy: C, the silhouettes' cost.
+    kappa: weight of D, 1 / m. D is the mean over the detected ends of the distance, m, to the nearest end of the model
+        of the same group (hands and head; wrists; ankles). Detections that were assigned to no end are left out.
+    Source: Alcoverro 2014, eqs. 2.20 and 2.21.
     """
 
     body: Body
@@ -276,7 +288,7 @@ class DetectionCost:
     kappa: float
 
     def __call__(self, h: Hypotheses, frame: PreparedFrame, /) -> Array:
-        """(N,) energies."""
+        """Compute the energies (N,)."""
         found = found_ends(self.body, self.ends, frame)
         if not found:
             return np.zeros(h.count)

@@ -1,4 +1,5 @@
-"""What a joint of a frame is judged by: what a clip's audit found about it, nearby in time, and over the clip."""
+"""Compute the features from which a joint's error probability is estimated: from the audit, nearby frames and the
+clip."""
 
 from __future__ import annotations
 
@@ -11,19 +12,19 @@ from hypose.geometry import Array
 from hypose.tracking.joint_features import AUDITED, more_than_body, views_apart
 
 AROUND_S = 0.25
-"""s before and after that a joint is judged by as well: the error lasts"""
+"""s before and after a frame that count as nearby: errors last"""
 _HIDDEN_S = 1.0
 _CLEAR = 0.05
-"""IoU by which the body turned around, or with its legs exchanged, is worse where there is no doubt about it"""
+"""IoU by which the body turned around, or with exchanged legs, is worse where there is no doubt"""
 _SLOW, _USUAL_PACE = 0.05, 0.35
-"""m/s about the pelvis: slower limbs are at rest; the pace of limbs of which one frame alone is known"""
+"""m/s relative to the pelvis: slower limbs are at rest; pace assumed for limbs of which only one frame is known"""
 _USUAL_LOOSE_M = 0.01  # of arms that were not looked at
 _LITTLE = 3e-4  # m^2 of bare mask
 _OF_BODIES_M2 = 0.0022  # m^2 of it about a joint in a view, median over a clip, that bodies alone in usual masks have
 _EXPOSED_SHARE = 0.25  # share of a part that is exposed in two views at least
 OF_CLIP = ("cost", "outside_body", "bare_body", "log_sd", "loose", "outside", "bare_second", "rival")
-"""Features whose mean over a clip tells what kind of clip it is: the same patch of bare mask tells much in one that
-fits well, and little where a person wears a coat."""
+"""Features whose mean over a clip is a feature too: it says what kind of clip it is. The same area of uncovered mask
+means much in a clip that fits well, and little where the person wears a coat."""
 FEATURES = (
     *(
         "log_sd",
@@ -44,28 +45,45 @@ FEATURES = (
     *("points_agree", "points_against", "points_contested", "points_renamed", "apart", "more_mask"),
     *(f"{n}_of_clip" for n in OF_CLIP),
 )
-"""What a joint is judged by, see `clip_features`."""
+"""Names of the features of a joint; see `clip_features`."""
 MOST_SD = np.array([2.0 if n.endswith("_of_clip") else 6.0 for n in FEATURES])
-"""(F,) sd from where on a feature speaks no more for a joint. What kind of clip it is tells how much the rest says:
-that a person fits badly all the time must not make a plainly wrong arm a good one."""
+"""(F,) largest number of sd by which a feature can lower the log-odds of an error.
+
+Why: the means over the clip only qualify the other features; that a person fits badly all the time must not make a
+clearly wrong arm look right.
+"""
 
 
 def clip_features(motion: Motion, raw_joints: Array, audit: ArrayLike) -> Array:
-    """(T, J, len(FEATURES)) of a motion whose frames were tracked as raw_joints (T, J, 3) m and audited (T, J, A).
+    """Compute the features (T, J, len(FEATURES)) of the joints of a clip; see FEATURES for their order.
 
-    log_sd: of the joint's sd; sd_around: its mean nearby in time; moved: largest distance of the frame's own joint from
-    the clip's, nearby in time; accel: the largest of its accelerations nearby; still: how slowly it moves about the
-    pelvis, since all frames of a limb at rest err alike and make each other too sure; bare*: of mask without body, near
-    the joint, beyond the usual in the clip, in the second-barest view, there relative to the usual of all joints of
-    the clip (masks of one camera are worse than another's), in the limb's reach, over the whole body; exposed*: how
-    much of its part nothing else covers, smoothed; hidden: s from when it was last seen, or to the next time; outside*:
-    of the joint's part and of the body outside the masks; rival*: what else was believed; elsewhere*, loose: how far an
-    arm may be elsewhere for all that the masks show; cost*: 1 - IoU, and beyond the usual; points*: distance of its key
-    points and of the frame's, how few views have it, and for how long, how many agree or do not, and how far those that
-    do not outweigh those that do: one against one tells nothing, two against one does, and which share of the views
-    calls its limb by the other side's name; apart: by how much the views contradict each other in this clip; more_mask:
-    log of how many times more its masks show next to the body than of a body alone: limbs may have been put into it;
-    *_of_clip: mean over all joints, and the frames in which the person was found."""
+    raw_joints: (T, J, 3) joints as tracked frame by frame, m; motion: the clip after smoothing.
+    audit: (T, J, A) see `joint_features.AUDITED`.
+    Features ("nearby" is +-AROUND_S; most are square roots or logs of the quantity named here):
+        log_sd: of the joint's sd; sd_around: its mean nearby.
+        moved: largest distance between the tracked and the smoothed joint, nearby.
+        accel: largest acceleration of the tracked joint, nearby.
+        still: slowness relative to the pelvis. Why: the frames of a limb at rest have the same error and make each
+        other too certain.
+        bare, bare_*: area of mask that the body does not cover: near the joint (bare), beyond the usual in the clip
+            (more), in the second worst view (second), there relative to the median of the clip (bare_beside), in the
+        reach of the limb (reach), over the whole body (body).
+        exposed, exposed_second: share of the joint's part that nothing else covers, smoothed; hidden: s to the nearest
+            frame in which it is visible.
+        outside, outside_body: share of the part, of the body, outside the masks.
+        rival, rival_around: distance of the alternative poses.
+        elsewhere, elsewhere_by, loose: how far away an arm could be that fits the masks as well.
+        cost, cost_more: 1 - IoU, and beyond the usual.
+        exchanged: how well the body with exchanged sides fits.
+        points, points_worst, points_around, points_all: distance of the joint's key points, and of all of the frame.
+        points_few, points_unseen: lack of views with the point; s to the nearest frame with two views.
+        points_agree, points_against: views whose point is near, and far; points_contested: how far the views against
+            outweigh those that agree (one against one says nothing, two against one does).
+        points_renamed: share of the views whose names put the limb on the other side.
+        apart: contradiction between the views, in the clip.
+        more_mask: log of the uncovered mask area relative to that of a body alone; limbs may have been fitted into it.
+        *_of_clip: mean over all joints and all frames in which the person was found.
+    """
     a = {n: np.asarray(audit, dtype=np.float64)[..., k] for k, n in enumerate(AUDITED)}
     masks, points = np.isfinite(a["bare"]), np.isfinite(a["points_all"])
     known = np.isfinite(a["exchanged"]).any()
@@ -140,12 +158,13 @@ def _highest(values: Array, size: int) -> Array:
 
 
 def mean_nearby(values: Array, size: int) -> Array:
-    """Mean of values (T, ...), of 0 at least, over so many frames."""
+    """Average values (T, ...) over `size` frames; negative results become 0."""
     return np.maximum(uniform_filter1d(values, size, axis=0, mode="nearest"), 0.0)
 
 
 def _pace(joints: Array, rate: float, size: int) -> Array:
-    """(T, J) m/s about the pelvis, mean over so many frames; _USUAL_PACE of a single frame."""
+    """Compute the joints' speed (T, J) relative to the pelvis, m/s, averaged over `size` frames; _USUAL_PACE for one
+    frame."""
     about = joints - joints[:, :1]
     if len(about) < 2:
         return np.full(about.shape[:2], _USUAL_PACE)
@@ -153,13 +172,12 @@ def _pace(joints: Array, rate: float, size: int) -> Array:
 
 
 def _beyond(values: Array) -> Array:
-    """Above the lower quartile over the clip."""
+    """Compute by how much values lie above their lower quartile over the clip; 0 below it."""
     return np.maximum(values - np.percentile(values, 25, axis=0), 0.0)
 
 
 def _carried(values: Array) -> Array:
-    """(T, J) with each joint's unknown frames filled from the nearest known one before and after, in equal shares by
-    distance; NaN where nothing is known."""
+    """Fill unknown frames (NaN) of each joint (T, J) by linear interpolation in time; NaN where nothing is known."""
     out = values.copy()
     for j in range(values.shape[1]):
         at = np.flatnonzero(np.isfinite(values[:, j]))
@@ -169,7 +187,7 @@ def _carried(values: Array) -> Array:
 
 
 def seconds_away(seen: NDArray[np.bool_], rate: float) -> Array:
-    """s to the nearest frame in which a joint is seen, at most _HIDDEN_S."""
+    """Compute the time (T, J), s, to the nearest frame in which a joint is seen, at most _HIDDEN_S."""
     most = _HIDDEN_S * rate
     out = np.full(seen.shape, most)
     for order in (range(len(seen)), range(len(seen) - 1, -1, -1)):

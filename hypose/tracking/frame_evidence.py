@@ -1,4 +1,4 @@
-"""What a recipe sees of one frame: its evidence, prepared once for all that ask it, and the prediction."""
+"""Prepare a frame's evidence once for all layers of a recipe, together with the prediction."""
 
 from __future__ import annotations
 
@@ -39,12 +39,17 @@ _Cue = TypeVar("_Cue", bound=Evidence)
 
 @dataclass(frozen=True)
 class PreparedFrame:
-    """One frame ready to be searched for a body. evidence: its cues, each prepared once. prediction (D,): the pose
-    expected before looking at the evidence, and prediction_weight: how strongly solves are pulled to it (1 / rad^2 in
-    units of the robust rows' cost). usual_iou: how well the body has overlapped the masks so far (NaN: not known).
-    done: frames tracked before this one. rivals: the hypotheses that the last frame left, each where it is expected now
-    (None: the set moves as one). memory: what the recipe has remembered so far. fits: solves of single poses; shared:
-    whatever else one layer of a recipe has found out for the next ones."""
+    """One frame, prepared for the search of a body.
+
+    evidence: its cues, each prepared once.
+    prediction: (D,) pose predicted without the frame's evidence; prediction_weight: pull of solves to it, 1 / rad^2 in
+        units of the robust rows' cost.
+    usual_iou: usual overlap of the body with the masks so far; NaN: unknown.
+    done: number of frames tracked before.
+    rivals: hypotheses of the last frame, each predicted into this one; None: the set moves as one.
+    memory: what the recipe has remembered so far.
+    fits: solves of single poses; shared: other results that a layer leaves for the next ones.
+    """
 
     frame: Frame
     body: Body
@@ -60,27 +65,27 @@ class PreparedFrame:
 
     @property
     def usable(self) -> bool:
-        """True when some evidence is left."""
+        """Whether some evidence is left."""
         return bool(self.terms) or self.frame.picture is not None
 
     @cached_property
     def terms(self) -> tuple[Term, ...]:
-        """What solves take."""
+        """Terms of all cues for solves."""
         return tuple(term for one in self.evidence for term in one.terms)
 
     @cached_property
     def silhouettes(self) -> SilhouetteEvidence:
-        """Of the masks; nothing where no view has a usable one."""
+        """Evidence of the masks; empty where no view has a usable one."""
         return self._of(NO_SILHOUETTES)
 
     @cached_property
     def keypoints(self) -> KeypointEvidence:
-        """Of the key points; nothing where there are none."""
+        """Evidence of the key points; empty where there are none."""
         return self._of(NO_KEYPOINTS)
 
     @cached_property
     def depth(self) -> DepthEvidence:
-        """Of depth cameras; nothing where none shows the person."""
+        """Evidence of depth cameras; empty where none shows the person."""
         return self._of(NO_DEPTH)
 
     def _of(self, nothing: _Cue) -> _Cue:
@@ -88,12 +93,12 @@ class PreparedFrame:
 
     @property
     def kind(self) -> str:
-        """What it is judged by: silhouettes, keypoints, both, or depth."""
+        """Kind of evidence: silhouettes, keypoints, both, or depth."""
         masks, points = self.silhouettes.seen, self.keypoints.seen
         return "depth" if self.depth.seen else "both" if masks and points else "silhouettes" if masks else "keypoints"
 
     def without(self, kind: type[Evidence]) -> PreparedFrame:
-        """The frame without evidence of a kind, and without what has been solved on it."""
+        """Copy the frame without one kind of evidence, and without the solves on it."""
         left = tuple(one for one in self.evidence if not isinstance(one, kind))
         return replace(self, evidence=left, fits=PoseMemory())
 
@@ -113,8 +118,11 @@ def prepare(
     own: Sequence[OwnEvidence] = (),
     done: int = 0,
 ) -> PreparedFrame:
-    """Prepares a frame for `body`; see PreparedFrame. Of a frame with the picture of one camera nothing is prepared,
-    but unwanted pieces are left out. An EvidenceError when the frame has none of the wanted pieces."""
+    """Prepare a frame for `body`; see PreparedFrame for the arguments.
+
+    A frame with the picture of one camera is not prepared; only unwanted cues are left out.
+    Raises: EvidenceError where the frame has none of the wanted cues, or its key points are not those of the subject.
+    """
     if frame.picture is not None:
         picture = frame.picture if use_silhouettes else replace(frame.picture, mask=None)
         seen = replace(frame, picture=picture, keypoints=frame.keypoints if use_keypoints else None)
@@ -136,7 +144,8 @@ def prepare(
                 f"with ({len(model.names)}); fit the subject again from this recording."
             )
         term = keypoint_term(points, body, model, prediction, keypoint_scale_px)
-        found += keypoint_evidence(term, with_masks(term, model) if masks and term is not None else term)
+        if term is not None:
+            found.append(keypoint_evidence(term, with_masks(term, model) if masks else term))
     found += [one for depth in (frame.of(Depth) if masks else ()) for one in depth_evidence(depth)]
     found += [piece.prepared(body) for piece in frame.more]
     found += own_evidence(own, body, frame)
@@ -144,7 +153,7 @@ def prepare(
 
 
 def view_count(prepared: PreparedFrame) -> int:
-    """Number of views that carry evidence."""
+    """Count the views that carry evidence."""
     if prepared.frame.picture is not None:
         return 1
     pictures = [one.views for one in (prepared.silhouettes, prepared.keypoints) if one.seen]

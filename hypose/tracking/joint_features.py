@@ -1,14 +1,11 @@
-"""Features of a tracked clip that show errors: of every joint in a frame, and of each view's mask as a whole.
+"""Compute features of a tracked clip that show errors: of every joint in a frame (the audit), and of each view's mask.
 
-Of a joint: bare mask, body outside the masks, key points, rivals.
-
-A wrong limb nearly always leaves a trace in the evidence: the true one stands uncovered in a mask, the wrong one sticks
-out of it, key points lie elsewhere, another pose fits as well. None of them tells alone; `hypose.tracking.error_model`
-weighs them.
-
-The other topic is how far each view's mask lies from the body as a whole, after a wrong calibration, a lag or a wrong
-body. A solve halves the difference between views that contradict each other; the rest points one way in each of them
-and stays, while the noise of outlines points everywhere. It shows errors that the curvature of a cost does not.
+A wrong limb nearly always leaves a trace in the evidence: the true limb is not covered in a mask, the wrong one lies
+outside it, key points lie elsewhere, or another pose fits as well. No trace is certain alone;
+`hypose.tracking.error_model` weights them.
+The distance of each view's mask from the body as a whole shows errors that the curvature of a cost does not: a wrong
+calibration, a delay between views or a wrong body. A solve only halves the difference between views that contradict
+each other; the rest has one direction in each view and stays, while the noise of outlines has all directions.
 """
 
 from __future__ import annotations
@@ -35,17 +32,22 @@ from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, KeypointModel, che
 from hypose.tracking.named_sides import views_by_names
 
 _SCALE_M = 0.025
-"""Outlines that lie further apart count less (Tukey's weight, zero at three times that): they are of something else."""
+"""m: scale of Tukey's weight on the distance of outlines; zero at three times that, because it is another object."""
 _ROUNDS, _SETTLED_PX = 8, 0.01
 _LEAST_POINTS = 30
-"""points of the outline without which a view's shift is not known"""
+"""points of the outline without which a view's shift is unknown"""
 
 
 def shift_of_mask(
     mask: NDArray[np.uint8], body: NDArray[np.uint8], metre: float, ignored: NDArray[np.uint8] | None = None
 ) -> Array:
-    """(2,) m, right and down: by how much a body drawn as (h, w) of 0 and 1 would have to move to lie in a mask (h, w),
-    NaN where too little is seen. metre: pixels of a metre; ignored (h, w): 1 = a pixel that says nothing."""
+    """Estimate the 2D shift that would move the drawn body onto the mask, in one view.
+
+    mask: (h, w) and body: (h, w), 0 or 1.
+    metre: pixels per metre at the person.
+    ignored: (h, w), 1 for pixels without information.
+    Returns: (2,) shift to the right and down, m; NaN where too little of the outline is visible.
+    """
     outlines, _ = cv2.findContours(body, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     if not outlines:
         return np.full(2, np.nan)
@@ -83,7 +85,7 @@ def shift_of_mask(
 
 
 def apart(shifts: Array) -> float:
-    """m: root mean square over the views of their shifts (C, 2); NaN with fewer than two that are known."""
+    """Compute the root mean square, m, of the views' shifts (C, 2); NaN with fewer than two known views."""
     square = (shifts**2).sum(1)
     known = np.isfinite(square)
     return float(np.sqrt(square[known].mean())) if known.sum() > 1 else float("nan")
@@ -104,41 +106,44 @@ AUDITED = (
     ),
     *("points_agree", "points_against", "renamed", "named", "apart"),
 )
-"""Columns of an audit: m^2 of bare mask within _NEAR_M of the joint, summed over the views, and in the second-barest
-one; within the limb's reach of its root, summed; share of the joint's part that no other part covers, summed over the
-views, and in the second-best; share of the part outside the masks, summed; m, spread of the rivals; m, spread of
-the arms elsewhere that fit the masks about as well as the one that is believed, over its whole reach (0 of other
-joints, NaN in frames in which it is not its turn, and without depth), and by how much of its energy the best of them
-fits better than one that is plainly worse; m, how far elbow and wrist may move with hardly any change of the masks (as
-before, and NaN with depth); by how much the body with its sides exchanged overlaps the
-masks better (NaN: not looked at in this frame); m, distance of the joint's key points from it, median and largest over
-the views; views with one; m, median over all points of the frame; views with one, as it was detected, that agrees with
-the joint, and with one that speaks against it; views whose points of both its legs, or arms, are called by the other
-side's names where the body has them, and by their own (0 of joints of no limb); m, by how much the views' masks as a
-whole contradict each other (`hypose.tracking.joint_features`), the same of all joints (NaN: not looked at in this
-frame).
+"""Columns of an audit, per joint and frame ("part": the skin of a joint; NaN: no such evidence):
+bare: area of mask within _NEAR_M of the joint that the body does not cover, sum over the views, m^2;
+    bare_second: in the view with the second largest area; bare_reach: within the limb's reach of its root, sum.
+exposed: share of the joint's part that no other part covers, sum over the views; exposed_second: second largest.
+outside: share of the part outside the masks, sum over the views.
+rival: spread of the alternative poses, m.
+elsewhere: with depth: spread of all arms within reach that fit the masks about as well, m; 0 for other joints, NaN in
+    frames in which the arm is not searched; elsewhere_by: by how much of its energy the best of them beats a clearly
+    worse arm.
+loose: without depth: how far elbow and wrist may move while the masks hardly change, m; NaN as for elsewhere.
+exchanged: gain in mask overlap (IoU) of the body with exchanged sides; NaN where it was not tried.
+points_median, points_worst: distance of the joint's key points from it, median and largest over the views, m.
+points_views: views with such a point; points_all: median distance of all points of the frame, m.
+points_agree, points_against: views whose detected point is near the joint, and far from it.
+renamed, named: views whose names put the joint's limb on the other side, and on its own (0 for joints of no limb).
+apart: contradiction between the views' masks as a whole, m, the same for all joints; NaN where not computed.
 """
 _NEAR_M = 0.25
 _TALL = 110
-"""px: how tall a person is in the pictures that are compared; a forearm is five pixels wide"""
+"""px: height of a person in the reduced pictures that are compared; a forearm is five pixels wide"""
 _PARTS = (
     *(("left_shoulder",), ("left_elbow", "left_wrist"), ("right_shoulder",), ("right_elbow", "right_wrist")),
     *(("left_hip",), ("left_knee", "left_ankle"), ("right_hip",), ("right_knee", "right_ankle")),
     *(("pelvis", "spine", "chest", "left_clavicle", "right_clavicle"), ("neck", "head")),
 )
-"""Joints whose skin is one part."""
+"""Groups of joints whose skin is one part."""
 _ROOTS = (("left_shoulder", 0.75), ("right_shoulder", 0.75), ("left_hip", 1.0), ("right_hip", 1.0))
-"""Where limbs begin, and how far they reach, m."""
+"""Root joints of the limbs, and how far the limbs reach, m."""
 _NEARBY_M = 0.4
 _AGREE_M = 0.06
-"""a key point that lies so near to its joint speaks for it, one that lies twice as far against it"""
+"""m: a key point nearer to its joint agrees with it; one more than twice as far contradicts it"""
 _FAR_M = 0.5  # key points further away are no worse
 
 
 @lru_cache(8)
 def _layout(names: tuple[str, ...]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], Array]:
-    """Part and limb (-1: none) of each joint, the joints that are limbs' roots, and m about the joints and about those
-    roots in which bare mask counts."""
+    """Look up the part and limb (-1: none) of each joint, the limbs' root joints, and radii around joints and roots,
+    m."""
     part = np.array([next((k for k, p in enumerate(_PARTS) if n in p), 8) for n in names])
     limb = np.full(len(names), -1)
     for j, name in enumerate(names):
@@ -150,16 +155,19 @@ def _layout(names: tuple[str, ...]) -> tuple[NDArray[np.int64], NDArray[np.int64
 
 
 def views_apart(audit: ArrayLike) -> float:
-    """m: by how much the views of a clip with this audit (T, J, A) contradict each other, median of the frames in which
-    it was looked at; 0 where it never was."""
+    """Compute the median contradiction between the views of a clip, m, from its audit (T, J, A); 0 where it is
+    unknown."""
     apart = np.asarray(audit, dtype=np.float64)[:, 0, AUDITED.index("apart")]
     apart = apart[np.isfinite(apart)]
     return float(np.median(apart)) if len(apart) else 0.0
 
 
 def more_than_body(audit: ArrayLike, n_views: ArrayLike) -> float:
-    """m^2 of bare mask about a joint in one of n_views (T,), of a clip with this audit (T, J, A): mean over the joints,
-    median over the frames; 0 where no masks were seen."""
+    """Compute the usual uncovered mask area per joint and view of a clip, m^2.
+
+    audit: (T, J, A); n_views: (T,) number of views.
+    Returns: mean over the joints, median over the frames; 0 where there are no masks.
+    """
     bare = np.asarray(audit, dtype=np.float64)[..., AUDITED.index("bare")].mean(1)
     bare = bare / np.maximum(np.asarray(n_views, dtype=np.float64), 1)
     bare = bare[np.isfinite(bare)]
@@ -180,10 +188,14 @@ def audit_frame(
     rivals: tuple[ArrayLike, ArrayLike] | None = None,
     exchanged: float = float("nan"),
 ) -> NDArray[np.float32]:
-    """(J, len(AUDITED)) of a tracked pose (D,), NaN where the frame has no such evidence.
+    """Compute the audit of one frame: how well the evidence supports each joint of a tracked pose.
 
-    model: where key points sit on the body; rivals: other poses (K, D) that are believed as well, NaN where there are
-    fewer, and their weights (K,); exchanged: as AUDITED has it."""
+    pose: (D,).
+    model: where key points sit on the body; None: key points are not used.
+    rivals: alternative poses (K, D) and their weights (K,); NaN where there are fewer than K.
+    exchanged: gain of the body with exchanged sides, NaN where it was not tried.
+    Returns: (J, len(AUDITED)); NaN where the frame has no such evidence.
+    """
     names = tuple(body.skeleton.joint_names)
     out = np.full((len(names), len(AUDITED)), np.nan, np.float32)
     rotations, joints = body.skeleton.forward(pose)
@@ -213,8 +225,11 @@ def _masks(
     apart_too: bool,
     out: NDArray[np.float32],
 ) -> None:
-    """Fills all columns of out (J, A) that masks tell but for "loose", and "apart" where that is wanted, of a body
-    whose joints are turned by rotations (J, 3, 3) and lie at joints (J, 3)."""
+    """Fill the columns of out (J, A) that come from masks, except "loose" and "elsewhere"; "apart" only where
+    apart_too.
+
+    rotations: (J, 3, 3) and joints: (J, 3) of the posed body.
+    """
     part, limb, roots, reach = _layout(tuple(body.skeleton.joint_names))
     vertices = skin(rotations[None], joints[None], body.skeleton.tree, body.coarse.arrays)[0]
     points, part_of_face = np.concatenate([vertices, joints, joints[roots]]), _kept(body).part_of_face
@@ -256,15 +271,15 @@ def _masks(
 
 
 def _span(reach: Array, nearby: float, most: int) -> tuple[int, int]:
-    """The pixels 0 to `most` from the first to the last that are reached (2,), and so many next to them; none where
-    nothing is."""
+    """Compute the pixel range from 0 to `most` that covers the interval `reach` (2,) with a margin; (0, 0) where it
+    is empty."""
     first, last = reach.tolist()  # plain numbers take a tenth of the time
     low, high = first - nearby, last + nearby
     return (int(min(max(low, 0.0), most)), int(min(max(high, 0.0), most))) if low <= high else (0, 0)
 
 
 def _rivals(body: Body, joints: Array, rivals: tuple[ArrayLike, ArrayLike] | None) -> Array:
-    """(J,) m: spread of the joints over the rivals around the estimate, weighted."""
+    """Compute the weighted spread (J,), m, of the joints of the alternative poses around the estimate."""
     if rivals is None:
         return np.zeros(len(joints))
     poses, weights = (np.asarray(a, dtype=np.float64) for a in rivals)
@@ -276,7 +291,8 @@ def _rivals(body: Body, joints: Array, rivals: tuple[ArrayLike, ArrayLike] | Non
 
 
 def _loose(body: Body, pose: Array, masks: PreparedMasks, index: int) -> Array:
-    """(J,) what turns of an arm leave nearly as it is, each arm in its turn; see AUDITED."""
+    """Compute column "loose" (J,) of AUDITED by random small rotations of one arm; the arms take turns over the
+    frames."""
     s, mesh, out = body.skeleton, body.coarse.arrays, np.zeros(len(body.skeleton.joint_names))
     for k, arm in enumerate(_kept(body).arms):
         if (index - 2 * k) % _EVERY:
@@ -297,20 +313,21 @@ def _loose(body: Body, pose: Array, masks: PreparedMasks, index: int) -> Array:
 
 @lru_cache(4)
 def _turns(count: int) -> Array:
-    """(_TURNS, d) rad: of an arm's coordinates, small ones and large ones."""
+    """Draw the rotations (_TURNS, d), rad, of an arm's coordinates, small ones and large ones."""
     rng = np.random.default_rng(0)
     return rng.standard_normal((_TURNS, count)) * rng.choice(_TURNS_RAD, (_TURNS, 1))
 
 
 _TURNS, _TURNS_RAD = 64, (0.12, 0.3, 0.6)
-"""so many, and sd"""
+"""number of rotations, and their standard deviations"""
 _HARDLY = 0.005
-"""of the masks' areas, summed over the views: turns that change so much more count by 1 / e. Chosen, as the turns, on
-scenes of the seeds 600 to 617"""
+"""share of the masks' areas, summed over the views: a rotation that changes this much more counts 1 / e as much.
+Chosen, like the rotations, on scenes of the seeds 600 to 617"""
 
 
 def _elsewhere(body: Body, pose: Array, masks: PreparedMasks, index: int) -> Array:
-    """(J, 2): what the reach of the arms allows, each in its turn, for it is slow; see AUDITED."""
+    """Compute columns "elsewhere" and "elsewhere_by" (J, 2) of AUDITED; because it is slow, the arms take turns over
+    frames."""
     out = np.zeros((len(body.skeleton.joint_names), 2))
     s, mesh = body.skeleton, body.coarse.arrays
     for k, arm in enumerate(_kept(body).arms):
@@ -341,17 +358,17 @@ def _elsewhere(body: Body, pose: Array, masks: PreparedMasks, index: int) -> Arr
 
 
 _EVERY, _RARELY = 4, 8
-"""frames between two looks at the same arm, and at what the views contradict each other"""
+"""frames between two searches of the same arm, and between two computations of the column "apart"."""
 _CUTOFF, _TRIED, _POOL = 0.1, 2048, 64
-"""m^2 by which an arm's points may lie worse; so many arms are looked up, and so many drawn"""
+"""m^2 by which an arm's points may fit worse; number of arms looked up in the table, and number drawn"""
 _ELSEWHERE_M = 0.1
 _RATIO, _SOFT = 0.15, 0.02
-"""of energies: arms that fit worse by more do not count, and by so much they count by 1 / e"""
+"""of energies: arms that fit worse by more than _RATIO do not count; those worse by _SOFT count 1 / e as much"""
 
 
 @dataclass(frozen=True)
 class _Kept:
-    """Values computed once per body: its arms' tables of reach, and the part of each face (F,)."""
+    """Values computed once per body: the reach tables of its arms, and the part of each face (F,)."""
 
     body: Body
     arms: tuple[ArmReach, ...]
@@ -362,7 +379,7 @@ _KEPT: dict[int, _Kept] = {}
 
 
 def _kept(body: Body) -> _Kept:
-    """Of a body."""
+    """Return the values of a body from the cache, or compute them."""
     kept = _KEPT.get(id(body))
     if kept is None or kept.body is not body:
         while len(_KEPT) > 3:
@@ -378,8 +395,7 @@ def _kept(body: Body) -> _Kept:
 
 
 def _points(names: tuple[str, ...], rotations: Array, joints: Array, seen: Keypoints, model: KeypointModel) -> Array:
-    """(J, 8): median, largest, number of views, median of the frame, how many agree, and do not, and by which names;
-    see AUDITED."""
+    """Compute the eight columns (J, 8) of AUDITED from points_median to named."""
     points = np.nan_to_num(seen.points)
     expected = joints[model.joint] + np.einsum("kab,kb->ka", rotations[model.joint], model.offset)
     uv = np.stack([camera.project_pinhole(expected) for camera in seen.rig])
@@ -413,7 +429,7 @@ _BELOW = {"legs": ("knee", "ankle"), "arms": ("elbow", "wrist")}
 
 @lru_cache(8)
 def columns_of_joints(names: tuple[str, ...], points: tuple[str, ...]) -> NDArray[np.int64]:
-    """(J, M) columns of the key points that speak of each joint, -1 where there are no more."""
+    """Find the columns (J, M) of the key points that belong to each joint, -1 where there are no more."""
     own = [[points.index(n) for n in _NAMED.get(name, (name,)) if n in points] for name in names]
     most = max(map(len, own))
     return np.array([[*o, *[-1] * (most - len(o))] for o in own], dtype=np.int64).reshape(len(names), most)
@@ -428,4 +444,4 @@ _NAMED = {
     "left_clavicle": ("left_shoulder", "neck"),
     "right_clavicle": ("right_shoulder", "neck"),
 }
-"""Key points that speak of joints that have none of their name."""
+"""Key points of joints that have no key point of their own name."""

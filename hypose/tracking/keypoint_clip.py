@@ -1,8 +1,8 @@
-"""Key points of a whole clip solved at once: no frame is final before the last one has been seen.
+"""Solve the poses of a whole clip from key points at once; no frame is final before the last one has been seen.
 
-First frame after frame, which puts exchanged sides right, leaves strangers out and finds the pose's branch; again from
-where that has gone on with the wrong leg or arm by the names of most points; then all frames together on the key points
-themselves, with feet that stand. For a camera that is still running, the tracker looks at key points frame by frame.
+In order: (1) frame after frame, which corrects exchanged sides, leaves strangers out and finds the pose's branch; (2)
+again from where this went on with the wrong leg or arm, judged by the names of most points; (3) all frames together,
+with feet that stand. For a live camera, the tracker uses key points frame by frame instead.
 """
 
 from __future__ import annotations
@@ -36,13 +36,15 @@ from hypose.tracking.smoothing import ClipSettings, at_own_pace, bridged
 from hypose.tracking.starts import start_from_keypoints
 
 VELOCITY_GAIN = 0.8
-"""Share of the last step that is expected again."""
+"""Share of the last step that is predicted again."""
 EXTRAPOLATE_S = 1.0
-"""s without key points after which the person counts as lost, as for the tracker."""
+"""s without key points after which the person counts as lost, as in the tracker."""
 FASTEST, FARTHEST = 4.0, 1.3
-"""m/s, m: how much faster than expected, and how far, a person may go on unseen and still be the same person."""
+"""m/s, m: how much faster than predicted, and how far, a person may move unseen and still be taken for the same
+person."""
 SAME_SIZE = 0.1
-"""A lost person may be found anywhere when the limbs' lengths (median) differ from the body's by less than this."""
+"""A lost person is accepted anywhere when the limbs' lengths (median) differ from the body's by less than this
+share."""
 _LIMBS = [
     (f"{side}_{a}", f"{side}_{b}")
     for side in ("left", "right")
@@ -50,7 +52,7 @@ _LIMBS = [
 ]
 _LOOK_EVERY = 5  # frames; looking everywhere is slow
 LEAST_POINTS = 6
-"""A frame with fewer points (in all views together) says nothing of the pose by itself."""
+"""A frame with fewer points (in all views together) does not determine the pose by itself."""
 _QUICK = SolveSettings(iterations=6, coarse_iterations=0, tolerance=3e-3)
 _ALL = SolveSettings(iterations=8, coarse_iterations=0)
 
@@ -65,9 +67,11 @@ def solve_keypoint_clip(
     frame_rate: float,
     settings: ClipSettings | None = None,
 ) -> tuple[Array, list[KeypointTerm | None]]:
-    """Poses (T, D) of a clip from its key points alone, and the rows they came from (None: no evidence).
+    """Solve the poses of a clip from its key points alone.
 
-    start (D,): pose in the first frame."""
+    start: (D,) pose in the first frame.
+    Returns: poses (T, D); the key-point term of each frame, None where there is no evidence.
+    """
     first, terms = _on_named_sides(body, model, keypoints, start, frame_rate)
     evidence = [[] if term is None else [term] for term in terms]
     return _together(body, first, evidence, frame_rate, settings or ClipSettings()), terms
@@ -85,13 +89,16 @@ def track_keypoint_clip(
     sure_start: bool = False,
     others: Sequence[Sequence[Term]] = (),
 ) -> Smoothed:
-    """The motion of a clip from its key points alone; start (D,): pose in the first frame, with sure_start the right
-    way round whatever its points are called.
+    """Compute the motion of a clip from its key points alone.
 
-    Frames with fewer than LEAST_POINTS are bridged from their neighbours, flagged as extrapolated (as lost after a
-    second), and their sd grows with the distance from the others. progress(done, total) is called after every frame of
-    the first pass. others: other evidence of each frame, asked where all frames are solved together. An EvidenceError
-    when fewer than two frames have so many points."""
+    start: (D,) pose in the first frame; sure_start: it is the right way round, even where the points' names contradict
+        it.
+    progress: function (done, total), called after every frame of the first pass.
+    others: other evidence of each frame, used where all frames are solved together.
+    Frames with fewer than LEAST_POINTS are bridged from their neighbours and marked as extrapolated (as lost after a
+    second); their sd grows with the distance from these.
+    Raises: EvidenceError where fewer than two frames have enough points.
+    """
     settings = settings or ClipSettings()
     first, terms = _on_named_sides(body, model, keypoints, start, frame_rate, progress, sure_start=sure_start)
     seen = [np.zeros((1, 1), dtype=bool) if term is None else term.points[..., 2] > 0 for term in terms]
@@ -140,8 +147,11 @@ def _on_named_sides(
     *,
     sure_start: bool = False,
 ) -> tuple[Array, list[KeypointTerm | None]]:
-    """As `_one_by_one`, and from where legs or arms lie on the wrong side by their names, once more with them
-    exchanged, as long as that leaves less to be exchanged."""
+    """Run `_one_by_one`; repeat it with legs or arms exchanged from frames where their names put them on the other
+    side.
+
+    It is repeated as long as that leaves less to be exchanged.
+    """
     poses, terms = _one_by_one(body, model, keypoints, start, frame_rate, progress)
     for limb in LIMBS:
         wrong, worth = exchanged_by_names(body, model, poses, keypoints, limb, sure_start=sure_start)
@@ -165,8 +175,11 @@ def _one_by_one(
     frame_rate: float,
     progress: Report | None = None,
 ) -> tuple[Array, list[KeypointTerm | None]]:
-    """Each frame from the last one: poses (T, D), bridged where nothing is seen, and their rows. Who is seen where the
-    person cannot have got to is not taken for them."""
+    """Solve each frame from the previous one; people whom the person cannot be, because they are too far away, are left
+    out.
+
+    Returns: poses (T, D), bridged where nothing is seen; the key-point term of each frame.
+    """
     s = body.skeleton
     prior = (anatomical_prior(s, keypoints=True),)
     poses, terms = np.empty((len(keypoints), s.dof)), []
@@ -198,7 +211,7 @@ def _one_by_one(
 
 
 def _in_a_row(body: Body, poses: Array) -> Array:
-    """Poses (T, D) with every ball's rotation vector on the branch of the frame before, where limits allow."""
+    """Put every ball's rotation vector in poses (T, D) on the branch of the previous frame, where limits allow."""
     out = poses.copy()
     for t in range(1, len(out)):
         out[t] = body.skeleton.unwound(out[t], out[t - 1])
@@ -206,7 +219,8 @@ def _in_a_row(body: Body, poses: Array) -> Array:
 
 
 def _returned(body: Body, model: KeypointModel, seen: Keypoints) -> Array | None:
-    """The pose (D,) of a frame's person wherever they are, None when they are of another size than the body."""
+    """Find the pose (D,) of the person in a frame at any place; None where the limbs' lengths are not those of the
+    body."""
     points = triangulate_keypoints([seen])[0][0]
     try:
         known = model.known
@@ -227,7 +241,7 @@ def _together(
     frame_rate: float,
     settings: ClipSettings,
 ) -> Array:
-    """All frames on their evidence, from the poses given (T, D)."""
+    """Solve all frames together on their evidence, from the given poses (T, D)."""
 
     def solve(part: slice, starts: Array, weights: tuple[Array, Array]) -> Array:
         return fit_clip(
@@ -244,13 +258,13 @@ def _together(
 
 
 def _information(body: Body, pose: Array, evidence: Sequence[Term]) -> Array:
-    """(D, D): what a frame by itself says of its pose."""
+    """Compute the information (D, D) that a frame by itself gives on its pose."""
     still = SolveSettings(iterations=0, coarse_iterations=0)
     priors = (anatomical_prior(body.skeleton, keypoints=True),)
     return fit_pose(body, pose, evidence, priors=priors, options=still).information
 
 
 def _lost(known: NDArray[np.bool_], patience: float) -> NDArray[np.bool_]:
-    """Frames (T,) more than `patience` frames after the last known one."""
+    """Mark the frames (T,) that are more than `patience` frames after the last known one."""
     frames = np.arange(len(known))
     return frames - np.maximum.accumulate(np.where(known, frames, -1)) > patience

@@ -1,5 +1,5 @@
-"""2D key points as evidence of a tracked body: where they sit on it, how far they are to be trusted, and what a
-detector gets wrong (left for right, another person)."""
+"""Use 2D key points as evidence of a tracked body: their places on it, their noise, and a detector's usual errors
+(left and right exchanged, another person)."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from hypose.geometry import Array
 MIN_CONFIDENCE = 0.3
 """Points of less confidence are left out, as in the solver."""
 STRANGER_M = 0.35
-"""A view whose points lie further than this from the expected ones (median) shows another person."""
+"""A view shows another person when its points lie further than this from the expected ones (median)."""
 SWAPPED_M = 0.15
-"""Left and right are taken for exchanged when the points lie further than this from the expected ones as they are
-named, and at most half as far when exchanged."""
+"""Left and right are exchanged when the points lie further than this from those expected by their names, and at most
+half as far from those of the other side."""
 _FAR_M = 0.5
 # what a detector exchanges together, the whole limb first, then its outer parts and single joints; the face is another
 # matter
@@ -39,10 +39,16 @@ _CHAINS = (
 
 @dataclass(frozen=True)
 class KeypointModel:
-    """Where named key points sit on a body: joint (K,), offset (K, 3) m in that joint's frame, known (K,). sd (K,) m:
-    noise of a detection at the body's distance, per axis, at confidence 1; None: not measured. view (C,): by how much
-    the noise of each view is larger (`hypose.tracking.view_noise`); None: all are alike. cue_weight (C, K): the
-    share of each point's weight that is left in solves with masks (`hypose.tracking.cue_weights`); None: all."""
+    """Places of named key points on a body, and their noise and weights.
+
+    names: (K) names of the points.
+    joint: (K,) joint of each point; offset: (K, 3) position in the joint's frame, m; known: (K,) true for points that
+        the body has.
+    sd: (K,) noise of a detection at the body's distance, per axis, at confidence 1, m; None: not measured.
+    view: (C,) factor on the noise of each view (`hypose.tracking.view_noise`); None: all are alike.
+    cue_weight: (C, K) share of each point's weight that is kept in solves with masks (`hypose.tracking.cue_weights`);
+        None: all of it.
+    """
 
     names: tuple[str, ...]
     joint: NDArray[np.int64]
@@ -53,18 +59,19 @@ class KeypointModel:
     cue_weight: Array | None = None
 
     def positions(self, body: Body, poses: Array) -> Array:
-        """(..., K, 3) m: the points in the world at poses (..., D)."""
+        """Compute the world positions (..., K, 3) of the points, m, at poses (..., D)."""
         rotations, centres = body.skeleton.forward(poses)
         turned = np.einsum("...kab,kb->...ka", rotations[..., self.joint, :, :], self.offset)
         return centres[..., self.joint, :] + turned
 
     def worse(self, views: int) -> Array:
-        """(C,) >= 1: `view`, for so many views; 1 where it is not known, or of other views."""
+        """Return the noise factors (C,) >= 1 of the views; 1 where they are unknown, or were measured for another
+        number of views."""
         return self.view if self.view is not None and len(self.view) == views else np.ones(views)
 
 
 def keypoint_model(body: Body, names: tuple[str, ...]) -> KeypointModel:
-    """The key points on a body by its joints and landmarks."""
+    """Place key points on a body by the names of its joints and landmarks."""
     joint, offset, known = landmark_of(names, body)
     return KeypointModel(tuple(names), joint, offset, known)
 
@@ -76,12 +83,13 @@ def keypoint_term(
     prediction: Array | None = None,
     scale_px: float = 8.0,
 ) -> KeypointTerm | None:
-    """The key points of one frame as rows of the solver, None when none of them is known and confident.
+    """Build the solver's term of the key points of one frame; None when none of them is known and confident.
 
-    model: where the points sit (default: where the body's landmarks say). prediction (D,): the expected pose, by which
-    views that show another person are left out, exchanged sides put right (`checked`), and the model's noise in metres
-    becomes pixels; without it the points are taken as they are. scale_px: noise in pixels of the key points' rig where
-    the model's is not measured.
+    model: where the points sit (default: at the body's landmarks).
+    prediction: (D,) expected pose. With it, views that show another person are left out, exchanged sides are corrected
+        (`check_sides_and_views`), and the model's noise in metres becomes pixels; without it the points are used
+        unchanged.
+    scale_px: noise in pixels where the model's noise is not measured.
     """
     model = model or keypoint_model(body, keypoints.names)
     known = model.known
@@ -111,7 +119,7 @@ def keypoint_term(
 
 
 def with_masks(term: KeypointTerm, model: KeypointModel) -> KeypointTerm:
-    """The term of a frame's key points as solves weigh it when there are masks as well."""
+    """Reweight the term of a frame's key points for solves with masks too, by the model's cue_weight."""
     if model.cue_weight is None or len(model.cue_weight) != len(term.points):
         return term
     points = term.points.copy()
@@ -120,11 +128,13 @@ def with_masks(term: KeypointTerm, model: KeypointModel) -> KeypointTerm:
 
 
 def shows_another_person(keypoints: Keypoints, body: Body, model: KeypointModel, expected: Array, reach: float) -> bool:
-    """Whether the person seen stands further than `reach` (m) from the expected pose (D,): no person gets there so
-    fast.
+    """Decide whether the detected person is another one: further from the expected pose than a person can move.
 
-    Where two views agree with the expectation the others are `checked`'s matter. Judged by the median over the
-    triangulated points, or, of fewer than four, by the view with the larger median; False when nothing is seen."""
+    expected: (D,) expected pose; reach: m that the person can have moved.
+    It is decided by the median distance of the triangulated points or, with fewer than four, by the view with the
+    largest median. False where nothing is seen, and where two views agree with the expectation (`check_sides_and_views`
+    then handles the others).
+    """
     points, expected_points = np.nan_to_num(keypoints.points), model.positions(body, expected)
     uv = np.stack([camera.project_pinhole(expected_points) for camera in keypoints.rig])
     seen = (points[..., 2] > MIN_CONFIDENCE) & model.known & np.isfinite(uv).all(-1)
@@ -140,7 +150,7 @@ def shows_another_person(keypoints: Keypoints, body: Body, model: KeypointModel,
 
 
 def pixels_per_metre(keypoints: Keypoints, position_world: Array) -> Array:
-    """(C,) px: how large a metre is in every view at a place (3,) in the world; at least 1."""
+    """Compute the size of a metre, px, in every view (C,) at a world position (3,); at least 1."""
     sizes = []
     for camera in keypoints.rig:
         depth = camera.camera_from_world[2, :3] @ position_world + camera.camera_from_world[2, 3]
@@ -155,11 +165,15 @@ def check_sides_and_views(
     size: Array,
     known: NDArray[np.bool_] | None = None,
 ) -> Array:
-    """Key points (C, K, 3) with views of another person left out (confidence 0) and exchanged sides put right.
+    """Correct key points of a frame: leave out views of another person (confidence 0), and exchange confused sides
+    back.
 
-    expected (C, K, 2) px: where the points should be about; size (C,): pixels per metre; known (K,): points that the
-    body has. A view is left out only when two others agree with the expectation: where none does it is the expectation
-    that is wrong.
+    points: (C, K, 3).
+    expected: (C, K, 2) expected places, px.
+    size: (C,) pixels per metre.
+    known: (K,) true for points that the body has.
+    Returns: (C, K, 3) corrected points.
+    A view is left out only where two others agree with the expectation; without them the expectation may be wrong.
     """
     out = points.copy()
     seen = (out[..., 2] > 0) & np.isfinite(expected).all(-1)
@@ -185,7 +199,7 @@ def check_sides_and_views(
 
 
 def _exchange(points: Array, expected: Array, pairs: list[tuple[int, int]], size: float) -> None:
-    """Exchanges the points (K, 3) of the pairs in place when that is clearly nearer to the expected (K, 2)."""
+    """Exchange the points (K, 3) of the pairs in place where that is clearly nearer to the expected (K, 2)."""
     left, right = np.array([p[0] for p in pairs], dtype=int), np.array([p[1] for p in pairs], dtype=int)
 
     def gap(a: NDArray[np.int64], b: NDArray[np.int64]) -> Array:

@@ -1,8 +1,8 @@
-"""Where a detector's key points sit on this person, and how noisy they are: measured on the clip itself.
+"""Measure on the clip itself where a detector's key points sit on this person, and how noisy they are.
 
-What a detector calls a hip is not the joint's centre, and every detector has habits of its own. Offsets and poses are
-found in turn on the reprojection in all views, offsets with a prior about the body's landmarks and within limits, so
-that they cannot take over the pose. The remaining distances are the noise that weighs key points against contours.
+A detector's hip is not the joint's centre, and every detector has its own systematic offsets. Offsets and poses are
+solved in turn on the reprojection in all views; offsets have a prior around the body's landmarks and limits, so that
+they cannot replace the pose. The remaining distances are the noise that weights key points against contours.
 """
 
 from __future__ import annotations
@@ -25,21 +25,24 @@ from hypose.tracking.starts import start_from_keypoints
 from hypose.tracking.view_noise import view_factors
 
 LEAST_SD, LARGEST_SD = 0.008, 0.3
-"""m: bounds of the measured noise. Points that scatter by 4 % of the height must weigh as little as that says, or they
-spoil what silhouettes know better."""
+"""m: bounds of the measured noise. Points with a scatter of 4 % of the body height must get the low weight that belongs
+to it, or they spoil the silhouettes' better estimate."""
 TOGETHER = 2.0
-"""Detections of one point err alike in neighbouring frames and views, and now and then widely: the noise that weighs
-them best is twice what their median distance says (chosen on the balancing clip)."""
+"""Factor on the noise from the median distance, because errors of a point are correlated in neighbouring frames and
+views and sometimes very large (chosen on the balancing clip)."""
 FEET_WEIGH = 0.05
-"""Feet point further out or in than a hinge at the knee and an ankle can turn them: while offsets are looked for, the
-bend of a leg says how it is turned, toes and heels only where it is straight. Else they turn the leg, the knee's offset
-makes up for it, and the knee is wrong by 15 mm all along (chosen on captured movement, seeds 3 to 5)."""
+"""Weight of toes and heels while offsets are measured. Feet turn further than a hinge at the knee and an ankle allow,
+so toes would turn the leg, the knee's offset would compensate, and the knee would be wrong by 15 mm in all frames
+(chosen on captured movement, seeds 3 to 5).
+"""
 _SHRINK = 20.0
-"""So many of all points' distances are added to those of each point, so that one that is rarely seen is like others."""
+"""Number of distances at the usual noise that are added to each point's own, so that rarely seen points are near the
+usual."""
 
 
 def offset_limits(names: Sequence[str]) -> Array:
-    """(K,) m: how far a point may be moved from the body's own: 5 cm for joints, 12 cm for the face, 8 cm for feet."""
+    """Return the limits (K,), m, of the points' offsets from the body's landmarks: 5 cm joints, 12 cm face, 8 cm
+    feet."""
     face = ("nose", "eye", "ear", "head")
     foot = ("toe", "heel")
     lower = [n.lower() for n in names]
@@ -47,18 +50,19 @@ def offset_limits(names: Sequence[str]) -> Array:
 
 
 def leg_weights(names: Sequence[str]) -> Array:
-    """(K,) weights of points while the poses are solved that offsets are read from: FEET_WEIGH for feet, else 1."""
+    """Return the weights (K,) of points while poses are solved for measuring offsets: FEET_WEIGH for feet, else 1."""
     return np.array([FEET_WEIGH if any(f in n.lower() for f in ("toe", "heel")) else 1.0 for n in names])
 
 
 def calibrate_keypoints(
     body: Body, model: KeypointModel, keypoints: Sequence[Keypoints], poses: Array | None = None, *, rounds: int = 3
 ) -> KeypointModel:
-    """The model with offsets and noise measured on frames of this person (T; some tens of different poses).
+    """Measure offsets and noise of the key points on frames of this person (T; some tens of different poses).
 
-    model: where the points are expected; offsets stay within `offset_limits` of the body's own landmarks, which are
-    those of the model given. poses (T, D): roughly known poses, NaN rows where unknown (default: from triangulation).
-    An EvidenceError when no frame has enough points.
+    model: where the points are expected; offsets stay within `offset_limits` of it.
+    poses: (T, D) approximate poses, NaN rows where unknown (default: from triangulation).
+    Returns: the model with measured offset, sd and view.
+    Raises: EvidenceError where no frame has enough points.
     """
     model = replace(model, view=view_factors(keypoints))
     start = triangulated_starts(body, model, keypoints) if poses is None else poses
@@ -78,7 +82,7 @@ def calibrate_keypoints(
 
 
 def triangulated_starts(body: Body, model: KeypointModel, keypoints: Sequence[Keypoints]) -> Array:
-    """(T, D): poses from triangulated points, NaN where there are fewer than six."""
+    """Compute poses (T, D) from triangulated points; NaN where there are fewer than six."""
     points, _, _ = triangulate_keypoints(keypoints, worse=model.worse(len(keypoints[0].rig)))
     known = model.known
     out = np.full((len(points), body.skeleton.dof), np.nan)
@@ -91,7 +95,7 @@ def triangulated_starts(body: Body, model: KeypointModel, keypoints: Sequence[Ke
 def solved_frames(
     body: Body, model: KeypointModel, keypoints: Sequence[Keypoints], poses: Array, weights: Array | None = None
 ) -> Array:
-    """Each frame alone, from its pose (T, D); weights (K,) of the points."""
+    """Solve each frame alone on its key points, from its pose (T, D); weights: (K,) of the points."""
     out, prior = poses.copy(), (anatomical_prior(body.skeleton, keypoints=True),)
     options = SolveSettings(iterations=12, coarse_iterations=0)
     for t, frame in enumerate(keypoints):
@@ -104,15 +108,20 @@ def solved_frames(
 
 
 class OffsetResiduals:
-    """Residual (T, C, K, 2) px, its derivative by the offset (T, C, K, 2, 3) px/m, confidence (T, C, K) and pixels per
-    metre (T, C), times how much worse the view is than others, of all points; confidence 0 where there is none."""
+    """Residuals of key points about a body, for measuring offsets.
+
+    residual: (T, C, K, 2) px.
+    slope: (T, C, K, 2, 3) derivative with respect to the offset, px/m.
+    confidence: (T, C, K); 0 where there is no point.
+    size: (T, C) pixels per metre, times the noise factor of the view.
+    """
 
     def __init__(self, residual: Array, slope: Array, confidence: Array, size: Array) -> None:
         self.residual, self.slope, self.confidence, self.size = residual, slope, confidence, size
 
 
 def residual_rows(body: Body, model: KeypointModel, keypoints: Sequence[Keypoints], poses: Array) -> OffsetResiduals:
-    """Of key points, exchanged sides put right, about a body in these poses (T, D)."""
+    """Compute the residuals of key points, with exchanged sides corrected, about a body in the poses (T, D)."""
     rotations, centres = body.skeleton.forward(poses)
     r = rotations[:, model.joint]
     x = centres[:, model.joint] + np.einsum("tkab,kb->tka", r, model.offset)
@@ -140,7 +149,7 @@ def residual_rows(body: Body, model: KeypointModel, keypoints: Sequence[Keypoint
 
 
 def _offsets(base: KeypointModel, model: KeypointModel, rows: OffsetResiduals) -> Array:
-    """(K, 3): one robust Gauss-Newton step of every offset on all frames, held by its prior and cut at its limit."""
+    """Compute all offsets (K, 3) by one robust Gauss-Newton step on all frames, with prior and limits."""
     limit = offset_limits(base.names)
     sd_px = (model.sd if model.sd is not None else np.full(len(limit), 0.02)) * rows.size[..., None]
     square = (rows.residual**2).sum(-1) / sd_px**2
@@ -159,7 +168,7 @@ def _offsets(base: KeypointModel, model: KeypointModel, rows: OffsetResiduals) -
 
 
 def _noise(rows: OffsetResiduals) -> Array:
-    """(K,) m per axis at confidence 1, from the median distances; see TOGETHER."""
+    """Estimate the noise (K,), m per axis at confidence 1, from the median distances; see TOGETHER."""
     metres = np.abs(rows.residual) / rows.size[..., None, None]
     by_point = [
         (np.sqrt(rows.confidence[:, :, k, None]) * metres[:, :, k])[rows.confidence[:, :, k] > 0].ravel()

@@ -1,10 +1,9 @@
-"""Left and right exchanged: seen from behind, or with its legs taken for each other, a person has nearly the same
-outline.
+"""Find frames in which left and right are exchanged: seen from behind, or with legs confused, the outline is nearly the
+same.
 
-A tracker that has mixed them up goes on following, limb by limb, on the wrong side: knees that cannot bend that way,
-feet that point backwards. Nothing it tries from there is right, since several limbs have to change at once. So the
-whole body is turned around now and then, or both legs exchanged, the limbs put where the other side's were, solved, and
-compared.
+A tracker that confused them goes on, limb by limb, on the wrong side: knees bend the wrong way, feet point backwards.
+No local change helps, because several limbs have to change at once. So the whole body is turned around now and then, or
+both legs exchanged; the limbs are put where the other side's were, solved, and compared.
 """
 
 from __future__ import annotations
@@ -33,8 +32,10 @@ _PARTS = {"legs": ("hip", "knee", "ankle"), "arms": ("shoulder", "elbow", "wrist
 
 
 def turned_around(body: Body, pose: Array) -> Array:
-    """(D,) the pose in which the body stands back to front and its joints, left and right exchanged, lie where those of
-    `pose` (D,) lie, as far as anatomy allows."""
+    """Turn a body back to front so that its joints, left and right exchanged, lie where those of `pose` (D,) lie.
+
+    Returns: (D,) pose, exact as far as anatomy allows.
+    """
     s = body.skeleton
     joints = body.joints(pose[None])[0]
     wanted = joints[[s.joint(_other_side(name)) for name in s.joint_names]]
@@ -44,8 +45,12 @@ def turned_around(body: Body, pose: Array) -> Array:
 
 
 def limbs_exchanged(body: Body, pose: Array, limb: str = "legs", *, roots: bool = False) -> Array:
-    """(D,) the pose in which each knee and ankle, or each elbow and wrist ("arms"), lies where the other one lies in
-    `pose` (D,), with roots each hip or shoulder as well, all else as it is, as far as anatomy allows."""
+    """Exchange the limbs of a pose (D,): each knee and ankle ("legs"), or elbow and wrist ("arms"), goes where the
+    other lies.
+
+    roots: also exchange hips or shoulders.
+    Returns: (D,) pose, all else unchanged, exact as far as anatomy allows.
+    """
     s = body.skeleton
     parts = _PARTS[limb]
     moved = parts if roots else parts[1:]
@@ -59,8 +64,10 @@ def limbs_exchanged(body: Body, pose: Array, limb: str = "legs", *, roots: bool 
 
 
 def strain(skeleton: Skeleton, poses: Array) -> Array:
-    """(N,) what it costs to turn hips and spine further than people do in poses (N, D), and to cross the legs: the
-    limits of balls leave room for a body that sits back to front, its thighs behind it."""
+    """Compute a penalty (N,) for poses (N, D) in which hips or spine turn further than people do, or legs are crossed.
+
+    Why: the limits of ball joints allow a body that sits back to front, with its thighs behind it.
+    """
     out = np.zeros(len(poses))
     for name, (back, aside) in _NATURAL.items():
         v = poses[:, skeleton.dofs_of(name)]
@@ -70,8 +77,11 @@ def strain(skeleton: Skeleton, poses: Array) -> Array:
 
 
 def legs_crossed(skeleton: Skeleton, joints: Array) -> Array:
-    """(N,) m by which knees or ankles lie on the other leg's side, along the axis of the hips, of joints (N, J, 3) m;
-    negative where the legs stand apart."""
+    """Compute how far, m, knees or ankles lie on the other leg's side, along the axis of the hips.
+
+    joints: (N, J, 3) m.
+    Returns: (N,); negative where the legs stand apart.
+    """
 
     def between(part: str) -> Array:
         return joints[:, skeleton.joint(f"left_{part}")] - joints[:, skeleton.joint(f"right_{part}")]
@@ -82,21 +92,22 @@ def legs_crossed(skeleton: Skeleton, joints: Array) -> Array:
 
 
 _NATURAL = {"left_hip": (0.5, 0.9), "right_hip": (0.5, 0.9), "spine": (0.4, 0.6)}
-"""rad: how far backwards, and how far about the two other axes"""
+"""rad: natural range backwards, and about each of the two other axes"""
 _BACKWARD = {"left_hip": 1.0, "right_hip": 1.0, "spine": -1.0}
 _STRAIN = 0.02
-"""for a radian more"""
+"""penalty per square radian beyond the range"""
 _CROSSED, _FREE_M = 0.15, 0.05
-"""for a metre by which legs are crossed, and the m that cost nothing"""
+"""penalty per metre by which legs are crossed, and the m that are free"""
 
 
 def look_for_exchange(pose: Array, frame: PreparedFrame, /) -> tuple[float, Array]:
-    """By how much the body turned around, or with its legs exchanged, overlaps the masks better than in `pose` (D,),
-    mean IoU over the views less what it strains more (`strain`), and that pose (D,), solved on the frame. Below zero:
-    `pose` is the better one.
+    """Test whether the body turned around, or with its legs exchanged, fits the masks better than `pose` (D,).
 
-    Where there are key points, arms are tried as well, on either girdle: a detector exchanges their names. Judged by
-    the masks alone, `pose` solved on them, too: points follow the sides that they were named by."""
+    With key points, exchanged arms are tried as well, with and without shoulders, because detectors exchange their
+    names. All poses are solved on the masks without key points, since points follow the sides by which they are named.
+    Returns: gain of the best alternative in mean IoU minus `strain` (below zero: `pose` is better); the solved
+        alternative (D,).
+    """
     body, named = frame.body, frame.keypoints.seen
     if named:
         frame = frame.without(KeypointEvidence)
@@ -128,7 +139,7 @@ def _as_it_is(body: Body, pose: Array) -> Array:
 
 
 def _with_joints_at(body: Body, wanted: Array, start: Array) -> Array:
-    """(D,) solved from a pose (D,) so that the joint centres lie at `wanted` (J, 3) m."""
+    """Solve for the pose (D,) whose joint centres lie at `wanted` (J, 3), m, from a start pose (D,)."""
     count = len(wanted)
     points = PointTerm(wanted, np.ones(count), np.arange(count), np.zeros((count, 3)), 0.03)
     return fit_pose(body, start, [points], priors=(anatomical_prior(body.skeleton),), options=_TO_JOINTS).pose

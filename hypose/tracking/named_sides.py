@@ -1,9 +1,9 @@
-"""Limbs of a tracked clip that lie where the names of its key points put the other side's.
+"""Find limbs of a tracked clip that lie where the names of the key points put the other side's limb.
 
-A detector exchanges left and right in one view or another for a while, so that each view's points are named again by
-where the body is expected (`hypose.tracking.keypoint_evidence.checked`). Where two limbs have met, that expectation may
-go on with the wrong one, and from then on renames all views for ever. Points called left are left more often than not:
-the names of all views and frames are counted together, and limbs that are apart do not change places.
+A detector exchanges left and right in single views for a while, so each view's points are renamed by where the body is
+expected (`hypose.tracking.keypoint_evidence.check_sides_and_views`). Where two limbs have met, that expectation may go
+on with the wrong one and then rename all views in all later frames. Most points called left are left: so the names of
+all views and frames are counted together, and limbs that are apart do not change places.
 """
 
 from __future__ import annotations
@@ -21,9 +21,8 @@ from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, SWAPPED_M, Keypoin
 LIMBS = {"legs": ("knee", "ankle", "big_toe", "small_toe", "heel"), "arms": ("elbow", "wrist")}
 _FAR_M = 0.5  # points further away are no worse
 _MEETING, _APART, _APART_M = 8.0, 24.0, 0.5
-"""views: what it costs that two limbs change places where they touch, and how much more where they are _APART_M apart.
-Half a second in which, by chance, one view more is called by the other side's names than not is worth 12, and has two
-ends."""
+"""views: cost of an exchange where two limbs touch, and the extra cost where they are _APART_M apart. Half a second in
+which, by chance, one view more has the other side's names than not is worth 12, and has two ends."""
 
 
 def exchanged_by_names(
@@ -35,8 +34,13 @@ def exchanged_by_names(
     *,
     sure_start: bool = False,
 ) -> tuple[NDArray[np.bool_], float]:
-    """(T,) frames of poses (T, D) in which the limbs of LIMBS[limb] lie on each other's side by what the key points are
-    called, and by how many views that wins, by a Viterbi search over the frames. sure_start: frame 0 is right."""
+    """Find the frames in which two limbs are on each other's side, by the names of the key points (Viterbi search).
+
+    poses: (T, D) tracked poses.
+    limb: "legs" or "arms", see LIMBS.
+    sure_start: frame 0 is right.
+    Returns: (T,) true for exchanged frames; the gain, in views, of exchanging them.
+    """
     pairs = _pairs(model, LIMBS[limb])
     if not len(pairs):
         return np.zeros(len(poses), np.bool_), 0.0
@@ -54,22 +58,26 @@ def exchanged_by_names(
 
 
 def _pairs(model: KeypointModel, parts: Sequence[str]) -> NDArray[np.int64]:
-    """(N, 2) columns of the left and the right point of each part that the body has."""
+    """List the columns (N, 2) of the left and right point of each part that the body has."""
     column = {n: k for k, n in enumerate(model.names) if model.known[k]}
     both = [(column.get(f"left_{p}", -1), column.get(f"right_{p}", -1)) for p in parts]
     return np.array([b for b in both if min(b) >= 0], dtype=np.int64).reshape(-1, 2)
 
 
 def views_by_names(model: KeypointModel, limb: str, points: Array, expected: Array, size: Array) -> tuple[int, int]:
-    """In how many views the points (C, K, 3) px, as they are called, lie on the other side's limb, and in how many on
-    their own; of expected (C, K, 2) px and pixels per metre (C,). Views in which they are alike count as neither."""
+    """Count the views whose named points lie on the other side's limb, and those whose points lie on their own.
+
+    points: (C, K, 3) u px, v px, confidence.
+    expected: (C, K, 2) places on the body, px; size: (C,) pixels per metre.
+    Returns: views on the other side; views on their own side. Views where both fit alike count as neither.
+    """
     pairs, seen = _pairs(model, LIMBS[limb]), np.nan_to_num(points)
     if not len(pairs):
         return 0, 0
     there = (seen[..., 2] > MIN_CONFIDENCE) & np.isfinite(expected).all(-1)
 
     def gap(named: NDArray[np.int64], body: NDArray[np.int64]) -> Array:
-        """(C,) m: mean distance of points from where the body has them, NaN where there are none."""
+        """Compute the mean distance (C,), m, of points from the given places on the body; NaN where there are none."""
         both = there[:, named] & np.isfinite(expected[:, body]).all(-1)
         d = np.linalg.norm(seen[:, named, :2] - expected[:, body], axis=-1) / size[:, None]
         count = both.sum(1)
@@ -83,8 +91,10 @@ def views_by_names(model: KeypointModel, limb: str, points: Array, expected: Arr
 
 
 def _best_stretches(worth: Array, change: Array) -> tuple[NDArray[np.bool_], float]:
-    """(T,) frames to exchange that win most of worth (T,), less the change (T,) that each of their ends costs, and what
-    they win."""
+    """Choose the frames (T,) to exchange with the largest sum of worth (T,) minus the change costs (T,) at their ends.
+
+    Returns: (T,) the frames; the sum.
+    """
     frames = len(worth)
     best, came = np.array([0.0, -change[0]]), np.zeros((frames, 2), np.int64)
     for t in range(frames):

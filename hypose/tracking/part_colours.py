@@ -1,15 +1,10 @@
-"""What colours a person's parts have: learnt view by view while the pose is certain, and asked when masks cannot tell.
+"""Learn the colours of a person's parts view by view, and use them to find arms where masks cannot decide.
 
-An arm before the trunk or behind it, folded or hanging where another one hangs, leaves the same outline. Its hand and
-its sleeve seldom leave the same picture. So the pixels of each part that is in front are counted by colour in frames in
-which nothing is in doubt; of rival poses that is better whose parts lie where their colours are. What has the same
-colours as its background says nothing, neither for nor against.
-
-Arms where pictures show them: looked for about where they are held to be, before the trunk too.
-
-What lies before the trunk has no outline. Its colours and the rims of its sleeves are in the pictures, and tell an arm
-from one ten centimetres off, over which the masks are of two minds. So arms are drawn about their place, narrower and
-narrower, and what the masks and the pictures like best holds the arm while the body is solved again.
+An arm in front of the trunk or behind it, or folded, or hanging next to the body, leaves the same outline, but its hand
+and sleeve seldom have the same picture. So in frames without doubt the visible pixels of each part are counted by
+colour; among rival poses, the one whose parts lie on their colours is better. Colours that are also those of the
+background around them have no effect. In addition the edges of sleeves are compared. Arms are sampled around their
+estimate with decreasing steps, and the best of masks and pictures holds the arm while the body is solved again.
 """
 
 from __future__ import annotations
@@ -39,8 +34,11 @@ from hypose.tracking.frame_evidence import PreparedFrame
 def pictured_arms(
     arms: Iterable[ArmReach], pose: Array, frame: PreparedFrame, settings: ColourSettings, rng: np.random.Generator
 ) -> tuple[Array, PointTerm] | None:
-    """The pose (D,) with its arms where the masks and the pictures like them best near by, and points that hold them
-    there in a solve; None when nothing is known of pictures, or nothing near by is better."""
+    """Move the arms of a pose (D,) to the best place nearby by masks and pictures.
+
+    Returns: the pose (D,) and a term that holds the arms there in a solve; None when no colours are known, or nothing
+        nearby is better.
+    """
     if known_colours(frame, settings) is None:
         return None
     found = pose
@@ -59,7 +57,7 @@ def pictured_arms(
 def _one_arm(
     arm: ArmReach, pose: Array, frame: PreparedFrame, settings: ColourSettings, rng: np.random.Generator
 ) -> Array:
-    """The pose (D,) with this arm where it is liked best; the pose itself when that is where it is."""
+    """Move one arm of a pose (D,) to the best place nearby; return the same pose where it is the best."""
     body, o, masks = frame.body, settings, frame.silhouettes.masks
     rest = reach.standing(pose, body.skeleton.tree, body.coarse.arrays, masks, arm.moving)
     views = max(int(masks.usable.sum()), 1)
@@ -81,7 +79,7 @@ def _one_arm(
 
 
 COUNTS = "colours"
-"""Name of the counts (C, P, COLOURS) in the tracker's memory."""
+"""Name of the colour counts (C, P, COLOURS) in the tracker's memory."""
 PARTS = (
     ("neck", "head"),
     ("pelvis", "spine", "chest", "left_clavicle", "right_clavicle"),
@@ -92,26 +90,27 @@ PARTS = (
     ("left_knee", "right_knee"),
     ("left_ankle", "right_ankle"),
 )
-"""Joints whose skin is one part; both sides wear the same."""
+"""Joints whose skin is one part; left and right have the same colours."""
 _ARMS = tuple(tuple(f"{side}_{n}" for n in ("shoulder", "elbow", "wrist")) for side in ("left", "right"))
 _CROSS = np.ones((3, 3), np.uint8)
 _KERNEL = np.array([[1, 2, 1], [2, 4, 2], [1, 2, 1]], np.float32) / 16
-"""Neighbouring colours are nearly the same: noise, light, and the colours of the cloth's threads."""
+"""Weights that spread the counts over neighbouring colours: noise, light and the threads of cloth vary them."""
 
 
 @dataclass(frozen=True)
 class ColourSettings:
-    """Learnt colours and their weight.
+    """Settings for learning colours and for their weight; chosen on folded arms of the seeds 503 and 505.
 
-    surely: weight among its rivals that a pose must have to be learnt from; elsewhere: m, a rival's arm that is farther
-    off is not learnt from; memory: share of what was counted before that counts in the next frame; few: pixels that a
-    part must have shown to be half known; most: log-likelihood ratio of one pixel, at most. weight: of the pictures'
-    score relative to the mismatch of rivals; edges: of the rims of arms in it, relative to the colours. tried: rivals
-    whose arms are looked for nearby, with so many draws at each of the steps (rad, sd); ratio: of their energy to that
-    of where they are held to be, at most; hold, strength: m (one sd) and weight of the points that hold them in a
-    solve.
-
-    Chosen on folded arms of the seeds 503 and 505."""
+    surely: weight among its rivals that a pose must have to be learnt from.
+    elsewhere: m, an arm is not learnt where a rival has it further away.
+    memory: share of the previous counts that is kept in the next frame.
+    few: number of pixels at which a part's own counts have half of the weight.
+    most: largest log-likelihood ratio of one pixel.
+    weight: of the pictures' score relative to the mismatch; edges: of the rims of arms relative to the colours.
+    tried: rivals whose arms are searched nearby; draws: samples at each of the steps; steps: rad, sd.
+    ratio: largest energy of a sample relative to that of the estimate.
+    hold, strength: m (one sd) and weight of the points that hold the arms in a solve.
+    """
 
     surely: float = 0.8
     elsewhere: float = 0.08
@@ -130,9 +129,13 @@ class ColourSettings:
 
 @dataclass(frozen=True)
 class KnownColours:
-    """Prior knowledge of a person's colours, and what a frame shows of them. codes (C, h, w); table (C, P, COLOURS):
-    log-likelihood ratios of each colour, in a part against anywhere on the person; masks: usable where there is a
-    picture; edges: of `rim_edges`."""
+    """Learnt colours of a person, and the colours in a frame.
+
+    codes: (C, h, w) colour of each pixel.
+    table: (C, P, COLOURS) log-likelihood ratios of each colour, in a part against anywhere on the person.
+    masks: usable where there is a picture.
+    edges: see `rim_edges`.
+    """
 
     codes: NDArray[np.uint16]
     table: NDArray[np.float32]
@@ -141,7 +144,8 @@ class KnownColours:
 
 
 def known_colours(frame: PreparedFrame, settings: ColourSettings) -> KnownColours | None:
-    """None where there are no pictures, or nothing has been learnt."""
+    """Look up the known colours of a frame, cached in its `shared`; None where there is no picture, or nothing was
+    learnt."""
     if "known colours" not in frame.shared:
         counts, masks, known = frame.memory.get(COUNTS), frame.silhouettes.masks, None
         for colours in frame.frame.of(Colours):
@@ -154,10 +158,12 @@ def known_colours(frame: PreparedFrame, settings: ColourSettings) -> KnownColour
 
 
 def colour_scores(poses: Array, frame: PreparedFrame, settings: ColourSettings) -> Array:
-    """(N,) how badly the colours of the pictures fit poses (N, D): the mean over the views of the negative
-    log-likelihood ratio (the part that is shown against the whole person), summed over the pixels, per pixel of the
-    mask; and how badly edges lie along the rims of arms that are before the rest, per square root of these pixels.
-    Zeros where nothing is known."""
+    """Compute how badly the colours and edges of the pictures fit poses (N, D); zeros where no colours are known.
+
+    Returns: (N,) mean over the views of: the negative log-likelihood ratio (visible part against whole person), summed
+        over the pixels and divided by the mask's area; plus the misfit of edges along the rims of arms in front of the
+        body, divided by the square root of that area.
+    """
     known = known_colours(frame, settings)
     if known is None:
         return np.zeros(len(poses))
@@ -171,7 +177,7 @@ def colour_scores(poses: Array, frame: PreparedFrame, settings: ColourSettings) 
 
 
 def table_of(counts: NDArray[np.float32], settings: ColourSettings) -> NDArray[np.float32]:
-    """(C, P, COLOURS) log-likelihood ratios of each colour: in a part, against anywhere on the person."""
+    """Compute the log-likelihood ratios (C, P, COLOURS) of each colour in a part against anywhere on the person."""
     whole = counts.sum(1, keepdims=True)
     share = (whole + 1e-3) / (whole + 1e-3).sum(2, keepdims=True)
     of_part = (counts + settings.few * share) / (counts.sum(2, keepdims=True) + settings.few)
@@ -180,12 +186,12 @@ def table_of(counts: NDArray[np.float32], settings: ColourSettings) -> NDArray[n
 
 @dataclass(frozen=True)
 class LearnColours:
-    """Learns what colours the parts have from frames in which the pose is certain."""
+    """Learns the colours of the parts from frames in which the pose is certain."""
 
     settings: ColourSettings = ColourSettings()
 
     def __call__(self, memory: Memory, pose: Array, h: Hypotheses, frame: PreparedFrame, /) -> Memory:
-        """The memory after a frame; see `Recipe.learn`."""
+        """Update the memory after a frame; see `Recipe.learn`."""
         if not frame.silhouettes.seen or h.weights.max() < self.settings.surely:
             return memory
         for colours in frame.frame.of(Colours):
@@ -193,7 +199,7 @@ class LearnColours:
         return memory
 
     def _learn(self, memory: Memory, colours: Colours, pose: Array, h: Hypotheses, frame: PreparedFrame) -> Memory:
-        """Count the colours of one frame."""
+        """Add the colours of one frame to the counts in the memory."""
         o, body, (faces, part, arm) = self.settings, frame.body, part_layout(frame.body)
         vertices = body.skin(pose)
         doubted = self._doubted(pose, h, body)
@@ -212,7 +218,7 @@ class LearnColours:
         return {**memory, COUNTS: np.where(use[:, None, None], o.memory * before + found, before).astype(np.float32)}
 
     def _doubted(self, pose: Array, h: Hypotheses, body: Body) -> NDArray[np.bool_]:
-        """(2,) whether some rival has the left or the right arm elsewhere."""
+        """Decide for the left and the right arm (2,) whether some rival has it elsewhere."""
         rivals = h.values[h.weights > 0.02]
         at = body.joints(np.concatenate([pose[None], rivals]))
         s = body.skeleton
@@ -224,7 +230,10 @@ class LearnColours:
 def counted_colours(
     shown: NDArray[np.uint8], mask: NDArray[np.uint8], codes: NDArray[np.uint16]
 ) -> NDArray[np.float32]:
-    """(P, COLOURS): how often each part has each colour, away from its rim."""
+    """Count how often each part has each colour (P, COLOURS), away from the part's rim.
+
+    shown: (h, w) number of the visible part plus 1, 0: none; mask: (h, w); codes: (h, w) colours.
+    """
     if not shown.size:
         return np.zeros((len(PARTS), COLOURS), np.float32)
     inner = np.where(cv2.erode(shown, _CROSS) == cv2.dilate(shown, _CROSS), shown, 0)
@@ -237,7 +246,7 @@ def counted_colours(
 
 
 def part_layout(body: Body) -> tuple[NDArray[np.int32], NDArray[np.uint8], NDArray[np.int64]]:
-    """Faces of the coarse mesh, the part of each (F,), and its arm: 0 left, 1 right, -1 none."""
+    """List the faces of the coarse mesh, the part of each (F,), and its arm (F,): 0 left, 1 right, -1 none."""
     names = body.skeleton.joint_names
     number = np.array([next((k for k, own in enumerate(PARTS) if n in own), 1) for n in names])
     side = np.array([next((k for k, own in enumerate(_ARMS) if n in own), -1) for n in names])

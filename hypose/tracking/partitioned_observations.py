@@ -1,14 +1,12 @@
-"""Partitioned observations (APO) and steps of a limb in its own directions, both for layered filters.
+"""Weigh layers on partitioned observations (APO), and step limbs in their own directions; both for layered filters.
 
-Partitioned observations weigh each layer only where its body parts are likely to be seen. A layer's box in space stands
-around the joints it places (by the mean of the set so far), its picture in every view is a box too, and the silhouette
-cost is counted inside; parts of later layers are not drawn.
-Source: Alcoverro 2014, section 2.4.1, eq. 2.15.
+Partitioned observations weigh a layer only where its body parts are likely to be seen: the silhouette cost is counted
+inside a box around the joints of the layer (at the mean of the set), projected into every view; parts of later layers
+are not drawn. Source: Alcoverro 2014, section 2.4.1, eq. 2.15.
 
-Steps of a limb in its own directions draw the swing of a ball joint apart from the twist about the bone. A shoulder's
-twist is not seen before the forearm is drawn, so a layered filter searches the swing with the upper arm and the twist
-with the forearm. Balls are rotation vectors, in which neither is a coordinate; here both are turns in the bone's own
-frame.
+Steps in a limb's own directions separate the swing of a ball joint from its twist about the bone. The twist of a
+shoulder is not visible before the forearm is drawn, so a layered filter searches the swing with the upper arm and the
+twist with the forearm.
 """
 
 from __future__ import annotations
@@ -32,8 +30,13 @@ from hypose.tracking.frame_evidence import PreparedFrame
 
 @dataclass(frozen=True)
 class BallStep:
-    """start: first coordinate of a ball; axis (3,): unit direction of the bone that hangs on it, model frame at rest;
-    swing: rad, sd of each turn across the bone; twist: rad, sd of the turn about it."""
+    """Step of a ball joint, as swing and twist.
+
+    start: first coordinate of the ball.
+    axis: (3,) unit direction of the bone that follows it, in the model frame at rest.
+    swing: sd of each rotation across the bone, rad.
+    twist: sd of the rotation about the bone, rad.
+    """
 
     start: int
     axis: Array
@@ -42,16 +45,18 @@ class BallStep:
 
 
 def ball_step(skeleton: Skeleton, joint: str, child: str, swing: float, twist: float) -> BallStep:
-    """The BallStep of a named joint whose bone ends at the joint `child`."""
+    """Build the BallStep of a named joint whose bone ends at the joint `child`."""
     bone = skeleton.rest_offsets[skeleton.joint(child)]
     return BallStep(int(skeleton.dofs_of(joint)[0]), bone / np.linalg.norm(bone), swing, twist)
 
 
 @dataclass(frozen=True)
 class LimbDiffusion:
-    """Kernel: Gaussian steps, sigma (D,) per coordinate, and for some balls (whose sigma must be 0) swing and twist.
+    """Kernel of Gaussian steps, with sigma (D,) per coordinate, and swing and twist for some balls (whose sigma must be
+    0).
 
-    R -> R exp(w), w = swing (g - (g.a) a) + twist (t a) with normal g (3,), t. Bounds by `reflect` on what moved.
+    A ball moves by R -> R exp(w), w = swing (g - (g.a) a) + twist (t a) with normal g (3,), t. Moved coordinates are
+    kept in their limits by `reflect`.
     tail: longer steps for a share of the set, on the coordinates it names.
     """
 
@@ -61,7 +66,7 @@ class LimbDiffusion:
     tail: HeavyTail | None = None
 
     def __call__(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
-        """The moved set."""
+        """Move the set."""
         s = self.skeleton
         gain = np.ones((h.count, s.dof)) if self.tail is None else self.tail.gain(h.count, s.dof)
         step = rng.standard_normal(h.values.shape) * self.sigma * gain
@@ -85,11 +90,12 @@ _NEAREST = 0.05
 
 @dataclass(frozen=True)
 class Region:
-    """Where a layer looks, from the joints of the mean pose.
+    """Box in space in which a layer is weighed, placed by the mean pose.
 
-    joints (Y,): the joints of the layer, with the points that end its parts (`ends`: landmark indices). half: (3,) m,
-    half the box's extent along the world's axes about the mean of those points (the published form, fixed), or None:
-    the box that bounds the points. margin: m, added on every side.
+    joints: (Y,) the joints of the layer; ends: landmark indices of the points that end its parts.
+    half: (3,) half the box's extent along the world's axes about the mean of those points, m (the published, fixed
+        form); None: the box that bounds the points.
+    margin: m, added on every side.
     """
 
     joints: NDArray[np.int64]
@@ -98,7 +104,7 @@ class Region:
     margin: float
 
     def box(self, body: Body, pose: Array) -> Array:
-        """(2, 3) m: lowest and highest corner in the world for a pose (D,)."""
+        """Compute the lowest and highest corner (2, 3) of the box in the world, m, for a pose (D,)."""
         points = body.joints(pose)[self.joints]
         if len(self.ends):
             points = np.concatenate([points, body.landmark_points(pose)[self.ends]])
@@ -109,10 +115,11 @@ class Region:
 
 
 def chain_region(body: Body, joints: tuple[str, ...], ends: tuple[str, ...] = (), *, girth: float = 0.12) -> Region:
-    """The published box of a limb: centred at the mean of its points, with sizes fixed by the subject's anthropometry.
+    """Build the published box of a limb: centred at the mean of its points, with a size fixed by the person's body.
 
-    A cube that holds the limb however it is bent: half its length from the first point to the last, and girth (m at a
-    stature of 1.75 m) on every side. joints, ends: names of joints and landmarks. The thesis gives no factors.
+    It is a cube that holds the limb however it is bent: half its length, plus girth, on every side of the centre.
+    joints, ends: names of joints and landmarks.
+    girth: m at a stature of 1.75 m; the thesis gives no factors.
     """
     s = body.skeleton
     index = np.array([s.joint(n) for n in joints])
@@ -126,17 +133,19 @@ def chain_region(body: Body, joints: tuple[str, ...], ends: tuple[str, ...] = ()
 
 
 def bounding_region(body: Body, joints: tuple[str, ...], ends: tuple[str, ...] = (), *, margin: float) -> Region:
-    """The box that bounds a limb's points, as it is posed, with a margin (m at a stature of 1.75 m) on every side."""
+    """Build the box that bounds a limb's points as posed, with a margin (m at a stature of 1.75 m) on every side."""
     index = np.array([body.skeleton.joint(n) for n in joints])
     marks = np.array([body.landmarks.index(n) for n in ends], dtype=np.int64)
     return Region(index, marks, None, margin * body.stature / 1.75)
 
 
 def boxes_in_views(box: Array, rig: CameraRig) -> NDArray[np.int64]:
-    """(C, 4) = x0, x1, y0, y1 px (half open), inside each image: what encloses the projected corners of box (2, 3) m.
+    """Project a box (2, 3), m, into all views as bounding rectangles inside the images.
 
-    A box that touches a camera's plane fills the image (the projection of its corners does not enclose it); one behind
-    the camera is empty. Source: Alcoverro 2014, section 2.4.1 step 2.
+    A box that touches a camera's plane fills the image (the projection of its corners does not enclose it); a box
+    behind the camera gives an empty rectangle.
+    Returns: (C, 4) x0, x1, y0, y1, px, half open.
+    Source: Alcoverro 2014, section 2.4.1 step 2.
     """
     corners = np.array([[box[i, 0], box[j, 1], box[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
     homogeneous = np.einsum("cab,nb->cna", rig.projections[:, :, :3], corners) + rig.projections[:, None, :, 3]
@@ -155,18 +164,22 @@ def boxes_in_views(box: Array, rig: CameraRig) -> NDArray[np.int64]:
 
 
 def faces_of_parts(body: Body, joints: tuple[str, ...]) -> NDArray[np.bool_]:
-    """(F,) triangles of the coarse mesh that belong to the parts of the named joints (by most of their corners)."""
+    """Select the triangles (F,) of the coarse mesh that belong to the parts of the named joints, by most of their
+    corners."""
     wanted = np.isin(body.coarse.main_joint, [body.skeleton.joint(n) for n in joints])
     return np.asarray(wanted[body.coarse.faces].sum(1) >= 2)
 
 
 @dataclass(frozen=True)
 class PartitionedXor:
-    """Energy E = sum over usable views of XOR(M_v, S_v inside Omega_v) / C(Omega_v), so that the weight is exp(-E).
+    """Partitioned energy: E = sum over usable views of XOR(M_v, S_v inside Omega_v) / C(Omega_v); the weight is
+    exp(-E).
 
-    Omega_v: the picture of the region's box about the mean of the set, C: its pixels inside the image; a view whose
-    image the box misses is left out. faces (F,) bool: the triangles drawn, None for all. With no view the energy is 0.
-    The mean is that of the set to be weighed, whose last steps have mean 0 (the thesis: that of the layer before).
+    Omega_v: projection of the region's box about the mean of the set; C: its pixels inside the image.
+    Views whose image the box misses are left out; with no view the energy is 0.
+    faces: (F,) true for the triangles drawn; None: all.
+    Deviation: the mean is that of the set to be weighed, whose last steps have mean 0; in the thesis it is that of the
+        previous layer.
     Source: Alcoverro 2014, eq. 2.15.
     """
 
@@ -175,7 +188,7 @@ class PartitionedXor:
     faces: NDArray[np.bool_] | None = None
 
     def __call__(self, h: Hypotheses, frame: PreparedFrame, /) -> Array:
-        """(N,) energies of h.values (N, D), with what cues other than masks and depth say added."""
+        """Compute the energies (N,) of h.values (N, D), with those of all evidence except masks and depth added."""
         others = [one for one in frame.evidence if one is not frame.silhouettes and one is not frame.depth]
         own = evidence_energy(self.body, h.values, others)
         if not frame.silhouettes.seen:
@@ -188,7 +201,8 @@ class PartitionedXor:
 def partitioned_energy(
     body: Body, poses: Array, frame: PreparedFrame, boxes: NDArray[np.int64], faces: NDArray[np.bool_] | None = None
 ) -> Array:
-    """(N,) energies of eq. 2.15 for poses (N, D) in boxes (C, 4) px; zeros when no usable view has a box."""
+    """Compute the energies (N,) of eq. 2.15 for poses (N, D) in boxes (C, 4), px; zeros when no usable view has a
+    box."""
     masks = frame.silhouettes.masks
     pixels = (boxes[:, 1] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 2])
     use = masks.usable & (pixels > 0)

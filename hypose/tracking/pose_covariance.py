@@ -1,4 +1,5 @@
-"""Uncertainty of a frame's pose: from the curvature of the solved cost, or from the spread of a weighted set."""
+"""Compute the uncertainty of a frame's pose: from the curvature of the solved cost, or from the spread of a weighted
+set."""
 
 from __future__ import annotations
 
@@ -31,20 +32,21 @@ CURVATURE_FACTOR: Mapping[str, Mapping[str, float]] = {
     "depth": {"torso": 0.5, "arms": 0.5, "legs": 0.5, "head": 0.5},
 }
 FLOOR = 0.004
-"""m; no joint centre of a fitted body is known better than this. With more, a head seen in silhouettes cannot have a
-region that holds it in 90 %: it would hold more."""
+"""m; smallest sd of a joint centre. With more, the regions of a head seen in silhouettes would hold more than 90 %."""
 _SET_FLOOR = 0.02
-"""rad, m; no coordinate of a weighted set is known better than this, however few of its members survived."""
+"""rad, m; smallest sd of a coordinate of a weighted set, however few of its members survived."""
 
 
 @dataclass(frozen=True)
 class PoseUncertainty:
-    """Uncertainty of one frame's pose; arrays in float32, since long recordings have many frames.
+    """Uncertainty of one frame's pose; arrays are float32, since long recordings have many frames.
 
-    joint_covariance (J, 3, 3) m^2: of the joint centres. information (D (D + 1) / 2,): lower triangle of the inverse
-    covariance that the frame by itself gives the pose, the root's rotation as a small turn in the world, without the
-    pull to the prediction, for solving whole clips; zero: nothing. modes: the distinct poses that the frame allows (one
-    row), for methods that have them."""
+    joint_covariance: (J, 3, 3) of the joint centres, m^2.
+    information: (D (D + 1) / 2,) lower triangle of the inverse covariance of the pose from this frame alone, without
+        the pull to the prediction, with the root's rotation as a small rotation in the world; for solving whole clips.
+        Zero: no information.
+    modes: the distinct poses that the frame allows (one row), for methods that have them.
+    """
 
     joint_covariance: NDArray[np.float32]
     information: NDArray[np.float32]
@@ -52,11 +54,11 @@ class PoseUncertainty:
 
 
 def uncertainty_of_pose(pose: Array, h: Hypotheses, frame: PreparedFrame, /) -> PoseUncertainty:
-    """Of a solved pose (D,), from the inverse of the cost's Hessian.
+    """Compute the uncertainty of a solved pose (D,) from the inverse of the cost's Hessian.
 
-    Covariance of the joints = factor^2 H^-1 (CURVATURE_FACTOR) with the priors in H, so a joint that no view sees keeps
-    the prior's spread. With RIVALs it is that of the mixture about the pose: each adds its weight times the square of
-    how far its joints are off.
+    Covariance of the joints = factor^2 H^-1 (CURVATURE_FACTOR), with the priors in H, so a joint that no view sees
+    keeps the prior's spread. Each hypothesis with the role RIVAL adds its weight times the square of its joints'
+    distances.
     """
     body = frame.body
     fit = frame.fits.get(body, pose)
@@ -76,25 +78,34 @@ def uncertainty_of_pose(pose: Array, h: Hypotheses, frame: PreparedFrame, /) -> 
 
 
 def _less_sure(information: Array, step: Array, weight: float) -> Array:
-    """(D, D): the information when the covariance grows by weight x step step^T, step (D,) to another pose.
-    Source: Sherman & Morrison 1950."""
+    """Update the information (D, D) for a covariance that grows by weight x step step^T, step (D,).
+
+    Source: Sherman & Morrison 1950.
+    """
     seen = information @ step
     return information - np.outer(seen, seen) * (weight / (1 + weight * (seen @ step)))
 
 
 def joint_covariance_of(body: Body, pose: Array, information: Array, evidence: str) -> NDArray[np.float32]:
-    """(J, 3, 3) m^2: covariances of the joint centres at a solved pose (D,) from the information on it, (D, D), see
-    `PoseFit.information`; evidence: what the cost was made of, one of CURVATURE_FACTOR."""
+    """Compute the covariances (J, 3, 3) of the joint centres, m^2, at a solved pose (D,).
+
+    information: (D, D) on the pose, see `PoseFit.information`.
+    evidence: kind of evidence in the cost, a key of CURVATURE_FACTOR.
+    """
     factor = _factors(evidence, tuple(body.skeleton.joint_names))
     curvature = joint_covariances(pose, body.skeleton.tree, information)
     return (factor[:, None, None] ** 2 * curvature + FLOOR**2 * np.eye(3)).astype(np.float32)
 
 
 def from_neighbours(around: NDArray[np.float32], frame_rate: float) -> NDArray[np.float32]:
-    """(T, J, 3, 3) m^2: covariances of joints in a solved clip from those that each frame gives by itself (NaN: none).
+    """Bound the covariances of joints in a solved clip by those of neighbouring frames.
 
-    A joint that a frame hardly shows, or not at all, lies between where its neighbours show it: what they know, and how
-    far its path may bend until then (NEIGHBOUR_M_S2), bounds the uncertainty."""
+    Why: a joint that a frame hardly shows lies between its places in the neighbouring frames; the bound is their
+        covariance
+    plus how far the path may bend in between (NEIGHBOUR_M_S2).
+    around: (T, J, 3, 3) from each frame alone, m^2; NaN: none.
+    Returns: (T, J, 3, 3) m^2.
+    """
     given, out = around.astype(np.float64), around.astype(np.float64)
     least = np.trace(out, axis1=2, axis2=3)
     least[np.isnan(least)] = np.inf
@@ -109,7 +120,7 @@ def from_neighbours(around: NDArray[np.float32], frame_rate: float) -> NDArray[n
 
 
 NEIGHBOUR_S, NEIGHBOUR_M_S2 = 0.25, 20.0
-"""s to neighbours that say something of a frame; m/s^2, usual acceleration of a limb's joint"""
+"""s to the furthest neighbours that are used; m/s^2, usual acceleration of a limb's joint"""
 
 
 @lru_cache(8)
@@ -118,8 +129,7 @@ def _factors(evidence: str, joint_names: tuple[str, ...]) -> Array:
 
 
 def joint_group(name: str) -> str:
-    """The group of a joint by its name: arms (elbow, wrist), legs (knee, ankle), head, or torso with shoulders and
-    hips."""
+    """Return the group of a joint by its name: arms (elbow, wrist), legs (knee, ankle), head, or torso (all others)."""
     if name.endswith(("elbow", "wrist")):
         return "arms"
     if name.endswith(("knee", "ankle")):
@@ -128,7 +138,7 @@ def joint_group(name: str) -> str:
 
 
 def uncertainty_of_set(pose: Array, h: Hypotheses, frame: PreparedFrame, /) -> PoseUncertainty:
-    """Of a weighted set (N, D): its spread."""
+    """Compute the uncertainty of a pose from the spread of a weighted set (N, D)."""
     joints = frame.body.joints(h.values)
     apart = joints - np.einsum("n,nja->ja", h.weights, joints)
     around = np.einsum("n,nja,njb->jab", h.weights, apart, apart) + FLOOR**2 * np.eye(3)
@@ -140,12 +150,13 @@ def uncertainty_of_set(pose: Array, h: Hypotheses, frame: PreparedFrame, /) -> P
 
 
 def nothing_known(joint_covariance: NDArray[np.float32], dof: int) -> PoseUncertainty:
-    """Of a frame without evidence, whose joints are known to joint_covariance (J, 3, 3) from the frames before."""
+    """Build the uncertainty of a frame without evidence: joint_covariance (J, 3, 3) from the frames before, no
+    information."""
     return PoseUncertainty(joint_covariance, packed(np.zeros((dof, dof))))
 
 
 def packed(information: Array) -> NDArray[np.float32]:
-    """(D (D + 1) / 2,) float32: the lower triangle of a symmetric matrix (D, D)."""
+    """Pack a symmetric matrix (D, D) as its lower triangle (D (D + 1) / 2,), float32."""
     return information[_triangle(len(information))].astype(np.float32)
 
 
@@ -155,7 +166,7 @@ def _triangle(dof: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 
 def unpacked(triangles: ArrayLike, dof: int) -> Array:
-    """(T, D, D) from triangles (T, D (D + 1) / 2)."""
+    """Unpack lower triangles (T, D (D + 1) / 2) to symmetric matrices (T, D, D)."""
     triangles = np.asarray(triangles, dtype=np.float64)
     rows, columns = _triangle(dof)
     out = np.zeros((len(triangles), dof, dof))

@@ -1,9 +1,9 @@
-"""The published particle filters as data for the one search loop, and what improves them, as presets of their own.
+"""Build the published particle filters as recipes of the one search, and presets that improve them.
 
-Every recipe is a function of the body and a few numbers. The published ones start from the pose that is given, neither
-predict nor recover, and state the spread of their set. Layer settings are the printed ones; the step sizes are half of
-what one would first guess (too large is worse than too small: limbs jump) and beta is solved for a survival
-rate, because a fixed exponent <= 1 hardly selects on the flat energies of eq. 2.8.
+Every recipe is a function of the body and a few numbers. The published recipes start from the given pose, neither
+predict nor recover, and report the spread of their set as uncertainty. The layer settings are the printed ones. Step
+sizes are half of a first guess: when they are too large, limbs jump, which is worse than steps that are too small. Beta
+is solved for a survival rate, because a fixed exponent <= 1 hardly selects on the flat energies of eq. 2.8.
 """
 
 from __future__ import annotations
@@ -60,12 +60,16 @@ LIMB_LAYERS: tuple[tuple[str, tuple[str, ...]], ...] = (
 
 
 def partitions_of(skeleton: Skeleton, layers: Sequence[tuple[str, tuple[str, ...]]]) -> list[NDArray[np.int64]]:
-    """Return, per layer, the indices of the coordinates that it moves (Psi_l)."""
+    """List, per layer, the indices of the coordinates that it filters (Psi_l)."""
     return [skeleton.dofs_of(*joints) for _, joints in layers]
 
 
 def sir(body: Body, particles: int = 4000, survival: float = 0.15, frame_rate: float = 25.0) -> Recipe:
-    """Plain particle filter: one layer over all coordinates. Source: Isard & Blake 1998 (Alcoverro 2014, Alg. 1)."""
+    """Build the plain particle filter: one layer over all coordinates.
+
+    survival: survival rate of the layer.
+    Source: Isard & Blake 1998 (Alcoverro 2014, Alg. 1).
+    """
     s = body.skeleton
     layer = Layer(diffusion(s, s.step_sigma(frame_rate)), _weigh(SurvivalRate(survival)), systematic, "all")
     return _published("sir", (layer,), s, particles)
@@ -79,11 +83,13 @@ def apf(
     scale: float = 0.5,
     frame_rate: float = 25.0,
 ) -> Recipe:
-    """Annealed particle filter with adaptive diffusion: the first layer moves all coordinates by the motion of a frame,
-    every further one by `scale` times the spread of the set that the layer before left.
+    """Build the annealed particle filter with adaptive diffusion.
 
-    Source: Deutscher & Reid 2005; 15 layers x 240 particles with adaptive diffusion as run by Alcoverro 2014, section
-    2.4, who gives neither the scale nor the survival rate.
+    The first layer moves all coordinates by the usual motion of a frame; every further layer by `scale` times the
+    spread of the set that the previous layer left.
+    survival: survival rate of every layer.
+    Source: Deutscher & Reid 2005; 15 layers x 240 particles with adaptive diffusion as in Alcoverro 2014, section 2.4,
+        who gives neither the scale nor the survival rate.
     """
     s = body.skeleton
     between_frames, between_layers = (
@@ -98,10 +104,11 @@ def apf(
 
 
 def partitioned(body: Body, particles: int = 572, survival: float = 0.15, frame_rate: float = 25.0) -> Recipe:
-    """Partitioned sampling: each layer moves only its own coordinates and resamples whole states.
+    """Build the partitioned sampling filter: each layer moves only its own coordinates and resamples whole states.
 
-    Deviation: every partition is weighed by the whole silhouettes, with the exponent that a survival rate sets. Source:
-    MacCormick & Isard 2000 (Alcoverro 2014, section 2.2.3).
+    survival: survival rate of every layer.
+    Deviation: every partition is weighted by the whole silhouettes, with the exponent that the survival rate sets.
+    Source: MacCormick & Isard 2000 (Alcoverro 2014, section 2.2.3).
     """
     s = body.skeleton
     sigma = s.step_sigma(frame_rate)
@@ -121,11 +128,11 @@ def hpf(
     frame_rate: float = 25.0,
     betas: Sequence[float] | None = None,
 ) -> Recipe:
-    """Hierarchical (layered) particle filter: 7 layers x 572 particles as published.
+    """Build the hierarchical (layered) particle filter: 7 layers x 572 particles as published.
 
-    Coordinates are first filtered in their own layer with full steps and go on moving with steps shrinking by `nu`
-    (Algorithm 3); only coordinates filtered so far are resampled (Algorithm 4). `betas` gives fixed exponents, one per
-    layer, as the thesis has them; by default the survival rate sets them.
+    Coordinates are first filtered in their own layer with full steps; in later layers their steps shrink by `nu`
+    (Algorithm 3). Only coordinates filtered so far are resampled (Algorithm 4).
+    betas: fixed exponents, one per layer, as in the thesis; None: the survival rate sets them.
     Source: Alcoverro 2014, sections 2.2.4 and 2.4.
     """
     s = body.skeleton
@@ -146,12 +153,13 @@ def hpf(
 
 
 def diffusion(skeleton: Skeleton, sigma: Array, tail: HeavyTail | None = None) -> GaussianDiffusion:
-    """Steps of sigma (D,) inside the joint limits."""
+    """Build a kernel of Gaussian steps with standard deviations sigma (D,), inside the joint limits."""
     return GaussianDiffusion(sigma, skeleton.lower, skeleton.upper, tail)
 
 
 def annealing_rate_of(layer: int, betas: Sequence[float] | None, survival: float) -> AnnealingRate:
-    """A fixed exponent per layer, as the thesis has them, or the exponent at which the share `survival` lives on."""
+    """Choose how a layer gets its exponent: fixed (betas, as in the thesis) or solved for the survival rate (betas
+    None)."""
     return SurvivalRate(survival) if betas is None else FixedAnnealingRate(betas[layer])
 
 
@@ -188,8 +196,12 @@ for _side in ("left", "right"):
 
 
 def layer_regions(body: Body, *, bounding: bool, margin: float = 0.18) -> list[tuple[Region, NDArray[np.bool_]]]:
-    """For each layer of HPF_LAYERS its region and the faces drawn (its own parts and those of the layers before), and
-    one more of the whole body. bounding: boxes about the posed limb instead of fixed ones."""
+    """List, for each layer of HPF_LAYERS and then for the whole body, the region and the faces that are compared there.
+
+    bounding: use boxes around the posed limb instead of fixed ones.
+    margin: of these boxes, m.
+    Returns: pairs (region, (F,) true for faces of the layer's own parts and of those of the previous layers).
+    """
     s, out, drawn = body.skeleton, [], []
     for name, _ in HPF_LAYERS:
         joints, ends, parts = _SEEN_PARTS[name]
@@ -206,7 +218,7 @@ def layer_regions(body: Body, *, bounding: bool, margin: float = 0.18) -> list[t
 
 
 def _torso_region(body: Body, joints: tuple[str, ...], ends: tuple[str, ...]) -> Region:
-    """The fixed box of the trunk with the head: as wide as the shoulders, from the hips to the top of the head."""
+    """Build the fixed box of trunk and head: as wide as the shoulders, from the hips to the top of the head."""
     region = bounding_region(body, joints, ends, margin=0.12)
     low, high = region.box(body, np.zeros(body.skeleton.dof))
     half = 0.5 * (high - low)
@@ -225,13 +237,15 @@ def hpf_apo(
     improved: bool = False,
     name: str = "hpf-apo",
 ) -> Recipe:
-    """The hierarchical filter weighed by approximate partitions of the observations: 7 + 1 layers x 500 particles.
+    """Build the hierarchical filter with approximate partitioned observations (APO): 7 + 1 layers x 500 particles.
 
-    As published: the layers and steps of `hpf`, eq. 2.15 in fixed boxes, and a last layer that weighs the set again in
-    a box of the whole body. `betas` gives fixed exponents, one per layer (8); by default the survival rate sets them.
-    improved departs from that: boxes about the posed limb; a limb's layer moves its own coordinates and the torso's
-    (the forearm's also the upper arm's) only, since the legs are not seen in the arms' boxes, where further steps would
-    shake them; the shoulder's twist is searched with the forearm; 15 % of a limb's steps are four times as long.
+    As published: the layers and steps of `hpf`, weights by eq. 2.15 inside fixed boxes, and a last layer that weighs
+    the set again in a box of the whole body.
+    betas: fixed exponents, one per layer (8); None: the survival rate sets them.
+    improved: differs from the publication: boxes around the posed limb; a limb's layer moves only its own coordinates
+        and the torso's (the forearm's layer also the upper arm's), because the legs are not seen in the boxes of the
+        arms and further steps would only scatter them; the twist of the shoulder is searched with the forearm; 15 % of
+        a limb's steps are four times as long.
     Source: Alcoverro 2014, section 2.4.
     """
     s = body.skeleton
@@ -259,7 +273,7 @@ def hpf_apo(
 
 
 def _steps(body: Body, full: Array, step: Array, psi: list[NDArray[np.int64]], n: int) -> LimbDiffusion:
-    """The kernel of layer n of the improved partitioned filter from the steps of Algorithm 3."""
+    """Build the kernel of layer n of the improved partitioned filter from the steps of Algorithm 3."""
     s, name = body.skeleton, HPF_LAYERS[n][0]
     side = name.split("_")[0]
     limb, keep = np.zeros(s.dof, dtype=bool), np.zeros(s.dof, dtype=bool)
@@ -283,7 +297,7 @@ def _steps(body: Body, full: Array, step: Array, psi: list[NDArray[np.int64]], n
 
 
 def hpf_apo_plus(body: Body, particles: int = 500, frame_rate: float = 25.0) -> Recipe:
-    """The improved form of `hpf_apo`, at the same number of evaluations."""
+    """Build the improved form of `hpf_apo`, with the same number of evaluations."""
     return hpf_apo(body, particles, frame_rate=frame_rate, improved=True, name="hpf-apo+")
 
 
@@ -307,13 +321,16 @@ def dd_hpf(
     last_survival: float = 0.4,
     name: str = "dd-hpf",
 ) -> Recipe:
-    """The detector-driven hierarchical filter: 7 layers x 500 particles, `hpf` with part of each layer's particles
-    posed on the detected hand, head (or ankle); refinement: one more layer, without propagation, whose cost knows the
-    detections (`dd-hpf+`).
+    """Build the detector-driven hierarchical filter: `hpf` with a share of each layer's particles posed on detected
+    body ends.
 
-    Detections come with the frames (`Frame.detections`) or from key points; without any this is `hpf`. An arm's forearm
-    is posed with its upper arm, in both of its layers, and both are resampled from the first on. kappa (1 / m) balances
-    metres against the silhouettes' cost. Source: Alcoverro 2014, section 2.5.2.
+    7 layers x 500 particles. Detected ends are hands, head or ankles; they come with the frames (`Frame.detections`) or
+    from key points; without any this is `hpf`. A forearm is posed together with its upper arm, in both of its layers,
+    and both are resampled from the first of these layers on.
+    refinement: add a layer without propagation whose cost includes the distances to the detections (`dd-hpf+`).
+    kappa: weight of these distances relative to the silhouettes' cost, 1 / m.
+    last_survival: survival rate of that layer.
+    Source: Alcoverro 2014, section 2.5.2.
     """
     s = body.skeleton
     ends, sigma, psi = ends_of(body), s.step_sigma(frame_rate), partitions_of(s, layers)
@@ -340,10 +357,10 @@ def dd_hpf(
 
 
 def dd_hpf_plus(body: Body, particles: int = 500, frame_rate: float = 25.0) -> Recipe:
-    """`dd_hpf` with the refinement layer: 7 + 1 layers x 500 particles. Source: Alcoverro 2014, section 2.5.2."""
+    """Build `dd_hpf` with the refinement layer: 7 + 1 layers x 500 particles. Source: Alcoverro 2014, section 2.5.2."""
     return dd_hpf(body, particles, frame_rate=frame_rate, refinement=True, name="dd-hpf+")
 
 
 def dd_hpf_plus_5(body: Body, particles: int = 500, frame_rate: float = 25.0) -> Recipe:
-    """`dd_hpf` with whole arms in one layer and the refinement layer: 5 + 1 layers x 500 particles."""
+    """Build `dd_hpf` with whole arms in one layer and the refinement layer: 5 + 1 layers x 500 particles."""
     return dd_hpf(body, particles, frame_rate=frame_rate, layers=FIVE_LAYERS, refinement=True, name="dd-hpf+5")

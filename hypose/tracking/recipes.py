@@ -1,7 +1,7 @@
 """Recipes by name: the product's default, the published filters, and those with a contour refinement.
 
-What solves for the pose begins with a long solve, expects the last step again, knows its uncertainty from the curvature
-of the cost, and recovers; see `_solving`.
+Recipes that solve for the pose have in common: a long solve at the start, a prediction by the last step, uncertainty
+from the curvature of the cost, and recovery after a loss; see `_solving`.
 """
 
 from __future__ import annotations
@@ -55,11 +55,12 @@ ISARD = "Isard, M., Blake, A. (1998). CONDENSATION - conditional density propaga
 CONTOURS = "Particles as proposals, bounded robust Gauss-Newton on two-way contours as the refinement (hypose)."
 
 _TURNS = ((0, 4), (2, 4), (0, 2), (1, 2))
-"""The frames (of so many) in which each of LIMB_LAYERS is searched: an arm in every frame, a leg in every other one.
-Legs are seldom lost where the overlap does not tell: searched twice as often, three of 32 clips differed, by 0.3 mm
-at most (walk, box, run, combo, seeds 705 to 712). Arms half as often cost runs 0.6 mm in the mean."""
+"""(turn, period) of each of LIMB_LAYERS: an arm is searched in every frame (the two in turn), a leg in every other one.
+Legs are seldom lost without a change of the overlap: searched twice as often, three of 32 clips differed, by 0.3 mm
+at most (walk, box, run, combo, seeds 705 to 712). Arms half as often cost runs 0.6 mm in the mean.
+"""
 _WITH_DEPTH = 16
-"""Each limb is searched in one of so many frames with depth. Chosen on the seeds 0 to 15 (benchmark `depth`)."""
+"""With depth each limb is searched in one of this many frames. Chosen on the seeds 0 to 15 (benchmark `depth`)."""
 
 
 def default(
@@ -70,18 +71,23 @@ def default(
     rivals: int = 3,
     colours: bool = False,
 ) -> Recipe:
-    """The product's default: a contour solve from the prediction, a greedy search of one limb at a time around it with
-    long-tailed steps, a solve of what the search put together, and of the arms that could be elsewhere instead.
+    """Build the product's default recipe: contour solve, greedy search of one limb at a time, and solves of alternative
+    arms.
 
-    The first solve puts the body within centimetres; the particles find limbs that went elsewhere (a local solve cannot
-    pull in what lies beyond about 10 cm); the silhouettes choose between the first solve and the second. Each limb's
-    best is kept (`LimbSearch`) instead of resampled: with 200 particles the mean of survivors mixes a found arm with a
-    lost one. A quarter of an arm's particles are drawn again over its whole reach, for a punch is faster than any
-    diffusion. An arm is searched per frame, and a leg in every other one; all four when the first solve overlaps the
-    masks worse than usual, and below 20 frames per second, where more happens between two frames. In the same frames an
-    arm's whole reach is looked up; of the poses found there the best live on besides the estimate, `rivals` poses in
-    all. With `colours` it learns, where there are pictures, what colours the person's parts have, and asks them, and
-    the edges of sleeves, where arms are: it helps folded arms and costs half as much again, so it is asked for.
+    Layers: (1) a contour solve from the prediction, accurate to centimetres; (2) a search of single limbs around it
+        with
+    long-tailed steps (`LimbSearch`), because a local solve cannot move a limb by more than about 10 cm; (3) solves of
+    the search result and of alternative arms (rivals), of which the silhouettes choose the best.
+    particles: number of hypotheses.
+    iterations: of a solve.
+    rivals: largest number of poses kept from frame to frame, with the estimate.
+    colours: also learn the colours of the person's parts, where there are pictures, and use them and the edges of
+        sleeves to find arms. It helps with folded arms and takes half as much time again, so it is off by default.
+    Each limb's best pose is kept instead of resampled: with 200 particles the mean of the survivors mixes a found arm
+    with a lost one. A quarter of an arm's particles are drawn from its whole reach, because a punch is faster than any
+    diffusion. An arm is searched in every frame, a leg in every other one; all limbs when the first solve overlaps the
+    masks worse than usual, and below 20 frames per second, where more happens between two frames. In the same frames
+    the table of an arm's reach is searched.
     """
     s = body.skeleton
     sigma = 2.0 * s.step_sigma(frame_rate)
@@ -98,7 +104,7 @@ def default(
 
 
 def _rivals(body: Body, turns: Sequence[InTurn], rivals: int, options: SolveSettings) -> RefineRivals:
-    """The kernel that looks arms up in their turns (one for each of LIMB_LAYERS) and hands on so many hypotheses."""
+    """Build the kernel that searches the tables of arms in their turns (one for each of LIMB_LAYERS)."""
     lower, upper = in_practice(body.skeleton)
     arms = [
         (arm_reach(body, joints, lower, upper), replace(turn, seldom=1))
@@ -109,25 +115,28 @@ def _rivals(body: Body, turns: Sequence[InTurn], rivals: int, options: SolveSett
 
 
 def _turns(frame_rate: float) -> list[InTurn]:
-    """When each of LIMB_LAYERS is searched."""
+    """Build the conditions that decide when each of LIMB_LAYERS is searched."""
     turns = _TURNS if frame_rate >= 20 else [(0, 1)] * len(LIMB_LAYERS)
     return [InTurn(turn, period, seldom=_WITH_DEPTH // max(period, 2)) for turn, period in turns]
 
 
 def _refined(base: Recipe, name: str | None = None) -> Recipe:
-    """A recipe with contour refinement after its last layer, whose result is the estimate and moves the set."""
+    """Add contour refinement after a recipe's last layer; its result is the estimate and moves the set."""
     layer = Layer(ContourRefinement(), None, keep, "refinement")
     return _solving(replace(base, name=name or f"{base.name}+refine", layers=(*base.layers, layer)))
 
 
 def hpf_plus(body: Body, particles: int = 572, frame_rate: float = 25.0) -> Recipe:
-    """`published_recipes.hpf` with contour refinement, a solved start, prediction and recovery."""
+    """Build `published_recipes.hpf` with contour refinement, a solved start, prediction and recovery."""
     return _refined(published.hpf(body, particles, frame_rate=frame_rate), "hpf+")
 
 
 def dd_hpf_rivals(body: Body, particles: int = 500, frame_rate: float = 25.0, rivals: int = 3) -> Recipe:
-    """`published_recipes.dd_hpf_plus` with contour refinement and rival arms, a solved start, prediction and recovery:
-    its particles find what the detections show, the rivals what they leave uncovered."""
+    """Build `published_recipes.dd_hpf_plus` with contour refinement, rival arms, a solved start, prediction and
+    recovery.
+
+    The particles find what the detections show, the rivals what the detections miss.
+    """
     base = published.dd_hpf_plus(body, particles, frame_rate=frame_rate)
     layers = (
         *base.layers,
@@ -151,11 +160,14 @@ def _solving(base: Recipe) -> Recipe:
 
 @dataclass(frozen=True)
 class Preset:
-    """Prior knowledge of a recipe before there is a body. make(body, frame_rate=Hz): the recipe for a body, whose other
-    parameters are the options that only this method has; citation; whole_clip: key points alone are enough, and are
-    solved in all frames together instead of frame by frame; needs: as those of the recipe, as far as they decide which
-    recordings it can be used on; likes: those that are looked at where they are at hand; evidence: the choices, the
-    usual one first."""
+    """A recipe before there is a body: how to build it, and what it can be used on.
+
+    make: function (body, frame_rate=Hz, ...) that builds the recipe; its other parameters are this recipe's options.
+    citation: source of the method.
+    whole_clip: key points alone are enough; they are solved in all frames together instead of frame by frame.
+    needs: cues without which the recipe cannot be used; likes: cues that are used where they exist.
+    evidence: the choices of evidence, the default first.
+    """
 
     make: Callable[..., Recipe]
     citation: str
@@ -165,7 +177,11 @@ class Preset:
     evidence: tuple[str, ...] = ("silhouettes", "keypoints", "both")
 
     def check(self, name: str, evidence: str, options: Iterable[str]) -> None:
-        """An InputError that names what the recipe of this name does not know."""
+        """Check that the recipe has this kind of evidence and these options.
+
+        name: of the recipe, for the message.
+        Raises: InputError that names the wrong evidence or option and the recipes that have it.
+        """
         if evidence not in self.evidence:
             choices = f"{', '.join(self.evidence[:-1])} or {self.evidence[-1]}"
             raise InputError(f"The recipe {name!r} knows no evidence {evidence!r}; choose {choices}.")
@@ -207,10 +223,12 @@ def recipe(
     refine: bool = False,
     **own: Any,
 ) -> Recipe:
-    """A preset by name for a body and a frame rate (Hz); particles: None = its own number; refine: with contour
-    refinement as a last layer, if it has none; own: options that only this method has.
+    """Build a recipe by its name, for a body and a frame rate (Hz).
 
-    An InputError lists the presets when the name is unknown.
+    particles: number of hypotheses; None: the recipe's own.
+    refine: add contour refinement as a last layer, where the recipe has none.
+    own: options of this recipe alone.
+    Raises: InputError that lists the recipes where the name is unknown.
     """
     if name not in RECIPES:
         raise InputError(f"There is no recipe {name!r}; the recipes are {', '.join(RECIPES)}.")
@@ -222,7 +240,7 @@ def recipe(
 
 
 def citation_of(name: str, refine: bool = False) -> str:
-    """Where a preset comes from, \"\" for a name that is none; refine: as for `recipe`."""
+    """Return the citation of a recipe, "" for an unknown name; refine: as for `recipe`."""
     cited = RECIPES[name].citation if name in RECIPES else ""
     return f"{cited} {CONTOURS}" if cited and refine and CONTOURS not in cited else cited
 
@@ -233,14 +251,16 @@ def citation_of(name: str, refine: bool = False) -> str:
 
 @dataclass(frozen=True)
 class LimbSearch:
-    """Kernel: a greedy step of a search of single limbs. The limb takes Gaussian steps in all hypotheses, in a share
-    `long` of them `longer` times as long, and in a share `again` it is drawn again between lower and upper (D,); then
-    that of the best is all people's, with the rest of each body as it was.
+    """Kernel of a greedy search of one limb: draw many poses of the limb, and put the best into all hypotheses.
 
-    The hypothesis in the role SOLVED never moves, and the one in the role COMPOSITE is tried as it is, so that the
-    search never loses its start. skeleton; joints: of the limb, by name; sigma (D,): sd of a step. With a budget of
-    tens of hypotheses, resampling would leave most of them on values that are known to be worse. Shares are spread
-    evenly over the set. Poses that are certainly worse than the first hypothesis are not measured.
+    The limb takes Gaussian steps in all hypotheses; the rest of each body stays. The hypothesis with the role SOLVED
+    never moves, and that with the role COMPOSITE is tried as it is, so that the search never loses its start.
+    joints: names of the limb's joints.
+    sigma: (D,) sd of a step.
+    lower, upper: (D,) range in which a share `redrawn` of the hypotheses is drawn uniformly.
+    long: share of the steps that are `longer` times as long.
+    Why: with tens of hypotheses, resampling would leave most of them on values that are known to be worse. Poses that
+        are certainly worse than the first hypothesis are not evaluated in full.
     """
 
     skeleton: Skeleton
@@ -254,12 +274,12 @@ class LimbSearch:
 
     @cached_property
     def own(self) -> NDArray[np.int64]:
-        """(d,) the limb's coordinates."""
+        """Indices (d,) of the limb's coordinates."""
         return self.skeleton.dofs_of(*self.joints)
 
     @cached_property
     def moving(self) -> NDArray[np.bool_]:
-        """(J,) the limb's joints."""
+        """Mask (J,) of the limb's joints."""
         s = self.skeleton
         return np.isin(np.arange(len(s.joint_names)), [s.joint(j) for j in self.joints])
 
@@ -268,7 +288,7 @@ class LimbSearch:
         return HeavyTail(self.long, self.longer, np.ones(len(self.own), np.bool_))
 
     def __call__(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
-        """The set with the best limb."""
+        """Compute the set with the best limb."""
         s, own = self.skeleton, self.own
         limb = h.values[:, own]
         steps = rng.standard_normal(limb.shape) * self.sigma[own]

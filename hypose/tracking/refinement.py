@@ -1,7 +1,7 @@
-"""Contour refinement: a kernel that solves for the pose on contours and key points and moves the set onto the solution.
+"""Refine poses on contours and key points: a kernel that solves for the pose and moves the set onto the solution.
 
-Resampling cannot bring a limb back and the mean of a set is noisy; a few robust Gauss-Newton steps on two-way contours
-cure both. It is usable after any recipe; its result is the estimate, and the set is shifted with it (feedback).
+Resampling cannot bring a lost limb back, and the mean of a set is noisy; a few robust Gauss-Newton steps on two-way
+contours cure both. It can follow any recipe; its result is the estimate, and the set is shifted with it (feedback).
 """
 
 from __future__ import annotations
@@ -24,29 +24,29 @@ from hypose.tracking.costs import frame_energy, mean_overlap
 from hypose.tracking.frame_evidence import PreparedFrame
 
 SOLVED, COMPOSITE, RIVAL = "solved", "composite", "rival"
-"""Roles: the hypothesis that a solve put in, the one that a search of single limbs puts together, and another solved
-one that is alive next to the first."""
+"""Roles: the solved hypothesis, the one that a search of single limbs composes, and other solved ones that are kept."""
 LUMBAR_SD = 0.28
-"""rad: how far the spine is flexed or extended, as a rule: root mean square over captured walking, running and boxing
-(7.8, 7.7 and 25 degrees, CMU 02_01, 02_03 and 02_05, equal shares). Bending to the ground takes three times as much,
-and is still found, since the shoulders tell it (Vazirian et al. 2016, lumbopelvic rhythm in the sagittal plane)."""
+"""rad: usual flexion of the spine: root mean square over captured walking, running and boxing (7.8, 7.7 and 25 degrees,
+CMU 02_01, 02_03 and 02_05, equal shares). Bending to the ground takes three times as much and is still found, since the
+shoulders show it (Vazirian et al. 2016, lumbopelvic rhythm in the sagittal plane).
+"""
 KEYPOINT_SHARE = 0.003
-"""What a difference of 1 in the log-likelihood of key points is in shares of the masks. Chosen on scenes with spoilt
-key points (walk, box, serve; seeds 700 and 701)."""
+"""Weight of the key points' log-likelihood relative to the masks' energy. Chosen on scenes with corrupted key points
+(walk, box, serve; seeds 700 and 701)."""
 DEPTH_TRIES = 2
-"""of a step where depth cameras see: their cost jitters with the nearest faces, and more damping seldom helps. Chosen
-on the seeds 0 to 9 (benchmark `depth`)."""
+"""largest number of damping trials of a step with depth: this cost jumps with the nearest faces, and more damping
+seldom helps. Chosen on the seeds 0 to 9 (benchmark `depth`)."""
 SETTLING = SolveSettings(iterations=24, coarse_iterations=12)
-"""For a solve from far: of a start that may be centimetres off, and of where a lost person is found again."""
+"""Settings for solves from far: of a start that may be centimetres off, and after a loss."""
 
 
 def anatomical_prior(skeleton: Skeleton, keypoints: bool = False) -> Quadratic:
-    """Weak pull of every joint angle to the rest pose, stronger where silhouettes hardly see the joint.
+    """Build the weak pull of every joint angle to the rest pose, stronger where silhouettes hardly show the joint.
 
-    Weights are those of a joint in units of the robust rows' cost: 0.09 for limbs, 1 for spine and neck, 4 for
-    clavicles and ankles, 0 for the root. keypoints: the evidence has key points, in which two points of the hips leave
-    open how the pelvis turns about them, and a small fault of theirs turns it far: LUMBAR_SD holds the flexion of the
-    spine.
+    Weights, in units of the robust rows' cost: 0.09 for limbs, 1 for spine and neck, 4 for clavicles and ankles, 0 for
+    the root.
+    keypoints: the evidence has key points. Then LUMBAR_SD holds the flexion of the spine, because two points at the
+        hips do not determine how the pelvis turns about them, and small errors of theirs turn it far.
     """
     weight = _anatomical_weights(skeleton.dof_names).copy()
     if keypoints:
@@ -67,31 +67,32 @@ def _anatomical_weights(dof_names: tuple[str, ...]) -> Array:
 
 
 def prediction_prior(prediction: Array, weight: float) -> Quadratic:
-    """Pull to the predicted pose (D,), so that what no view sees keeps moving as it did.
+    """Build the pull to the predicted pose (D,), so that parts that no view sees keep moving as before.
 
-    It must stay weak: at 3 per rad^2 and 25 fps it held arms back that particles had found half a radian away, whose
-    contour rows together are worth about one unit of cost."""
+    It must stay weak: at 3 per rad^2 and 25 fps it held back arms that particles had found half a radian away, whose
+    contour rows together are worth about one unit of cost.
+    """
     return Quadratic(prediction, np.full(len(prediction), weight))
 
 
 def settled_start(pose: Array, frame: PreparedFrame, /) -> Array:
-    """Start: the pose (D,) of a long solve from the one that is given, which may be centimetres off."""
+    """Solve a start pose (D,) with many iterations, from a pose that may be centimetres off."""
     return refine(frame.body, pose[None], frame, SETTLING)[0].pose
 
 
 @dataclass(frozen=True)
 class ContourRefinement:
-    """Kernel: refines a few members of the set and shifts the whole set by the step of the best.
+    """Kernel that refines a few members of the set and shifts the whole set by the step of the best.
 
-    Members refined: the set's mean, the hypothesis of least energy, and the prediction. The winner has the least
-    `mismatch`. All hypotheses move by its step from the mean and keep their spread; the winner itself becomes one of
-    them, in the role SOLVED.
+    Refined are the set's mean, the hypothesis of least energy, and the prediction; the one with the least `mismatch`
+    wins. All hypotheses move by its step from the mean and keep their spread; the winner replaces the first one, with
+    the role SOLVED.
     """
 
     options: SolveSettings = SolveSettings()
 
     def __call__(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
-        """Moves h; see the class."""
+        """Refine and move the set."""
         s = frame.body.skeleton
         mean = pose_mean(s)(h)
         best = h.values[frame_energy(h.values, frame).argmin()]
@@ -103,30 +104,30 @@ class ContourRefinement:
 
 
 class LaterLayer(Protocol):
-    """A layer that can begin with parts of its work before its turn, in parallel with the others."""
+    """Interface of a layer that can start parts of its work before its turn, in parallel with other layers."""
 
     def before_solve(self, frame: PreparedFrame, /) -> None:
-        """Begins with what depends on the last frame alone."""
+        """Start the work that depends only on the last frame."""
         ...
 
     def before_search(self, h: Hypotheses, frame: PreparedFrame, /) -> None:
-        """Begins with what depends on the hypothesis in the role SOLVED, but on no search of limbs."""
+        """Start the work that depends on the hypothesis with the role SOLVED, but not on the search of limbs."""
         ...
 
 
 @dataclass(frozen=True)
 class SolvePrediction:
-    """Kernel: solves from the prediction and puts all hypotheses there: where a search of single limbs wants to start.
+    """Kernel that solves from the prediction and puts all hypotheses there, as the start of a search of single limbs.
 
-    One of them is in the role SOLVED, and one in the role COMPOSITE, to which the search adds limb by limb. later: a
-    layer that may run in parallel with this one and the next ones.
+    One hypothesis gets the role SOLVED, another COMPOSITE, to which the search adds limb by limb.
+    later: a layer that may run in parallel with this one and the next ones.
     """
 
     options: SolveSettings = SolveSettings()
     later: LaterLayer | None = None
 
     def __call__(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
-        """All hypotheses at the solution."""
+        """Solve, and put all hypotheses at the solution."""
         if self.later is not None:
             self.later.before_solve(frame)
         pose = refine(frame.body, frame.prediction[None], frame, self.options)[0].pose
@@ -138,14 +139,14 @@ class SolvePrediction:
 
 @dataclass(frozen=True)
 class InTurn:
-    """When a limb is searched: in the frames whose number modulo `period` is `turn`, and in unsettled ones, in which
-    the solved body overlaps the masks clearly worse than usual in this recording (1 - IoU above `unsettled` times its
-    usual value).
+    """Condition that decides when a limb is searched: in its turn, and in unsettled frames.
 
-    A lost limb hardly changes the overlap with the masks: neither the overlap nor the cost of the solve tells the
-    frames in which a search pays (area under the curve 0.6), so each limb has its turn, which also costs the same in
-    every frame. With depth a limb's turn comes seldom times later: what a mask leaves open depth mostly tells the
-    solve."""
+    turn, period: searched in frames whose number modulo `period` is `turn`.
+    unsettled: also searched where 1 - IoU of the solved body is above this many times its usual value in the recording.
+    seldom: with depth the turn comes this many times less often, because depth mostly resolves what masks leave open.
+    Why: a lost limb hardly changes the overlap; neither overlap nor cost shows in which frames a search pays (area
+        under the curve 0.6). Turns also cost the same time in every frame.
+    """
 
     turn: int
     period: int
@@ -153,7 +154,7 @@ class InTurn:
     seldom: int = 1
 
     def __call__(self, h: Hypotheses, frame: PreparedFrame) -> bool:
-        """True when the limb is to be searched in this frame."""
+        """Decide whether the limb is searched in this frame."""
         if not frame.silhouettes.seen:
             return False  # particles are weighed by silhouettes only
         times = self.seldom if frame.depth.seen else 1
@@ -173,7 +174,7 @@ class InTurn:
 
 
 def member(h: Hypotheses, role: str) -> Array:
-    """(D,) the value of the hypothesis in a role that one of h has."""
+    """Return the value (D,) of the hypothesis with a role."""
     return h.values[h.has(role).argmax()]
 
 
@@ -182,10 +183,14 @@ def _all_at(pose: Array, h: Hypotheses) -> Hypotheses:
 
 
 def mismatch(poses: Array, frame: PreparedFrame, step_penalty: float = 0.002, expected: Array | None = None) -> Array:
-    """(N,) mean energy over the views (eq. 2.8 / views) + step_penalty x mean squared step from the prediction (or from
-    where each was expected (N, D)) in large steps (three usual motions) + KEYPOINT_SHARE x what the key points cost:
-    what chooses between solved poses. The penalty keeps equal silhouettes from flipping a limb, and what overlaps the
-    masks better may not leave key points that are sure of themselves."""
+    """Compute the score (N,) by which solved poses are compared, low is good.
+
+    It is the mean energy over the views (eq. 2.8 / views) + step_penalty x mean squared step from the expected pose, in
+    units of three usual motions + KEYPOINT_SHARE x cost of the key points.
+    expected: (N, D) pose expected of each (default: the prediction).
+    Why: the penalty keeps a limb from jumping where silhouettes are equal; the key points' cost keeps a pose that
+        overlaps the masks better from leaving confident key points.
+    """
     views = max(int(frame.silhouettes.views.sum()), 1)
     skeleton = frame.body.skeleton
     expected = frame.prediction if expected is None else expected
@@ -195,7 +200,7 @@ def mismatch(poses: Array, frame: PreparedFrame, step_penalty: float = 0.002, ex
 
 
 def best_fit(fits: list[PoseFit], frame: PreparedFrame) -> PoseFit:
-    """The fit of least mismatch; of least cost when there are no silhouettes."""
+    """Choose the fit with the least mismatch; the least cost where there are no silhouettes."""
     if len(fits) == 1:
         return fits[0]
     if not frame.silhouettes.seen:
@@ -204,21 +209,22 @@ def best_fit(fits: list[PoseFit], frame: PreparedFrame) -> PoseFit:
 
 
 def refine(body: Body, starts: Array, frame: PreparedFrame, options: SolveSettings) -> list[PoseFit]:
-    """Independent robust solves from starts (N, D) on a frame's evidence, with anatomical and prediction priors."""
+    """Solve from the starts (N, D) independently on a frame's evidence, with anatomical and prediction priors; keep
+    the fits."""
     fits = solve_poses(body, starts, frame, options)
     keep_fits(frame, fits, body)
     return fits
 
 
 def keep_fits(frame: PreparedFrame, fits: Sequence[PoseFit], body: Body | None = None) -> None:
-    """Keeps the fits with the frame, where its uncertainty is read off; body: other than the frame's."""
+    """Store fits in the frame, from which the uncertainty is read later; body: where it is not the frame's."""
     body = body or frame.body
     for fit in fits:  # poses go on clamped, by less than the last digits of a Hessian
         frame.fits.keep(body, body.skeleton.clamp(fit.pose), fit)
 
 
 def solve_poses(body: Body, starts: Array, frame: PreparedFrame, options: SolveSettings) -> list[PoseFit]:
-    """`refine` without keeping anything."""
+    """Solve as `refine` does, without storing the fits."""
     trunk = anatomical_prior(body.skeleton, frame.keypoints.seen)
     priors = (trunk, prediction_prior(frame.prediction, frame.prediction_weight))
     if frame.depth.seen:
@@ -227,10 +233,11 @@ def solve_poses(body: Body, starts: Array, frame: PreparedFrame, options: SolveS
 
 
 def pose_mean(skeleton: Skeleton) -> TangentMean:
-    """Estimate: weighted mean pose, rotation vectors averaged on SO(3), never as raw angles across +-pi."""
+    """Build the estimate by weighted mean pose; rotation vectors are averaged on SO(3), never as raw angles across
+    +-pi."""
     return TangentMean(tuple(int(s) for s in skeleton.ball_starts))
 
 
 def solved(h: Hypotheses, /) -> Array:
-    """Estimate: (D,) the hypothesis in the role SOLVED."""
+    """Return the hypothesis (D,) with the role SOLVED as the estimate."""
     return member(h, SOLVED).copy()

@@ -1,8 +1,8 @@
-"""Several people tracked in the same frames, each by a tracker of their own: body, recipe, covariance, hypotheses.
+"""Track several people in the same frames, each with an own tracker: body, recipe, covariance, hypotheses.
 
-What the bodies of the others cover is no evidence for a person (`hypose.evidence.shared_masks`). Within a frame people
-are solved one after the other, and who comes first alternates: the first sees the others where they are predicted, the
-last where they have been solved.
+Pixels that other people's bodies cover are no evidence for a person (`hypose.evidence.shared_masks`). Within a frame
+people are solved one after the other, and the first one alternates: it sees the others where they are predicted, the
+last one where they have been solved.
 """
 
 from __future__ import annotations
@@ -22,13 +22,16 @@ from hypose.geometry import Array
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState
 
 BLIND = 2
-"""Frames without evidence after which a person is looked for beyond where they are expected."""
+"""Frames without evidence after which a person is searched for beyond the predicted place."""
 
 
 @dataclass(frozen=True)
 class Member:
-    """One of several people: how they are tracked, the state, and whether they are there at all: who has left, or has
-    not come yet, hides no person and is not looked for."""
+    """One of several tracked people.
+
+    tracker: how the person is tracked; state: after the last frame.
+    present: false for a person who has left or has not come yet; such a person hides no other and is not searched for.
+    """
 
     tracker: Tracker
     state: TrackerState
@@ -36,16 +39,16 @@ class Member:
 
     @property
     def sure(self) -> bool:
-        """Is it known where the person is?"""
+        """Decide whether it is known where the person is."""
         return self.present and not self.state.lost and self.state.blind <= BLIND
 
     def shape(self, rig: CameraRig, pose: Array) -> BodyShape:
-        """The person's body at a pose (D,), as the cameras see it."""
+        """Build the person's body at a pose (D,) as the cameras see it."""
         return shape_of(self.tracker.body, pose, rig)
 
 
 def shape_of(body: Body, pose: Array, rig: CameraRig) -> BodyShape:
-    """A body at a pose (D,), as pinhole cameras see it."""
+    """Build a body at a pose (D,) as pinhole cameras see it."""
     return BodyShape(body.skin(pose), body.coarse.faces, rig)
 
 
@@ -55,11 +58,12 @@ def step_together(
     keypoints: Sequence[Keypoints | None] | None = None,
     others: Sequence[Other] = (),
 ) -> tuple[list[Member], list[FrameEstimate], list[Frame]]:
-    """Track one frame: the next state and estimate of all people, and the frame as each saw it, without what others
-    hide.
+    """Track all people in one frame.
 
     keypoints: those of each person, already assigned; None: the frame's key points are not used.
-    others: people who are there as well."""
+    others: further people who are there but not tracked.
+    Returns: the next members; their estimates; the frame as each person saw it, without what others hide.
+    """
     count, after = len(members), list(members)
     estimates: list[FrameEstimate | None] = [None] * count
     seen = [frame] * count

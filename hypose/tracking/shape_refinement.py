@@ -1,4 +1,4 @@
-"""Shape and poses of one person from the contours of several frames at once: joint Gauss-Newton.
+"""Refine shape and poses of one person from the contours of several frames at once: joint Gauss-Newton.
 
 Unknowns are the log shape factors of the entities (hypose.body.anthropometry), shared by all frames, and one pose per
 frame. Rows are the two-way contour distances of the pose solver (outline of the body against the mask's distance
@@ -28,25 +28,31 @@ from hypose.geometry import Array
 from hypose.tracking.refinement import anatomical_prior
 
 EFFECTIVE = 9.0
-"""Rows per independent observation: neighbours err together, and so do all rows where the template is another person.
-Measured on the subjects of the anthropometry benchmark, where the errors are about three times the formal ones."""
+"""Rows per independent observation: errors of neighbouring rows are correlated, and so are those of all rows where the
+template differs from the person. Measured on the subjects of the anthropometry benchmark, where the errors are about
+three times the formal ones.
+"""
 CONTOUR_WEIGHT = 0.05
-"""of a contour row in the pose solver"""
+"""weight of a contour row in the pose solver"""
 _DENSITY = 1000.0
-"""kg/m^3 of a person with air in the lungs, with the mesh's volume"""
+"""kg/m^3 of a person with air in the lungs, for the mesh's volume"""
 
 
 _BONES = (
     *("torso length", "upper arm length", "forearm length", "thigh length", "shank length"),
     *("shoulder width", "hip width"),
 )
-"""The entities that key points tell; hips, which no detector shows, are as wide as the trunk is long."""
+"""The entities that key points determine; hips, which no detector shows, are scaled like the trunk."""
 
 
 @dataclass(frozen=True)
 class Known:
-    """Prior knowledge of the subject: height m (sd 1 cm), mass kg (sd 6 %: the mesh is not the body); bones: the _BONES
-    of the body given, by what share they may differ (1 sd). None = unknown."""
+    """Prior knowledge of the person; None: unknown.
+
+    height: m (sd 1 cm).
+    mass: kg (sd 6 %, because the mesh is not the body).
+    bones: by what share the _BONES of the body given may differ (1 sd).
+    """
 
     height: float | None = None
     mass: float | None = None
@@ -55,10 +61,16 @@ class Known:
 
 @dataclass(frozen=True)
 class ShapeSettings:
-    """iterations: Gauss-Newton steps; coarse: factors of the contour scale, one stage each; weight: of a contour row at
-    the reference density, as for the pose solver (rows of one frame err together, so it is far below 1); pose_sd: how
-    far poses may move from where they start, rad; normals: rows whose outlines point more than 60 degrees apart are
-    left out; prior: factor on the anthropometric prior's weight."""
+    """Settings of the refinement of shape and poses.
+
+    iterations: Gauss-Newton steps of each stage; coarse: factor of the contour scale in each stage.
+    weight: of a contour row at the reference density, as for the pose solver (errors of one frame's rows are
+        correlated).
+    pose_sd: how far poses may move from their start, rad.
+    normals: rows whose outline directions differ by more than 60 degrees (this cosine) are left out.
+    prior: factor on the anthropometric prior's weight.
+    row_spacing_px: distance of contour rows, px.
+    """
 
     iterations: tuple[int, ...] = (4, 5, 8)
     coarse: tuple[float, ...] = (4.0, 2.0, 1.0)
@@ -71,8 +83,14 @@ class ShapeSettings:
 
 @dataclass(frozen=True)
 class ShapeFit:
-    """body; log_factors (K,) of SHAPE_FACTORS relative to the body given, covariance (K, K) of them (poses
-    marginalised; see EFFECTIVE); poses (F, D); cost before and after."""
+    """Result of the refinement of shape and poses.
+
+    body: the refined body.
+    log_factors: (K,) of SHAPE_FACTORS relative to the body given; covariance: (K, K) of them (poses marginalised; see
+        EFFECTIVE).
+    poses: (F, D).
+    cost_before, cost: before and after.
+    """
 
     body: Body
     log_factors: Array
@@ -91,10 +109,13 @@ def refine_shape(
     options: ShapeSettings | None = None,
     start: Array | None = None,
 ) -> ShapeFit:
-    """Shape of `body` and poses that explain the outlines and the depth of F frames best.
+    """Estimate the shape of a body and the poses that best explain outlines and depth of F frames.
 
-    body: the template, whose log factors are 0; start (K,): log factors to begin with (default 0, and the prior is
-    about 0 except for the scale). poses (F, D); evidence: of each frame. An EvidenceError when there is no frame.
+    body: the template, whose log factors are 0.
+    poses: (F, D) start poses; evidence: terms of each frame.
+    known: prior knowledge of the person.
+    start: (K,) start values of the log factors (default: the prior's mean).
+    Raises: EvidenceError where there is no frame.
     """
     if len(poses) == 0 or len(poses) != len(evidence):
         raise EvidenceError("The subject's shape needs at least one frame with silhouettes and its pose.")
@@ -129,7 +150,7 @@ def _cue(one: Term, options: ShapeSettings) -> Cue[Array]:
 
 
 class _ShapeProblem(PoseProblem[Array]):
-    """Log factors (K,) of the body's shape are what the frames share."""
+    """Problem of all frames' poses with the shared unknowns: log factors (K,) of the body's shape."""
 
     largest, _STEP = 0.08, 0.01
 
@@ -170,8 +191,8 @@ class _ShapeProblem(PoseProblem[Array]):
         return shared + step
 
     def prior(self, x: Array) -> tuple[Array, Array, list[Body]]:
-        """Matrix (K, K) and gradient (K,) of the prior on the shape without the views, and the body with each
-        factor changed by a step."""
+        """Compute matrix (K, K) and gradient (K,) of the prior on the shape, and the K bodies with one factor
+        changed by a step."""
         varied = [self.body(x + self._STEP * e) for e in np.eye(len(x))]
         hessian, gradient = self.precision.copy(), self.precision @ (x - self.mean)
         for at, sd, of in self._measures:

@@ -1,6 +1,6 @@
-"""The last step of tracking: the motion of all frames together, with feet that stand, and its uncertainty.
+"""Solve the motion of all frames together as the last step of tracking, with feet that stand, and its uncertainty.
 
-A recipe says by its `smooth` how its clips are solved; `smooth_clip` is that of the recipes for several cameras.
+A recipe's `smooth` defines how its clips are solved; `smooth_clip` is that of the recipes for several cameras.
 """
 
 from __future__ import annotations
@@ -27,8 +27,12 @@ from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState
 class Clip:
     """A clip that has been tracked from its first frame to its last.
 
-    motion: of the estimates, one per frame; state: after the last frame; frames(range): frames of the clip once more,
-    forwards or backwards; progress(done, total)."""
+    tracker: that tracked it.
+    motion: the estimates as a motion; estimates: one per frame.
+    state: after the last frame.
+    frames: function (range) that yields frames of the clip again, forwards or backwards.
+    progress: function (done, total).
+    """
 
     tracker: Tracker
     motion: Motion
@@ -39,7 +43,7 @@ class Clip:
 
 
 def smooth_clip(clip: Clip) -> tuple[Motion, tuple[str, ...]]:
-    """`smooth_motion` of a tracked clip: the motion, and sentences about contacts and gaps."""
+    """Smooth a tracked clip by `smooth_motion`; return the motion, and sentences about contacts and gaps."""
     clip.progress(0, 1)
     information = np.stack([e.uncertainty.information for e in clip.estimates])
     smoothed = smooth_motion(clip.tracker.body, clip.motion, information)
@@ -49,8 +53,13 @@ def smooth_clip(clip: Clip) -> tuple[Motion, tuple[str, ...]]:
 
 @dataclass(frozen=True)
 class Smoothed:
-    """motion; how feet moved over the contacts that were found, before and after; one_by_one: poses (T, D) of the
-    frames as they were tracked; covariance (T, D, D) of the poses by what each frame says; notes for the user."""
+    """Result of smoothing a clip.
+
+    motion: the smoothed motion.
+    feet_before, feet: motion of the feet over the contacts that were found, before and after.
+    one_by_one: (T, D) poses as tracked frame by frame.
+    covariance: (T, D, D) of the poses, from each frame alone.
+    """
 
     motion: Motion
     feet_before: FootMotion
@@ -60,7 +69,7 @@ class Smoothed:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Sentences about contacts and gaps."""
+        """Write sentences about contacts and gaps for the user."""
         said = []
         if self.feet.contacts > 0:
             said.append(
@@ -76,11 +85,11 @@ class Smoothed:
 
 
 def smooth_motion(body: Body, motion: Motion, information: ArrayLike, settings: ClipSettings | None = None) -> Smoothed:
-    """A tracked motion with poses, solved again as one clip.
+    """Solve a tracked motion again as one clip.
 
-    information (T, D (D + 1) / 2): what each frame says of its pose (`PoseUncertainty`). Frames in which the person was
-    lost or unseen say nothing: they are bridged, stay flagged, and their sd grows with the distance from the frames
-    that do. Where the soles stand they are held, and all is solved again.
+    information: (T, D (D + 1) / 2) of each frame on its pose (`PoseUncertainty`).
+    Frames in which the person was lost or unseen are bridged: they stay marked, and their sd grows with the distance
+    from the others. Soles that stand are held, and all is solved again.
     """
     assert motion.poses is not None
     settings, rate = settings or ClipSettings(), motion.frame_rate
@@ -107,10 +116,12 @@ def with_feet(
     held: Callable[[list[list[PointTerm]]], Array],
     settings: ClipSettings,
 ) -> Smoothed:
-    """The motion with poses solved again where the soles stand, its covariances grown in gaps.
+    """Solve a clip again with the standing soles held, and widen its covariances in gaps.
 
-    own (T, D, D): what each frame says of its pose (zero: nothing); free (T, D): the clip solved without contacts;
-    held: solves it with points that hold still, of each frame."""
+    own: (T, D, D) information of each frame on its pose (zero: none).
+    free: (T, D) the clip solved without contacts.
+    held: function that solves the clip with points that stand still, one list per frame.
+    """
     assert motion.poses is not None
     known, rate = np.asarray(own.any((1, 2))), motion.frame_rate
     soles = soles_of(body)
@@ -124,7 +135,7 @@ def with_feet(
 
 
 def _carried(covariance: NDArray[np.float32], known: NDArray[np.bool_]) -> Array:
-    """(T, J, 3, 3): of the known frames, and in between what lies on the straight line."""
+    """Interpolate the covariances (T, J, 3, 3) of known frames linearly in time."""
     at = np.flatnonzero(known)
     columns = covariance.reshape(len(covariance), -1).T
     carried = np.stack([np.interp(np.arange(len(covariance)), at, column[at]) for column in columns], 1)

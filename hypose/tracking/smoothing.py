@@ -1,10 +1,9 @@
-"""Whole clips: all frames of a motion together, smooth without lag, gaps bridged with growing uncertainty.
+"""Smooth whole clips: all frames of a motion together, without lag; gaps are bridged with growing uncertainty.
 
-A tracker looks at one frame after the other; here every frame knows what comes after it, too. What the tracker found
-is summed up frame by frame as a Gaussian (the solved pose and the curvature there); key points alone, which are few,
-are used as they are (`hypose.tracking.keypoint_clip`). Frames are coupled by what bodies do: accelerations and speeds
-are limited. This is a smoother and no low-pass filter: where the evidence is sharp it is followed, where it is weak
-its neighbours decide.
+A tracker uses only the frames up to the current one; here later frames are used too. Each frame is represented by a
+Gaussian (the solved pose and its curvature); key points alone, which are few, are used directly
+(`hypose.tracking.keypoint_clip`). Frames are coupled by limits on accelerations and speeds. It is no low-pass filter:
+where the evidence of a frame is strong it is followed, where it is weak the neighbours decide.
 """
 
 from __future__ import annotations
@@ -25,18 +24,18 @@ from hypose.fitting.clip_solve import Coupling, Gaussian, pose_steps
 from hypose.geometry import Array, nearest_branch
 
 _FARTHEST_M = 2.0
-"""m: sd of the place of a person who has not been seen for long; of an angle it is 1 rad"""
+"""m: sd of the place of a person who has not been seen for long; for an angle it is 1 rad"""
 
 
 @dataclass(frozen=True)
 class ClipSettings:
-    """How far accelerations and speeds of a clip are limited. Chosen on synthetic scenes (walk, box, run, combo; seeds
-    20 to 22).
+    """Limits on accelerations and speeds of a clip. Chosen on synthetic scenes (walk, box, run, combo; seeds 20 to 22).
 
     acceleration_m, speed_m: usual acceleration (m/s^2) and speed (m/s) of the root.
     acceleration_rad, speed_rad: usual ones of angles (rad/s^2, rad/s).
     window, overlap: frames solved together, and how many are shared by two windows.
-    rounds: solves of a window, each with the pace of the one before (`own_pace`)."""
+    rounds: solves of a window, each with the pace of the previous one (`own_pace`).
+    """
 
     acceleration_m: float = 12.0
     acceleration_rad: float = 60.0
@@ -50,13 +49,14 @@ class ClipSettings:
 _PACE_S = 0.1
 """s before and after a frame in which its pace is measured"""
 _EXCESS = 2.0
-"""What a stiff solve shows of the pace beyond the usual is so many times too little. Chosen on a captured run at twice
-its speed, 60 and 125 Hz, seeds 4 and 5: with 1 its ankles are 1.2 times as wrong as frame by frame, with 2 1.02."""
+"""Factor on the measured excess of the pace, because a stiff solve shows too little of it. Chosen on a captured run at
+twice its speed, 60 and 125 Hz, seeds 4 and 5: with 1 its ankles are 1.2 times as wrong as frame by frame, with 2 1.02.
+"""
 _SAME_PACE = 1.1
 
 
 def usual_pace(skeleton: Skeleton, settings: ClipSettings) -> tuple[Array, Array]:
-    """(D,) usual accelerations and speeds of the coordinates, per s^2 and per s."""
+    """Return the usual accelerations and speeds (D,) of the coordinates, per s^2 and per s."""
     rest = np.ones(skeleton.dof - 3)
     return (
         np.r_[np.full(3, settings.acceleration_m), settings.acceleration_rad * rest],
@@ -65,15 +65,20 @@ def usual_pace(skeleton: Skeleton, settings: ClipSettings) -> tuple[Array, Array
 
 
 def pace_weights(pace: tuple[Array, Array], frame_rate: float) -> tuple[Array, Array]:
-    """Weights of squared second and first differences at a frame rate (Hz), from accelerations and speeds."""
+    """Compute the weights of squared second and first differences at a frame rate (Hz) from accelerations and
+    speeds."""
     acceleration, speed = pace
     return (frame_rate**2 / acceleration) ** 2, (frame_rate / speed) ** 2
 
 
 def own_pace(poses: Array, frame_rate: float, usual: tuple[Array, Array]) -> tuple[Array, Array]:
-    """Accelerations (T - 2, D) and speeds (T - 1, D) that are usual nearby in time in a solved clip: the usual ones
-    (D,) times one factor for the whole body, that of its fastest coordinate (root mean square nearby). A penalty with
-    one width for all motion flattens faster motion."""
+    """Measure the pace of a solved clip: its usual accelerations and speeds near each frame.
+
+    usual: (D,) usual accelerations and speeds. They are multiplied by one factor >= 1 for the whole body, that of its
+        fastest coordinate (root mean square nearby in time).
+    Returns: accelerations (T - 2, D); speeds (T - 1, D).
+    Why: a penalty of one width for all motion flattens fast motion.
+    """
     around, steps = 2 * max(1, round(_PACE_S * frame_rate)) + 1, pose_steps(poses)
 
     def nearby(values: Array, least: Array) -> Array:
@@ -91,11 +96,14 @@ def at_own_pace(
     settings: ClipSettings,
     solve: Callable[[slice, Array, tuple[Array, Array]], Array],
 ) -> Array:
-    """Poses (T, D) of a clip, window by window, from starts (T, D).
+    """Solve the poses (T, D) of a clip window by window, with limits adapted to the clip's own pace.
 
-    solve(part, starts, weights) gives the poses of the frames `part` with the weights of squared second and first
-    differences. Each window is solved with the usual pace, then with that of the solution, as long as this is faster:
-    the width of the penalties is a variance that the clip itself tells, from below, so that noise is not followed."""
+    given: (T, D) start poses.
+    solve: function (part, starts, weights) that solves the frames `part` with the weights of squared second and first
+        differences.
+    Each window is solved with the usual pace, then with the pace of the solution, as long as this grows. Why: the width
+    of the penalties is estimated from below, so that noise is not followed.
+    """
     usual = usual_pace(skeleton, settings)
 
     def window(part: slice) -> Array:
@@ -118,8 +126,12 @@ def smooth_poses(
     settings: ClipSettings | None = None,
     contacts: Sequence[Sequence[PointTerm]] | None = None,
 ) -> Array:
-    """Poses (T, D) of a clip from those of its frames (T, D) and the information on each: information (T, D, D), zero
-    in frames without evidence, whose pose does not matter. contacts: points that hold still, per frame."""
+    """Solve the poses (T, D) of a clip from those of its frames and the information on each.
+
+    poses: (T, D); ignored in frames without evidence.
+    information: (T, D, D); zero in frames without evidence.
+    contacts: points that stand still, per frame.
+    """
     settings = settings or ClipSettings()
     known = np.asarray(information.any((1, 2)))
     given = bridged(poses, known)
@@ -144,8 +156,11 @@ def smooth_poses(
 def gap_covariance(
     body: Body, poses: Array, information: Array, frame_rate: float, settings: ClipSettings | None = None
 ) -> Array:
-    """(T, J, 3, 3) m^2: what coupling to the neighbours leaves open of each joint's centre in frames that know
-    nothing by themselves (information zero), growing with the distance from those that do; 0 in the others."""
+    """Compute the extra covariance (T, J, 3, 3) of the joint centres, m^2, in frames without evidence; 0 in the others.
+
+    It grows with the distance from the frames with evidence, because only the coupling to them limits it.
+    information: (T, D, D); zero in frames without evidence.
+    """
     settings = settings or ClipSettings()
     weight, slow = pace_weights(usual_pace(body.skeleton, settings), frame_rate)
     out = np.zeros((len(poses), len(body.skeleton.joint_names), 3, 3))
@@ -167,7 +182,7 @@ def gap_covariance(
 
 
 def bridged(poses: Array, known: NDArray[np.bool_]) -> Array:
-    """Poses with straight lines across frames that are not known."""
+    """Interpolate poses linearly across frames that are not known."""
     out = poses.copy()
     if not known.any():
         return out
@@ -182,8 +197,11 @@ def bridged(poses: Array, known: NDArray[np.bool_]) -> Array:
 
 
 def in_windows(like: Array, settings: ClipSettings, solve: Callable[[slice], Array]) -> Array:
-    """solve(part), arrays as `like` (T, ...), of overlapping windows, faded over where two overlap, so that memory and
-    time grow with the clip's length only linearly."""
+    """Apply solve(part) to overlapping windows, with a linear transition where two overlap.
+
+    like: (T, ...) array that gives the shape of the result.
+    Why: memory and time grow only linearly with the clip's length.
+    """
     t, out = len(like), np.zeros_like(like)
     step = settings.window - settings.overlap
     first = 0

@@ -1,9 +1,9 @@
-"""A start from silhouettes alone: dozens of postures, turned every way, at the visual hull; the few that explain the
-masks in their own way are solved, followed for a while, and weighed.
+"""Find a start from silhouettes alone: dozens of postures in all headings at the visual hull.
 
-One frame does not tell a person who sits from one who stands in front of a chair, nor front from back. What no person's
-body explains (a chair, a bag) stays bare in the masks; what a wrong pose costs is body where there is no mask. So bare
-mask counts less than body outside, and several frames decide.
+The few that fit the masks best are solved, followed through some frames, and weighed. One frame cannot tell a person
+who sits from one who stands in front of a chair, nor front from back. Things that no body explains (a chair, a bag)
+leave mask uncovered; a wrong pose puts body outside the masks. So uncovered mask costs less than body outside, and
+several frames decide.
 """
 
 from __future__ import annotations
@@ -28,31 +28,32 @@ from hypose.tracking.starts import KNOWN_POSES, hull_of, start_in_pose
 from hypose.tracking.subject import scaled_to_height
 
 BARE = 0.6
-"""Weight of bare mask against as much body outside the masks. Chosen, as the oddness and softness, on scenes (benchmark
-`starts`) of the seeds 700 to 702."""
+"""Weight of uncovered mask relative to the same area of body outside the masks. Chosen, like the penalty of unusual
+statures and the softness of weights, on scenes (benchmark `starts`) of the seeds 700 to 702."""
 _HEADINGS = 24
 _YAWS = np.arange(_HEADINGS) * 2 * np.pi / _HEADINGS
 USUAL_M, _SPREAD = 1.70, 0.12
-"""m, and share: how tall people are, where nothing is known"""
+"""m, and relative sd: stature of people where it is unknown"""
 _BINS = 0.04
-"""logarithm of two sizes tried"""
+"""difference of the logarithms of two statures tried"""
 _TRIED, _PER_POSTURE, _KEPT, _SIZED, _TURNED = 48, 3, 10, 4, 4
-"""How many are solved, of each posture looked at, kept, tried in other sizes, and turned around"""
+"""Numbers of starts: solved, kept per posture and stature, kept in the end, tried in other sizes, and turned around."""
 _SIZES = (0.88, 0.94, 1.06, 1.12)
 _APART_M = 0.08
-"""m, mean over the joints: nearer starts are one"""
+"""m, mean over the joints: nearer starts are the same"""
 _HOPELESS, _FOLLOWED = 0.1, 6
-"""Starts that cost more than the best by so much, and more of them, are not followed"""
+"""Starts that cost this much more than the best, and those beyond this number, are not followed."""
 _SOFT = 0.01
-"""cost by which a start is believed 1 / e as much"""
+"""cost difference by which a start's weight falls to 1 / e"""
 _FAR_M = 0.1
-"""m by which a joint is elsewhere"""
+"""m from which a joint is elsewhere"""
 _BRIEF = SolveSettings(iterations=8, coarse_iterations=8)
 
 
 @dataclass(frozen=True)
 class Start:
-    """A body of some size, its pose (D,), and what it costs: mean over the views of what `mask_cost` counts."""
+    """Start of a track: a body of some size, its pose (D,), and its cost (`mask_cost`, `strain` and a penalty of odd
+    sizes)."""
 
     body: Body
     pose: Array
@@ -60,8 +61,11 @@ class Start:
 
 
 def mask_cost(body: Body, poses: Array, frame: PreparedFrame) -> Array:
-    """(N,) of poses (N, D): body outside the masks and, less, bare mask; shares of the masks, mean over the views.
-    Where depth cameras see, also how far the body is off."""
+    """Compute how badly poses (N, D) fit the masks: body outside plus BARE times uncovered mask, as shares of the
+    masks.
+
+    Returns: (N,) means over the views; with depth cameras also the depth energy.
+    """
     masks = frame.silhouettes.masks
     flat = np.ascontiguousarray(poses, dtype=np.float64)
     counts = silhouette_xor(flat, body.skeleton.tree, body.coarse.arrays, masks)
@@ -76,10 +80,13 @@ def mask_cost(body: Body, poses: Array, frame: PreparedFrame) -> Array:
 def starts_in_frame(
     template: Body, frame: PreparedFrame, height: float | None = None, extent: float | None = None
 ) -> list[Start]:
-    """The starts that a frame allows, best first, which differ from each other.
+    """Find the starts that a frame allows, best first, all different from each other.
 
-    frame: prepared for any body; height m of the person, when known; extent m of the hull, where another frame's is
-    truer. An EvidenceError when the views have no common hull, or one that is no person's."""
+    frame: prepared for any body.
+    height: of the person, m; None: unknown.
+    extent: height of the hull, m, where that of another frame is more reliable.
+    Raises: EvidenceError where the views have no common hull, or its height is not that of a person.
+    """
     hull = hull_of(frame)
     tall = extent or hull.height
     base = postures(template)
@@ -117,8 +124,10 @@ def starts_in_frame(
 
 
 def _sized(template: Body, start: Start, floor: float) -> list[Start]:
-    """The start, smaller and larger about the floor (m): what stands about a person, and arms, make the hull's height a
-    poor measure."""
+    """Make smaller and larger copies of a start, scaled about the floor (m).
+
+    Why: objects around a person, and raised arms, make the hull's height a poor measure.
+    """
     out = []
     for factor in _SIZES:
         stature = start.body.stature * factor
@@ -130,7 +139,7 @@ def _sized(template: Body, start: Start, floor: float) -> list[Start]:
 
 
 def _solved(starts: Sequence[Start], frame: PreparedFrame, height: float | None, options: SolveSettings) -> list[Start]:
-    """The starts, each solved from its pose; those of one body over threads."""
+    """Solve the starts from their poses; those of one body in several threads."""
     bodies = {id(s.body): s.body for s in starts}
     out: list[Start] = []
     for key, body in bodies.items():
@@ -144,11 +153,13 @@ def _solved(starts: Sequence[Start], frame: PreparedFrame, height: float | None,
 
 @dataclass(frozen=True)
 class Starts:
-    """Starts that differ, best first, by the frame they begin in and those that follow.
+    """Alternative starts of one frame, best first.
 
-    weights (K,): how far each is believed.
-    unsure (2, J): probability that a joint is far from where the best one has it, by starts that face the other way,
-        and by those that face the same way in another posture or size (sitting instead of standing)."""
+    starts: K different starts.
+    weights: (K,) weights that sum to 1.
+    unsure: (2, J) probability that a joint is far from where the best start has it, from starts that face the other
+        way, and from those that face the same way in another posture or size (sitting instead of standing).
+    """
 
     starts: tuple[Start, ...]
     weights: Array
@@ -156,12 +167,12 @@ class Starts:
 
     @property
     def best(self) -> Start:
-        """The one that is believed."""
+        """The best start."""
         return self.starts[0]
 
 
 def weigh_starts(starts: Sequence[Start], frames: Sequence[PreparedFrame]) -> Starts:
-    """Starts of one frame followed through the frames after it, which decide between them."""
+    """Weigh the starts of one frame by following them through the frames after it."""
     some = [s for s in starts if s.cost < starts[0].cost + _HOPELESS][:_FOLLOWED]
     ways = [_followed(s, frames) for s in some]
     costs = np.array([(s.cost + c.sum()) / (1 + len(frames)) for s, (_, c) in zip(some, ways, strict=True)])
@@ -171,8 +182,11 @@ def weigh_starts(starts: Sequence[Start], frames: Sequence[PreparedFrame]) -> St
 
 
 def by_their_ways(starts: Sequence[Start], ways: Sequence[Array], costs: Array) -> tuple[Starts, list[int]]:
-    """Starts weighed by what they cost (K,) on their ways through the same frames, K of (T, D); and their numbers, the
-    best first."""
+    """Weigh starts by their costs (K,) over the same frames.
+
+    ways: poses (T, D) of each start in these frames.
+    Returns: the starts with weights, best first; their indices in this order.
+    """
     order = np.argsort(costs, kind="stable")
     weights = np.exp(-(costs[order] - costs[order[0]]) / _SOFT)
     weights /= weights.sum()
@@ -189,8 +203,11 @@ def by_their_ways(starts: Sequence[Start], ways: Sequence[Array], costs: Array) 
 
 
 def start_from_hull(body: Body, frame: PreparedFrame, poses: Sequence[str] = KNOWN_POSES) -> Start:
-    """The pose of a body of known size that explains the silhouettes best, whatever the person does, or one of the
-    known poses. An EvidenceError when the views have no common hull."""
+    """Find the pose of a body of known size that explains the silhouettes best.
+
+    poses: names of known poses that are tried; all known names: any posture is tried.
+    Raises: EvidenceError where the views have no common hull.
+    """
     if tuple(poses) == KNOWN_POSES:
         return starts_in_frame(body, frame, body.stature)[0]
     fit = start_in_pose(body, frame, poses)
@@ -198,8 +215,11 @@ def start_from_hull(body: Body, frame: PreparedFrame, poses: Sequence[str] = KNO
 
 
 def _followed(start: Start, frames: Sequence[PreparedFrame]) -> tuple[Array, Array]:
-    """(F, D) poses of a start in the frames that come after it, and (F,) what they cost. The person who walks goes on:
-    else the true start loses its legs, and a body that is too small wins."""
+    """Track a start through the next frames; return the poses (F, D) and costs (F,).
+
+    The last step is predicted again. Why: without that the true start of a walking person loses its legs, and a body
+    that is too small wins.
+    """
     poses, costs, pose, moved = [], [], start.pose, np.zeros(3)
     for frame in frames:
         expected = pose.copy()
@@ -213,7 +233,7 @@ def _followed(start: Start, frames: Sequence[PreparedFrame]) -> tuple[Array, Arr
 
 
 def _by_size(template: Body, spans: Array, tall: float, height: float | None) -> list[tuple[float, list[int]]]:
-    """Statures (m) and the postures to try at each: as high as the hull, a little less and more."""
+    """List statures (m) and the postures to try at each: as high as the hull, and a little less and more."""
     if height is not None:
         return [(height, list(range(len(spans))))]
     by: dict[int, list[int]] = {}
@@ -226,19 +246,19 @@ def _by_size(template: Body, spans: Array, tall: float, height: float | None) ->
 
 
 def _odd(stature: float, height: float | None) -> float:
-    """What an unusual stature costs, where it is not known."""
+    """Compute the penalty of an unusual stature; 0 where the height is known."""
     return 0.0 if height is not None else 0.002 * float(np.log(stature / USUAL_M) / _SPREAD) ** 2
 
 
 def _every_way(poses: Array) -> Array:
-    """(N, _HEADINGS, 3) rotation vectors of poses (N, D), turned every way about the vertical."""
+    """Turn poses (N, D) to all headings about the vertical; return the root's rotation vectors (N, _HEADINGS, 3)."""
     about = np.zeros((_HEADINGS, 3))
     about[:, 2] = _YAWS
     return so3_log(so3_exp(about) @ so3_exp(poses[:, None, 3:6]))
 
 
 def _placed(body: Body, pose: Array, turns: Array, hull: Hull) -> Array:
-    """(_HEADINGS, D) the pose turned every way and put where the hull is: its feet on the hull's lowest point."""
+    """Place a pose at the hull in all headings (_HEADINGS, D), with its feet on the hull's lowest point."""
     low, high = hull.points.min(0), hull.points.max(0)
     middle = 0.5 * (0.5 * (low + high) + hull.centroid)
     vertices = body.skin(pose)
@@ -256,7 +276,7 @@ def _own(frame: PreparedFrame, body: Body, pose: Array) -> PreparedFrame:
 
 
 def _different(starts: Sequence[Start], count: int) -> list[Start]:
-    """The best of them that lie apart from each other, best first."""
+    """Select the best starts that lie apart from each other, best first."""
     kept: list[Start] = []
     at: list[Array] = []
     for start in sorted(starts, key=lambda s: s.cost):
@@ -293,8 +313,8 @@ _LEGS: dict[str, tuple[float, Vector, Vector, Vector, Vector]] = {
     "cross-legged": (8, (0.7, -0.65, 0.1), (-0.8, -0.2, -0.2), (-0.7, -0.65, 0.1), (0.8, -0.2, -0.2)),
     "bowing": (60, (0.1, 0.1, -1), (0.05, 0, -1), (-0.1, 0.1, -1), (-0.05, 0, -1)),
 }
-"""Lean of the trunk (degrees), and the directions of left thigh and shank, right thigh and shank: x = the person's
-left, y = backward, z = up."""
+"""Lean of the trunk (degrees), and directions of left thigh and shank, right thigh and shank: x = the person's left, y
+= backward, z = up."""
 _ARMS: dict[str, tuple[Vector, Vector]] = {
     "hanging": ((0.15, 0, -1), (0.08, -0.15, -1)),
     "apart": ((0.6, 0, -0.8), (0.5, -0.1, -0.8)),
@@ -308,7 +328,7 @@ _ARMS: dict[str, tuple[Vector, Vector]] = {
     "on hips": ((0.7, 0.3, -0.65), (-0.65, -0.45, -0.6)),
     "behind head": ((0.9, -0.15, 0.45), (-0.75, 0.2, 0.6)),
 }
-"""Directions of the left upper arm and forearm; the right ones mirror them."""
+"""Directions of the left upper arm and forearm; the right ones are mirrored."""
 _HANDS_BUSY = ("hanging", "on thighs", "folded", "forward", "up", "guard")
 _TOGETHER: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("standing", tuple(_ARMS)),
@@ -329,27 +349,20 @@ _TOGETHER: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("bowing", ("hanging", "forward")),
 )
 _ONE_ARM = ("up", "forward", "sideways")
-"""What one arm alone does, of a person who stands or sits."""
+"""Postures of one arm alone, for a person who stands or sits."""
 _TO_JOINTS = SolveSettings(iterations=30, coarse_iterations=15)
-
-
-def posture_names() -> tuple[str, ...]:
-    """Of `postures`, in their order."""
-    names = [f"{legs}, arms {arms}" for legs, all_ in _TOGETHER for arms in all_]
-    names += [f"{legs}, {side} arm {arm}" for legs in ("standing", "sitting") for arm in _ONE_ARM for side in _SIDES]
-    return tuple(names)
 
 
 _SIDES = ("left", "right")
 
 
 def postures(body: Body) -> Array:
-    """(N, D) poses of a body at the origin, facing -y, within its limits; `posture_names` names them."""
+    """Build the start postures (N, D) of a body at the origin, facing -y, within its limits; cached per body."""
     return _postures(_Key(body))
 
 
 class _Key:
-    """A body by its identity: the postures of one are asked for again and again."""
+    """Cache key of a body by its identity."""
 
     def __init__(self, body: Body) -> None:
         self.body = body
@@ -373,7 +386,7 @@ def _postures(key: _Key) -> Array:
 
 
 def _posed(body: Body, legs: str, left_arm: str, right_arm: str) -> Array:
-    """(D,) the pose whose joints lie where the directions put them, as far as anatomy allows."""
+    """Solve for the pose (D,) whose joints lie where the directions put them, as far as anatomy allows."""
     s = body.skeleton
     lean, *directions = _LEGS[legs]
     trunk = so3_exp([np.radians(lean), 0.0, 0.0])

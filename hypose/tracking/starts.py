@@ -1,4 +1,4 @@
-"""Where to start: from triangulated key points, from a known pose at the visual hull, or again after a loss."""
+"""Find start poses: from triangulated key points, from a known pose at the visual hull, or again after a loss."""
 
 from __future__ import annotations
 
@@ -25,11 +25,15 @@ _ARM_DIRECTION = {
     "hands-up": (0.3, 0.0, 1.0),
 }
 KNOWN_POSES = ("a", *_ARM_DIRECTION)
-"""Poses a subject may be asked to take at the start; 'a' is the body's rest pose."""
+"""Poses that a person may be asked to take at the start; 'a' is the body's rest pose."""
 
 
 def known_pose(body: Body, name: str) -> Array:
-    """(D,) a known pose at the origin, facing -y: 'a', 't', 'standing' (arms hanging) or 'hands-up'; arms straight."""
+    """Build a known pose (D,) at the origin, facing -y: 'a', 't', 'standing' (arms hanging) or 'hands-up'; arms
+    straight.
+
+    Raises: InputError that lists the known poses where the name is unknown.
+    """
     s = body.skeleton
     pose = np.zeros(s.dof)
     if name not in KNOWN_POSES:
@@ -49,10 +53,13 @@ def known_pose(body: Body, name: str) -> Array:
 def start_from_keypoints(
     body: Body, points_world: Array, joint: NDArray[np.int64], offset: Array, *, weight: Array | None = None
 ) -> PoseFit:
-    """Bounded inverse kinematics on 3D points of one frame.
+    """Fit a pose to 3D points of one frame by bounded inverse kinematics.
 
-    points_world (K, 3) m (NaN = missing) lie at `offset` (K, 3) m in the frame of `joint` (K,). Several arm poses
-    and headings are tried and the cheapest solution is taken. An EvidenceError when fewer than 6 points are known.
+    Several arm poses and headings are tried; the solution with the least cost is returned.
+    points_world: (K, 3) m; NaN where missing.
+    joint: (K,) joint of each point; offset: (K, 3) its position in the joint's frame, m.
+    weight: (K,) of the points (default 1).
+    Raises: EvidenceError where fewer than 6 points are known.
     """
     known = np.asarray(np.isfinite(points_world).all(1))
     if known.sum() < 6:
@@ -82,7 +89,8 @@ def start_from_keypoints(
 def _root_guesses(
     body: Body, points: Array, joint: NDArray[np.int64], offset: Array, known: NDArray[np.bool_]
 ) -> list[Array]:
-    """Root poses (6,) from the trunk's points when they are there (rigid fit), else four headings at the centroid."""
+    """Estimate root poses (6,): a rigid fit of the trunk's points where there are enough, else four headings at the
+    centroid."""
     s = body.skeleton
     rest = s.rest_joints[joint] + offset
     trunk_joints = [
@@ -111,8 +119,12 @@ def _root_guesses(
 def start_in_pose(
     body: Body, frame: PreparedFrame, names: Sequence[str], headings: int = 16, options: SolveSettings | None = None
 ) -> PoseFit:
-    """The known pose of these names, and the heading, that explain the silhouettes best, placed at the visual hull and
-    solved. An EvidenceError when the views have no common hull. Source: Alcoverro 2014, section 2.3.3 step 1."""
+    """Find the known pose and the heading that explain the silhouettes best, placed at the visual hull and solved.
+
+    names: known poses to try; headings: number of headings.
+    Raises: EvidenceError where the views have no common hull.
+    Source: Alcoverro 2014, section 2.3.3 step 1.
+    """
     hull = hull_of(frame)
     candidates = [
         _centred(body, turn_pose(known_pose(body, name), heading), hull)
@@ -123,22 +135,22 @@ def start_in_pose(
 
 
 def turn_pose(pose: Array, heading: float) -> Array:
-    """The pose (D,) turned about the vertical through its root by heading (rad)."""
+    """Turn a pose (D,) about the vertical through its root by a heading (rad)."""
     out = pose.copy()
     out[3:6] = so3_log(so3_exp([0, 0, heading]) @ so3_exp(pose[3:6]))
     return out
 
 
 RECOVERY_REACH = 1.3
-"""m: how far from the last pose a lost person is looked for; the person who is farther away is another person."""
+"""m: how far from the last pose a lost person is searched for; further away it is another person."""
 
 
 def recover(pose: Array, last: Array, frame: PreparedFrame, /) -> Array:
-    """The best pose (D,) after a loss: the given one, carried to the hull and turned, and known poses; refined.
+    """Find the pose (D,) of a lost person: the given pose, moved to the hull and turned, or a known pose, refined.
 
-    Only the space within RECOVERY_REACH of the last pose (D,) in which the person was seen is looked at, and who is
-    solved to stand further away was only reached into: with no person there the pose stays, so that another person in
-    view is not taken for the one who left.
+    last: (D,) last pose in which the person was seen. Only the space within RECOVERY_REACH of it is searched.
+    Returns: the best pose; the given one where there is no person in reach, or the solution is further away, so that
+        another person in view is not taken for the one who left.
     """
     body = frame.body
     try:
@@ -154,8 +166,11 @@ def recover(pose: Array, last: Array, frame: PreparedFrame, /) -> Array:
 
 
 def hull_of(frame: PreparedFrame, bounds: Array | None = None) -> Hull:
-    """The visual hull of a frame, inside bounds (2, 3) m (default: the cameras' common view); an EvidenceError naming
-    the frame when nothing is left of it."""
+    """Compute the visual hull of a frame, or the space behind depth maps, inside bounds (2, 3), m (default: the common
+    view).
+
+    Raises: EvidenceError, naming the frame, where nothing is left of it.
+    """
     if not frame.silhouettes.seen:
         raise EvidenceError(f"Frame {frame.frame.index} has no usable silhouette to start from; choose another frame.")
     hull = occupied_space(frame.frame, bounds)
@@ -168,7 +183,7 @@ def hull_of(frame: PreparedFrame, bounds: Array | None = None) -> Hull:
 
 
 def _centred(body: Body, pose: Array, hull: Hull) -> Array:
-    """The pose moved so that the mesh's centre lies at the hull's."""
+    """Move a pose so that the mesh's centre lies at the hull's."""
     vertices = body.skin(pose)
     middle = 0.5 * (vertices.min(0) + vertices.max(0))
     target = 0.5 * (hull.points.min(0) + hull.points.max(0))
@@ -180,8 +195,11 @@ def _centred(body: Body, pose: Array, hull: Hull) -> Array:
 def _best_refined(
     body: Body, candidates: Array, frame: PreparedFrame, options: SolveSettings, tried: int = 16, keep: int = 4
 ) -> PoseFit:
-    """Ranks candidates (N, D) by XOR, solves the `tried` best briefly and the `keep` best of those at length; gives
-    the best by XOR: a wrong heading may overlap better than the right one until the limbs have moved."""
+    """Solve the best of many candidate poses (N, D) in two rounds; return the one with the least evidence energy.
+
+    The `tried` best are solved briefly, the `keep` best of these at length. Why: a wrong heading may overlap better
+    than the right one until the limbs have moved.
+    """
     order = np.argsort(evidence_energy(body, candidates, frame.evidence), kind="stable")[:tried]
     brief = SolveSettings(iterations=8, coarse_iterations=8)
     moved = np.stack([f.pose for f in refine(body, candidates[order], frame, brief)])

@@ -1,7 +1,7 @@
-"""The subject's body by key points: segment lengths, and where the key points sit on it.
+"""Fit the person's body to key points: segment lengths, and where the key points sit on the body.
 
-A tracker is as good as its body. Lengths come from medians over the clip, so they are constant; girths, and the sizes
-that no key point shows, come from outlines (`hypose.pipeline.subject_from_motion.with_outlines`).
+A tracker is as good as its body. Lengths come from medians over the clip, so they are constant; girths, and sizes that
+no key point shows, come from outlines (`hypose.pipeline.subject_from_motion.with_outlines`).
 Source: Alcoverro 2014, section 2.3 (entities, grouped symmetrically); the fitting from key points is an addition.
 """
 
@@ -32,14 +32,19 @@ PAIRED = {
 TRUNK_SEGMENTS = ("pelvis", "spine", "chest")
 
 ACROSS, _SD_OF_MAD, _SHORTEST = 2, 1.4826, 0.7
-"""Directions across a bone; standard deviations in a median distance from the median; and the least share of a length
-as measured that scatter leaves of it."""
+"""Directions across a bone; ratio of sd to the median distance from the median; least share of a measured length that
+is left after the scatter is subtracted."""
 
 
 @dataclass(frozen=True)
 class KeypointSubject:
-    """A body fitted to key points: body, where the key points sit on it, poses (T, D) (NaN where not solved), residual
-    (T, K) m between the triangulated points and the fitted body."""
+    """A body fitted to key points.
+
+    body: the fitted body.
+    keypoints: where the key points sit on it.
+    poses: (T, D); NaN where not solved.
+    residual: (T, K) distances between the triangulated points and the fitted body, m.
+    """
 
     body: Body
     keypoints: KeypointModel
@@ -48,7 +53,10 @@ class KeypointSubject:
 
 
 def scaled_to_height(body: Body, height: float) -> Body:
-    """The body scaled uniformly to a standing height in m."""
+    """Scale a body uniformly to a standing height, m.
+
+    Raises: EvidenceError where the height is not that of a person (0.5 to 2.5 m).
+    """
     if not 0.5 < height < 2.5:
         raise EvidenceError(
             f"A subject height of {height:.2f} m is not a person's; give --height in metres or check the "
@@ -60,12 +68,14 @@ def scaled_to_height(body: Body, height: float) -> Body:
 def subject_from_keypoints(
     body: Body, points_world: Array, names: tuple[str, ...], *, rounds: int = 3, max_frames: int = 40
 ) -> KeypointSubject:
-    """Segment lengths, shoulder width and the key points' offsets from triangulated points (T, K, 3) m, NaN = missing.
+    """Estimate segment lengths, shoulder width and the key points' offsets from triangulated points.
 
-    Lengths are medians over the frames, less what scatter adds to them, left and right averaged. Then poses and offsets
-    are found in turn: offsets within 5 cm for joints, 12 cm for the face and 8 cm for the feet, since what a detector
-    calls a hip is not the joint's centre. Segments that are never seen are in proportion to the others; an
-    EvidenceError when hardly any is seen.
+    points_world: (T, K, 3) m; NaN where missing.
+    rounds: alternations of poses and offsets; max_frames: frames that are solved.
+    Raises: EvidenceError where hardly any segment, or no frame with 6 points, is seen.
+    Lengths are medians over the frames, minus what scatter adds to them; left and right are averaged. Segments that are
+    never seen are in proportion to the others. Offsets are limited to 5 cm for joints, 12 cm for the face and 8 cm for
+    the feet, since a detector's hip is not the joint's centre.
     """
     deformed = deform(body, shape_from_keypoints(body, points_world, names))
     model = keypoint_model(deformed, names)
@@ -90,14 +100,14 @@ def subject_from_keypoints(
 
 
 def shape_from_keypoints(body: Body, points_world: Array, names: tuple[str, ...]) -> Shape:
-    """Length factors of `body` from triangulated points (T, K, 3) m."""
+    """Estimate the length factors of a body from triangulated points (T, K, 3), m."""
     skeleton = body.skeleton
     carrier, from_joint, _ = landmark_of(names, body)
     rest = skeleton.rest_joints[carrier] + from_joint  # of the key points
     column = {name: k for k, name in enumerate(names) if name in skeleton.joint_names}  # limbs: key point = joint name
 
     def factor(a: str, b: str) -> tuple[float, float]:
-        """of the bone's length, and by what share of it that changes from frame to frame"""
+        """Compute the factor of a bone's length, and by what share of it the length changes from frame to frame."""
         if a not in column or b not in column:
             return float("nan"), float("nan")
         d = np.linalg.norm(points_world[:, column[a]] - points_world[:, column[b]], axis=-1)
@@ -143,15 +153,15 @@ def shape_from_keypoints(body: Body, points_world: Array, names: tuple[str, ...]
 
 
 PROPORTION = 0.4
-"""Share of what bones by BlazePose's points differ from usual proportions that is kept: on rendered people (seeds 6100
-to 6104) they were wrong by 8 to 20 %, people differ by 4 to 5 %."""
+"""Share of a bone's deviation from usual proportions that is kept with BlazePose points: on rendered people (seeds 6100
+to 6104) these were wrong by 8 to 20 %, while people differ by 4 to 5 %."""
 _UNLIKE = 1.25
-"""Times by which a left bone may differ from the right one; more is a key point that is not where its name says."""
+"""Largest ratio of a left bone and the right one; more is a key point that is not where its name says."""
 
 
 def _of_sides(left: tuple[float, float], right: tuple[float, float]) -> float:
-    """The mean of the left and the right bone's factors, of those that are seen; of two that are unlike the one whose
-    length changes less; NaN without any."""
+    """Average the factors of the left and right bone, where seen; where they differ much, take the one that varies
+    less."""
     seen = [side for side in (left, right) if np.isfinite(side[0])]
     if len(seen) == 2 and max(seen)[0] > _UNLIKE * min(seen)[0]:
         return min(seen, key=lambda side: side[1])[0]
@@ -159,7 +169,7 @@ def _of_sides(left: tuple[float, float], right: tuple[float, float]) -> float:
 
 
 def _solve_frames(body: Body, points: Array, model: KeypointModel, frames: np.ndarray, poses: Array) -> None:
-    """Solves the chosen frames in order, each from the last; fills poses (T, D) in place."""
+    """Solve the chosen frames in order, each from the previous one; fill poses (T, D) in place."""
     last: Array | None = None
     joint, offset = model.joint[model.known], model.offset[model.known]
     weights = leg_weights(model.names)[model.known]
@@ -177,7 +187,7 @@ def _solve_frames(body: Body, points: Array, model: KeypointModel, frames: np.nd
 
 
 def _in_joint_frames(body: Body, points: Array, model: KeypointModel, poses: Array) -> Array:
-    """(T, K, 3) points in the frames of their joints; NaN where not solved or not seen."""
+    """Compute the points (T, K, 3) in the frames of their joints; NaN where not solved or not seen."""
     out = np.full((len(points), len(model.names), 3), np.nan)
     done = np.flatnonzero(np.isfinite(poses).all(1))
     rotations, centres = body.skeleton.forward(poses[done])

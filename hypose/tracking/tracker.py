@@ -1,7 +1,7 @@
-"""Tracker: one frame at a time from evidence to a pose with its uncertainty; knows a loss and recovers.
+"""Track a person one frame at a time, from evidence to a pose with its uncertainty; detect a loss and recover.
 
-The tracker is a value and its state is a value: `step` returns the next state, so a run can be stopped after any frame,
-saved, and resumed with the same numbers.
+Tracker and state are values: `step` returns the next state, so a run can be stopped after any frame, saved, and resumed
+with the same numbers.
 """
 
 from __future__ import annotations
@@ -28,32 +28,41 @@ from hypose.tracking.keypoint_evidence import KeypointModel
 from hypose.tracking.pose_covariance import PoseUncertainty, nothing_known, uncertainty_of_set
 
 RECOVERED = f"{FOUND_BY}recovery"
-"""Origin of an estimate that was found again after a loss."""
+"""Origin of an estimate that was found after a loss."""
 BETWEEN_FRAMES, RECOVERY, START = -1, -2, -3
 """Layer numbers of the random streams used outside a recipe's layers."""
 _NO_PERSON = 0.3
-"""Share of the usual mean IoU below which the masks hold no person where the body is, or the rim of another person."""
+"""Share of the usual mean IoU below which the masks show no person at the body's place, or only the rim of another
+person."""
 _LOOSE, FOUND, _LOOKS = 0.75, 0.1, 4
-"""Mean IoU below which a body may be lost whatever is usual, since an error from the start sets the usual; how
-much better it must lie elsewhere to have been lost: turning around costs no more; and how many looks for a rival there
-are to one of these, which takes longer."""
+"""_LOOSE: mean IoU below which a body may be lost whatever is usual, since an error from the start sets the usual
+value.
+FOUND: gain in IoU that proves it, the same as for turning around. _LOOKS: searches for a rival per such test, which
+    takes
+longer.
+"""
 RIVAL_WITH_DEPTH = 2
-"""how many times seldomer a rival is looked for where depth cameras see: by its depth, a body that stands back to front
-is none that overlaps as well. Chosen on the seeds 0 to 15 (benchmark `depth`)."""
+"""factor on the time between two searches for a rival with depth cameras: a body that stands back to front does not fit
+the depth. Chosen on the seeds 0 to 15 (benchmark `depth`)."""
 _COLUMN, _MODES, _MEMORY = "column_", "modes_", "memory_"
 
 
 @dataclass(frozen=True)
 class TrackerSettings:
-    """What the tracker is known.
+    """Settings of a tracker.
 
-    evidence: 'silhouettes', 'keypoints' or 'both'; with the picture of one camera also 'edges', nothing else, and
-    'auto', all there is. seed: of every random draw. frame_rate: Hz. prediction_weight: pull
-    of a solve to the prediction at 25 fps (it grows with the square of the frame rate, as the prediction's error
-    shrinks). lost_share: lost when the mean IoU falls below this share of its usual value; lost_floor: or below this
-    value. keypoint_scale_px: robust scale of key points in their pixels. extrapolate: seconds without evidence after
-    which the person counts as lost. rival_every: seconds between two looks for a rival pose (left and right
-    exchanged)."""
+    evidence: 'silhouettes', 'keypoints' or 'both'; with the picture of one camera also 'edges' (nothing else) and
+        'auto' (all there is).
+    seed: of every random draw.
+    frame_rate: Hz.
+    prediction_weight: pull of a solve to the prediction at 25 fps; it grows with the square of the frame rate, as the
+        prediction's error shrinks.
+    lost_share, lost_floor: lost when the mean IoU falls below this share of its usual value, or below this value.
+    contour_weight: of a contour row.
+    keypoint_scale_px: robust scale of key points, px.
+    extrapolate: s without evidence after which the person counts as lost.
+    rival_every: s between two searches for a rival pose (left and right exchanged).
+    """
 
     evidence: str = "silhouettes"
     seed: int = 0
@@ -69,15 +78,21 @@ class TrackerSettings:
 
 @dataclass(frozen=True)
 class FrameEstimate:
-    """pose (D,), its uncertainty, cost: 1 - `agreement` with the masks (NaN without), flags, number of views. overlap
-    (C,): IoU of the body with each view's mask, NaN where that is not usable, empty when not looked at. exchanged: by
-    how much a rival (the body with its sides exchanged) overlaps the masks better, or a body that was lost and found
-    than where it was held to be, NaN when not looked at.
-    seen (C, 3): what frame_anomalies keeps of each view, (0, 3) when nothing; audit (J, A): what speaks for and
-    against each joint (hypose.tracking.joint_features), (0, 0) when not looked at. rivals (K, D), rival_weights (K,):
-    other poses that the evidence allows, as in `Motion`.
-    origin: role of the best hypothesis, RECOVERED, or empty where the first solve was the best; moved (J,): m, by which
-    the search moved each joint from the first solve, or the recovery from the lost pose; (0,) when not known."""
+    """Result of one frame.
+
+    pose: (D,); uncertainty: of the pose and its joints.
+    cost: 1 - `agreement` with the masks; NaN without masks.
+    lost: the person is lost; extrapolated: there was no evidence; n_views: number of views with evidence.
+    overlap: (C,) IoU of the body with each view's mask, NaN where not usable; empty when not computed.
+    exchanged: gain in overlap of a rival (the body with its sides exchanged), or of the recovered pose over the lost
+        one; NaN when not tested.
+    seen: (C, 3) what frame_anomalies stores of each view; (0, 3) when nothing.
+    audit: (J, A) evidence for and against each joint (hypose.tracking.joint_features); (0, 0) when not computed.
+    rivals: (K, D), rival_weights: (K,) other poses that the evidence allows, as in `Motion`.
+    origin: role of the best hypothesis, RECOVERED, or empty where the first solve was the best.
+    moved: (J,) m by which the search moved each joint from the first solve, or the recovery from the lost pose; (0,)
+        unknown.
+    """
 
     pose: Array
     uncertainty: PoseUncertainty
@@ -96,15 +111,22 @@ class FrameEstimate:
 
     @property
     def joint_sd(self) -> Array:
-        """(J,) m per axis."""
+        """Standard deviations (J,) of the joints, m per axis."""
         return sd_per_axis(self.uncertainty.joint_covariance)
 
 
 @dataclass(frozen=True)
 class TrackerState:
-    """What the next frame needs. frames: frames done; pose, previous (D,); joint_covariance (J, 3, 3) m^2;
-    usual_iou: running mean of the IoU while not lost (NaN before the first); blind: frames since the last evidence;
-    lost: in the last frame; memory: additional state that the recipe remembers."""
+    """State of a tracker between two frames.
+
+    frames: number of frames done.
+    hypotheses: the set after the last frame.
+    pose, previous: (D,) of the last frame and the one before.
+    joint_covariance: (J, 3, 3) m^2.
+    usual_iou: running mean of the IoU while not lost; NaN before the first.
+    blind: frames since the last evidence; lost: in the last frame.
+    memory: additional state of the recipe.
+    """
 
     frames: int
     hypotheses: Hypotheses
@@ -117,7 +139,7 @@ class TrackerState:
     memory: Memory = field(default_factory=dict)
 
     def to_arrays(self) -> dict[str, np.ndarray]:
-        """Plain arrays for a checkpoint."""
+        """Convert the state to plain arrays for a checkpoint."""
         return {
             "frames": np.array(self.frames),
             "values": self.hypotheses.values,
@@ -137,7 +159,7 @@ class TrackerState:
 
     @staticmethod
     def from_arrays(arrays: Mapping[str, np.ndarray]) -> TrackerState:
-        """The state that `to_arrays` wrote."""
+        """Restore the state from the arrays of `to_arrays`."""
         names = tuple(arrays["role_names"].tolist())
         columns = {k.removeprefix(_COLUMN): v for k, v in arrays.items() if k.startswith(_COLUMN)}
         h = Hypotheses(
@@ -158,8 +180,13 @@ class TrackerState:
 
 @dataclass(frozen=True)
 class Tracker:
-    """A body, a recipe, settings, where key points sit on the body, and evidence of the user's own. An InputError when
-    the recipe needs evidence that the settings leave out."""
+    """Tracker of one person.
+
+    body: the person's body; recipe: the method; settings: of the tracker.
+    keypoints_on_body: where key points sit on the body.
+    own: evidence of the user's own.
+    Raises: InputError where the recipe needs evidence that the settings leave out.
+    """
 
     body: Body
     recipe: Recipe
@@ -178,8 +205,12 @@ class Tracker:
             raise InputError(f"The recipe {self.recipe.name!r} looks at one picture, and not at evidence of your own.")
 
     def start(self, begin: Array | Hypotheses, memory: Memory | None = None) -> TrackerState:
-        """State before the first frame, around a start pose (D,), or with these rival starts. memory: what has been
-        remembered of the same person."""
+        """Build the state before the first frame.
+
+        begin: start pose (D,), around which the set is scattered, or alternative starts as hypotheses.
+        memory: what the recipe has remembered of the same person.
+        Raises: InputError where a pose has the wrong number of values or is not finite.
+        """
         s = self.body.skeleton
         given = begin.values if isinstance(begin, Hypotheses) else begin
         if np.shape(given)[-1:] != (s.dof,) or not np.isfinite(given).all():
@@ -193,13 +224,13 @@ class Tracker:
         return TrackerState(0, h, pose, pose, unknown, float("nan"), 0, False, memory or {})
 
     def follow(self, state: TrackerState, frames: Iterable[Frame]) -> Iterator[tuple[TrackerState, FrameEstimate]]:
-        """The state and the estimate after each of the frames."""
+        """Track frames in order; yield the state and the estimate after each."""
         for frame in frames:
             state, estimate = self.step(state, frame)
             yield state, estimate
 
     def step(self, state: TrackerState, frame: Frame) -> tuple[TrackerState, FrameEstimate]:
-        """One frame: predict, search, judge, and recover when lost."""
+        """Track one frame: predict, search, judge, and recover when lost."""
         recipe = self.recipe
         state, step = self._ahead(state)
         prediction = self._within(state.pose + step)
@@ -246,17 +277,17 @@ class Tracker:
         return following, FrameEstimate(pose, known, cost, lost, False, views, overlap, gain, **known_of)
 
     def _moved(self, before: Array, pose: Array) -> NDArray[np.float32]:
-        """(J,) m: distance of each joint between two poses (D,)."""
+        """Compute the distance (J,), m, of each joint between two poses (D,)."""
         joints = self.body.joints(np.stack([before, pose]))
         return np.linalg.norm(joints[1] - joints[0], axis=-1).astype(np.float32)
 
     def predicted(self, state: TrackerState) -> Array:
-        """(D,) the pose that is expected in the next frame."""
+        """Predict the pose (D,) of the next frame."""
         state, step = self._ahead(state)
         return self._within(state.pose + step)
 
     def _ahead(self, state: TrackerState) -> tuple[TrackerState, Array]:
-        """The state on the branch that its pose is on, and the step (D,) that is expected."""
+        """Put the state on its pose's branch, and predict the next step (D,)."""
         state = self._on_canonical_branch(state)
         last_step = state.pose - self.body.skeleton.on_branch(state.previous, state.pose)
         # after a loss the last step is none of the person's
@@ -267,8 +298,11 @@ class Tracker:
     def _recover(
         self, how: Recovery, state: TrackerState, pose: Array, selected: Hypotheses, iou: float, prepared: PreparedFrame
     ) -> tuple[TrackerState, Array, Hypotheses, float, bool, float]:
-        """The state before the frame, the pose (D,) in it, the set to go on with, the pose's IoU, whether it is lost,
-        and by how much the IoU has grown, when a lost person has been looked for and found (else NaN)."""
+        """Search for a lost person.
+
+        Returns: the state before the frame, the pose (D,) in it, the set to go on with, the pose's IoU, whether it is
+            lost, and the gain in IoU where a lost person was found (else NaN).
+        """
         lost, gain = self._is_lost(iou, state.usual_iou), float("nan")
         known = lost or state.lost or state.blind > 2
         looks = np.isfinite(iou) and self._has_look(state, _LOOKS)
@@ -289,8 +323,7 @@ class Tracker:
         return state, pose, selected, iou, lost, gain
 
     def rival(self, pose: Array, frame: Frame) -> Array:
-        """Where tracking may begin again from a pose (D,), on a frame's evidence: its rival, or the body looked for as
-        one that is lost, or the pose if neither is better."""
+        """Find the best pose to begin again from: the pose (D,), its rival, or the pose found by the recovery."""
         how, prepared = self.recipe.recover, self.prepare_frame(frame, pose)
         if how is None or not prepared.silhouettes.seen:
             return pose
@@ -300,7 +333,7 @@ class Tracker:
         return tried[int(np.argmax([agreement(self.body, q, prepared) for q in tried]))]
 
     def _rival_gain(self, state: TrackerState, pose: Array, prepared: PreparedFrame) -> float:
-        """Looked for now and then, where there are silhouettes."""
+        """Compute the gain of a rival, in its turn and where there are silhouettes; else NaN."""
         look = self.recipe.recover.rival if self.recipe.recover is not None else None
         seldom = RIVAL_WITH_DEPTH if prepared.depth.seen else 1
         if look is None or not prepared.silhouettes.seen or not self._has_look(state, seldom):
@@ -308,17 +341,17 @@ class Tracker:
         return look(pose, prepared)[0]
 
     def _has_look(self, state: TrackerState, times: int = 1) -> bool:
-        """It is the turn of the target now and then, or so many times as seldom."""
+        """Decide whether a search for a rival is due; `times` as seldom."""
         return state.frames % max(1, round(times * self.settings.rival_every * self.settings.frame_rate)) == 0
 
     def _around(self, pose: Array, steps: float, rng: np.random.Generator) -> Hypotheses:
-        """The recipe's number of hypotheses scattered about a pose (D,), by so many usual steps."""
+        """Scatter the recipe's number of hypotheses around a pose (D,), by this many usual steps."""
         s = self.body.skeleton
         noise = rng.standard_normal((self.recipe.particles, s.dof)) * steps
         return Hypotheses.uniform(s.clamp(pose + noise * s.step_sigma(self.settings.frame_rate)))
 
     def _rivals(self, h: Hypotheses | None) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """The hypotheses other than the best, and their weights, as an estimate has them."""
+        """Select the hypotheses other than the best, and their weights, for an estimate."""
         count = max(self.recipe.rivals - 1, 0)
         poses = np.full((count, self.body.skeleton.dof), np.nan, np.float32)
         weights = np.zeros(count, np.float32)
@@ -328,7 +361,7 @@ class Tracker:
         return poses, weights
 
     def _expected(self, state: TrackerState, step: Array) -> Hypotheses:
-        """The hypotheses where they are expected after a usual step (D,), or each after its own."""
+        """Move the hypotheses by a predicted step (D,), or each by its own."""
         s, h = self.body.skeleton, state.hypotheses
         if not self.recipe.rivals:
             return replace(h, values=self._within(h.values + step))
@@ -340,7 +373,7 @@ class Tracker:
         return replace(h, values=self._within(ahead), columns={BEFORE: h.values})
 
     def _within(self, poses: Array) -> Array:
-        """Poses (..., D) within the limits, unless the recipe's layers see to that."""
+        """Clamp poses (..., D) to the limits, unless the recipe's layers do that."""
         return poses if self.recipe.predict is None else self.body.skeleton.clamp(poses)
 
     def _on_canonical_branch(self, state: TrackerState) -> TrackerState:
@@ -357,7 +390,7 @@ class Tracker:
         )
 
     def prepare_frame(self, frame: Frame, prediction: Array, state: TrackerState | None = None) -> PreparedFrame:
-        """A frame ready to be searched, the pose (D,) expected in it; state: after the frame before."""
+        """Prepare a frame for a search around the predicted pose (D,); state: after the previous frame."""
         wanted = self.settings.evidence
         return prepare(
             frame,
@@ -375,7 +408,7 @@ class Tracker:
         )
 
     def _begin(self, prepared: PreparedFrame, state: TrackerState) -> tuple[PreparedFrame, TrackerState]:
-        """Before the first search: the set moved to where the recipe starts."""
+        """Move the set to where the recipe starts, before the first search."""
         start = self.recipe.start(prepared.prediction, prepared)
         shifted = self._within(state.hypotheses.values + (start - prepared.prediction))
         h = replace(state.hypotheses, values=shifted)
@@ -417,7 +450,7 @@ class Tracker:
 def motion_of(
     body: Body, times: Array, estimates: Sequence[FrameEstimate], provenance: Mapping[str, Any] | None = None
 ) -> Motion:
-    """The Motion of tracked frames: one estimate per time (T,)."""
+    """Build the Motion of tracked frames: one estimate per time (T,)."""
     poses = np.stack([e.pose for e in estimates])
     return Motion(
         body.skeleton,
@@ -436,18 +469,18 @@ def motion_of(
 
 
 def _stacked(of_frames: Sequence[NDArray[np.float32]]) -> NDArray[np.float32] | None:
-    """(T, K, ...) of the frames; None when the method keeps no rivals."""
+    """Stack the frames' arrays (T, K, ...); None when the method keeps no rivals."""
     return np.stack(of_frames) if of_frames[0].size else None
 
 
 def modes_of(estimates: Sequence[FrameEstimate]) -> Modes | None:
-    """The poses that each of the frames allows, where the method tells them."""
+    """Collect the modes of all frames; None where the method has none."""
     stated = [e.uncertainty.modes for e in estimates if e.uncertainty.modes is not None]
     return joined_modes(stated) if stated and len(stated) == len(estimates) else None
 
 
 def estimates_to_arrays(estimates: Sequence[FrameEstimate]) -> dict[str, NDArray[Any]]:
-    """Plain arrays of the finished frames for a checkpoint."""
+    """Convert the estimates to plain arrays for a checkpoint."""
     modes = modes_of(estimates)
     return {
         **({} if modes is None else {f"{_MODES}{k}": v for k, v in modes_arrays(modes).items()}),
@@ -468,7 +501,7 @@ def estimates_to_arrays(estimates: Sequence[FrameEstimate]) -> dict[str, NDArray
 
 
 def estimates_from_arrays(arrays: Mapping[str, np.ndarray]) -> list[FrameEstimate]:
-    """The estimates that `estimates_to_arrays` wrote."""
+    """Restore the estimates from the arrays of `estimates_to_arrays`."""
     stated = {k.removeprefix(_MODES): v for k, v in arrays.items() if k.startswith(_MODES)}
     modes = Modes(**stated).rows() if stated else [None] * len(arrays["poses"])
     alike = ("seen", "audit", "rivals", "rival_weights", "moved")

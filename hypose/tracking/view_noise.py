@@ -1,11 +1,10 @@
-"""How much worse the key points of one view are than those of the others: a camera that was moved, lags, or whose
-detections are shifted.
+"""Estimate how much noisier the key points of one view are than those of the others.
 
-A view that is wrong as a whole is not known by its detector's confidence, and a robust cost does not leave it out when
-the wrong distances are as large as the noise that was measured with them. The views' noise is estimated from what they
-leave of each other's triangulation: variance components, whose sums of squares are divided by the share of them that
-is left in the residuals (Förstner, W. 1979, Ein Verfahren zur Schätzung von Varianz- und Kovarianzkomponenten), with
-medians in place of sums.
+Such a view has a camera that was moved or lags, or shifted detections. The detector's confidence does not show it, and
+a robust cost does not leave it out when its errors are as large as the noise that was measured with them. The noise of
+each view is estimated from its residuals against the triangulation: variance components, whose sums of squares are
+divided by the share that is left in the residuals (Förstner, W. 1979, Ein Verfahren zur Schätzung von Varianz- und
+Kovarianzkomponenten), with medians in place of sums.
 """
 
 from __future__ import annotations
@@ -21,9 +20,9 @@ from hypose.evidence.keypoints import other_sides
 from hypose.geometry import Array
 
 LARGEST = 12.0
-"""No view is taken for worse than so many times the others: it is as good as left out then."""
+"""Largest noise factor of a view; with it the view has practically no weight."""
 USUAL = 1.6
-"""Up to this factor views differ by chance, and by what they see of the person."""
+"""Factors up to this are chance, or due to what a view sees of the person."""
 _ROUNDS = 12
 _LEAST_POINTS = 30
 _CONFIDENT = 0.3
@@ -32,12 +31,14 @@ _LEAST_LEFT = 0.2
 
 
 def view_factors(keypoints: Sequence[Keypoints]) -> Array:
-    """(C,) >= 1: by how much the noise in metres of each view is larger than that of the better half of the views, from
-    frames of one recording; all 1 with fewer than three views, and where too little is seen in three.
+    """Estimate by how much the noise in metres of each view is larger than that of the better half of the views.
 
-    The worst view is left out before the others are judged, as long as three are left: what it has spoilt of them is
-    not theirs. A view that calls left what the others call right is no noisier for it: its sides are exchanged in the
-    frames in which they then lie nearer to where the others put them."""
+    keypoints: frames of one recording.
+    Returns: (C,) factors >= 1; all 1 with fewer than three views, and where too little is seen in three.
+    The worst view is left out before the others are judged, as long as three are left, so that its errors are not
+    charged to them. A view that calls left what the others call right is not noisier for it: its sides are exchanged in
+    frames where they then lie nearer to those of the others.
+    """
     rig, other = keypoints[0].rig, other_sides(keypoints[0].names)
     points = np.stack([k.points for k in keypoints], 1)
     seen = (points[..., 2] > _CONFIDENT) & np.isfinite(points[..., :2]).all(-1)
@@ -57,8 +58,11 @@ def view_factors(keypoints: Sequence[Keypoints]) -> Array:
 def _components(
     rig: CameraRig, uv: Array, seen: NDArray[np.bool_], active: NDArray[np.bool_], other: NDArray[np.int64]
 ) -> Array:
-    """(C,) factors of the active views, from points (C, T, K, 2) px where they are seen (C, T, K); other (K,): the
-    column of each point's other side."""
+    """Estimate the factors (C,) of the active views.
+
+    uv: (C, T, K, 2) points, px; seen: (C, T, K) where they are seen.
+    other: (K,) column of each point's other side.
+    """
     views, shape = len(rig), seen.shape
     factor, size = np.ones(views), np.ones((views, seen[0].size))
     named, shown = uv, (seen & active[:, None, None]).reshape(views, -1)
@@ -86,7 +90,8 @@ def _components(
 def _exchanged(
     world: Array, uv: Array, projections: Array, seen: NDArray[np.bool_], other: NDArray[np.int64]
 ) -> NDArray[np.bool_]:
-    """(C, T) views and frames whose points lie nearer to points (T, K, 3) when their sides change places."""
+    """Find views and frames (C, T) whose points lie nearer to the 3D points (T, K, 3) when their sides change
+    places."""
     h = np.einsum("cij,tkj->ctki", projections[:, :, :3], world) + projections[:, None, None, :, 3]
     there = h[..., :2] / np.maximum(h[..., 2:], _NEAREST_M)
     known = seen & np.isfinite(there).all(-1)
@@ -97,8 +102,10 @@ def _exchanged(
 
 
 def _rows(world: Array, uv: Array, projections: Array, seen: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
-    """Of points (N, 3) seen at uv (C, N, 2): residuals (C, N, 2) px, their derivatives (C, N, 2, 3) px/m, and pixels
-    per metre (C, N) there."""
+    """Compute the residuals of 3D points (N, 3) seen at uv (C, N, 2).
+
+    Returns: residuals (C, N, 2), px; derivatives (C, N, 2, 3), px/m; pixels per metre (C, N).
+    """
     h = np.einsum("cij,nj->cni", projections[:, :, :3], world) + projections[:, None, :, 3]
     depth = np.maximum(np.nan_to_num(h[..., 2]), _NEAREST_M)
     projected = h[..., :2] / depth[..., None]

@@ -41,7 +41,7 @@ def test_foreign_json_among_the_key_points(hypose, recording):
     for t in range(8):
         (folder / f"{t:06d}.json").write_text(json.dumps({"cats": [1, 2, 3]}))
     replace_in(recording / "recording.toml", r"\[\[view\]\]\n", '[[view]]\nkeypoints = "pose"\n')
-    fails(hypose("track", recording, "--evidence", "both"), "000000.json")
+    fails(hypose("track", recording, "--evidence", "both"), "pose is not a file or folder of key points of OpenPose")
 
 
 @pytest.mark.parametrize(

@@ -34,13 +34,6 @@ def test_ezc3d_reads_to_a_micrometre(tmp_path, points):
     assert got[0, 0] == 5 and (got[3] == 0).all() and got[5, 1] == -1
 
 
-def test_round_trip(tmp_path, points):
-    write_c3d(tmp_path / "a.c3d", ["a", "b", "c"], points, 50)
-    back = read_c3d(tmp_path / "a.c3d")
-    assert back.names == ("a", "b", "c") and back.frame_rate == 50 and back.units == "mm"
-    np.testing.assert_allclose(back.points, points, atol=1e-6)
-
-
 def test_several_subjects_and_events(tmp_path, points):
     names, subjects = ["Anna:a", "Anna:b", "Ben:a"], ["Anna", "Ben"]
     write_c3d(tmp_path / "a.c3d", names, points, 50, events=[(0.1, "Left", "Foot Strike")], subjects=subjects)
@@ -129,11 +122,3 @@ def test_integer_files_of_all_byte_orders(tmp_path, order):
     k = np.arange(3)
     np.testing.assert_allclose(m.points[:, 0], np.stack([k, 10 * k, -k], 1) * 1e-4, atol=1e-9)
     assert np.isnan(m.points[2, 1]).all() and np.isfinite(m.points[:2, 1]).all()
-
-
-def test_truncated_files_are_refused(tmp_path, points):
-    write_c3d(tmp_path / "a.c3d", ["a", "b", "c"], np.tile(points, (20, 1, 1)), 50)
-    data = (tmp_path / "a.c3d").read_bytes()
-    (tmp_path / "b.c3d").write_bytes(data[:-3000])
-    with pytest.raises(InputError, match=r"b\.c3d is truncated: its header promises 240 frames"):
-        read_c3d(tmp_path / "b.c3d")

@@ -235,7 +235,7 @@ BAD_TOML = [
         ("a.xcp", "<a/>", "is not a calibration of Vicon"),
         ("a.doc", "{}", "is not a calibration"),
         ("a.json", "{", r"is not JSON \(.*\); give the path of a calibration"),
-        ("a.json", "{}", r"holds no cameras"),
+        ("a.json", "{}", r"is not a calibration of CMU Panoptic, XRMoCap"),
         ("a.json", '{"a": {"K": 5}}', r"camera a: K must be numbers of shape 3 x 3"),
         ("a.json", '{"a": {"K": [[1,0,1],[0,1,1],[0,0,1]], "t": [0,0,1]}}', r"camera a: rotation is missing"),
         ("a.json", '{"a": {"P": [[1,0,0,0],[1,0,0,0],[0,0,1,1]]}}', r"P is no projection matrix"),
@@ -258,24 +258,6 @@ def test_bad_files_are_refused_in_a_sentence(tmp_path, name, text, message):
     with pytest.raises(CalibrationError, match=message) as caught:
         read_any(tmp_path / name)
     assert "\n" not in str(caught.value)
-
-
-def test_bad_files(tmp_path):
-    def refuses(name, message):
-        with pytest.raises(CalibrationError, match=message):
-            read_any(tmp_path / name)[0]
-
-    refuses("none.toml", r"none\.toml does not exist; check the path, .* or run hypose calibrate")
-    refuses(".", r"is not a calibration of EasyMocap")
-    (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00\x81" * 100)
-    refuses("binary.toml", r"is not a text file \(UTF-8\), as a calibration is")
-    with (tmp_path / "huge.toml").open("wb") as stream:
-        stream.truncate(50_000_000)
-    refuses("huge.toml", r"has 48 MiB, at most 5 MiB are read")
-    (tmp_path / "c.doc").write_text("x")
-    refuses("c.doc", r"is not a calibration \(\.toml, .*\.qca\.txt, .*\)")
-    (tmp_path / "empty.toml").write_text("")
-    refuses("empty.toml", r"holds no cameras")
 
 
 QCA = """<calibration><cameras><camera model="{model}" serial="{serial}" viewrotation="0">
@@ -303,22 +285,6 @@ def test_qualisys_units_and_axes(tmp_path):
     assert np.allclose(camera.camera_from_world[:3, :3], np.diag([1, -1, -1]) @ world_from_qtm.T)
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"fv": "abc"}, r"camera 7, <intrinsic>: focalLengthV must be numbers of shape 1, got \['abc'\]"),
-        ({"fv": "nan"}, r"camera 7, <intrinsic>: focalLengthV must be .* got \['nan'\]"),
-        ({"fv": "-5"}, r"camera 7: focal lengths must be positive"),
-        ({"r32": "0"}, r"camera 7: rotation is not a rotation matrix"),
-        ({"z": ""}, r"camera 7, <transform>: z must be numbers of shape 1"),
-        ({"serial": "7<"}, r"it is not valid XML .*; export it again"),
-    ],
-)
-def test_bad_qualisys(tmp_path, changes, message):
-    with pytest.raises(CalibrationError, match=message):
-        read_any(qca(tmp_path, **changes))[0]
-
-
 # ---- test calibration formats --------------------------------------------------------------------------------------
 # Calibrations of other programs: written and read back, read as those programs write them, and bad files refused.
 
@@ -331,20 +297,6 @@ def random_rig(rng):
         pose = se3(so3_exp(rng.normal(0, 1, 3)), rng.normal(0, 2, 3))
         cameras.append(Camera(f"cam{i + 1}", k, lens, pose, (1280, 720)))
     return CameraRig(tuple(cameras))
-
-
-@pytest.mark.parametrize(
-    "name",
-    ["a.toml", "camera_array.toml", "anipose.toml", "b/intri.yml", "c/cam.pickle"],
-)
-def test_written_and_read_back(tmp_path, rng, name):
-    rig = random_rig(rng)
-    written = write_any(rig, tmp_path / name)
-    assert all(p.is_file() for p in written)
-    source = tmp_path / "c" if name.endswith("pickle") else written[0]
-    back, _ = read_any(source)
-    assert back.names == rig.names
-    assert_same_cameras(back, rig)
 
 
 def test_easymocap_as_opencv_writes_it(tmp_path, rng):
@@ -464,14 +416,6 @@ def test_bad_pickles_name_the_file(tmp_path):
     path.write_bytes(pickle.dumps({"intrinsicMat": np.eye(2), "imageSize": np.ones(2)}))
     with pytest.raises(CalibrationError, match="intrinsicMat must be numbers of shape 3 x 3"):
         read_any(path)
-
-
-def test_incomplete_easymocap(tmp_path, rng):
-    write_any(random_rig(rng), tmp_path / "intri.yml")
-    text = (tmp_path / "extri.yml").read_text()
-    (tmp_path / "extri.yml").write_text(text.replace("T_cam2", "Q_cam2"))
-    with pytest.raises(CalibrationError, match="camera cam2: translation is missing"):
-        read_any(tmp_path)
 
 
 def test_what_a_format_cannot_hold_is_not_written(tmp_path, rng):
@@ -741,6 +685,9 @@ def test_an_unknown_unit_is_refused_and_other_keys_are_named(tmp_path):
         read_any(written(tmp_path, {"units": "inches", "cameras": {c.name: table(c) for c in RIG}}))
     _, notes = read_any(written(tmp_path, {c.name: table(c, skewness=0.1) for c in RIG}))
     assert len(notes) == 1 and "skewness" in notes[0]
+    cameras = {c.name: table(c, dist=[0.1, 0, 0, 0]) for c in RIG}
+    found, notes = read_any(written(tmp_path, {"fisheye": True, "world_scale": 2.0, "cameras": cameras}))
+    assert all(c.fisheye for c in found) and len(notes) == 1 and "world_scale" in notes[0]
 
 
 def test_samples_of_other_programs(shared_data):

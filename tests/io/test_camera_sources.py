@@ -302,3 +302,13 @@ def test_files_that_are_not_there_say_what_a_camera_can_be(tmp_path):
     for number in ("²", "99999999999999999999"):
         with pytest.raises(InputError, match=f"There is no file {number}"):
             open_camera(number, 30.0, SIZE)
+
+
+def test_a_film_begins_again_and_all_cameras_with_it(folder, clock):
+    source = open_camera(str(folder), 10.0, SIZE, 50.5, 1.0)
+    shots = [source.read() for _ in range(25)]
+    assert [round(grey(s) / 20) for s in shots] == [n % 10 for n in range(25)]
+    assert [s.stamp for s in shots] == pytest.approx([50.5 + n / 10 for n in range(25)])
+    clock.now += 3.35  # what is missed is missed in later rounds, too
+    shot = source.read()
+    assert shot.stamp == pytest.approx(50.5 + 5.7) and round(grey(shot) / 20) == 7

@@ -41,7 +41,8 @@ def test_foreign_files_are_refused_in_one_sentence(good):
         whole = file.read_bytes()
         for data in FOREIGN:
             file.write_bytes(data)
-            if (target.name, data) != ("keypoints-ultralytics", b""):  # nobody is seen in that frame
+            # nobody is seen in that frame; one of several files that is no calibration is another file
+            if (target.name, data) != ("keypoints-ultralytics", b"") and target.name != "calibration-opencv-folder":
                 with pytest.raises(HyposeError, match=r"^[^\n]+\.$"):
                     target.read(good / (target.given or target.file))
                     pytest.fail(f"{target.name} takes {data!r}")
@@ -73,7 +74,7 @@ def test_what_was_found_stays_mended(good, path):
 
 
 def test_spoilt_inputs_follow_from_their_numbers(good):
-    target = targets()["trc"]
+    target = targets()["motion-trc"]
     data = (good / target.file).read_bytes()
     assert input_of(target, data, 1, 5) == input_of(target, data, 1, 5)
     assert len({input_of(target, data, 1, n) for n in range(20)}) > 15

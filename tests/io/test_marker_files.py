@@ -63,41 +63,6 @@ def test_pose2sim_file_has_fewer_rows_than_it_says(shared_data):
     assert m.points.shape == (99, 22, 3)
 
 
-def _lines(tmp_path):
-    write_trc(tmp_path / "good.trc", NAMES, np.ones((3, 2, 3)), 30)
-    return (tmp_path / "good.trc").read_text().split("\n")
-
-
-@pytest.mark.parametrize(
-    ("line", "text", "message"),
-    [
-        (0, "something else", "does not start with PathFileType"),
-        (2, "30\t30\t3\tmany\tm\t30\t1\t3", "NumMarkers in lines 2 and 3 holds something"),
-        (2, "30\t30\t3\t900000000\tm\t30\t1\t3", "NumMarkers 9e\\+08"),
-        (2, "nan\t30\t3\t2\tm\t30\t1\t3", "DataRate nan"),
-        (2, "30\t30\t3\t2\tfurlong\t30\t1\t3", "unit 'furlong'"),
-        (2, "30\t30\t3\t3\tm\t30\t1\t3", "NumMarkers 3 are not possible with the 2 markers"),
-        (7, "2\t0.03\t1\t2\t3\t4\t5\t6\t7", "line 8 has 7 cells"),
-        (7, "2\t0.03\t1\t2\t3\t4\t5", "line 8 has 5 cells"),
-        (7, "2\t0.03\t1\t2\tx\t4\t5\t6", "line 8 holds something that is not"),
-        (7, "2\t0.03\t1\t2\tinf\t4\t5\t6", "line 8 holds an infinite number"),
-    ],
-)
-def test_malformed_files_are_refused_in_one_sentence(tmp_path, line, text, message):
-    lines = _lines(tmp_path)
-    lines[line] = text
-    (tmp_path / "bad.trc").write_text("\n".join(lines))
-    with pytest.raises(InputError, match=message) as error:
-        read_trc(tmp_path / "bad.trc")
-    assert "bad.trc" in str(error.value) and "\n" not in str(error.value)
-
-
-def test_header_without_frames_is_refused(tmp_path):
-    (tmp_path / "x.trc").write_text("\n".join(_lines(tmp_path)[:6]) + "\n")
-    with pytest.raises(InputError, match="no frames"):
-        read_trc(tmp_path / "x.trc")
-
-
 @pytest.mark.parametrize(
     ("names", "points", "rate", "message"),
     [

@@ -168,7 +168,7 @@ def test_a_model_in_smpl_format_is_read_with_joints_and_weights(tmp_path):
 
 def test_models_that_would_run_code_or_do_not_fit_are_refused(tmp_path):
     path = smpl_like(tmp_path / "model.npz", J_regressor=np.array([{"sparse": 1}], dtype=object))
-    with pytest.raises(InputError, match="an array holds Python objects"):
+    with pytest.raises(InputError, match="J_regressor holds object, which is not allowed"):
         read_person(path)
     with pytest.raises(InputError, match="do not belong to one model"):
         read_person(smpl_like(tmp_path / "short.npz", weights=np.zeros((10, 24))))
@@ -176,11 +176,11 @@ def test_models_that_would_run_code_or_do_not_fit_are_refused(tmp_path):
     with pytest.raises(InputError, match="is a pickle, which may run any program"):
         read_person(tmp_path / "model.pkl")
     np.savez(tmp_path / "other.npz", a=np.zeros(3))
-    with pytest.raises(InputError, match=r"needs v_template, f, weights, J_regressor and kintree_table"):
+    with pytest.raises(InputError, match=r"v_template.* is missing"):
         read_person(tmp_path / "other.npz")
     with zipfile.ZipFile(tmp_path / "broken.npz", "w") as archive:
         archive.writestr("v_template.npy", io.BytesIO(b"nothing").getvalue())
-    with pytest.raises(InputError, match="damaged"):
+    with pytest.raises(InputError, match="is not an SMPL-format model"):
         read_person(tmp_path / "broken.npz")
 
 
@@ -194,7 +194,7 @@ def test_models_that_would_run_code_or_do_not_fit_are_refused(tmp_path):
         ("a.glb", b"glTF\x02\x00\x00\x00\xff\xff\xff\x7f", "cannot be read"),
         ("a.gltf", b"{}", "names other files"),
         ("a.fbx", b"x", "export the scan in one of these formats"),
-        ("a.npz", b"x", "is not an .npz archive"),
+        ("a.npz", b"x", "is not an SMPL-format model .File is not a zip"),
     ],
 )
 def test_damaged_and_foreign_files_are_named(tmp_path, name, data, message):

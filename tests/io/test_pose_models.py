@@ -74,7 +74,7 @@ def test_nothing_is_fetched_without_being_asked(command, said, tmp_path, monkeyp
     folder = make_recording(tmp_path / "rec")
     monkeypatch.setenv(pose_models.MODELS_VARIABLE, str(tmp_path / "models"))
     monkeypatch.setattr(subprocess, "run", lambda *a, **more: pytest.fail("something was run"))
-    monkeypatch.setattr(pose_models, "runtime", lambda why: None)
+    monkeypatch.setattr("hypose.app.jobs.person_job.runtime", lambda why: None)
     with pytest.raises(SystemExit) as caught:
         run_cli([command, str(folder)])
     reported = capsys.readouterr().err

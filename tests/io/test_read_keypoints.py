@@ -204,39 +204,6 @@ def test_halpe_for_coco_is_refused(tmp_path):
         load_recording(folder)
 
 
-@pytest.mark.parametrize(
-    ("name", "text", "message"),
-    [
-        ("a.json", "{", r"a\.json is not JSON \(.*\); give the path of"),
-        ("a.json", "[]", r"shows? nobody|nobody"),
-        ("a.json", '{"people": []}', r"holds the people of one frame; name the folder"),
-        ("a.json", '{"x": 1}', r"is not a file or folder of key points of MMPose, COCO, AlphaPose"),
-        ("a.json", '[{"frame_id": -1, "instances": []}]', r"frame_id is '-1', a whole number is needed"),
-        ("a.json", '[{"frame_id": 0, "instances": [{}]}]', r"entry 0 has no 'keypoints'"),
-        ("a.json", '[{"frame_id": 0, "instances": [{"keypoints": [[1]]}]}]', r"points x 2 is needed"),
-        ("a.json", '[{"frame_id": 0, "instances": [{"keypoints": [["a", 1]]}]}]', r"frame 0 holds .*not convert"),
-        ("a.json", '[{"image_id": "x.jpg", "keypoints": [1, 2, 3]}]', r"image_id 'x\.jpg' has no frame number"),
-        ("a.json", '[{"image_id": 1, "keypoints": [1, 2]}]', r"entry 0 holds something .*reshape"),
-        ("a.json", '[{"image_id": 1, "keypoints": [1e999, 2, 1]}]', r"infinite|finite"),
-        ("a.csv", "frame,x,y\n1,2,3\n", r"not a file or folder of key points of DeepLabCut, Lightning Pose, Caliscope"),
-        ("a.csv", "scorer,m\n0,1\n", r"has no 'bodyparts'"),
-        ("a.csv", "scorer,m\nbodyparts,nose\ncoords,x\n0,1\n", r"nose lacks x, y or likelihood"),
-        ("a.csv", "sync_index,port\n1,2\n", r"has no 'keypoint_id'"),
-        ("a.csv", "sync_index,port,point_id,img_loc_x,img_loc_y\n1,2,q,1,1\n", r"row 2 holds something"),
-        ("a.csv", "track,frame_idx,nose.x\n", r"has no 'nose.y'"),
-        ("a.npy", "hello", r"is no array of numpy"),
-        ("a.txt", "hello", r"is not a file or folder of key points .*a folder, \.json"),
-    ],
-)  # fmt: skip
-def test_damaged_files(tmp_path, name, text, message):
-    (tmp_path / name).write_text(text)
-    with pytest.raises(InputError, match=message) as caught:
-        tables = read_keypoints(tmp_path / name)
-        if not any(len(t.people) for t in tables.values()):
-            raise InputError("nobody.")
-    assert "\n" not in str(caught.value) and str(caught.value).endswith(".")
-
-
 def test_hostile_arrays(tmp_path):
     """A header that promises more than the file holds costs nothing, and pickles are not opened."""
     header = {"descr": "<f8", "fortran_order": False, "shape": (4, 10**6, 33, 2)}
@@ -246,7 +213,7 @@ def test_hostile_arrays(tmp_path):
     np.save(tmp_path / "b.npy", np.array([{"a": 1}], dtype=object), allow_pickle=True)
     np.save(tmp_path / "c.npy", np.zeros((3, 4)))
     for name in "abc":
-        with pytest.raises(InputError, match=r"is no array of numpy|has the shape"):
+        with pytest.raises(InputError, match=r"the array|has the shape"):
             read_keypoints(tmp_path / f"{name}.npy")
 
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import hypose
 from hypose.app.jobs.explain import explain_joint
 from hypose.io.motions.results import ResultsFolder, load_motion, save_body
 from hypose.pipeline import passes
@@ -110,3 +111,24 @@ def test_a_trace_is_kept_with_its_motion(frames, subject, tmp_path):
     motion = track_source(FrameList(frames), 25.0, TrackOptions(start="keypoints"), subject=subject).motion
     trace = list_changes("smooth", ("hip",), np.full((3, 1), 0.1), "why")
     assert trace_of(with_trace(motion, trace)) == trace
+
+
+def test_a_result_is_saved_loaded_and_read_as_a_table(frames, subject, tmp_path):
+    result = track_source(FrameList(frames), 25.0, TrackOptions(start="keypoints"), subject=subject)
+    result.save(tmp_path / "out")
+    again = hypose.load_result(tmp_path / "out")
+    assert again.motion.joints.tobytes() == result.motion.joints.tobytes()
+    assert again.assessment == result.assessment
+    names, radians = hypose.joint_angles(again.motion.skeleton, again.motion.poses)
+    np.testing.assert_allclose(again.angles["knee_angle_r"], np.degrees(radians[:, names.index("knee_angle_r")]))
+    (tmp_path / "out" / "assessment.json").write_text("{}")
+    with pytest.raises(hypose.InputError, match="is not an assessment of hypose"):
+        hypose.load_result(tmp_path / "out")
+
+
+def test_a_result_becomes_a_data_frame(frames, subject):
+    pytest.importorskip("pandas")
+    result = track_source(FrameList(frames), 25.0, TrackOptions(start="keypoints"), subject=subject)
+    table = result.to_dataframe()
+    assert len(table) == len(frames) and table["left_wrist_z"].iloc[3] == result.motion.joints[3, 8, 2]
+    assert {"time", "knee_angle_l", "left_wrist_sd", "left_wrist_p", "lost"} <= set(table.columns)

@@ -142,7 +142,7 @@ def test_an_error_in_the_middle_keeps_what_was_tracked(frames, subject, tmp_path
 def test_no_frames_and_unknown_choices_are_refused(subject):
     with pytest.raises(InputError, match="no frame"):
         track_source(Frames([]), 25.0, TrackOptions(), subject=subject)
-    with pytest.raises(InputError, match="silhouettes, keypoints or both"):
+    with pytest.raises(InputError, match="silhouettes, keypoints, both"):
         TrackOptions(evidence="sonar")
     with pytest.raises(InputError, match="hands-up"):
         SubjectOptions(start="somehow")

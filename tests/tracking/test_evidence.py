@@ -1,7 +1,5 @@
 """Every kind of evidence, found by discovery: a new one needs an entry below, or these tests fail."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -37,8 +35,7 @@ def prepared():
     model = keypoint_model(BODY, tuple(S.joint_names))
     uv = np.stack([camera.project_pinhole(model.positions(BODY, TRUTH)) for camera in RIG])
     points = Keypoints(np.concatenate([uv, np.ones((*uv.shape[:2], 1))], -1), model.names, RIG)
-    limbs = LimbMaps(limbs_of(BODY, TRUTH, RIG), RIG)
-    frame = replace(frame_of(BODY, TRUTH, RIG), keypoints=points, more=(limbs,))
+    frame = frame_of(BODY, TRUTH, RIG, keypoints=points, more=(LimbMaps(limbs_of(BODY, TRUTH, RIG), RIG),))
     return prepare(frame, BODY, TRUTH, use_keypoints=True, own=[Tags()])
 
 

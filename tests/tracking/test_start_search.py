@@ -12,8 +12,12 @@ from hypose.evidence.frame import Frame, Silhouettes
 from hypose.geometry import so3_exp, so3_log
 from hypose.synthetic.scenes import camera_rig
 from hypose.tracking.frame_evidence import prepare
-from hypose.tracking.start_search import posture_names, postures, starts_in_frame, weigh_starts
+from hypose.tracking.start_search import _ONE_ARM, _TOGETHER, postures, starts_in_frame, weigh_starts
 from hypose.tracking.starts import turn_pose
+
+POSTURES = [f"{legs}, arms {arms}" for legs, all_ in _TOGETHER for arms in all_] + [
+    f"{legs}, {side} arm {arm}" for legs in ("standing", "sitting") for arm in _ONE_ARM for side in ("left", "right")
+]
 
 
 def masks_of(body, pose, cameras, also=()):
@@ -36,7 +40,7 @@ def cameras():
 
 
 def sitting(body, name="sitting, arms on thighs", heading=2.0):
-    pose = turn_pose(postures(body)[posture_names().index(name)], heading)
+    pose = turn_pose(postures(body)[POSTURES.index(name)], heading)
     pose[2] -= body.skin(pose)[:, 2].min()
     return pose
 

@@ -30,8 +30,8 @@ await walk(
         if (await page.getByRole("button", { name: "Start", exact: true }).isVisible()) await page.getByRole("button", { name: "Start", exact: true }).click();
         await page.locator(".gesture-tools").waitFor();
       }],
-      ["live", "#/live", () => page.getByRole("button").first().waitFor()],
-      ["live-cameras", "#/live/cameras", () => page.getByRole("button", { name: "Start", exact: true }).waitFor()],
+      ["live", "#/live/sensors", () => page.getByRole("button").first().waitFor()],
+      ["live-cameras", "#/live", () => page.getByRole("button", { name: "Start", exact: true }).waitFor()],
     ];
     const only = process.env.ONLY?.split(",");
     const faults = {};

@@ -33,6 +33,7 @@ await walk(
     const stop = page.getByRole("button", { name: "Stop", exact: true });
     await page.getByText("Not running").waitFor();
     await picture("live-empty");
+    await page.getByText("Ports, and where poses are sent").click();
     for (const name of ["UDP port", "WebSocket port"]) await page.getByLabel(name).fill("0");
 
     // a first try without any sensor, recorded and sent on
@@ -97,5 +98,5 @@ await walk(
       socket.close();
     }
   },
-  { at: "#/live", colorScheme: "dark" },
+  { at: "#/live/sensors", colorScheme: "dark" },
 );

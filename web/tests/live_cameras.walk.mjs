@@ -22,7 +22,7 @@ await walk(
     assert.equal(await page.getByLabel("Where cam2 is").getAttribute("placeholder"), "its video, played");
 
     await page.getByRole("button", { name: "Start", exact: true }).click();
-    await page.getByText("The recording's videos are played").or(page.getByText("Somebody is there")).first().waitFor();
+    await page.getByText("The recording's videos are played").or(page.getByText("A person is there")).first().waitFor();
     await page.waitForFunction(() => globalThis.__app.phase === "following" && globalThis.__app.poses > 0);
     await page.waitForFunction(() => globalThis.__app.pictures > 2);
     assert.equal(await page.locator(".live-pictures img").count(), 4);
@@ -45,5 +45,5 @@ await walk(
     await page.getByRole("button", { name: "Stop", exact: true }).click();
     await page.getByText("Not running").waitFor();
   },
-  { at: "#/live", colorScheme: "dark" },
+  { at: "#/live/sensors", colorScheme: "dark" },
 );

@@ -1,1 +1,1 @@
-"""The commands as they are typed: options in, one sentence or a job out."""
+"""Commands of the command line: they read options, and run jobs or print a sentence."""

@@ -1,5 +1,6 @@
-"""`hypose calibrate`: cameras from boards, from measured points, from a person who walks about, or from a file of
-another program."""
+"""`hypose calibrate`: calibrate cameras from boards, measured points or a person who walks about, or convert a file of
+another program.
+"""
 
 from __future__ import annotations
 
@@ -21,14 +22,14 @@ from hypose.calibration.from_points import PointCalibration, calibrate_from_poin
 from hypose.calibration.views import count_corners, find_sources
 from hypose.cameras.camera import CameraRig
 from hypose.errors import CalibrationError, InputError
-from hypose.io.calibrations.calibration_formats import check_format, read_any, write_any
+from hypose.io.calibrations.calibration_formats import read_any, write_any, writer_of
 from hypose.io.files import check_writable
 
 
 def calibrate(c: CalibrateCommand) -> None:
-    """Do what `hypose calibrate` is asked for."""
+    """Calibrate cameras, or convert a calibration, and write the file (`hypose calibrate`)."""
     target = c.out or Path("calibration.toml")
-    check_format(target)
+    writer_of(target)
     given = [bool(c.sources), c.points is not None, c.convert is not None]
     if sum(given) != 1 or (c.from_person and len(c.sources) != 1):
         raise InputError(
@@ -51,7 +52,10 @@ def calibrate(c: CalibrateCommand) -> None:
 
 
 def _board_of(c: CalibrateCommand) -> Board:
-    """The board of the command line's options; an InputError says which is missing or malformed."""
+    """Make the board from the options.
+
+    Raises: InputError names the option that is missing or malformed.
+    """
     text = c.chessboard or c.charuco
     if text is None and c.square is not None:
         columns, rows = count_corners(find_sources(c.sources))
@@ -75,7 +79,10 @@ def _board_of(c: CalibrateCommand) -> Board:
 
 
 def parse_length(text: str, option: str) -> float:
-    """Metres of a length with its unit."""
+    """Parse a length with its unit, and return metres.
+
+    Raises: InputError where it is no length.
+    """
     found = re.fullmatch(r"\s*([0-9]*\.?[0-9]+)\s*(mm|cm|m|in)\s*", text)
     if found is None:
         raise InputError(f"{option} {text!r} is not understood; write a number with its unit: 115mm, 4.5cm, 0.1m, 1in.")
@@ -83,7 +90,10 @@ def parse_length(text: str, option: str) -> float:
 
 
 def _lenses(path: Path) -> CameraRig:
-    """The lenses of a calibration file; a CalibrationError when it does not say for which size of pictures they are."""
+    """Load the lenses of a calibration file.
+
+    Raises: CalibrationError where the file does not contain the size of the pictures.
+    """
     rig, notes = read_any(path)
     guess = next((n for n in notes if "does not say how large" in n), None)
     if guess is not None:

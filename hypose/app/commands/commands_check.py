@@ -1,4 +1,4 @@
-"""`hypose check` and `hypose sync`: is a recording's calibration right, how late is each camera, and what cures it."""
+"""`hypose check` and `hypose sync`: check a recording's calibration, find how late each camera is, and correct both."""
 
 from __future__ import annotations
 
@@ -49,7 +49,10 @@ from hypose.pipeline.recording_diagnostics import (
 
 
 def check(c: CheckCommand) -> None:
-    """Do what `hypose check` is asked for."""
+    """Check a recording and its calibration, and print what was found (`hypose check`).
+
+    Raises: Exit with code 1 where faults were found, or a refinement is no better.
+    """
     if c.to is not None and c.to.exists():
         raise InputError(f"{c.to} exists, and calibrations are never overwritten; give another name with --to.")
     if c.out is not None:
@@ -136,7 +139,7 @@ def _refine(loaded: Recording, cured: Cured | None, c: CheckCommand) -> None:
     say(f"Use it: hypose track {loaded.folder} --calibration {target}")
     if cured is not None:
         for text in _settings(loaded, cured):
-            say(f"In recording.toml besides: {text}")
+            say(f"Also set in recording.toml: {text}")
 
 
 def _tell(result: Refinement) -> bool:
@@ -173,7 +176,7 @@ def _settings(recording: Recording, cured: Cured) -> list[str]:
 
 
 def _free_name(path: Path) -> Path:
-    """The path, or with a number behind it the first that is not taken: calibrations are never overwritten."""
+    """Return the path, or the first free numbered one, since calibrations are never overwritten."""
     number, free = 2, path
     while free.exists():
         free = path.with_name(f"{path.stem}_{number}{path.suffix}")
@@ -182,7 +185,7 @@ def _free_name(path: Path) -> Path:
 
 
 def sync(c: SyncCommand) -> None:
-    """Do what `hypose sync` is asked for."""
+    """Find how late each camera is, or write the evidence on one clock (`hypose sync`)."""
     if c.out is not None and c.out.exists() and not _unfinished(c.out):
         raise InputError(f"{c.out} is not empty; give a new folder with --out.")
     loaded = load_recording(c.recording)
@@ -213,8 +216,13 @@ def sync(c: SyncCommand) -> None:
 def keep_offsets(
     recording: Recording, by: str, late: list[float], words: list[str], folder: Path | None = None
 ) -> None:
-    """results/sync.json, for the studio, in the recording's folder or another; where it cannot be written, the printed
-    text has to do."""
+    """Write results/sync.json for the studio; where it cannot be written, only the printed text remains.
+
+    by: how the offsets were found.
+    late: frames by which each view is late.
+    words: uncertainty of each, as a text.
+    folder: instead of the recording's folder.
+    """
     views = [{"name": v.name, "late": x, "how": w} for v, x, w in zip(recording.views, late, words, strict=True)]
     with contextlib.suppress(OSError, InputError):
         write_text(
@@ -223,7 +231,7 @@ def keep_offsets(
 
 
 def _unfinished(folder: Path) -> bool:
-    """True for an empty folder, and for one that this command has begun and not finished."""
+    """Return whether a folder is empty, or was begun and not finished by this command."""
     return folder.is_dir() and all(
         p.name in ("masks", "depth", "keypoints", "videos", "results") or p.name[0] == "." for p in folder.iterdir()
     )
@@ -248,7 +256,7 @@ def _given(text: str, recording: Recording) -> list[float]:
 
 
 _LARGEST_S = (0.5, 2.0, 10.0)
-"""Offsets that are looked for one after the other, seconds, where the user names none."""
+"""Largest offsets that are tried one after the other where the user gives none, s."""
 
 
 def _by_motion(
@@ -268,9 +276,9 @@ def _by_motion(
 def _by_motion_within(
     recording: Recording, largest: float, frames: int, progress: ProgressCall
 ) -> tuple[list[float], list[str], bool]:
-    """Estimate how late each view is, within `largest` frames.
+    """Find how late each view is, within `largest` frames, from motion.
 
-    Returns: frames, a few words on each, and whether all are known and well within the range.
+    Returns: frames, a text on each, and whether all are clearly inside the range.
     """
     seen = observe_recording(recording, max(frames, math.ceil(4 * largest)), progress)
     points = None if seen.keypoints is None else undistorted(seen.rig, seen.keypoints)
@@ -318,7 +326,9 @@ def _by_light(recording: Recording, progress: ProgressCall) -> tuple[list[float]
 
 
 def _write(recording: Recording, late: list[float], folder: Path, progress: ProgressCall) -> Path:
-    """Masks (PNG, undistorted), depth maps and key points (OpenPose JSON) on the common clock, and a recording.toml."""
+    """Write masks (PNG, undistorted), depth maps, key points (OpenPose JSON) and videos on a common clock, with a
+    recording.toml; return its path.
+    """
     stream, _ = frames_to_examine(recording, progress)
     with stream:
         source = Resampled(stream, late)
@@ -356,7 +366,7 @@ def _write(recording: Recording, late: list[float], folder: Path, progress: Prog
 
 
 def _video_in_step(view: ViewSettings, recording: Recording, late: float, folder: Path) -> Path:
-    """Pictures of a view on the common clock, of the nearest frame, to look at; returns where they are."""
+    """Write the pictures of a view on the common clock, each from the nearest frame; return the path."""
     assert view.source is not None
     path, frames = folder / f"{file_name(view.name)}.mp4", recording.frames
     folder.mkdir(parents=True, exist_ok=True)
@@ -374,8 +384,9 @@ def _video_in_step(view: ViewSettings, recording: Recording, late: float, folder
 
 
 def _depth_in_step(depth: Path, frames: range, late: float, folder: Path) -> Path:
-    """The maps of a folder on the common clock, those of the nearest frame, empty where there is none; returns where
-    they are."""
+    """Copy the maps of a folder to the common clock, each from the nearest frame, empty where there is none; return the
+    folder.
+    """
     files, (width, height) = list_images(depth), frame_size(depth)
     for i in range(len(frames)):
         nearest = round(i + late)
@@ -387,8 +398,9 @@ def _depth_in_step(depth: Path, frames: range, late: float, folder: Path) -> Pat
 
 
 def _people(found: RecordedPerson | None) -> list[Array]:
-    """(C, T, K, 3) px of the calibrated pictures: of the person whom the recording is about, then of the others whom
-    several views show; empty where there are no key points."""
+    """Collect the key points (C, T, K, 3) px of the calibrated pictures: first of the main person, then of others seen
+    by several views; empty without key points.
+    """
     if found is None:
         return []
     out = [found.raw]

@@ -1,4 +1,6 @@
-"""`hypose synth`, `silhouettes`, `keypoints` and `depth-import`: recordings, and the evidence in them."""
+"""`hypose init`, `synth`, `silhouettes`, `keypoints` and `depth-import`: make recordings, and detect
+evidence in them.
+"""
 
 from __future__ import annotations
 
@@ -115,7 +117,7 @@ def silhouettes(
 
 
 def synth(c: SynthCommand) -> None:
-    """Do what `hypose synth` is asked for."""
+    """Write a synthetic recording (`hypose synth`)."""
     from hypose.io.files import claimed
     from hypose.synthetic import write_recording
     from hypose.synthetic.depth_scenes import DepthScene
@@ -154,7 +156,7 @@ def synth(c: SynthCommand) -> None:
 
 
 def _subject_name(text: str) -> str:
-    """A subject's name from its name or number."""
+    """Return a subject's name from its name or number."""
     if not text.isdigit():
         return text
     from hypose.synthetic.subjects import load_subjects
@@ -182,7 +184,9 @@ def depth_import(
     ] = 1.0,
     seed: Seed = 0,
 ) -> None:
-    """Make a recording of depth cameras to track: maps, lenses, floor; several are brought together by the person."""
+    """Make a recording of depth cameras to track: maps, lenses, floor; several cameras are registered by the person's
+    motion.
+    """
     from hypose.io.files import claimed
     from hypose.pipeline.import_depth import import_depth
 

@@ -1,4 +1,4 @@
-"""`hypose gesture`: record, train, run, export and evaluate detectors of still gestures in depth."""
+"""`hypose gesture`: record, train, run and evaluate detectors of still gestures in depth pictures."""
 
 from __future__ import annotations
 
@@ -122,7 +122,7 @@ def gesture_run(
     frames: _Frames = 0,
     seed: Seed = 0,
 ) -> None:
-    """Watch for gestures without a screen: events as JSON lines on stdout, and wherever the options say."""
+    """Watch for gestures without a screen: events as JSON lines on stdout, and to the outputs that the options name."""
     from hypose.app.jobs.gesture_job import (
         CommandOut,
         OscOut,
@@ -162,7 +162,7 @@ def gesture_evaluate(
     model: Annotated[Path, Option("Model file.", argument=True)],
     recording: Annotated[Path, Option("Recorded session that was not learned.", argument=True)],
 ) -> None:
-    """Judge a model on a recorded session: average precision, and what its threshold lets through."""
+    """Evaluate a model on a recorded session: average precision, and hits and false alarms at its threshold."""
     import json
 
     from hypose.app.jobs import gesture_job

@@ -1,4 +1,4 @@
-"""`hypose live`: cameras in, poses out, while it happens."""
+"""`hypose live`: track people live from cameras; `hypose view`: open the studio."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ if TYPE_CHECKING:
 
 _OUT = "Out"
 _SINCE = re.compile(r" for \d+ s$")
-"""what grows while nothing changes"""
+"""Part of a sentence that counts seconds, which is ignored when sentences are compared."""
 _REPORT_S = 10.0
 
 
 def live(c: LiveCommand) -> None:
-    """Do what `hypose live` is asked for."""
+    """Track people live until Ctrl-C, the end of the videos or the given time (`hypose live`)."""
     ended = threading.Event()
     with ended_by_signals(ended):  # an interrupt between two imports can be lost
         from hypose.app.jobs.job import compile_before
@@ -53,7 +53,7 @@ def live(c: LiveCommand) -> None:
     views = tuple(replace(v, background=None) for v in cameras.views) if network else cameras.views
     eyes = CaptureOptions(cameras.rate, c.countdown, cameras.silhouettes, network=network)
     names = tuple(v.name for v in cameras.views)
-    with Stages() as progress:  # the first time it takes a while, and Ctrl-C still ends it
+    with Stages() as progress:  # the first time it takes a while, and Ctrl-C ends it
         compile_before(progress)
     recorder = None
     with contextlib.ExitStack() as closing:
@@ -79,18 +79,20 @@ def live(c: LiveCommand) -> None:
             ended.wait(0.1)
         status, interrupted = engine.status(), ended.is_set()
         engine.stop()
-        if recorder is not None:  # a second stop request still keeps all that was recorded
+        if recorder is not None:  # a second stop request does not lose the recording
             kept = recorder.close()
             without = f", without {recorder.left_out} instants" if recorder.left_out else ""
             nothing = "Nothing was recorded: there were no pictures of two cameras."
             say(f"Recorded: {c.record}{without}" if kept else nothing)
-    if engine.failed is not None and not interrupted:  # what stops this may stop its processes first
+    if (
+        engine.failed is not None and not interrupted
+    ):  # an interrupt may stop the other processes first, which is no failure
         raise engine.failed
     say(f"{status.poses} poses. {_summary(status)}")
 
 
 def _finds_people(wanted: bool | None, roomless: bool) -> bool:
-    """Whether the detector finds people, asked for or for want of the empty room."""
+    """Return whether the detector finds people: where it is requested, or where the empty room is not known."""
     from hypose.io.keypoints.detectors import open_network
 
     if wanted is False or not (wanted or roomless):
@@ -119,17 +121,17 @@ def _sources(given: Sequence[str]) -> dict[str, str]:
 
 
 class _StatusReporter:
-    """What changes is said at once, how it goes now and then; and when a recording ends before its time."""
+    """Listener that prints changes at once, a summary now and then, and the failure of a recording."""
 
     def __init__(self, recorder: LiveRecorder | None) -> None:
         self._phase, self._words, self._at = "", (), -math.inf
         self._recorder = recorder
 
     def seen(self, seen: LiveResult) -> None:
-        """See `Listener`."""
+        """Ignore the poses."""
 
     def status(self, status: LiveStatus) -> None:
-        """See `Listener`."""
+        """Print what has changed."""
         if status.phase != self._phase:
             print_note(f"{status.phase.capitalize()}.")
         failed = () if self._recorder is None or not self._recorder.failed else (self._recorder.failed,)
@@ -151,7 +153,7 @@ def _summary(status: LiveStatus) -> str:
 
 
 # ---- commands studio -----------------------------------------------------------------------------------------------
-# `hypose view`: the studio, a page on this computer for results, clicked joints, gestures and new recordings.
+# `hypose view`: open the studio, a page on this computer for results, clicked joints, gestures and new recordings.
 
 
 _NETWORK = "Network"
@@ -190,7 +192,7 @@ def view(
 
 
 def _place(what: Path) -> tuple[Path, str]:
-    """The folder to serve, and the screen that shows `what` in it."""
+    """Return the folder to serve, and the page that shows `what` in it."""
     from hypose.app.studio.catalog import Catalog, is_recording, recording_above
 
     folder = (what if what.is_dir() else what.parent).resolve()
@@ -200,7 +202,7 @@ def _place(what: Path) -> tuple[Path, str]:
     if is_recording(folder):
         catalog = Catalog(folder)
         results = catalog.items("result")
-        if results:  # the last one of several, which are listed behind it
+        if results:  # the newest one of several
             return folder, f"view/{results[0].id}"
         return folder, f"setup/{catalog.id_of('recording', folder)}"
     return folder, ""

@@ -1,4 +1,4 @@
-"""`hypose export`, `report`, `gait`, `compare`, `play` and `cite`: commands that use results."""
+"""`hypose export`, `report`, `explain`, `gait`, `compare`, `play` and `cite`: use results."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def report(
     out: Annotated[Path | None, Option("File to write. [default: report.html in the results folder]")] = None,
     threads: Threads = None,
 ) -> None:
-    """Write the report of a result again: one file that opens from disk and loads nothing."""
+    """Write the report of a result again: one file that needs no other files."""
     from hypose.app.reports.report import write_report
     from hypose.app.studio.view_bundle import find_recording, load_view
     from hypose.io.files import check_writable
@@ -64,7 +64,7 @@ def report(
     recording = None
     if results.exists():
         check_writable(target.parent)
-        with contextlib.suppress(HyposeError):  # the report then says why it has no pictures
+        with contextlib.suppress(HyposeError):  # the report says why it has no pictures
             recording = find_recording(folder)
     shown = load_view(results, recording)
     with Stages() as progress:
@@ -80,7 +80,7 @@ def explain(
     joint: Annotated[str, Option("Name of the joint, for example left_wrist.")],
     frame: Annotated[int, Option("Number of the frame in the recording.", 0, MOST_FRAMES)],
 ) -> None:
-    """Say where a joint of a frame comes from: its evidence, the passes that moved it, where else it may be."""
+    """Explain where a joint of a frame comes from: its evidence, the passes that moved it, where else it may be."""
     from hypose.app.jobs.explain import explain_joint
 
     for line in explain_joint(results, joint, frame):
@@ -113,8 +113,9 @@ def gait(
 
 
 def _write_gait(folder: Path, motion: Motion, gait: Gait) -> list[Path]:
-    """Write events.csv, steps.csv, gait.csv and gait.c3d (joint centres with the events), and where there is a whole
-    stride cycles.csv and cycles.svg (joint angles over the cycle); returns their paths."""
+    """Write events.csv, steps.csv, gait.csv and gait.c3d (joint centres with the events), and with a whole stride
+    cycles.csv and cycles.svg (joint angles over the cycle); return their paths.
+    """
     import numpy as np
 
     from hypose.app.reports.charts import cycle_chart
@@ -168,7 +169,10 @@ def _table(path: Path, header: str, rows: Sequence[Sequence[object]]) -> None:
 
 
 def compare(c: CompareCommand) -> None:
-    """Do what `hypose compare` is asked for."""
+    """Compare results with other motions, write table and page, and check limits (`hypose compare`).
+
+    Raises: Exit with code 1 where a limit is exceeded.
+    """
     from hypose.app.jobs import compare_job
     from hypose.io.files import check_writable
 
@@ -239,10 +243,13 @@ def play_motion(
     wait: Callable[[float], None] = time.sleep,
     clock: Callable[[], float] = time.monotonic,
 ) -> None:
-    """Send a motion with poses at its own pace times `speed`, over and over with `loop`.
+    """Send a motion with poses to an avatar at its own pace times `speed`, repeated with `loop`.
 
-    Frames whose time has passed already are left out; lost frames hold the last pose and say so. wait and clock are
-    those of tests. An InputError when no frame has a pose."""
+    Late frames are skipped; lost frames repeat the last pose and are marked.
+    send: sends the messages of a frame.
+    wait, clock: replaced in tests.
+    Raises: InputError where no frame has a pose.
+    """
     import numpy as np
 
     from hypose.app.live.vmc import vmc_messages
@@ -278,7 +285,9 @@ def cite(
 
 
 def tell_untrusted(results: Path) -> None:
-    """One line when the result (a folder, or its motion.npz) is not to be trusted; what cannot be read says nothing."""
+    """Print a line where the result (a folder, or its motion.npz) is not to be trusted; nothing where its assessment is
+    missing or unreadable.
+    """
     from hypose.app.jobs.job import ASSESSMENT_FILE
     from hypose.errors import InputError
     from hypose.io.files import read_json

@@ -1,4 +1,4 @@
-"""`hypose track`, `demo`, `correct`, `batch` and `warm-up`: recordings that are tracked."""
+"""`hypose demo`, `correct`, `batch` and `warm-up`: track recordings in special ways."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def correct(
     formats: Formats = "trc,c3d,bvh,glb,csv,mot",
     threads: Threads = None,
 ) -> None:
-    """Track a result again from a frame whose pose was corrected; the frames before stay as they are."""
+    """Track a result again from a frame whose pose was corrected; other frames stay unchanged."""
     from hypose.app.jobs.correct import corrected_motion, read_correction
     from hypose.app.jobs.job import split_names
     from hypose.app.reports.summary import require_found
@@ -75,8 +75,9 @@ def correct(
 
 
 def warm_up_command(threads: Threads = None) -> None:
-    """Compile what tracking, fusing and live need, so that the first run of each begins at once; once per machine, and
-    again after an update. Ends with a third of a second of a made-up person tracked, report and all."""
+    """Compile what tracking, fusion and live tracking need, so that their first run begins at once; once per computer,
+    and again after an update. At the end a third of a second of a synthetic person is tracked as a test.
+    """
     from hypose.app.jobs.job import job_of, run_job
     from hypose.compute.compiled import VARIABLE, cache_folder
     from hypose.compute.warming import TRACKING_KERNELS, kept, warm_up
@@ -113,7 +114,7 @@ def batch(
     threads: Annotated[int | None, Option("Threads of each worker. [default: the cores shared]", 1, 256)] = None,
     scheduler: Annotated[str | None, Option("Address of a running Dask scheduler, tcp://HOST:8786, instead.")] = None,
     out: Annotated[
-        Path | None, Option("Results folder. [default: TABLE-results beside the table, else batch-results]")
+        Path | None, Option("Results folder. [default: TABLE-results next to the table, else batch-results]")
     ] = None,
     formats: Formats = "trc,csv",
     overlay: Annotated[bool, Option("Write overlay.mp4 as well.")] = False,

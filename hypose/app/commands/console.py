@@ -1,6 +1,6 @@
-"""What the command line shows: stages with frames/s and time left, tables, sentences.
+"""Print results, notes and progress on the command line: stages with frames/s and time left, tables, sentences.
 
-Results go to stdout, progress and errors to stderr, so that `hypose ... > file` keeps what matters.
+Results go to stdout, progress and errors to stderr, so that `hypose ... > file` keeps the results only.
 """
 
 from __future__ import annotations
@@ -52,26 +52,30 @@ TITLES = {
     "plan": "Look at the recordings",
     "read": "Read the recordings",
 }
-"""What a stage is called in front of the user."""
+"""Title of each stage for the user."""
 COUNTED_IN_FRAMES = frozenset({"track", "overlay", "masks", "render", "detect", "each sensor alone"})
 _PLAIN_SECONDS = 10.0  # without a terminal a line at most this often
 _JSON_SECONDS = 0.2
 JSON_PROGRESS = "HYPOSE_JSON_PROGRESS"
-"""With this environment variable set, progress is lines of JSON on stderr: for the program that started this one."""
+"""With this environment variable set, progress is printed as lines of JSON on stderr, for a program that started this
+one.
+"""
 
 
 def out() -> Console:
-    """The console for results; a new one each time, so that a redirected stdout is used."""
+    """Return the console for results; a new one each time, so that a redirected stdout is used."""
     return _console(sys.stdout)
 
 
 def err() -> Console:
-    """The console for progress and errors."""
+    """Return the console for progress and errors."""
     return _console(sys.stderr)
 
 
 def _console(file: TextIO) -> Console:
-    """A console that alone steers the terminal: names in what it prints cannot."""
+    """Make a console that shows control characters in texts as visible escapes, so that names cannot control the
+    terminal.
+    """
     from rich.console import Console
     from rich.segment import Segment
 
@@ -85,7 +89,7 @@ def _console(file: TextIO) -> Console:
 
 
 def say(text: str = "", style: str | None = None) -> None:
-    """One line of result."""
+    """Print one line of results."""
     out().print(text, style=style, markup=False)
 
 
@@ -101,7 +105,7 @@ def print_notes(notes: Iterable[str]) -> None:
 
 
 def error(text: str) -> None:
-    """Print the sentence that ends a failed command; without colours where memory does not suffice for them."""
+    """Print the sentence that ends a failed command; without colours where memory is exhausted."""
     try:
         from rich.text import Text
 
@@ -111,7 +115,7 @@ def error(text: str) -> None:
 
 
 def _bars(console: Console) -> Progress:
-    """One bar per stage; stages that count frames show frames per second."""
+    """Make progress bars, one per stage; stages that count frames show frames per second."""
     from rich import progress
     from rich.text import Text
 
@@ -133,7 +137,7 @@ def _bars(console: Console) -> Progress:
 
 
 def titled_table(title: str, columns: Iterable[str]) -> Table:
-    """A table without rows."""
+    """Make a table with a title and columns, without rows."""
     from rich.table import Table
 
     table = Table(title=title, title_justify="left")
@@ -143,7 +147,7 @@ def titled_table(title: str, columns: Iterable[str]) -> Table:
 
 
 def print_table(table: object) -> None:
-    """Print a table, at full width where no terminal sets one."""
+    """Print a table; at full width where the output is no terminal."""
     console = out()
     if not console.is_terminal:
         console.width = 160
@@ -153,9 +157,9 @@ def print_table(table: object) -> None:
 class Stages:
     """Progress of the stages of one command; call it with (stage, done, total).
 
-    In a terminal one bar per stage with frames/s and time left; elsewhere (a log, a pipe) a plain line at the start and
-    end of each stage and every 10 s; with JSON_PROGRESS set a line of JSON five times a second. seconds: how long each
-    stage took.
+    In a terminal: one bar per stage with frames/s and time left. Elsewhere (a log, a pipe): a line at the start and end
+    of each stage and every 10 s. With JSON_PROGRESS set: a line of JSON five times a second.
+    seconds: time per stage, s.
     """
 
     def __init__(self, quiet: bool = False) -> None:
@@ -182,7 +186,7 @@ class Stages:
             self._bars.stop()
 
     def __call__(self, stage: str, done: int, total: int) -> None:
-        """Say that `done` of `total` steps of a stage are done."""
+        """Report that `done` of `total` steps of a stage are done."""
         now = time.monotonic()
         began = self._began.setdefault(stage, now)
         self.seconds[stage] = now - began
@@ -216,11 +220,11 @@ class Stages:
 
 _Item = TypeVar("_Item")
 ProgressCall = Callable[[str, int, int], None]
-"""progress(stage, done, total)."""
+"""Function progress(stage, done, total)."""
 
 
 def each(progress: ProgressCall, stage: str, items: Sequence[_Item]) -> Iterator[_Item]:
-    """Yield the items of a stage, one step each."""
+    """Yield the items of a stage, and report each as one step."""
     for done, item in enumerate(items):
         progress(stage, done, len(items))
         yield item
@@ -228,15 +232,15 @@ def each(progress: ProgressCall, stage: str, items: Sequence[_Item]) -> Iterator
 
 
 def ignore(stage: str, done: int, total: int) -> None:
-    """A progress that shows nothing."""
+    """Ignore the progress."""
 
 
 @contextlib.contextmanager
 def ended_by_signals(ended: threading.Event) -> Iterator[None]:
-    """Meanwhile Ctrl-C, SIGTERM and a terminal that is closed set the event, and cut nothing off."""
+    """Set the event at Ctrl-C, SIGTERM and a closed terminal instead of interrupting, inside the context."""
     hung_up = getattr(signal, "SIGHUP", None)
     numbers = [signal.SIGINT, signal.SIGTERM]
-    if hung_up is not None and signal.getsignal(hung_up) != signal.SIG_IGN:  # nohup: it is to go on
+    if hung_up is not None and signal.getsignal(hung_up) != signal.SIG_IGN:  # under nohup it continues
         numbers.append(hung_up)
     before = {n: signal.signal(n, lambda number, frame: ended.set()) for n in numbers}
     try:
@@ -248,9 +252,10 @@ def ended_by_signals(ended: threading.Event) -> Iterator[None]:
 
 @contextlib.contextmanager
 def stopping(text: str | Callable[[], str] = "") -> Iterator[None]:
-    """Within the block Ctrl-C, and SIGTERM likewise, end the command in order, with exit code 130.
+    """End the command with exit code 130 at Ctrl-C and SIGTERM, inside the context.
 
-    text: the sentence printed then."""
+    text: sentence that is printed then, or a function that makes it.
+    """
 
     def interrupt(number: int, frame: FrameType | None) -> None:
         raise KeyboardInterrupt

@@ -1,1 +1,1 @@
-"""What a command does once its options are known, from files to files."""
+"""Work of commands after their options are known: from files to files."""

@@ -1,4 +1,4 @@
-"""A look at a recording before it is tracked: a table of the cameras, a contact sheet, and whether the views agree."""
+"""Check a recording before it is tracked: a table of the cameras, a contact sheet, and whether the views agree."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ _LARGE, _SMALL = 0.5, 0.001  # share of the picture that a mask of one person co
 
 @dataclass(frozen=True)
 class Findings:
-    """facts and warnings, each a sentence."""
+    """Result of a check: facts and warnings, each a sentence."""
 
     facts: tuple[str, ...]
     warnings: tuple[str, ...]
 
 
 def camera_table(recording: Recording) -> Table:
-    """One row per camera: files, sizes, frame rate, frames, background, key points, place."""
+    """Build a table with one row per camera: files, sizes, frame rate, frames, background, key points, position."""
     title = f"{recording.name}: {len(recording.views)} views, {recording.n_frames} frames, "
     title += f"{recording.frame_rate:g} frames/s"
     columns = ("view", "camera", "images", "size", "calibrated", "fps", "frames", "masks", "background", "key points")
@@ -83,8 +83,10 @@ def _stream_facts(view: ViewSettings) -> tuple[str, str, str]:
 
 
 def check_recording(recording: Recording, sheet: Path, samples: int, progress: ProgressCall = ignore) -> Findings:
-    """Masks and visual hulls of `samples` frames spread over the recording; writes the contact sheet. An EvidenceError
-    when no person is in any of them."""
+    """Check masks and visual hulls of `samples` frames spread over the recording, and write the contact sheet.
+
+    Raises: EvidenceError where no frame shows a person.
+    """
     facts: list[str] = []
     warnings: list[str] = []
     source, several = frames_to_examine(recording, progress)
@@ -130,14 +132,19 @@ def examine_recording(
     found: Findings,
     progress: ProgressCall = ignore,
 ) -> tuple[PersonReport | None, Cured | None]:
-    """The doctor on `frames` consecutive frames; writes the page. None when there is nothing to examine."""
+    """Check the calibration on `frames` consecutive frames, and write the HTML page.
+
+    page, sheet: files of the page and of the contact sheet.
+    found: result of `check_recording`, for the page.
+    Returns: report, and the recording with measured faults corrected; None where there is nothing to check.
+    """
     if len(recording.views) < 2 and not recording.depth_views:
         return None, None
     observed = observe_recording(recording, frames, progress)
     progress("doctor", 0, 1)
     try:
         report, cured = examine(observed)
-    except EvidenceError:  # no evidence at all: what can be said has been said
+    except EvidenceError:  # without any evidence there is nothing more to report
         return None, None
     finally:
         progress("doctor", 1, 1)
@@ -147,7 +154,7 @@ def examine_recording(
 
 
 def write_findings(path: Path, found: Findings, report: PersonReport | None) -> None:
-    """What was found as JSON, for the studio: facts, warnings, findings, figures per view, the page's name."""
+    """Write the findings as JSON for the studio: facts, warnings, findings, figures per view, name of the page."""
     value = {
         "healthy": not found.warnings and (report is None or report.healthy),
         "facts": found.facts,
@@ -184,7 +191,9 @@ def _mask_warnings(silhouettes: Silhouettes, number: int) -> list[str]:
 def _hull_facts(
     silhouettes: Silhouettes, number: int, facts: list[str], warnings: list[str], several: bool
 ) -> tuple[float, np.ndarray] | None:
-    """Height (m) of the visual hull and its IoU with each view's mask (C,)."""
+    """Compute the height (m) of the visual hull and its IoU with each view's mask (C,); add sentences. None without a
+    hull.
+    """
     try:
         hull = visual_hull(silhouettes, largest=not several)
     except EvidenceError as error:
@@ -221,7 +230,7 @@ def _hull_warnings(recording: Recording, heights: np.ndarray, ious: np.ndarray) 
 
 
 def _points_seen(source: FrameStream) -> bool:
-    """Whether any key point was found in any frame."""
+    """Return whether any key point was found in any frame."""
     return source.keypoints is not None and any(bool((k.points[..., 2] > 0).any()) for k in source.keypoints)
 
 
@@ -235,7 +244,7 @@ def _keypoint_facts(source: FrameStream) -> list[str]:
 
 
 def write_sheet(recording: Recording, source: FrameStream, path: Path, count: int) -> None:
-    """A picture of `count` frames, one below the other, each with all views and the masks' edges."""
+    """Write a picture of `count` frames, one below the other, each with all views and the outlines of the masks."""
     rows = np.unique(np.linspace(0, len(source) - 1, min(count, len(source))).astype(int)).tolist()
     numbers = recording.frames
     images = open_images(recording)
@@ -261,7 +270,7 @@ def _stack(pictures: Sequence[Image]) -> Image:
 
 
 def check_picture(path: Path, option: str) -> None:
-    """An InputError when `path`, given with an option, cannot be the name of a picture; before any work."""
+    """Raise InputError where `path`, given with an option, cannot be the file name of a picture."""
     if path.is_dir():
         raise InputError(f"{option} {path} is a folder; name the picture to write, for example {path / 'check.png'}.")
     if path.suffix.lower() not in (".png", ".jpg", ".jpeg"):
@@ -269,6 +278,6 @@ def check_picture(path: Path, option: str) -> None:
 
 
 def write_image(path: Path, image: Image) -> None:
-    """Write a PNG or JPEG (`check_picture`) whole or not at all."""
+    """Write a PNG or JPEG file completely or not at all; see `check_picture`."""
     data = cv2.imencode(path.suffix, image)[1].tobytes()
     write_bytes(path, data)

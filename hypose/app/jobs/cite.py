@@ -1,4 +1,4 @@
-"""The papers behind a method, to be cited with its results; also as BibTeX."""
+"""List the papers behind a method, to be cited with its results; also as BibTeX."""
 
 from __future__ import annotations
 
@@ -13,7 +13,12 @@ from hypose.io.files import read_json
 
 @dataclass(frozen=True)
 class Paper:
-    """A work to cite. kind: of BibTeX; where: journal, conference or school with volume and pages, by BibTeX field."""
+    """Work to cite.
+
+    key, kind: of the BibTeX entry.
+    authors: joined by " and ".
+    where: journal, conference or school with volume and pages, by BibTeX field.
+    """
 
     key: str
     kind: str
@@ -24,14 +29,14 @@ class Paper:
 
     @property
     def text(self) -> str:
-        """One line as in a list of references."""
+        """The work as one line of a list of references."""
         names = self.authors.split(" and ")
         listed = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
         return f"{listed} ({self.year}). {self.title}. {', '.join(v for _, v in self.where)}."
 
     @property
     def bibtex(self) -> str:
-        """An entry of a .bib file."""
+        """The work as an entry of a .bib file."""
         fields = [("author", self.authors), ("title", f"{{{self.title}}}"), ("year", str(self.year)), *self.where]
         return f"@{self.kind}{{{self.key},\n" + "".join(f"  {k} = {{{v}}},\n" for k, v in fields) + "}"
 
@@ -116,13 +121,13 @@ PAPERS: dict[str, tuple[Paper, ...]] = {
     "fusion-published-window": (_SWARM,),
     "gesture": (_THESIS, FORESTS),
 }
-"""Works behind each method; hypose itself comes on top."""
+"""Works behind each method; hypose itself is added to them."""
 
 
 def papers_of(name: str) -> tuple[Paper, ...]:
-    """Works to cite for a method by its name, or for a results folder by its provenance; hypose first.
+    """List the works to cite for a method by its name, or for a results folder by its provenance; hypose first.
 
-    An InputError lists the methods.
+    Raises: InputError lists the methods.
     """
     path, method = Path(name), name
     if name not in PAPERS and (path.is_dir() or path.suffix == ".json"):
@@ -142,5 +147,5 @@ def papers_of(name: str) -> tuple[Paper, ...]:
 
 
 def formatted_papers(papers: Sequence[Paper], bibtex: bool) -> str:
-    """The works as text for people, or as BibTeX."""
+    """Format works as text, or as BibTeX."""
     return "\n\n".join(p.bibtex for p in papers) if bibtex else "\n".join(p.text for p in papers)

@@ -1,4 +1,4 @@
-"""`hypose compare`: results against other motions, as one table and one page, with limits for a lab's own checks."""
+"""Compare results with other motions for `hypose compare`: a table, a page, and limits for a lab's own checks."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _AXES = ("x", "y", "z")
 
 @dataclass(frozen=True)
 class Compared:
-    """A pair of files and how they agree."""
+    """Result, other motion, and their comparison."""
 
     result: Path
     other: Path
@@ -38,16 +38,19 @@ def compare_files(
     joints: Mapping[str, Sequence[str]],
     subject: str | None = None,
 ) -> list[Compared]:
-    """All pairs of a result and another motion; joints, subject: as in `read_other`."""
+    """Compare all pairs of a result and another motion; joints, subject: as for `read_other`."""
     return [Compared(a, b, compare_motions(load_result(a), read_other(b, joints, subject), options)) for a, b in pairs]
 
 
 def exceeded(
     compared: Sequence[Compared], mm: float | None, degrees: float | None, coverage: float | None
 ) -> list[str]:
-    """A sentence for every limit that a comparison exceeds; None = no limit. mm: RMSE of all joints without offsets;
-    degrees: the largest RMSE of an angle without its offset; coverage: least share inside our 90 % regions, mean over
-    the joints."""
+    """List a sentence for every limit that a comparison exceeds; None = no limit.
+
+    mm: largest RMSE of all joints without offsets.
+    degrees: largest RMSE of an angle without its offset.
+    coverage: least share inside our 90 % regions, mean over the joints.
+    """
     out = []
     for c in compared:
         rmse = c.found.left_mm[2]
@@ -66,14 +69,17 @@ def exceeded(
 
 
 def mean_coverage(found: Comparison) -> float:
-    """Mean over the joints of the share inside our 90 % regions; NaN where we state none."""
+    """Compute the mean over the joints of the share inside our 90 % regions; NaN where we have none."""
     shares = [a.covered[SETTINGS.compare_levels.index(0.9)] for a in found.joints]
     known = [s for s in shares if np.isfinite(s)]
     return float(np.mean(known)) if known else float("nan")
 
 
 def parse_joints(texts: Sequence[str]) -> dict[str, tuple[str, ...]]:
-    """joint=MARKER+MARKER options -> markers by joint; InputError for anything else."""
+    """Parse options joint=MARKER+MARKER to markers by joint.
+
+    Raises: InputError for another form.
+    """
     from hypose.body.default_body import JOINT_NAMES
 
     out = {}
@@ -90,7 +96,7 @@ def parse_joints(texts: Sequence[str]) -> dict[str, tuple[str, ...]]:
 
 
 def write_csv(path: Path, compared: Sequence[Compared]) -> None:
-    """One row per joint and angle of every pair."""
+    """Write a table with one row per joint and angle of every pair."""
     header = ["result", "other", "name", "unit", "frames", "median", "p95", "rmse", "offset", "median_left", "p95_left"]
     header += ["rmse_left", *(f"{k}_{a}" for k in ("bias", "low", "high", "r") for a in _AXES)]
     header += [f"covered_{100 * level:g}" for level in SETTINGS.compare_levels]
@@ -108,7 +114,10 @@ def write_csv(path: Path, compared: Sequence[Compared]) -> None:
 
 
 def write_comparison_page(path: Path, compared: Sequence[Compared], failed: Sequence[str]) -> None:
-    """One file that opens from disk and loads nothing."""
+    """Write an HTML page that needs no other files.
+
+    failed: sentences on exceeded limits.
+    """
     e = html.escape
     parts = [
         "<h1>Comparison</h1>",

@@ -1,8 +1,8 @@
-"""A tracked motion corrected from one frame on: the clicked pose there is where tracking starts again.
+"""Correct a tracked motion: tracking starts again from a clicked pose in one frame.
 
-The result that is corrected stays as it is. The new one has what the tracker makes of the frames behind the correction
-(and of those before it, backwards, as far as the correction says), with the same body, recipe and evidence, started
-from the corrected pose; all other frames are those of the old one.
+The old result stays unchanged. In the new one, the frames after the correction (and before it, backwards, as far as the
+correction says) are tracked from the corrected pose with the same body, recipe and evidence; all other frames are those
+of the old result.
 """
 
 from __future__ import annotations
@@ -36,14 +36,20 @@ from hypose.pipeline.trace import later, list_changes, trace_of, with_trace
 from hypose.pipeline.track_options import TrackOptions, frames_wanted
 
 _READ_AT_ONCE = 64
-"""Frames that are kept in memory when they are tracked backwards."""
+"""Frames that are kept in memory for tracking backwards."""
 _FROM_HERE = "the start is the corrected pose"
 
 
 @dataclass(frozen=True)
 class Correction:
-    """A pose (D,) of a frame of the recording, and the name it goes by. since: the first frame to track again, going
-    back from there, None = frame; until: the one after the last, None = the recording's end."""
+    """Corrected pose of one frame.
+
+    frame: number in the recording.
+    pose: (D,).
+    name: of the saved clicks.
+    since: first frame to track again, backwards from `frame`; None: `frame`.
+    until: frame after the last to track again; None: the end of the recording.
+    """
 
     frame: int
     pose: Array
@@ -53,7 +59,10 @@ class Correction:
 
 
 def read_correction(path: Path) -> Correction:
-    """Read the clicks of a frame with their pose, as the studio saves them (starts/NAME.json)."""
+    """Load the clicks of a frame with their pose, as the studio saves them (starts/NAME.json).
+
+    Raises: InputError where the file holds no usable pose.
+    """
     usable, pose, frames = False, np.zeros(0), list[Any]([None])
     with contextlib.suppress(ValueError, TypeError, KeyError):
         value = read_json(path, "saved clicks")
@@ -81,9 +90,14 @@ def corrected_motion(
     formats: tuple[str, ...] = (),
     progress: ProgressCall = ignore,
 ) -> Motion:
-    """Track a result again from the corrected frame to `until` (the recording's frame after the last; default: what the
-    correction says, else to its end) and back to where the correction says, and write the whole as a result of its
-    own."""
+    """Track a result again from a corrected frame, and write the whole motion as a new result.
+
+    old: folder of the old result.
+    out: folder of the new result.
+    until: frame of the recording after the last to track again; None: as the correction says, else to the end.
+    formats: motion files to write.
+    Raises: InputError where the correction does not fit the result.
+    """
     motion, body = load_motion(old.motion), load_body(old.file("body.npz"))
     options, first = _options(motion, old)
     start, row, stop = _rows(motion, correction, first, correction.until if until is None else until)
@@ -96,7 +110,7 @@ def corrected_motion(
     compile_before(progress)
     record: dict[str, Any] = {"frame": correction.frame, "until": first + stop}
     record |= {"clicks": correction.name, "of": old.path.name}
-    # who has corrected the frame has also said where left and right are
+    # the corrected pose also defines left and right
     sure, joined = replace(options, sure_start=True), motion
 
     def tracked(frames: range, turned: bool) -> Motion:
@@ -126,8 +140,9 @@ def corrected_motion(
 
 
 class Backwards:
-    """The frames of a stream from the last to the first, as if time ran on. The stream is read forwards, some at a
-    time, since videos are slow to read in any other order."""
+    """Frames of a stream in reverse order, with increasing times. The stream is read forwards in blocks, since videos
+    are slow to read in another order.
+    """
 
     def __init__(self, stream: FrameStream) -> None:
         self._stream = stream
@@ -137,7 +152,7 @@ class Backwards:
         return len(self._stream)
 
     def frame(self, index: int, /) -> Frame:
-        """Frame `index` of these; its number and time go on from those of the first."""
+        """Return frame `index` in reverse order; its number and time continue from the first of these."""
         number = len(self._stream) - 1 - index
         if number not in self._kept:
             first = number - number % _READ_AT_ONCE
@@ -147,7 +162,7 @@ class Backwards:
 
 
 def _time_reversed(motion: Motion) -> Motion:
-    """A motion with its frames in the opposite order, at the same times."""
+    """Reverse the frames of a motion, but not its times."""
     n = len(motion)
     trace = [replace(c, frames=range(n - c.frames.stop, n - c.frames.start)) for c in trace_of(motion)]
     turned = replace(motion, **per_frame(motion, np.arange(n)[::-1]) | {"times": motion.times})
@@ -159,11 +174,11 @@ _UNKNOWN = {
     **{"low_confidence": False, "low_confidence_joints": False, "error_probability": np.nan, "angle_sd": np.nan},
     **{"systematic_covariance": 0.0, "rivals": np.nan, "rival_weights": 0},
 }
-"""What a motion has of each frame, and what stands there where a part does not tell."""
+"""Arrays of a motion with one row per frame, and their values where a part of the motion has none."""
 
 
 def join(old: Motion, new: Motion, row: int, record: Mapping[str, Any] | None) -> Motion:
-    """The motion `old` with the rows from `row` on replaced by those of `new`, and `record` among its corrections."""
+    """Replace the rows of `old` from `row` on by those of `new`, and add `record` to its corrections."""
     series, stop = {}, row + len(new)
     if old.low_confidence is None and new.low_confidence is not None:
         old = replace(old, low_confidence=np.zeros(len(old), dtype=bool))
@@ -173,7 +188,7 @@ def join(old: Motion, new: Motion, row: int, record: Mapping[str, Any] | None) -
             series[name] = before.copy()
             reported = after is not None and after.shape == before[row:stop].shape
             series[name][row:stop] = after if reported else unknown
-    if row:  # one branch of the root's rotation, so that nothing between the two parts turns around
+    if row:  # one branch of the root's rotation, so that interpolation between the two parts does not turn around
         poses = series["poses"]
         for t in range(row, stop):
             poses[t] = old.skeleton.on_branch(poses[t], poses[t - 1])
@@ -187,7 +202,10 @@ def join(old: Motion, new: Motion, row: int, record: Mapping[str, Any] | None) -
 
 
 def _options(motion: Motion, old: ResultsFolder) -> tuple[TrackOptions, int]:
-    """How the result was tracked, and its first frame."""
+    """Read how the result was tracked, and its first frame.
+
+    Raises: InputError where it cannot be tracked again.
+    """
     settings = motion.provenance.get("settings", {})
     known = {f.name for f in fields(TrackOptions)} - {"start", "subject", "height"}
     frames = settings.get("frames")
@@ -201,7 +219,10 @@ def _options(motion: Motion, old: ResultsFolder) -> tuple[TrackOptions, int]:
 
 
 def _rows(motion: Motion, correction: Correction, first: int, until: int | None) -> tuple[int, int, int]:
-    """The rows to track again: the first, the corrected one, and the one after the last."""
+    """Compute the rows to track again: the first, the corrected one, and the one after the last.
+
+    Raises: InputError where they are outside the result.
+    """
     last = first + len(motion)
     stop = last if until is None else until
     since = correction.frame if correction.since is None else correction.since
@@ -214,7 +235,7 @@ def _rows(motion: Motion, correction: Correction, first: int, until: int | None)
 
 
 def _subject(source: FrameSource, part: Recording, options: TrackOptions, body: Body, pose: Array) -> TrackedSubject:
-    """The body as it is, at the corrected pose; where key points sit on it when they are evidence."""
+    """Make the subject: the known body at the corrected pose, with the places of key points where they are evidence."""
     if options.looks_at == "silhouettes":
         return TrackedSubject(body, None, pose, (GIVEN, _FROM_HERE))
     wanted = SubjectOptions("keypoints", None, False, body, part.frame_rate, options.seed, known=True)

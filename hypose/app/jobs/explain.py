@@ -22,11 +22,11 @@ from hypose.tracking.keypoint_evidence import keypoint_model
 def explain_joint(results: Path, joint: str, frame: int) -> list[str]:
     """Explain the position of one joint in one frame.
 
-    results: folder of a result, or its motion.npz
-    joint: name of the joint
-    frame: number in the recording
+    results: folder of a result, or its motion.npz.
+    joint: name of the joint.
+    frame: number in the recording.
     Returns: lines of text.
-    Raises: InputError when the result has no such joint or frame.
+    Raises: InputError where the result has no such joint or frame.
     """
     motion, body = load_result_body(results)
     names, first = motion.skeleton.joint_names, first_frame(motion)
@@ -45,7 +45,7 @@ def explain_joint(results: Path, joint: str, frame: int) -> list[str]:
 
 
 def _position(motion: Motion, row: int, j: int, what: str) -> list[str]:
-    """Say where the joint is and how sure that is."""
+    """Return sentences on where the joint is, and how certain that is."""
     x, y, z = motion.joints[row, j]
     said = f"{what}: at ({x:.3f}, {y:.3f}, {z:.3f}) m"
     if np.isfinite(sd := motion.joint_sd[row, j]):
@@ -60,7 +60,7 @@ def _position(motion: Motion, row: int, j: int, what: str) -> list[str]:
 
 
 def _evidence(motion: Motion, body: Body, folder: Path, row: int, frame: int, joint: str) -> list[str]:
-    """Say what the frame's evidence was, and how far the joint's key point is in each view."""
+    """Return sentences on the evidence of the frame, and how far the joint is from its key point in each view."""
     settings = motion.provenance.get("settings", {})
     kind = settings.get("evidence", "unknown") if isinstance(settings, Mapping) else "unknown"
     said = f"Evidence: {kind}, {motion.n_views[row]} views"
@@ -84,7 +84,7 @@ def _evidence(motion: Motion, body: Body, folder: Path, row: int, frame: int, jo
 
 
 def _moved(motion: Motion, row: int, first: int, joint: str) -> list[str]:
-    """Say which passes moved the joint."""
+    """Return sentences on which passes moved the joint."""
     if "trace" not in motion.provenance:
         return ["Which passes moved it was not recorded; track again."]
     found = [c for c in trace_of(motion) if c.joint == joint and row in c.frames]
@@ -101,7 +101,7 @@ def _moved(motion: Motion, row: int, first: int, joint: str) -> list[str]:
 
 
 def _rivals(motion: Motion, row: int, j: int) -> list[str]:
-    """Say where else the joint may be."""
+    """Return sentences on where else the joint may be."""
     if motion.rivals is None or motion.rival_weights is None:
         return []
     shares = motion.rival_weights[row]

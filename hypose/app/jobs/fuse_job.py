@@ -1,4 +1,4 @@
-"""Fusing recorded skeletons: from the files of several sensors to one motion per person and its files."""
+"""Fuse recorded skeletons of several sensors to one motion per person, and write its files."""
 
 from __future__ import annotations
 
@@ -49,13 +49,18 @@ from hypose.pipeline.assessment import Assessment
 from hypose.pipeline.sensor_skeletons import assess_fused
 
 POINT_FORMATS = ("trc", "c3d", "csv")
-"""Formats that need no poses."""
+"""Formats of motion files that need no poses."""
 _FOOT_HEIGHT_M = 0.08  # of the ankle, which stands for the foot, above the floor
 
 
 @dataclass(frozen=True)
 class PersonResult:
-    """One person: motion (world, z up), the written files; assessment: whether it is to be trusted."""
+    """Result of one person.
+
+    motion: in a world with z up.
+    files: files that were written.
+    assessment: of the motion.
+    """
 
     motion: Motion
     files: tuple[Path, ...]
@@ -64,7 +69,12 @@ class PersonResult:
 
 @dataclass(frozen=True)
 class FuseOutcome:
-    """people in the order of appearance; notes for the user; complete False after Ctrl-C."""
+    """Result of a fusion.
+
+    people: in the order of appearance.
+    notes: for the user.
+    complete: False after Ctrl-C.
+    """
 
     people: tuple[PersonResult, ...]
     notes: tuple[str, ...]
@@ -72,7 +82,7 @@ class FuseOutcome:
 
 
 def fuse(c: FuseCommand) -> None:
-    """Do what `hypose fuse` is asked for."""
+    """Fuse skeletons of sensors: live, with cameras, or from a recording (`hypose fuse`)."""
     if c.live:
         if c.recording is not None:
             raise InputError("--live takes no recording; leave one of the two out.")
@@ -133,8 +143,11 @@ def _closing(outcome: FuseOutcome, name: str, sensors: int, folder: Path) -> Non
 def run_fuse(
     recording: SkeletonRecording, results: ResultsFolder, c: FuseCommand, progress: ProgressCall = ignore
 ) -> FuseOutcome:
-    """Synchronise, match persons, register, fuse, write. Each person's motion is on disk before the next is
-    begun, and stays after Ctrl-C."""
+    """Synchronise, match persons, register, fuse and write. Each person's motion is written before the next one is
+    fused, and is kept after Ctrl-C.
+
+    Raises: InputError names the input that cannot be used.
+    """
     formats = split_names(c.formats)
     posed = [name for name in formats if name not in POINT_FORMATS]
     if posed:
@@ -176,7 +189,7 @@ def run_fuse(
 
             watch(0)
             made = fuse_clip(clip, c.method, settings, registration, watch=watch)
-            # instants at which no sensor saw the person have no time of their own
+            # instants at which no sensor saw the person have no measured time
             made = replace(made, motion=replace(made.motion, times=times[span]))
             if world is None:
                 world = world_from_sensor(made.motion, c.up)
@@ -184,7 +197,7 @@ def run_fuse(
             done.append(_write(recording, c, made, world, folders[n], notes, assessment))
         progress("fuse", total, total)
         for n, person in each(progress, "export", list(enumerate(done))):
-            # the body is for formats with poses, which have been refused
+            # only formats with poses use the body, and those were refused above
             files = export_motion(person.motion, cast(Body, None), person.files[0].parent, formats)
             done[n] = replace(person, files=(*person.files, *files))
     except KeyboardInterrupt:
@@ -196,7 +209,7 @@ def run_fuse(
 
 
 def _ordered(recording: SkeletonRecording, c: FuseCommand) -> list[SensorStream]:
-    """The reference first; the common joints if the sensors report different sets."""
+    """Put the reference sensor first; convert to the common joints where the sensors report different sets."""
     first = recording.stream(c.reference or recording.reference)
     streams = [first, *(s for s in recording.streams if s is not first)]
     for s in streams:
@@ -219,7 +232,10 @@ def _common(stream: SensorStream) -> SensorStream:
 
 
 def _on_one_clock(streams: Sequence[SensorStream], notes: list[str]) -> list[SensorStream]:
-    """Put the sensors' clocks forward so that all see the same movement."""
+    """Shift the sensors' clocks so that all see the same movement.
+
+    Raises: InputError where their movements differ.
+    """
     first = streams[0]
     out = [first]
     for s in streams[1:]:
@@ -236,7 +252,7 @@ def _on_one_clock(streams: Sequence[SensorStream], notes: list[str]) -> list[Sen
 
 
 def _people(synced: Sequence[SensorStream], times: Array, notes: list[str]) -> list[list[SensorJoints]]:
-    """One clip per person."""
+    """Match the persons of all sensors; return one clip per person."""
     if all(s.positions.shape[1] == 1 for s in synced):
         return [join_observations(synced, times, [np.where(s.person_ids[:, 0] >= 0, 0, -1) for s in synced])]
     picks = [joint_set(s.joint_names).common for s in synced]
@@ -244,7 +260,7 @@ def _people(synced: Sequence[SensorStream], times: Array, notes: list[str]) -> l
     tracker = PeopleTracker()
     for instant in instants:
         tracker.update(instant)
-    # again from the start, now that it is known where the sensors stand
+    # match again from the start with the known places of the sensors
     tracker = PeopleTracker(transforms=tracker.transforms)
     columns: dict[int, list[NDArray[np.int64]]] = {}
     for n, instant in enumerate(instants):
@@ -264,7 +280,7 @@ def _people(synced: Sequence[SensorStream], times: Array, notes: list[str]) -> l
 
 
 def _instant(synced: Sequence[SensorStream], picks: Sequence[NDArray[np.int64]], n: int, time: float) -> Instant:
-    """Persons are numbered by their column, which `one_person` wants."""
+    """Collect what all sensors see at one time; persons are numbered by their columns."""
     views = []
     for s, pick in zip(synced, picks, strict=True):
         columns = np.flatnonzero((s.person_ids[n] >= 0) & (s.state[n] > 0).any(1))
@@ -274,7 +290,7 @@ def _instant(synced: Sequence[SensorStream], picks: Sequence[NDArray[np.int64]],
 
 
 def _registration(people: Sequence[Sequence[SensorJoints]], names: Sequence[str]) -> Registration:
-    """From all persons together, so that they share one frame."""
+    """Register the sensors from all persons together, so that all share one frame of reference."""
     clips = [[common_joints(f) for f in clip] for clip in people]
     positions = np.concatenate([np.stack([f.positions for f in clip]) for clip in clips])
     states = np.concatenate([np.stack([f.state for f in clip]) for clip in clips])
@@ -289,8 +305,11 @@ def _registration(people: Sequence[Sequence[SensorJoints]], names: Sequence[str]
 
 
 def world_from_sensor(motion: Motion, up: str) -> Array:
-    """(4, 4) from the reference sensor's frame to the world: z up, y away from the sensor, the floor at z = 0 by the
-    lowest feet (2 % of the frames), below the sensor at x = y = 0."""
+    """Compute the transform (4, 4) from the reference sensor to the world: z up, y away from the sensor, origin below
+    the sensor, and the floor at z = 0 by the lowest feet (2 % of the frames).
+
+    up: "sensor": the sensor's own vertical; else the person's.
+    """
     joints = motion.joints[:, [motion.skeleton.joint(n) for n in COMMON]]
     person = upward(joints[~motion.lost] if (~motion.lost).any() else joints)
     z = np.array([0.0, np.sign(person[1]) or -1.0, 0.0]) if up == "sensor" else person
@@ -329,8 +348,9 @@ def _write(
 
 
 def sensors_csv(fused: Fused) -> str:
-    """Which sensors carried which joint: a row per frame, a column joint:sensor with its share (0 to 1), and
-    swarm:joint:sensor with the swarm's choice when it ran as diagnosis."""
+    """Build the table of each sensor's share in each joint: a row per frame, a column joint:sensor with its share (0 to
+    1), and swarm:joint:sensor with the swarm's choice where it ran for diagnosis.
+    """
     names = [f"{j}:{s}" for j in COMMON for s in fused.sensor_names]
     header = ["time", *names]
     table = [fused.motion.times[:, None], fused.shares.reshape(len(fused.shares), -1)]

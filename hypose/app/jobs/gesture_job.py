@@ -1,4 +1,4 @@
-"""What `hypose gesture` does: sessions, learning from recordings, watching for events, judging a model."""
+"""Do the work of `hypose gesture`: run sessions, learn from recordings, watch for events, evaluate a model."""
 
 from __future__ import annotations
 
@@ -45,7 +45,9 @@ KEYS: dict[str, Command] = {
 
 
 def typed_commands() -> Callable[[], list[Command]]:
-    """Commands typed as letters (n, u, p, c, a, t and Enter) since the last call; none when there is no terminal."""
+    """Return a function that gives the commands typed as letters (n, u, p, c, a, t and Enter) since its last call; none
+    without a terminal.
+    """
     lines: queue.SimpleQueue[str] = queue.SimpleQueue()
     if sys.stdin is not None and sys.stdin.isatty():
 
@@ -65,12 +67,15 @@ def typed_commands() -> Callable[[], list[Command]]:
 
 
 def new_learner(seed: int) -> Learner:
-    """A learner with the usual settings."""
+    """Make a learner with the usual settings."""
     return Learner.new(np.random.default_rng(seed), ForestSettings())
 
 
 def growing_model(path: Path, gesture: str) -> GestureModel:
-    """The model of a gesture, to go on teaching it; InputError when it is finished or another gesture's."""
+    """Load the model of a gesture to train it further.
+
+    Raises: InputError where it is finished or of another gesture.
+    """
     model = load_model(path)
     if model.learner is None:
         raise InputError(f"{path} is a finished forest; only a growing one can be resumed.")
@@ -80,8 +85,10 @@ def growing_model(path: Path, gesture: str) -> GestureModel:
 
 
 def replaced_model(path: Path, gesture: str, say: _Say) -> None:
-    """Say, before anything is learned, that a model will be replaced; an InputError when the file is another gesture's
-    or no model."""
+    """Say, before anything is learned, that a model file will be replaced.
+
+    Raises: InputError where the file is of another gesture, or no model.
+    """
     try:
         old = load_model(path)
     except InputError:
@@ -103,11 +110,21 @@ def run_session(
     say: _Say,
     model: GestureModel | None = None,
 ) -> GestureModel:
-    """An interactive session until its test begins or the source ends; the model it leaves. Everything is recorded."""
+    """Run an interactive session until its test begins or the source ends; return the trained model.
+
+    learner: is trained.
+    record: folder for the recording; None: nothing is recorded.
+    commands: gives the commands since the last call.
+    say: prints a sentence.
+    model: older model whose history is continued.
+    Raises: InputError where nothing was learned.
+    """
     trainer = Trainer(learner, settings)
     counts = _follow(source, gesture, trainer, record=record, commands=commands, say=say, learn=True)
     where = _range(learner.settings.look.plan)
-    if not counts.learned and (counts.asked or not learner.strength):  # who knows the gesture may learn what it is not
+    if not counts.learned and (
+        counts.asked or not learner.strength
+    ):  # a forest that knows the gesture may learn other movement only
         raise InputError(
             f"Nothing was learned from {source.name}: {counts.asked} frames asked for the gesture, and none had depth "
             f"{where} in the box; come nearer, and keep the gesture in the box."
@@ -131,7 +148,7 @@ def record_session(
     commands: Callable[[], list[Command]] = list,
     say: _Say,
 ) -> None:
-    """The same session with its prompts, recorded and not learned from."""
+    """Record a session with its prompts, without learning."""
     _follow(source, gesture, Trainer(new_learner(0), settings), record=record, commands=commands, say=say, learn=False)
 
 
@@ -141,7 +158,13 @@ def _range(plan: ScanPlan) -> str:
 
 @dataclass(frozen=True)
 class _Counts:
-    """Frames: that asked for the gesture, that taught it, that taught anything; seconds of computing."""
+    """Counts of a session.
+
+    asked: frames that asked for the gesture.
+    learned: frames of the gesture that were learned.
+    taught: all frames that were learned.
+    seconds: of computing.
+    """
 
     asked: int
     learned: int
@@ -201,7 +224,7 @@ def _write(writer: SessionWriter, taken: Taken, box: tuple[float, float], asked:
 
 
 def in_cm2(threshold: float | None) -> str:
-    """A threshold to be read: three digits that count, because small gestures score less than 0.1 cm²."""
+    """Format a threshold with three significant digits, since small gestures score less than 0.1 cm²."""
     return "not known yet" if threshold is None else f"{threshold:.3g} cm²"
 
 
@@ -219,8 +242,12 @@ def learn_recordings(
     say: _Say,
     old: GestureModel | None = None,
 ) -> GestureModel:
-    """A forest taught with recorded sessions in the order of time, as the live session would have; old: the model that
-    goes on growing."""
+    """Train a forest with recorded sessions in the order of time, as the live session would.
+
+    passes: number of times all recordings are learned.
+    old: model that is trained further.
+    Raises: InputError where the recordings have no usable frame of the gesture.
+    """
     trainer, seen, asked, shown = Trainer(learner), 0, 0, 0
     for k in range(passes):
         for r in recordings:
@@ -247,7 +274,7 @@ _NOTHING = (
 
 @dataclass(frozen=True)
 class Watched:
-    """A frame that was looked at: time (s), what was found, and the events in it."""
+    """Result of one frame: time (s), the localised gestures, and the events."""
 
     time: float
     found: list[Localisation]
@@ -255,7 +282,7 @@ class Watched:
 
 
 _EMPTY = 30
-"""Frames in a row without usable depth after which it is said that there is nothing to see."""
+"""Frames in a row without usable depth that are reported."""
 
 
 def watch(
@@ -265,8 +292,12 @@ def watch(
     limits: Sequence[EventSettings],
     say: _Say = lambda text: None,
 ) -> Iterator[Watched]:
-    """Look for the gestures of all models in every frame of a source; say: takes a sentence when nothing is near. An
-    EvidenceError at the end of a source in which nothing ever was."""
+    """Localise the gestures of all models in every frame of a source.
+
+    limits: settings of the events, per gesture.
+    say: prints a sentence when no depth is near enough.
+    Raises: EvidenceError at the end of a source without usable depth.
+    """
     forests, plan, empty, near = loaded_forests(models), settings.plan, 0, False
     scratch, state = Scratch(), EventState()
     try:
@@ -289,7 +320,10 @@ def watch(
 
 
 def loaded_forests(models: Sequence[GestureModel]) -> list[Forest]:
-    """The models' forests; InputError when they cannot look together."""
+    """Return the forests of the models.
+
+    Raises: InputError where the models cannot be used together.
+    """
     if len(models) > 1 and any(len(m.names) > 1 for m in models):
         raise InputError("A model of several gestures is used alone; give one model per gesture, or that one.")
     names = [n for m in models for n in m.names]
@@ -299,7 +333,10 @@ def loaded_forests(models: Sequence[GestureModel]) -> list[Forest]:
 
 
 def looking(models: Sequence[GestureModel], adaptation_rate: float = 1.0) -> LocaliseSettings:
-    """How the models look, with a share of the new frame in the density; InputError when they look differently."""
+    """Return the settings with which the models localise, with an adaptation rate.
+
+    Raises: InputError where the models have different settings.
+    """
     settings = replace(models[0].settings, adaptation_rate=adaptation_rate)
     if any(replace(m.settings, adaptation_rate=adaptation_rate) != settings for m in models):
         names = ", ".join(n for m in models for n in m.names)
@@ -308,7 +345,10 @@ def looking(models: Sequence[GestureModel], adaptation_rate: float = 1.0) -> Loc
 
 
 def thresholds(models: Sequence[GestureModel], given: float | None) -> list[float]:
-    """Of every gesture; InputError names the gesture that has none."""
+    """Return the threshold of every gesture; given: replaces them.
+
+    Raises: InputError names the gesture that has none.
+    """
     out = []
     for m in models:
         for name, t in zip(m.names, m.thresholds, strict=True):
@@ -323,7 +363,11 @@ def thresholds(models: Sequence[GestureModel], given: float | None) -> list[floa
 
 
 def evaluate_model(model: GestureModel, recording: GestureRecording) -> dict[str, float]:
-    """AP at 10 px and 5 cm, hits at the threshold, false alarms, over the labelled frames of a recording."""
+    """Evaluate a model on the labelled frames of a recording: average precision at 10 px and 5 cm, hits and false
+    alarms at the threshold.
+
+    Raises: InputError where the recording has no usable frames.
+    """
     name = model.names[0]
     if len(model.names) > 1:
         raise InputError("A model of several gestures cannot be judged here; give a model of one gesture.")
@@ -362,17 +406,17 @@ def evaluate_model(model: GestureModel, recording: GestureRecording) -> dict[str
 
 
 # ---- gesture outputs -----------------------------------------------------------------------------------------------
-# Where the events of gestures go: JSON lines, OSC, WebSocket, commands of this computer.
+# Outputs for the events of gestures: JSON lines, OSC, WebSocket, commands of this computer.
 
 
 MOST_COMMANDS = 8
-"""That run at a time; what a gesture would set off beyond them is left out."""
+"""Most commands that run at a time; further ones are left out."""
 WAITING = 256
-"""Texts that wait for a slow listener."""
+"""Most texts that wait for a slow listener."""
 
 
 def event_line(event: Event, names: Sequence[str]) -> str:
-    """One JSON line of an event."""
+    """Encode an event as one line of JSON."""
     value = {
         "event": event.kind,
         "gesture": names[event.gesture - 1],
@@ -386,31 +430,28 @@ def event_line(event: Event, names: Sequence[str]) -> str:
 
 
 class Out(Protocol):
-    """Define an output for gesture results, such as OSC, a WebSocket or a command.
-
-    send: called once per processed frame, with its time, scores and events.
-    close: called once at the end.
-    """
+    """Protocol of an output for gestures, such as OSC, a WebSocket or a command."""
 
     def send(self, watched: Watched, /) -> None:
-        """One frame."""
+        """Send the result of one frame."""
         ...
 
     def close(self) -> None:
-        """The end."""
+        """Close the output."""
         ...
 
 
 class OscOut:
-    """Sends every frame by OSC: /gesture/NAME score x y z, /gesture/NAME/start and /end, and Wekinator's /wek/outputs
-    (each gesture's score over its threshold, at most 1)."""
+    """Output of every frame by OSC: /gesture/NAME score x y z, /gesture/NAME/start and /end, and Wekinator's
+    /wek/outputs (each gesture's score over its threshold, at most 1).
+    """
 
     def __init__(self, target: str, names: Sequence[str], limits: Sequence[float]) -> None:
         self._target = OscTarget(target)
         self._names, self._limits = list(names), list(limits)
 
     def send(self, watched: Watched) -> None:
-        """One frame."""
+        """Send the result of one frame."""
         messages = []
         for f in watched.found:
             p = (0.0, 0.0, 0.0) if f.position is None else tuple(float(v) for v in f.position)
@@ -422,37 +463,41 @@ class OscOut:
         self._target.send(messages)
 
     def close(self) -> None:
-        """Let go of the socket."""
+        """Close the socket."""
         self._target.close()
 
 
 class WebSocketOut:
-    """Send JSON text to every client that connects to ws://127.0.0.1:PORT: every event as on stdout, and every frame
-    {"time", "scores": {name: cm^2}}; see `SocketListeners`."""
+    """Output as JSON to every client of ws://127.0.0.1:PORT: every event as on stdout, and every frame {"time",
+    "scores": {name: cm^2}}; see `SocketListeners`.
+    """
 
     def __init__(self, port: int, names: Sequence[str]) -> None:
         self._names, self._listeners = list(names), SocketListeners(port, WAITING)
 
     @property
     def port(self) -> int:
-        """The port that is listened on."""
+        """The port of the server."""
         return self._listeners.port
 
     def send(self, watched: Watched) -> None:
-        """One frame."""
+        """Send the result of one frame."""
         scores = {self._names[f.gesture - 1]: round(f.score, 3) for f in watched.found}
         self._listeners.post(json.dumps({"time": round(watched.time, 4), "scores": scores}))
         for e in watched.events:
             self._listeners.post(event_line(e, self._names))
 
     def close(self) -> None:
-        """Stop listening, after what was sent."""
+        """Send what was posted, and stop."""
         self._listeners.close()
 
 
 class CommandOut:
-    """Runs a command when a gesture starts, {gesture} in it replaced by its name; with {event} in it, at ends too
-    (start, end). No shell reads it; it is not waited for."""
+    """Output that runs a command when a gesture starts, with {gesture} replaced by its name; with {event} in it, also
+    at ends (start, end). It runs without a shell, and nothing waits for it.
+
+    Raises: InputError where there is no such program.
+    """
 
     def __init__(self, text: str, names: Sequence[str]) -> None:
         try:
@@ -462,12 +507,12 @@ class CommandOut:
         if not self._words or shutil.which(self._words[0]) is None:
             raise InputError(f"--command {text!r}: there is no such program; give one that runs in this terminal.")
         self._names, self._ends = list(names), "{event}" in text
-        # the user's own program imports what lies next to it
+        # the user's own program may import modules from its folder
         self._environment = {k: v for k, v in os.environ.items() if k != "PYTHONSAFEPATH"}
         self._running: list[subprocess.Popen[bytes]] = []
 
     def send(self, watched: Watched) -> None:
-        """One frame."""
+        """Run the command for the events of one frame."""
         self._running = [p for p in self._running if p.poll() is None]
         for e in watched.events:
             if (e.kind == "start" or self._ends) and len(self._running) < MOST_COMMANDS:
@@ -477,4 +522,4 @@ class CommandOut:
                 self._running.append(subprocess.Popen(words, stdin=nowhere, stdout=nowhere, env=self._environment))
 
     def close(self) -> None:
-        """What still runs goes on by itself."""
+        """Do nothing; running commands continue."""

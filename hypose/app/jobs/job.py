@@ -1,6 +1,6 @@
-"""A tracking job: what `hypose track` and `hypose demo` do with one recording, from videos to the report.
+"""Run a tracking job, as `hypose track` and `hypose demo` do with one recording, from videos to the report.
 
-Each step writes its files before the next begins, so that whatever ends the job early leaves all earlier work.
+Each step writes its files before the next begins, so that a job that ends early leaves all finished work.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from hypose.io.motions.results import (
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording, load_recording
 from hypose.io.sensors.skeleton_streams import SkeletonRecording
-from hypose.pipeline.assessment import Assessment
+from hypose.pipeline.assessment import ASSESSMENT_FILE, Assessment
 from hypose.pipeline.first_frame import SubjectOptions
 from hypose.pipeline.one_camera import POINT_STARTS, clicks_of, depth_note, one_view
 from hypose.pipeline.passes import MODES
@@ -50,19 +50,17 @@ from hypose.tracking.recipes import citation_of
 if TYPE_CHECKING:
     from hypose.pipeline.comparison import Truth
 
-ASSESSMENT_FILE = "assessment.json"
-
 
 @dataclass(frozen=True)
 class TrackJob:
-    """The task with one recording.
+    """Job with one recording.
 
-    recording: its frame_range is tracked
-    options: how, suited to the recording
-    results: where files go
-    command: what the user has asked for, and which files
-    truth: compares the motion with a known truth, for synthetic recordings
-    skeletons: that sensors reported at the same time, solved together with the rest
+    recording: its frame_range is tracked.
+    options: suited to the recording.
+    results: folder of the files.
+    command: options of the user, and which files are wanted.
+    truth: compares the motion with the true one, for synthetic recordings.
+    skeletons: reports of sensors from the same time, solved together with the rest.
     """
 
     recording: Recording
@@ -74,12 +72,15 @@ class TrackJob:
 
     @property
     def formats(self) -> tuple[str, ...]:
-        """Motion files to write."""
+        """Names of the motion files to write."""
         return split_names(self.command.formats)
 
 
 def split_names(text: str) -> tuple[str, ...]:
-    """The names of a comma-separated list of formats; an InputError when there is none, or one that is not known."""
+    """Split a comma-separated list of formats.
+
+    Raises: InputError where it is empty or a format is not known.
+    """
     names = tuple(dict.fromkeys(n.strip().lower().lstrip(".") for n in text.split(",") if n.strip()))
     if not names:
         raise InputError("The list of formats is empty; give at least one, for example --formats trc,c3d.")
@@ -88,13 +89,13 @@ def split_names(text: str) -> tuple[str, ...]:
 
 
 def recording_of(command: TrackCommand) -> Recording:
-    """The recording, limited to the frames, and the camera, that are wanted."""
+    """Load the recording of a command, limited to the wanted frames and camera."""
     loaded = choose_frames(load_recording(command.recording, command.calibration), command.frames)
     return one_view(loaded, command.camera) if command.camera is not None or command.of_picture else loaded
 
 
 def job_of(command: TrackCommand, recording: Recording | None = None) -> TrackJob:
-    """The job that a command asks for; recording: its own, where it has been read."""
+    """Make the job of a command; recording: where it has been loaded already."""
     loaded = recording or recording_of(command)
     height = loaded.subject_height if command.height is None else command.height
     options = replace(command.options, height=height).suited_to(loaded)
@@ -106,8 +107,14 @@ def job_of(command: TrackCommand, recording: Recording | None = None) -> TrackJo
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came out. files: written paths in order; notes: for the user; truth: the comparison, if there was one;
-    assessment: whether it is to be trusted, None where nothing has judged it."""
+    """Result of a job.
+
+    complete: every frame was tracked.
+    files: paths in the order of writing.
+    notes: for the user.
+    truth: comparison with the true motion, if there is one.
+    assessment: of the motion; None for an incomplete one.
+    """
 
     motion: Motion
     body: Body
@@ -119,7 +126,10 @@ class Outcome:
 
 
 def choose_frames(recording: Recording, text: str | None) -> Recording:
-    """The recording limited to frames "A:B" (B is the one after the last; either may be left out)."""
+    """Limit a recording to frames "A:B" (B is the one after the last; either may be left out).
+
+    Raises: InputError where the text is no range inside the recording.
+    """
     if text is None:
         return recording
     first, colon, stop = text.partition(":")
@@ -138,15 +148,19 @@ def choose_frames(recording: Recording, text: str | None) -> Recording:
 
 
 def people_results(recording_folder: Path, recipe: str) -> ResultsFolder:
-    """results/people/ in a recording's folder, or results/RECIPE-people/ of another recipe than the default."""
+    """Return the folder for results of several people: results/people/ of a recording, or results/RECIPE-people/ for
+    another recipe than the default.
+    """
     return ResultsFolder.of(recording_folder, "people" if recipe == "default" else f"{recipe}-people")
 
 
 def run_job(job: TrackJob, progress: ProgressCall = ignore, seconds: Mapping[str, float] | None = None) -> Outcome:
-    """Track, export, draw and report. seconds: filled by the progress while this runs, read for the report.
+    """Track, export, draw and report.
 
-    KeyboardInterrupt while tracking gives an Outcome with complete=False (checkpoint and partial motion are on disk);
-    in any other stage it is passed on.
+    seconds: time per stage, filled by the progress while this runs, for the report.
+    Returns: the outcome; after a KeyboardInterrupt while tracking it is incomplete, with checkpoint and partial motion
+        written.
+    Raises: KeyboardInterrupt in any other stage; InputError where the input cannot be used.
     """
     recording, results, options = job.recording, job.results, job.options
     check_job(job)
@@ -180,24 +194,24 @@ def run_job(job: TrackJob, progress: ProgressCall = ignore, seconds: Mapping[str
 
 
 def compile_before(progress: ProgressCall, *parts: str) -> None:
-    """What a run needs of compute, compiled before it begins; parts: all that following people needs, when none."""
+    """Compile the kernels that a run needs; parts: names of parts, none: all that tracking needs."""
     warm_up(*parts, load=False, progress=lambda done, total: progress("compile", done, total))
 
 
 def _kernels(recording: Recording, options: TrackOptions) -> tuple[str, ...]:
-    """The parts of compute that a run needs until its first poses are there."""
+    """List the parts of the compiled code that a run needs for its first poses."""
     if options.of_picture:
         return ("solver", "scorer", "outlines", "pictures", "monocular")
     depth = ("depth",) if recording.depth_views else ()
     if options.looks_at == "keypoints":
         return ("solver", *depth)
-    # a body that is given is not fitted to outlines
+    # a given body is not fitted to outlines
     masks = ("solver", *depth, "scorer", "outlines", *(() if options.subject else ("shape",)))
     return masks if all(view.masks is not None for view in recording.views) else (*masks, "pictures")
 
 
 def _assessment(tracked: TrackResult, results: ResultsFolder, before: bool) -> Assessment:
-    """The assessment on what was tracked, written; or what was written before, when that can be read."""
+    """Assess what was tracked, and write it; for a motion of an earlier run, load its assessment where possible."""
     if before:
         with contextlib.suppress(InputError, ValueError, KeyError, TypeError):
             return Assessment.of_document(read_json(results.file(ASSESSMENT_FILE), "an assessment"))
@@ -232,7 +246,7 @@ def _track(
 
 
 def check_job(job: TrackJob) -> None:
-    """Refuse now what would be refused only after minutes of work."""
+    """Raise InputError for faults of a job that would otherwise show after minutes of work."""
     options = job.options
     split_names(job.command.formats)
     if options.of_picture:
@@ -254,7 +268,7 @@ def check_job(job: TrackJob) -> None:
 
 
 def record_of(job: TrackJob) -> dict[str, Any]:
-    """The provenance: everything that decides the result, and the run."""
+    """Build the provenance of a run: everything that influences the result."""
     recording, options = job.recording, job.options
     frames = recording.frames
     settings = {
@@ -275,7 +289,9 @@ def record_of(job: TrackJob) -> dict[str, Any]:
 
 
 def finished_before(job: TrackJob, record: Mapping[str, Any]) -> TrackResult | None:
-    """The complete motion of an earlier run with the same inputs and settings, when only later files may be missing."""
+    """Load the complete motion of an earlier run with the same inputs and settings, of which only later files may be
+    missing; None without one.
+    """
     results = job.results
     body = results.file("body.npz")
     if results.checkpoint.exists() or not results.motion.exists() or not body.exists():
@@ -302,9 +318,11 @@ def export_and_report(
     written: Sequence[Path],
     progress: ProgressCall,
 ) -> list[Path]:
-    """Write motion files, overlay and report of a tracked person, as far as they are wanted; returns their paths.
+    """Write motion files, overlay and report of a tracked person, where they are wanted; return their paths.
 
-    view: title, notes and figures of the report; written: the files there are already."""
+    view: title, notes and figures of the report.
+    written: files that exist already.
+    """
     files: list[Path] = []
     for name in each(progress, "export", job.formats):
         files += export_motion(tracked.motion, tracked.body, job.results.path, (name,))
@@ -330,7 +348,9 @@ def export_and_report(
 
 
 def remove_stale(results: ResultsFolder, written: Sequence[Path]) -> None:
-    """Files of an earlier run that this one did not write again would pass for results of this one."""
+    """Delete files of an earlier run that this run did not write, since they would be mistaken for
+    results of this one.
+    """
     keep = {p.name for p in written}
     for name in DESCRIPTIONS:
         if name not in keep:

@@ -1,4 +1,4 @@
-"""A tracking job of several people: one folder of results for each, and overlay, C3D, GLB and an index with all."""
+"""Run a tracking job of several people: a folder of results for each, and overlay, C3D, GLB and an index of all."""
 
 from __future__ import annotations
 
@@ -47,8 +47,9 @@ PEOPLE = "people.json"
 
 
 def track_shown(job: TrackJob) -> None:
-    """Run a job with progress, and say what came out; when it is interrupted, say what was kept and how to go on, and
-    exit with code 130."""
+    """Run a job with progress and print its outcome; after an interruption, print what was kept and how to continue,
+    and exit with code 130.
+    """
     with stopping(lambda: _kept(job)), claimed(job.results.path), Stages() as progress:
         if job.command.people is not None:
             outcome = run_people(job, job.command.people, progress)
@@ -60,7 +61,7 @@ def track_shown(job: TrackJob) -> None:
 
 
 def _kept(job: TrackJob) -> str:
-    """What an interrupted run has kept, and how to go on."""
+    """Return the sentence on what an interrupted run has kept, and how to continue."""
     results, total = job.results, len(job.recording.frames)
     again = [a for a in click.get_current_context().find_root().obj or [] if a != "--resume"]
     command = f"hypose {shlex.join([*again, '--resume'])}" if again[:1] == ["track"] else "the same command"
@@ -73,11 +74,11 @@ def _kept(job: TrackJob) -> str:
 
 
 def _report_outcome(job: TrackJob, outcome: Outcome, seconds: Mapping[str, float]) -> None:
-    """The closing lines."""
+    """Print the closing lines."""
     s = summarize(outcome.motion)
     print_notes(outcome.notes)
     views, reported = len(job.recording.rig), int(outcome.motion.n_views.max(initial=0))
-    of = f"{reported} of {views}" if 0 < reported < views else f"{views}"  # as many as ever reported anything at once
+    of = f"{reported} of {views}" if 0 < reported < views else f"{views}"  # largest number of views used in a frame
     parts = [f"{s.frames} frames in {of} views", f"{s.lost} lost", f"{s.extrapolated} extrapolated"]
     if s.iou == s.iou:
         parts.append(f"mean IoU {s.iou:.3f}")
@@ -97,7 +98,9 @@ def _report_outcome(job: TrackJob, outcome: Outcome, seconds: Mapping[str, float
 
 
 def print_assessments(assessments: Mapping[str, Assessment]) -> None:
-    """The assessment on all people by their names (none of one person); exit code 3 when one is not to be trusted."""
+    """Print the assessments by people's names ("" for a single person); exit with code 3 where one is not to be
+    trusted.
+    """
     for name, assessment in assessments.items():
         say(f"Assessment{' on ' if name else ''}{name}: {assessment.sentence}", "bold")
     if any(assessment.word == UNTRUSTED for assessment in assessments.values()):
@@ -105,8 +108,11 @@ def print_assessments(assessments: Mapping[str, Assessment]) -> None:
 
 
 def run_people(job: TrackJob, people: str, progress: ProgressCall = ignore) -> Outcome:
-    """Track several people, export, draw and report; as `run_job` for one. The outcome is that of the first person,
-    with all people's files and the worst assessment."""
+    """Track several people, export, draw and report, like `run_job` for one.
+
+    people: option of --people.
+    Returns: the outcome of the first person, with the files of all people and the worst assessment.
+    """
     recording, options, results = job.recording, job.options, job.results
     check_job(job)
     check_views(recording)
@@ -157,7 +163,7 @@ def run_people(job: TrackJob, people: str, progress: ProgressCall = ignore) -> O
 
 
 def _no_such_person(name: str, wanted: Sequence[Wanted], people: Sequence[TrackedPerson]) -> str:
-    """That the one who was asked for is not there, and who is."""
+    """Return the sentence that the requested person was not found, and who was."""
     one = next(w for w in wanted if w.name == name)
     return (
         f"{one.not_found}; the results are those of {', '.join(p.name for p in people)} instead: "
@@ -166,7 +172,7 @@ def _no_such_person(name: str, wanted: Sequence[Wanted], people: Sequence[Tracke
 
 
 def worst_assessment(people: Sequence[TrackedPerson]) -> Assessment:
-    """Of several people: the worst word, and what each assessment says."""
+    """Combine the assessments of several people: the worst word, with the sentences of those who have it."""
     assessments = {p.name: p.assessment for p in people}
     order = ("good", "look", UNTRUSTED)
     word = max((v.word for v in assessments.values()), key=order.index)
@@ -180,7 +186,7 @@ def worst_assessment(people: Sequence[TrackedPerson]) -> Assessment:
 
 
 def _written(one: TrackedPerson, results: ResultsFolder) -> list[Path]:
-    """What of one person there is before anything is drawn."""
+    """Write the files of one person that need no drawing."""
     save_body(one.result.body, results.file("body.npz"))
     results.write_json("provenance.json", one.result.motion.provenance)
     results.write_json(ASSESSMENT_FILE, {**one.assessment.with_joints(one.result.motion), "there": _there(one)})
@@ -194,7 +200,7 @@ def _there(one: TrackedPerson) -> list[list[int]]:
 def _one_report(
     job: TrackJob, one: TrackedPerson, source: FrameStream, written: Sequence[Path], progress: ProgressCall
 ) -> list[Path]:
-    """Motion files and report of one person."""
+    """Write motion files and report of one person."""
     results = ResultsFolder(job.results.path / one.name)
     own = replace(job, results=results, command=replace(job.command, overlay=False))
     notes = (f"Assessment: {one.assessment.sentence}", *one.result.notes)
@@ -208,7 +214,7 @@ def _one_report(
 def _together(
     job: TrackJob, people: Sequence[TrackedPerson], source: FrameStream, notes: Sequence[str], progress: ProgressCall
 ) -> list[Path]:
-    """Overlay, C3D, GLB and index with all people."""
+    """Write overlay, C3D, GLB and index of all people."""
     results, files = job.results, list[Path]()
     if job.command.overlay:
         path = results.file("overlay.mp4")
@@ -238,7 +244,9 @@ def _together(
 
 
 def write_people_c3d(path: Path, people: Sequence[TrackedPerson]) -> Path:
-    """Joint centres of all, named NAME:JOINT, as one C3D with its subjects; points of who is not there are not seen."""
+    """Write the joint centres of all people, named NAME:JOINT, as one C3D with subjects; points of absent people are
+    marked as not seen.
+    """
     subjects = [p.name.replace(" ", "-").replace(":", "-") for p in people]
     names = [f"{s}:{j}" for s, p in zip(subjects, people, strict=True) for j in p.result.motion.skeleton.joint_names]
     points, residuals = [], []
@@ -253,7 +261,7 @@ def write_people_c3d(path: Path, people: Sequence[TrackedPerson]) -> Path:
 
 
 def _index(job: TrackJob, people: Sequence[TrackedPerson], notes: Sequence[str]) -> str:
-    """A page that leads to all people's report."""
+    """Build the page with links to the reports of all people."""
     rows = []
     for k, p in enumerate(people):
         b, g, r = colour_of(k)

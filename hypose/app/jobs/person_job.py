@@ -1,4 +1,6 @@
-"""Jobs before tracking: key points by a detector, a body of the person's size, cameras without a calibration."""
+"""Prepare tracking: detect key points, measure a subject's body, and calibrate the cameras of a recording from a
+person.
+"""
 
 from __future__ import annotations
 
@@ -56,9 +58,12 @@ _MOST_SECONDS = 60
 
 
 def person_of(loaded: Recording, lenses_known: bool, yes: bool) -> tuple[Array, tuple[str, ...]]:
-    """(C, T, K, 3) px of the stored pictures and confidence of whom each view shows largest and most surely, in the
-    middle minute of a recording, and the key points' names; where it has no key points, those of the detector. Where
-    the lenses are not known these are kept apart, for the detector's masks fit no other lens."""
+    """Select the main person of each view (largest and most confident) in the middle minute of a recording.
+
+    Key points come from the recording, else from the detector. Where the lenses are not known, detected ones are kept
+    apart, since the detector's masks fit no other lens.
+    Returns: (C, T, K, 3) px of the stored pictures and confidence; and the names of the key points.
+    """
     few = window(loaded, round(_MOST_SECONDS * loaded.frame_rate))
     if few.keypoint_set is None:
         kept = few if lenses_known else replace(few, folder=few.folder / "results" / "uncalibrated")
@@ -76,8 +81,11 @@ def person_of(loaded: Recording, lenses_known: bool, yes: bool) -> tuple[Array, 
 
 
 def calibrate_recording(c: CalibrateCommand) -> tuple[CameraRig, Path]:
-    """The cameras of a recording and the file that they are to be written to; says what was found, and keeps the
-    offsets."""
+    """Calibrate the cameras of a recording from the person; print the result and save the offsets.
+
+    Returns: the cameras, and the file they are to be written to.
+    Raises: InputError where the height is missing or the file exists.
+    """
     path, lenses = c.sources[0], c.intrinsics
     loaded = load_recording(path, lenses, uncalibrated=lenses is None)
     target = c.out or loaded.folder / "calibration.toml"
@@ -119,7 +127,7 @@ def _show(found: PersonCalibration) -> None:
 
 
 def measure_subject(c: SubjectCommand) -> None:
-    """Do what `hypose subject` is asked for."""
+    """Measure a person's body from a recording, or rig a mesh, and write it (`hypose subject`)."""
     if c.mesh is not None and c.recording is None:
         folder = c.out or c.mesh.with_name("subject")
         with claimed(folder):
@@ -160,7 +168,7 @@ def measure_subject(c: SubjectCommand) -> None:
 
 
 def _picture(path: Path, recording: Recording, source: FrameStream, found: SubjectEstimate) -> Path:
-    """Two fitted frames, each above with the template as tracked and below with the fitted body, in every view."""
+    """Draw two fitted frames in every view: above with the template as tracked, below with the fitted body."""
     images = open_images(recording)
     plan = tile_layout([v.size for v in images])
     rows = []
@@ -185,7 +193,9 @@ def _picture(path: Path, recording: Recording, source: FrameStream, found: Subje
 def detect(
     loaded: Recording, detector: PoseDetector, target: Path, frames: range | None, *, resume: bool
 ) -> DetectedKeypoints:
-    """Detect in frames (None: all) with progress; interrupted it says how to go on, and exits with code 130."""
+    """Detect key points in frames (None: all) with progress; an interrupted run says how to continue, and exits with
+    code 130.
+    """
     with contextlib.ExitStack() as stack:
         stack.enter_context(claimed(target))
         progress = stack.enter_context(Stages())
@@ -202,9 +212,11 @@ def detect(
 
 
 def detected(loaded: Recording, frames: range, *, yes: bool, why: str) -> DetectedKeypoints:
-    """Detect key points in frames of a recording and keep them in its folder; frames already detected are skipped.
+    """Detect key points in frames of a recording and save them in its folder; frames that were detected already are
+    skipped.
 
-    why: first words of the sentence on the missing input."""
+    why: first words of the sentence on a missing input.
+    """
     target = loaded.folder / KEYPOINT_FOLDER
     network = open_network_asking(yes, why)
     before = load_detected(target)
@@ -215,7 +227,10 @@ def detected(loaded: Recording, frames: range, *, yes: bool, why: str) -> Detect
 
 
 def open_network_asking(yes: bool, why: str = "Finding people in pictures") -> PoseDetector:
-    """The detector; its models are fetched when the user agrees. An InputError says what to install."""
+    """Open the detector; its models are downloaded where the user agrees.
+
+    Raises: InputError says what to install.
+    """
     runtime(why)
     if not have_models():
         what = f"the detector's models from the package {PACKAGE} (Apache 2.0, {MEGABYTES} MB) to {models_folder()}"
@@ -230,7 +245,7 @@ def open_network_asking(yes: bool, why: str = "Finding people in pictures") -> P
 
 
 def track_command(command: TrackCommand) -> None:
-    """Do what `hypose track` is asked for."""
+    """Track a recording; where it has pictures only, detect key points and masks first (`hypose track`)."""
     loaded, several = recording_of(command), command.camera is None and not command.of_picture
     if several and command.evidence != "silhouettes" and (loaded.detected or wants_detector(loaded)):
         if not loaded.detected:

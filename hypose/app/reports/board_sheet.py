@@ -1,14 +1,14 @@
-"""A chessboard to print, and how to film it: a PDF of two pages."""
+"""Draw a chessboard to print, and instructions for filming it, as a PDF of two pages."""
 
 from __future__ import annotations
 
 from hypose.errors import InputError
 
 _PAPERS = {"a4": (297, 210, 30), "a3": (420, 297, 42)}
-"""mm: width and height of a sheet, and the side of a square."""
+"""Width and height of a sheet, and side of a square, mm."""
 _COLUMNS, _ROWS = 9, 6
 _POINTS = 72 / 25.4
-"""of a millimetre"""
+"""Points per millimetre."""
 _HOW = (
     "1. Print page 1 in its actual size (100 %), on the largest paper you have. Glue it to something flat and stiff.",
     "2. Measure the side of a square with a ruler: hypose asks for it. It should be {side} mm.",
@@ -23,7 +23,10 @@ _HOW = (
 
 
 def printed_board(paper: str) -> bytes:
-    """Draw the PDF of the chessboard for a paper (a4, a3) and of how to film it."""
+    """Draw the PDF with the chessboard for a paper (a4 or a3) and the instructions for filming it.
+
+    Raises: InputError for another paper.
+    """
     if paper not in _PAPERS:
         raise InputError(f"There is no board for the paper {paper[:20]!r}; choose {' or '.join(_PAPERS)}.")
     width, height, side = _PAPERS[paper]
@@ -42,13 +45,17 @@ def printed_board(paper: str) -> bytes:
 
 
 def _text(x: float, y: float, size: float, words: str) -> str:
-    """A line of text in PDF's operators, mm."""
+    """Return the PDF operators of a line of text; x, y and size in mm."""
     escaped = words.replace("\\", r"\\").replace("(", r"\(").replace(")", r"\)")
     return f"BT /F {size} Tf {x} {y} Td ({escaped}) Tj ET"
 
 
 def _pdf(pages: list[list[str]], width: float, height: float) -> bytes:
-    """A PDF of pages of this size (points) from their operators; source: ISO 32000-1, 7.5."""
+    """Build a PDF file from the operators of its pages.
+
+    width, height: of a page, points.
+    Source: ISO 32000-1, 7.5.
+    """
     kids = " ".join(f"{4 + 2 * k} 0 R" for k in range(len(pages)))
     objects = [
         "<< /Type /Catalog /Pages 2 0 R >>",

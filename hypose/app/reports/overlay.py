@@ -76,10 +76,12 @@ def _film(
     wanted: PictureRows,
     progress: ProgressCall,
 ) -> OverlayRows:
-    """Read the recorded pictures once, and draw the wanted rows.
+    """Read the recorded pictures once, write the video of all rows and draw the wanted stills.
 
-    numbers: numbers of the frames, by row.
+    numbers: number of the frame in each row.
     rate: of the video, Hz.
+    draw: draws one row.
+    Returns: stills and small pictures by row.
     """
     rows = range(len(numbers)) if wanted.video else sorted({*wanted.stills, *wanted.small})
     shown = OverlayRows({}, {})

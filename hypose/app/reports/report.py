@@ -88,7 +88,7 @@ def write_report(path: Path, result: ViewResult, recording: Recording | None) ->
 
 
 def drawn_of(result: ViewResult, recording: Recording | None) -> Drawn:
-    """Draw the pictures for a report from the recording of a result."""
+    """Draw the pictures for a report of a result, from its recording; empty without one."""
     motion, body, wanted = result.motion, result.body, _rows(result, False)
     if recording is None:
         return Drawn()

@@ -1,4 +1,4 @@
-"""The studio: a local web page to see results, click joints, teach gestures and set recordings up, and its server.
+"""The studio: a local web page and its server, to view results, click joints, teach gestures and set up recordings.
 
-The page's sources are in web/, its build lands in static/ here (docs/studio-protocol.md says what they exchange).
+Sources of the page are in web/, its build goes to static/ here (docs/studio-protocol.md describes the protocol).
 """

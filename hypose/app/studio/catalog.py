@@ -1,8 +1,8 @@
-"""What lies in the served folder: recordings, results, gesture sessions and models, recordings of live sensors, each
-under an opaque id.
+"""Catalog of the served folder: recordings, results, gesture sessions and models, recordings of live sensors, each with
+an opaque id.
 
-A page names an id, which is looked up here, or the path of a folder to be made a recording; only what really lies
-inside the served folder (links resolved) is found.
+A page gives an id, or the path of a folder that becomes a recording; only items that lie inside the served folder, with
+links resolved, are found.
 """
 
 from __future__ import annotations
@@ -33,12 +33,18 @@ _SKIPPED = frozenset({"node_modules", "__pycache__", "depth", "videos", "images"
 
 
 class NotFound(InputError):
-    """There is nothing of this id."""
+    """Error: there is no item with this id."""
 
 
 @dataclass(frozen=True)
 class Item:
-    """Something to work with: kind; id; path, resolved and inside the root; changed: time of its last change, s."""
+    """Recording, result, session, model or skeleton recording in the served folder.
+
+    kind: kind of the item.
+    id: opaque id.
+    path: resolved, inside the root.
+    changed: time of the last change, s.
+    """
 
     kind: Kind
     id: str
@@ -47,7 +53,7 @@ class Item:
 
 
 class Catalog:
-    """The items of a folder. Looked for again when asked for, at most once a second."""
+    """Items of a folder; the folder is searched again when items are requested, at most once a second."""
 
     def __init__(self, root: Path) -> None:
         self.root: Path = root.resolve()
@@ -55,16 +61,19 @@ class Catalog:
         self._looked = -_FRESH_S
 
     def items(self, kind: Kind, fresh: bool = False) -> list[Item]:
-        """All of a kind, the last changed first; fresh: look again now."""
+        """List all items of a kind, last changed first; fresh: search the folder now."""
         self._look(fresh)
         return sorted((i for i in self._items.values() if i.kind == kind), key=lambda i: (-i.changed, str(i.path)))
 
     def every(self) -> list[Item]:
-        """All of every kind, as they were found last."""
+        """List all items of the last search."""
         return list(self._items.values())
 
     def find(self, kind: Kind, id: str) -> Item:
-        """The item of an id; NotFound when there is none, or no longer."""
+        """Find an item by its id.
+
+        Raises: NotFound where it does not exist, or no longer.
+        """
         item = self._items.get(id)
         if item is None or item.kind != kind or not item.path.exists():
             self._look(fresh=True)
@@ -74,20 +83,22 @@ class Catalog:
         return item
 
     def id_of(self, kind: Kind, path: Path) -> str:
-        """The id of a path inside the root, whether or not it is there yet."""
+        """Compute the id of a path inside the root; the path need not exist."""
         text = f"{kind}:{path.resolve().relative_to(self.root).as_posix()}"
         return hashlib.blake2b(os.fsencode(text), digest_size=6).hexdigest()
 
     def contains(self, path: Path) -> bool:
-        """Whether a path lies inside the root when all links are followed."""
+        """Return whether a path lies inside the root, with all links resolved."""
         try:
             return path.resolve().is_relative_to(self.root)
         except OSError:
             return False
 
     def inside(self, where: str, base: Path | None = None) -> Path:
-        """The file or folder of a path, relative to `base` (the root), or absolute; an InputError when it is not there
-        or lies outside the root, also by a link."""
+        """Resolve a path, absolute or relative to `base` (default: the root).
+
+        Raises: InputError where it does not exist or lies outside the root, also through a link.
+        """
         path = (base or self.root) / where
         try:
             found = path.resolve(strict=True)
@@ -98,12 +109,14 @@ class Catalog:
         return found
 
     def shown(self, path: Path) -> str:
-        """A path as the page shows it: relative to the root, which itself goes by its name."""
+        """Return a path as the page shows it: relative to the root; the root itself by its name."""
         relative = path.resolve().relative_to(self.root).as_posix()
         return text_of(self.root.name if relative == "." else relative)
 
     def recording_of(self, result: Path) -> Path | None:
-        """The recording in whose folder results lie: results/RECIPE/ in it."""
+        """Find the recording whose folder contains a result (results/RECIPE/ in it); None where it is outside the root
+        or missing.
+        """
         folder = recording_above(result)
         return folder if folder is not None and folder.is_relative_to(self.root) else None
 
@@ -119,14 +132,14 @@ class Catalog:
 
 
 def is_recording(folder: Path) -> bool:
-    """A folder that `hypose track` takes."""
-    with contextlib.suppress(OSError):  # what may not be looked into is none
+    """Return whether a folder is a recording that `hypose track` accepts."""
+    with contextlib.suppress(OSError):  # an unreadable folder is no recording
         return (folder / "recording.toml").is_file() or pose2sim.is_project(folder)
     return False
 
 
 def recording_above(results: Path) -> Path | None:
-    """The recording in whose folder results lie: results/RECIPE/ in it."""
+    """Find the recording whose folder contains a result: results/RECIPE/ in it."""
     return next((f for f in list(results.resolve().parents)[:3] if is_recording(f)), None)
 
 
@@ -139,8 +152,9 @@ def _changed(path: Path) -> float:
 
 
 def _search(catalog: Catalog) -> Iterator[tuple[Kind, Path]]:
-    """Breadth first, so that near folders are found in a huge one. What consists of files of hypose is
-    found only where they are files, and none is a link that leads out of the root."""
+    """Search the items of a folder breadth first, so that near ones are found in a huge folder. Links that lead out of
+    the root are skipped.
+    """
     waiting, seen = [(catalog.root, 0)], 0
     while waiting and seen < _MOST_FOLDERS:
         folder, depth = waiting.pop(0)
@@ -166,7 +180,7 @@ def _search(catalog: Catalog) -> Iterator[tuple[Kind, Path]]:
 
 
 def _is_model(path: Path) -> bool:
-    """A gesture model by the names of its arrays; whether it can be used shows when it is loaded."""
+    """Return whether a file is a gesture model, by the names of its arrays only."""
     if path.name in ("motion.npz", "body.npz", "checkpoint.npz", "truth.npz"):
         return False
     try:

@@ -1,7 +1,7 @@
-"""Clicked joints to a pose, for the Click screen and for corrections, and clicks that are kept as a start of tracking.
+"""Fit poses to clicked joints, for the Click screen and for corrections, and save clicks as a start of tracking.
 
-In one view with the rivals that look the same, in several by triangulation; the correction of a frame of a tracked
-motion leaves joints that were not clicked near its pose.
+In one view, other poses that look the same are returned too; in several views joints are triangulated. A correction of
+a tracked frame keeps joints that were not clicked near the tracked pose.
 """
 
 from __future__ import annotations
@@ -62,26 +62,35 @@ CLICK_JOINTS: Mapping[str, str] = {
     "left_ankle": "Left ankle",
     "left_big_toe": "Tip of the left foot",
 }
-"""What can be clicked, in the order in which the page asks for it."""
+"""Joints that can be clicked, with their titles, in the order in which the page asks for them."""
 _MIN_CLICKS = 4
 _FORMAT = "hypose-clicks"
 _SD_OF_DIAGONAL = 0.004
-"""How exactly people click, 1 sd as a share of the picture's diagonal (3.2 px at 640 x 480)."""
+"""Standard deviation of a click as a share of the picture's diagonal (3.2 px at 640 x 480)."""
 _OCCLUDED = 0.3
-"""Weight of a joint that is guessed behind something."""
+"""Weight of a joint that is clicked where it is hidden."""
 _HEIGHT_SHARE = 0.04
-"""1 sd of adults' statures as a share of the mean: with one view, distance is as uncertain as the height."""
+"""Standard deviation of adults' statures as a share of the mean: with one view, the distance is as uncertain as the
+height.
+"""
 _STAY, _TRUNK_STAY, _LIMBS_STAY = 0.02, 0.07, 0.35
-"""A correction leaves the root's place (m), the turns of the trunk (rad) and of the limbs (rad) as they were to these
-standard deviations: who moves a wrist means the arm."""
+"""Standard deviations with which a correction keeps the root's place (m), and the rotations of trunk and limbs (rad).
+Why: a user who moves a wrist means the arm.
+"""
 _RIVALS = 4
 _View = Mapping[str, Any]
 
 
 @dataclass(frozen=True)
 class _Clicks:
-    """uv (C, K, 2) px of the rig's pinhole cameras, weight (C, K), 0 = not clicked; names (K,); joint (K,) and offset
-    (K, 3) m: where the clicked points sit on the body."""
+    """Clicks of several cameras as arrays.
+
+    rig: pinhole cameras.
+    names: (K,) clicked joints.
+    uv: (C, K, 2) px of the pinhole cameras.
+    weight: (C, K), 0 = not clicked.
+    joint, offset: (K,) and (K, 3) m: places of the clicked points on the body.
+    """
 
     rig: CameraRig
     names: tuple[str, ...]
@@ -92,7 +101,7 @@ class _Clicks:
 
     @classmethod
     def of(cls, views: Sequence[_View], rig: CameraRig, body: Body) -> _Clicks:
-        """From checked views, for the cameras that have any clicks."""
+        """Make the arrays from checked views, for the cameras that have clicks."""
         found = {v["camera"]: {p["joint"]: p for p in v["points"]} for v in views if v["points"]}
         cameras = [n for n in rig.names if n in found]
         if not cameras:
@@ -112,8 +121,11 @@ class _Clicks:
 
 
 def checked_views(views: Any, recording: Recording) -> list[_View]:
-    """The views of a request, checked, with their points in undistorted pixels of K: those that were clicked in the
-    picture as it was recorded ("recorded": true) have its lens taken out."""
+    """Check the views of a request, and convert their points to undistorted pixels of K.
+
+    Points clicked in the recorded picture ("recorded": true) are undistorted.
+    Raises: InputError names the faulty value.
+    """
     if not isinstance(views, list) or not all(isinstance(v, dict) for v in views):
         raise InputError("The clicks must be a list of views.")
     out = []
@@ -133,7 +145,7 @@ def checked_views(views: Any, recording: Recording) -> list[_View]:
 
 
 def fit_clicks(value: Mapping[str, Any], catalog: Catalog, recordings: Recordings) -> dict[str, Any]:
-    """The pose that explains the clicks of a request (docs/studio-protocol.md)."""
+    """Fit a pose to the clicks of a request, and return the answer for the page (docs/studio-protocol.md)."""
     item = _recording(value, catalog)
     recording = recordings.load(item)
     views = checked_views(value.get("views"), recording)
@@ -145,8 +157,13 @@ def fit_clicks(value: Mapping[str, Any], catalog: Catalog, recordings: Recording
 
 
 def _fit(body: Body, clicks: _Clicks, start: Array | None, known_height: bool, correct: bool) -> dict[str, Any]:
-    """The pose of a body that explains clicks best, as the page gets it. start (D,): solve from there only (while a
-    joint is dragged); correct: and stay near it. An InputError when there are too few clicks."""
+    """Fit a body's pose to clicks, and return it in the form of the page.
+
+    start: (D,) solve only from here, e.g. while a joint is dragged.
+    known_height: without it the distance in one view is uncertain.
+    correct: also keep the pose near `start`.
+    Raises: InputError where there are too few clicks.
+    """
     seen = int((clicks.weight > 0).any(0).sum())
     if seen < _MIN_CLICKS and not correct:
         raise InputError(f"{seen} joints are clicked; click at least {_MIN_CLICKS}, hips and shoulders first.")
@@ -206,7 +223,7 @@ def _fit(body: Body, clicks: _Clicks, start: Array | None, known_height: bool, c
 
 
 def _placed(body: Body, pose: Array) -> dict[str, Array]:
-    """A pose (D,) with its joint centres and their rotations (x y z w), as the page moves the body."""
+    """Return a pose (D,) with its joint centres and rotations (x y z w), in the form of the page."""
     rotations, centres = body.skeleton.forward(pose)
     return {"pose": pose, "joints": centres, "rotations": np.roll(quaternion_from_matrix(rotations), -1, axis=-1)}
 
@@ -223,7 +240,7 @@ def _starts(body: Body, clicks: _Clicks, scale: float) -> list[Array]:
 
 
 def _flipped(body: Body, clicks: _Clicks, pose: Array, other: Array) -> list[str]:
-    """Joints whose segment points the other way along the line of sight in another pose."""
+    """List joints whose segment points the other way along the line of sight in another pose."""
     s, sight = body.skeleton, clicks.rig[0].camera_from_world[2, :3]
     a, b = body.joints(pose) @ sight, body.joints(other) @ sight
     out = []
@@ -235,7 +252,7 @@ def _flipped(body: Body, clicks: _Clicks, pose: Array, other: Array) -> list[str
 
 
 def body_block(asked: dict[str, str], catalog: Catalog, recordings: Recordings) -> bytearray:
-    """The body that clicks are fitted with, as a block of one frame in which it stands at rest."""
+    """Build the block (`view_bundle`) of the body that clicks are fitted with, one frame at rest."""
     item = _recording(asked, catalog)
     try:
         height = float(asked["height"]) if "height" in asked else None
@@ -263,7 +280,10 @@ def _recording(value: Mapping[str, Any], catalog: Catalog) -> Item:
 def _body(
     value: Mapping[str, Any], item: Item, catalog: Catalog, recording: Recording
 ) -> tuple[Body, Array | None, bool]:
-    """The person's body; the pose that is corrected; whether the height is known."""
+    """Choose the body for a request: of the result, as measured, or the template.
+
+    Returns: the body; the pose that is corrected, or None; whether the height is known.
+    """
     frame = whole(value.get("frame"), "the frame in which the joints were clicked", 0, 10**9)
     measured = item.path / "subject" / "body.npz"
     height = value.get("height")
@@ -281,8 +301,11 @@ def _body(
 
 @lru_cache(maxsize=4)
 def _corrected(folder: ResultsFolder, changed: int, frame: int) -> tuple[Body, Array | None]:
-    """The body of a result as it was written last, and its pose in a frame of the recording. Asked again and again
-    while a joint is dragged, and a long motion takes long to read."""
+    """Load a result's body, and its pose in a frame of the recording; None without one. Cached, since it is needed
+    repeatedly while a joint is dragged.
+
+    changed: time of the file's last change.
+    """
     motion, body = load_motion(folder.motion), load_body(folder.file("body.npz"))
     row = frame - first_frame(motion)
     if motion.poses is None or not 0 <= row < len(motion) or not np.isfinite(motion.poses[row]).all():
@@ -297,13 +320,15 @@ def _pose(value: Any, body: Body) -> Array:
 
 
 def save(value: dict[str, Any], item: Item, catalog: Catalog, recordings: Recordings) -> dict[str, Any]:
-    """Keep clicks and the pose they give in starts/NAME.json."""
+    """Fit the clicks of a request, and save both in starts/NAME.json of the recording; return the document."""
     name, starts = value.get("name") or f"frame-{value.get('frame')}", item.path / "starts"
     if not isinstance(name, str) or not is_name(name):
         raise InputError("Give the start a name of letters, digits, - and _.")
     if not catalog.contains(starts):
         raise InputError(f"The starts of {item.path.name} lie outside the served folder.")
-    if isinstance(value.get("result"), str):  # a correction belongs to the result that was tracked from it
+    if isinstance(
+        value.get("result"), str
+    ):  # a correction never replaces an older one, since a result may have been tracked from that
         numbers = ("", *(f"-{n}" for n in range(2, 10_000)))
         name = next(f"{name}{n}" for n in numbers if not (starts / f"{name}{n}.json").exists())
     recording = recordings.load(item)
@@ -318,9 +343,12 @@ def save(value: dict[str, Any], item: Item, catalog: Catalog, recordings: Record
 
 
 def _for_one_camera(views: Sequence[Mapping[str, Any]], wanted: Any, recording: Recording) -> dict[str, Any]:
-    """camera and joints as `hypose track --recipe monocular --start FILE` reads them (hypose.pipeline.one_camera):
-    of the wanted camera when enough is clicked there, else the one with most clicks; in pixels of the picture as it was
-    recorded. Joints behind something only where there are too few others."""
+    """Convert clicks to the form that `hypose track --recipe monocular --start FILE` reads
+    (hypose.pipeline.one_camera).
+
+    The wanted camera is used where enough is clicked there, else the one with most clicks. Pixels are those of the
+    recorded picture. Hidden joints are used only where there are too few others.
+    """
     view = max(views, key=lambda v: (v["camera"] == wanted and len(v["points"]) >= LEAST_CLICKS, len(v["points"])))
     index = recording.rig.names.index(view["camera"])
     camera, source = recording.rig[index], recording.views[index]
@@ -336,7 +364,10 @@ def _for_one_camera(views: Sequence[Mapping[str, Any]], wanted: Any, recording: 
 
 
 def read_clicks(item: Item, name: str) -> dict[str, Any]:
-    """Clicks as they were saved."""
+    """Load saved clicks by their name.
+
+    Raises: InputError where the name or the file is not valid.
+    """
     if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,79}", name):
         raise InputError(f"{name[:40]!r} is no name of a start.")
     path = item.path / "starts" / f"{name}.json"

@@ -1,5 +1,4 @@
-"""Folders as they lie on this computer: their content, and the recording.toml that makes one of them a
-recording."""
+"""List folders of this computer for the page, and make a folder a recording by writing its recording.toml."""
 
 from __future__ import annotations
 
@@ -22,9 +21,9 @@ from hypose.io.recordings.recording import load_recording
 from hypose.io.videos.video import IMAGE_ENDINGS, VIDEO_ENDINGS, open_video
 
 _MOST_LISTED, _DEPTH = 60, 3
-"""Files of a folder that are listed, and folders below it that are looked into."""
+"""Most files of a folder that are listed, and depth of subfolders that are searched."""
 _SERIES = 3
-"""So many pictures or files of key points in one folder are the frames of one camera."""
+"""Number of pictures or key-point files in a folder from which they count as the frames of one camera."""
 _CALIBRATION_ENDINGS = (".toml", ".yml", ".yaml", ".xml")
 _TABLE_ENDINGS = (".json", ".csv", ".h5", ".hdf5", ".npy", ".npz", ".txt", ".pickle")
 _LARGEST_CALIBRATION = 20 << 20
@@ -34,8 +33,9 @@ _ROLES = ("video", "background", "masks", "keypoints", "board")
 
 
 def list_folder(catalog: Catalog, folder: Path, within: bool) -> dict[str, Any]:
-    """List a folder of the served one: its folders, and, where `within` is set, what in it and below it can be part of
-    a recording, each with its path from there and what it is."""
+    """List a folder: its subfolders and, with `within`, the files in and below it that can be part of a recording, each
+    with relative path and kind.
+    """
     entries = _entries(folder)
     found = list(_usable(folder, entries, _DEPTH)) if within else []
     facts = [(p, _facts(p)) for p in found[:_MOST_LISTED]]
@@ -56,9 +56,12 @@ def first_picture(catalog: Catalog, where: str) -> bytes:
 
 
 def make_recording(catalog: Catalog, wanted: Mapping[str, Any]) -> Path:
-    """Write the recording.toml that a page asks for (docs/studio-protocol.md) into a folder; the files in it stay where
-    they are. Returns the folder. Nothing is left when it cannot be used; one without a calibration, whose cameras are
-    found later by a board or from the person, is looked at no further."""
+    """Write recording.toml into a folder as a page requests it (docs/studio-protocol.md); its files stay in place.
+
+    A recording without a calibration, whose cameras are found later from a board or the person, is not checked further.
+    Returns: the folder.
+    Raises: InputError or NotNow where it cannot be used; then nothing is left behind.
+    """
     folder = catalog.inside(text(wanted.get("folder"), "folder", 1000, "choose one"))
     target = folder / "recording.toml"
     if target.exists():
@@ -97,7 +100,7 @@ def make_recording(catalog: Catalog, wanted: Mapping[str, Any]) -> Path:
 
 
 def _placed(catalog: Catalog, folder: Path, view: Mapping[str, Any], role: str) -> Path:
-    """The file of a view, which lies in its recording's folder."""
+    """Resolve the file of a view, which must lie in its recording's folder."""
     path = catalog.inside(text(view.get(role), role, 1000, "choose one"), folder)
     if not path.is_relative_to(folder):
         raise InputError(f"{path.name} does not lie in {folder.name}; choose a folder that holds all files.")
@@ -105,7 +108,7 @@ def _placed(catalog: Catalog, folder: Path, view: Mapping[str, Any], role: str) 
 
 
 def _entries(folder: Path) -> list[Path]:
-    """What lies in a folder, in natural order, without hidden files and links."""
+    """List a folder in natural order, without hidden files and links."""
     try:
         found = [p for p in folder.iterdir() if not p.name.startswith(".") and not p.is_symlink()]
     except OSError as error:
@@ -114,7 +117,7 @@ def _entries(folder: Path) -> list[Path]:
 
 
 def _usable(folder: Path, entries: list[Path], depth: int) -> Iterator[Path]:
-    """Files, and folders with a file per frame, that may be part of a recording; not those of another recording."""
+    """Yield files, and folders with a file per frame, that can be part of a recording; other recordings are skipped."""
     for path in entries:
         if path.is_dir() and path.name != "results":
             below = _entries(path)
@@ -127,7 +130,7 @@ def _usable(folder: Path, entries: list[Path], depth: int) -> Iterator[Path]:
 
 
 def _facts(path: Path) -> dict[str, Any] | None:
-    """What a file is, by looking into it; None for one that says nothing of a recording, and of no use to a user."""
+    """Inspect a file and describe it; None for a file that cannot be part of a recording."""
     ending, pictures = path.suffix.lower(), path.is_dir() and not any(path.glob("*.json"))
     try:
         if pictures or ending in VIDEO_ENDINGS + IMAGE_ENDINGS:

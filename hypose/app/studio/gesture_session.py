@@ -1,7 +1,6 @@
-"""The one gesture session of the studio, which belongs to the server: docs/studio-protocol.md, /ws/gesture.
+"""Gesture session of the studio, one per server (docs/studio-protocol.md, /ws/gesture).
 
-It runs in a thread of its own: takes pictures at their pace, hands them on with what pages asked for, tells what comes
-of it, and saves.
+A thread takes pictures at their pace, processes them with the page's requests, reports the results, and saves.
 """
 
 from __future__ import annotations
@@ -29,19 +28,20 @@ from hypose.gestures.session import Command
 from hypose.pipeline.gesture_files import load_model
 
 _FOLDER = "gestures"
-"""Where sessions and models go, in the served folder."""
+"""Folder for sessions and models in the served folder."""
 ALONE_S = 5.0
-"""s without a page after which a session is paused."""
+"""Time without a page after which a session is paused, s."""
 HISTORY = 2000
-"""Frames whose scores a page that comes later gets."""
+"""Number of latest frames whose scores a new page receives."""
 _SAVE_S = 10.0
 _LEAST_FULL, _FADING = 1e-5, 0.95
-"""The map shows opaque the highest density of late (m^2 of voting surface per cell; how it sinks from one map to the
-next), and at least this: how dense votes lie is another matter with every gesture, distance and amount of teaching."""
+"""The map of votes shows the highest recent density as opaque: least such density (m^2 of voting surface per cell), and
+the factor by which it decreases per map. Why: densities differ with gesture, distance and amount of training.
+"""
 
 
 class GestureTopic(Topic):
-    """The session, for pages: started, watched, and paused when the last page has gone for 5 s."""
+    """Topic of the gesture session: it is started and watched by pages, and paused 5 s after the last page has left."""
 
     name = "gesture"
 
@@ -53,17 +53,17 @@ class GestureTopic(Topic):
         self._closed = False
 
     def hello(self) -> Message:
-        """See `Topic`."""
+        """Return the state of the session."""
         with self._lock:
             return {"t": "hello", "session": self._run.described() if self.runs and self._run else None}
 
     @property
     def runs(self) -> bool:
-        """Whether a session does."""
+        """Whether a session is running."""
         return self._run is not None and not self._run.over
 
     def watched(self, pages: int) -> None:
-        """See `Topic`."""
+        """Resume pictures for a new page, or start the timer that pauses the session without pages."""
         with self._lock:
             if self._alone is not None:
                 self._alone.cancel()
@@ -77,7 +77,7 @@ class GestureTopic(Topic):
                 self._alone.start()
 
     async def heard(self, message: dict[str, Any]) -> None:
-        """See `Topic`."""
+        """Start a session, or pass a message to the running one."""
         if message["t"] == "start":
             await asyncio.to_thread(lambda: self._start(read_start(message)))
         elif self._run is None or self._run.over:
@@ -113,7 +113,9 @@ class GestureTopic(Topic):
         return self._catalog.find("model", id).path
 
     def _go_on(self, start: SessionRequest, model: str) -> None:
-        """A gesture of several is taught: the next one, or all of them tried. Called by the thread that has ended."""
+        """Start the session of the next gesture of several, or try all of them after the last. Called by the thread
+        that has ended.
+        """
         taught = (*start.taught, model)
         if self._closed:
             return
@@ -124,7 +126,7 @@ class GestureTopic(Topic):
             self._start(replace(start, mode="run", models=taught))
 
     def close(self) -> None:
-        """Stop the session with everything saved (the server ends)."""
+        """Stop the session and save everything, when the server ends."""
         with self._lock:
             self._closed = True
             if self._alone is not None:
@@ -134,14 +136,18 @@ class GestureTopic(Topic):
 
 
 def _free_model(folder: Path, gesture: str) -> Path:
-    """The first file of a model of this name that is not there."""
+    """Return the first path for a model of this gesture that does not exist."""
     names = (f"{gesture}{'' if n == 1 else f'-{n}'}.npz" for n in range(1, 10_000))
     return next(folder / name for name in names if not (folder / name).exists())
 
 
 class Run:
-    """The thread of a session. resumed: name of the model that goes on growing; after: called instead of the last word
-    when one of several gestures is taught, with the id of its model."""
+    """Thread of one session.
+
+    activity: training or watching.
+    resumed: name of the model that is trained further.
+    after: called with the id of the model, in place of the end message, where one of several gestures was taught.
+    """
 
     def __init__(
         self,
@@ -161,9 +167,9 @@ class Run:
         self._commands: list[Command] = []
         self._controls = Controls()
         self._changed, self._save, self._stop = False, False, False
-        self._newcomer = False  # a page has come that has no picture yet
+        self._newcomer = False  # a new page has no picture yet
         self._full = 0.0  # density that the map shows opaque
-        self._packed_ms = 0.0  # that the last pictures took to pack
+        self._packed_ms = 0.0  # time to encode the last pictures
         self._thread = threading.Thread(target=self._work, daemon=True)
 
     def begin(self) -> None:
@@ -171,7 +177,7 @@ class Run:
         self._thread.start()
 
     def described(self) -> dict[str, Any]:
-        """SESSION of the protocol."""
+        """Return the SESSION object of the protocol."""
         a = self._activity
         return {
             "mode": self._start.mode,
@@ -190,7 +196,10 @@ class Run:
         }
 
     def post(self, message: Mapping[str, Any]) -> None:
-        """A message of a page; InputError when it cannot be."""
+        """Take a message of a page.
+
+        Raises: InputError where the message is not valid.
+        """
         with self._news:
             kind = message.get("t")
             if kind == "save":
@@ -204,13 +213,13 @@ class Run:
             self._news.notify()
 
     def again(self) -> None:
-        """Show the last picture once more, to a page that has just come."""
+        """Show the last picture again, for a page that has just connected."""
         with self._news:
             self._changed = self._newcomer = True
             self._news.notify()
 
     def stop(self) -> None:
-        """End it, with everything saved."""
+        """Stop the session and save everything."""
         self.post({"t": "stop"})
         if self._thread.is_alive():
             self._thread.join(10)
@@ -242,11 +251,13 @@ class Run:
         self._say({"t": "ended", "why": why})
 
     def _loop(self) -> str | None:
-        """Until it is stopped, or one of several gestures is taught (None), or the source ends (why)."""
+        """Process pictures until the session is stopped or one of several gestures is taught (None), or the source ends
+        (the reason).
+        """
         a, last, seq = self._activity, None, 0
-        behind = saved = clock.monotonic()  # behind: the moment at which a picture of time 0 is due
+        behind = saved = clock.monotonic()  # behind: time at which the next picture is due
         while True:
-            # a paused recording waits; a camera goes on, so that the person sees where they stand
+            # a paused recording waits; a camera continues, so that the person sees themselves
             waits = a.paused and not a.feed.live
             commands, stop, save = self._wait(None if waits else behind)
             if stop:
@@ -271,7 +282,9 @@ class Run:
                 saved = clock.monotonic()
 
     def _wait(self, until: float | None) -> tuple[list[Command], bool, bool]:
-        """What the page asked for meanwhile, as soon as it does; None: nothing happens before."""
+        """Wait for requests of the page until a time (None: without limit); return commands, and whether to stop and to
+        save.
+        """
         with self._news:
             while not (self._commands or self._changed or self._stop or self._save):
                 left = None if until is None else until - clock.monotonic()
@@ -288,7 +301,7 @@ class Run:
         if fresh:
             self._history.append([m["time"], m["score"], m["high"], m["low"], m["threshold"], m["phase"]])
         m |= {"seq": seq, "ms": {**m["ms"], "depth": self._packed_ms}}
-        if commands:  # the answer to a click does not wait until pictures are packed
+        if commands:  # answer a click before the pictures are encoded
             self._say(m)
         began = clock.perf_counter()
         with self._news:
@@ -306,7 +319,7 @@ class Run:
             self._say(judged)
 
     def _saved(self) -> str | None:
-        """Save what was taught; the id of the model."""
+        """Save the trained model and return its id; None where nothing was trained."""
         path, folder = self._activity.save(self._controls), self._activity.folder
         if path is None:
             return None

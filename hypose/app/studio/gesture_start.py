@@ -1,4 +1,4 @@
-"""What a page asks of a gesture session, checked: how it begins, where its pictures come from, and its changes."""
+"""Check a page's requests to a gesture session: its start, its source of pictures, and changes while it runs."""
 
 from __future__ import annotations
 
@@ -15,15 +15,25 @@ from hypose.gestures.model import check_gesture_name
 from hypose.gestures.session import COMMANDS, Command, SessionSettings
 
 MOST_GESTURES = 8
-"""Gestures that are taught one after the other."""
+"""Most gestures that are taught one after the other."""
 STUDIO_PHASES = ("do_gesture", "positive", "release", "negative")
 
 
 @dataclass(frozen=True)
 class SessionRequest:
-    """mode: train or run. gesture, resume (id of a model), settings: of a training. then: gestures that are taught
-    after it; taught: ids of the models before; all are tried in the end. models: ids of a run. source: a value of the
-    state's sources; fast: recordings and the simulated person are not slowed down to their pace."""
+    """Checked request to start a gesture session.
+
+    mode: "train" or "run".
+    source: one of the sources of the state.
+    gesture: name, for training.
+    resume: id of a model to train further.
+    settings: of the training.
+    models: ids of the models to run.
+    then: gestures that are taught next.
+    taught: ids of the models taught before; all are tried at the end.
+    seed: of random numbers.
+    fast: recordings and the simulated person are not slowed down to real time.
+    """
 
     mode: str
     source: str
@@ -39,8 +49,13 @@ class SessionRequest:
 
 @dataclass
 class Controls:
-    """What a page changes while a session runs. box: where the gesture is asked for (px), None = the middle; threshold:
-    cm^2, None = the automatic one; hold_s: how long a gesture must be held; map: the detection map is wanted."""
+    """Settings that a page changes while a session runs.
+
+    box: (x, y) px where the gesture is asked for; None: the middle.
+    threshold: cm^2; None: automatic.
+    hold_s: time for which a gesture must be held, s.
+    map: the map of votes is wanted.
+    """
 
     box: tuple[float, float] | None = None
     threshold: float | None = None
@@ -50,8 +65,12 @@ class Controls:
 
 @dataclass(frozen=True)
 class GestureFeed:
-    """live: a camera, whose pictures come when they come; others are shown at the pace of their times. knows: the box
-    of a picture says where the gesture really is, and None that it is not seen."""
+    """Source of pictures for a session.
+
+    title: for the page.
+    live: pictures of a camera arrive by themselves; others are shown at the pace of their times.
+    knows: the box of a picture is the true place of the gesture, and None means that it is not shown.
+    """
 
     source: GestureSource
     title: str
@@ -60,7 +79,10 @@ class GestureFeed:
 
 
 def read_start(message: Mapping[str, Any]) -> SessionRequest:
-    """The start that a page asks for; an InputError says what cannot be."""
+    """Check the start message of a page.
+
+    Raises: InputError names the faulty value.
+    """
     mode = request_choice(message.get("mode"), "mode", ("train", "run"))
     source = text(message.get("source"), "source", 80, "choose the simulated person, a recorded session or a camera")
     seed = whole(message.get("seed", 0), "the seed", 0, 2**32 - 1)
@@ -94,12 +116,15 @@ def read_start(message: Mapping[str, Any]) -> SessionRequest:
 
 
 def read_command(message: Mapping[str, Any]) -> Command:
-    """The command of a message; an InputError lists the commands."""
+    """Return the command of a message.
+
+    Raises: InputError lists the commands.
+    """
     return cast(Command, request_choice(message.get("command"), "command", COMMANDS))
 
 
 def change(controls: Controls, message: Mapping[str, Any], size: tuple[int, int]) -> bool:
-    """Take a change of box, threshold, hold or map; False when the message is none of these."""
+    """Apply a change of box, threshold, hold or map; return False where the message is none of these."""
     kind = message.get("t")
     if kind == "box":
         x, y = (request_number(message.get(k), f"the box's {k}", -1e9, 1e9) for k in ("x", "y"))
@@ -115,8 +140,11 @@ def change(controls: Controls, message: Mapping[str, Any], size: tuple[int, int]
 
 
 def open_feed(start: SessionRequest, gesture: str, session: Callable[[str], Path]) -> GestureFeed:
-    """The feed of a start's source in the protocol: simulated:N, session:ID or realsense. InputError for any other:
-    a page opens no paths."""
+    """Open the source of a start: simulated:N, session:ID or realsense. Why no others: a page must not open paths.
+
+    session: gives the folder of a session's id.
+    Raises: InputError for other sources.
+    """
     kind, _, rest = start.source.partition(":")
     if kind == "simulated":
         person = digits(rest or "0", "the simulated person's number")
@@ -130,7 +158,7 @@ def open_feed(start: SessionRequest, gesture: str, session: Callable[[str], Path
 
 
 def _from_zero(source: GestureSource) -> GestureSource:
-    """The source with its times counted from its first picture on."""
+    """Wrap a source so that its times start at 0."""
     first: list[float] = []
 
     def take(phase: str) -> Taken | None:
@@ -144,6 +172,6 @@ def _from_zero(source: GestureSource) -> GestureSource:
 
 
 def shut(feed: GestureFeed) -> None:
-    """Let go of the source; a camera that has been unplugged is no reason to lose a session."""
+    """Close the source and ignore its errors, so that an unplugged camera does not lose a session."""
     with contextlib.suppress(OSError, RuntimeError):
         feed.source.close()

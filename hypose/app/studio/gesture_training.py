@@ -1,5 +1,6 @@
-"""Sessions that teach a gesture (all is recorded and saved) or watch for gestures: a frame in, what the page shows
-of it out."""
+"""Process the frames of a gesture session: teach a gesture (all is recorded and saved), or watch for gestures; each
+frame gives the message that the page shows.
+"""
 
 from __future__ import annotations
 
@@ -36,19 +37,19 @@ from hypose.gestures.trainer import Feedback, Trainer
 from hypose.pipeline.gesture_files import SessionWriter, content_of, save_model
 
 # ---- gesture judge -------------------------------------------------------------------------------------------------
-# How good a forest is while it is taught: on frames that are kept from it, and on movement before it is learned.
+# Test a forest during its training: on held-back frames, and on movement before it is learned.
 
 
 _KEPT = 40
-"""Frames of each kind that are kept; every frame has the same chance."""
+"""Frames of each kind that are kept for testing; every frame has the same chance."""
 _WINDOW_S = 60.0
-"""s of movement over which false alarms are counted."""
+"""Time of movement over which false alarms are counted, s."""
 _POINTS = 100
-"""At most so many points of a curve are reported."""
+"""Most points of a curve that are reported."""
 
 
 class _Seen(NamedTuple):
-    """score, error (m; inf where the gesture is not done) and whether it is done."""
+    """Result of one test frame: score, error (m; infinite where the gesture is not shown), and whether it is shown."""
 
     score: float
     error: float
@@ -56,7 +57,9 @@ class _Seen(NamedTuple):
 
 
 class HeldBack:
-    """Frames that are kept from a forest; judged in a thread of its own, so that the session does not wait."""
+    """Held-back frames on which a forest is tested while it is trained; in a thread of its own, so that the session
+    does not wait.
+    """
 
     def __init__(self, lens: DepthLens) -> None:
         self._lens, self._keep = lens, np.random.default_rng(0)
@@ -68,7 +71,11 @@ class HeldBack:
         self._result: dict[str, Any] | None = None
 
     def keep(self, depth: DepthImage, at: tuple[float, float] | None, segment: int) -> None:
-        """A frame of a learning segment that is not learned; at: pixel of the gesture, None for other movement."""
+        """Hold back a frame of a training segment.
+
+        at: pixel of the gesture; None for other movement.
+        segment: number of its segment.
+        """
         kept, shown = self._frames[at is not None], at is not None
         self._count[shown] += 1
         if len(kept) < _KEPT:
@@ -77,15 +84,15 @@ class HeldBack:
             kept[place] = depth, at, segment
 
     def test(self, depth: DepthImage, at: tuple[float, float] | None, found: Localisation) -> None:
-        """A frame of the test whose truth is known."""
+        """Add a frame of the test phase with a known result."""
         self._tested.append(_judged(depth, self._lens, at, found))
 
     def drop(self, undone: tuple[int, ...]) -> None:
-        """Forget the frames of segments that were taken back."""
+        """Remove the frames of segments that were undone."""
         self._frames = {shown: [k for k in kept if k[2] not in undone] for shown, kept in self._frames.items()}
 
     def begin(self, forest: Forest) -> None:
-        """Look at the kept frames again with the forest as it is now, unless that is still going on."""
+        """Start testing the held-back frames with the current forest, unless a test is running."""
         if self._busy is None or not self._busy.is_alive():
             frames = [*self._frames[True], *self._frames[False]]
             self._busy = threading.Thread(target=self._look, args=(forest, frames), daemon=True)
@@ -97,8 +104,9 @@ class HeldBack:
         self._result = _curve([_judged(d, self._lens, at, f) for d, at, f in found]) | {"on": "held-back"}
 
     def result(self, threshold: float | None) -> dict[str, Any] | None:
-        """The newest judgement once, None when there is none that is new: of the test when it has both kinds of frame,
-        else of the kept frames."""
+        """Return the newest result once; None where there is no new one. It is of the test phase once that has both
+        kinds of frames, else of the held-back frames.
+        """
         new, self._result = self._result, None
         if {s.shown for s in self._tested} == {True, False}:
             new = _curve(self._tested) | {"on": "test"}
@@ -131,7 +139,7 @@ def _curve(seen: list[_Seen]) -> dict[str, Any]:
 
 
 def _at(curve: dict[str, Any], threshold: float | None) -> dict[str, float] | None:
-    """Precision and recall of the scores from the threshold on."""
+    """Return precision and recall at a threshold."""
     if threshold is None or not curve["scores"]:
         return None
     passed = [k for k, s in enumerate(curve["scores"]) if s >= threshold]
@@ -141,7 +149,7 @@ def _at(curve: dict[str, Any], threshold: float | None) -> dict[str, float] | No
 
 
 class FalseAlarms:
-    """Events in movement that the forest has not learned yet, over the last minute of it."""
+    """Counter of events in movement that the forest has not learned yet, over the last minute."""
 
     def __init__(self) -> None:
         self._state, self._clock = EventState(), 0.0
@@ -149,10 +157,10 @@ class FalseAlarms:
         self._starts: list[float] = []
 
     def see(self, time: float, found: Localisation, threshold: float | None, hold_s: float) -> None:
-        """A frame of other movement, looked at before it is learned."""
+        """Count the events of a frame of other movement, before it is learned."""
         if self._last is not None and 0 < time - self._last < 1:
             self._clock += time - self._last
-        elif self._last is not None:  # another segment: what went on has ended meanwhile
+        elif self._last is not None:  # another segment: an event that was going on has ended
             self._state = EventState()
         self._last = time
         if threshold is None or threshold <= 0:
@@ -162,31 +170,31 @@ class FalseAlarms:
         self._starts += [self._clock for e in events if e.kind == "start"]
 
     def reported(self) -> dict[str, float | None]:
-        """false_per_min and tested_s."""
+        """Return false_per_min and tested_s."""
         seconds = min(self._clock, _WINDOW_S)
         recent = sum(t > self._clock - _WINDOW_S for t in self._starts)
         return {"false_per_min": recent * 60 / seconds if seconds > 5 else None, "tested_s": round(seconds, 1)}
 
 
 BOX_M = 0.1
-"""Half side of the box that is shown, at the surface in it."""
+"""Half side of the box on the page, at the surface in it, m."""
 _ADAPTATION_RATE = 0.8
-"""Share of the new frame in the density while watching, as `hypose gesture run` has it."""
+"""Share of the new frame in the density while watching, as in `hypose gesture run`."""
 _HELD_EVERY = 5
-"""Every so many seconds of learning, one second is kept from the forest."""
+"""Of so many seconds of training, one second is held back."""
 
 
 _Shown = tuple[dict[str, Any], NDArray[np.float32] | None]
-"""What a frame gives the page: the step message (without seq), the map of votes if it was wanted."""
+"""Result of a frame for the page: the step message (without seq), and the map of votes where wanted."""
 
 
 class Training:
-    """Only the session's thread calls it, except `save` after that thread has ended."""
+    """Training of one gesture. Only the session's thread may call it; `save` also after that thread has ended."""
 
     def __init__(self, start: SessionRequest, feed: GestureFeed, old: Path | None, folder: Path, model: Path) -> None:
         self.feed, self.folder, self.path, self.names = feed, folder, model, [start.gesture]
         self._old = growing_model(old, start.gesture) if old is not None else None
-        # checks the name before anything is written
+        # this checks the name before anything is written
         learner = (self._old.learner if self._old is not None else None) or new_learner(start.seed)
         GestureModel((start.gesture,), learner.forest, (None,), LocaliseSettings(), learner)
         self.trainer = Trainer(learner, start.settings)
@@ -206,16 +214,19 @@ class Training:
 
     @property
     def asks(self) -> str:
-        """The phase that the next picture should show."""
+        """Phase that the next picture should show."""
         return self.trainer.session.phase
 
     @property
     def paused(self) -> bool:
-        """Nothing goes on until the page says so."""
+        """Whether the session waits for the page."""
         return self.trainer.session.paused is not None
 
     def frame(self, taken: Taken, controls: Controls, commands: Sequence[Command], fresh: bool) -> _Shown:
-        """Take a picture; fresh False: it was taken before, and only the commands are new."""
+        """Process a picture.
+
+        fresh: False: only the commands are new, the picture was processed before.
+        """
         source, trainer = self.feed.source, self.trainer
         if not self.feed.knows:
             self._place = controls.box or self._place
@@ -224,7 +235,7 @@ class Training:
         before = trainer.session
         session, instruction = peek(before, trainer.settings, taken.time, commands)
         kept = instruction.learn is not None and int(taken.time - session.entered) % _HELD_EVERY == _HELD_EVERY - 1
-        # where the source knows it, the picture must show the gesture to be learned
+        # where the source knows the truth, a picture must show the kind of movement to be learned
         sure = instruction.learn is None or not self.feed.knows
         usable = fresh and (sure or (taken.box is not None) == (instruction.learn == "gesture"))
         if session.segment != self._before[0]:
@@ -256,7 +267,11 @@ class Training:
         return message, density
 
     def _look(self, taken: Taken, f: Feedback, wanted: bool) -> tuple[Localisation, NDArray[np.float32] | None]:
-        """Where the forest sees the gesture: in a frame that is learned, before it was."""
+        """Localise the gesture in a picture; where the picture is learned, with the forest as it was before.
+
+        wanted: the map of votes is wanted.
+        Returns: the place of the gesture, and the map or None.
+        """
         maxima = f.taught.maxima if f.taught is not None else ()
         if maxima and not wanted:
             return maxima[0], None
@@ -272,7 +287,7 @@ class Training:
     def _keep(
         self, taken: Taken, f: Feedback, found: Localisation, kept: bool, threshold: float | None, hold_s: float
     ) -> None:
-        """Count learned frames; put judged ones aside."""
+        """Count learned frames, and hold back frames for testing."""
         kind, phase = f.instruction.learn, f.instruction.phase
         if kind is not None and f.taught is not None:
             self._frames[kind] += 1
@@ -332,7 +347,7 @@ class Training:
         }
 
     def judged(self, time: float, controls: Controls) -> dict[str, Any] | None:
-        """The newest judgement, about once a second of the session; None when there is nothing new."""
+        """Return the newest test result, about once per second of the session; None where there is no new one."""
         if abs(time - self._judged_at) < 1.0:
             return None
         self._judged_at = time
@@ -342,12 +357,14 @@ class Training:
         return None if result is None else {"t": "judged", **result, **self._alarms.reported()}
 
     def save(self, controls: Controls) -> Path | None:
-        """Write the model; None when nothing has been learned yet."""
+        """Write the model; return its path, or None where nothing has been learned yet."""
         if not sum(self._frames.values()):
             return None
         threshold = controls.threshold or self._final or self.trainer.final_threshold()
         old = self._old.history if self._old is not None else ()
-        if threshold is None and self._old is not None:  # ended before both gesture and movement were seen again
+        if (
+            threshold is None and self._old is not None
+        ):  # the session ended before both gesture and movement were seen again
             threshold = self._old.thresholds[0]
         entry: Mapping[str, Any] = {
             "session": self.folder.name,
@@ -368,7 +385,7 @@ class Training:
 
 
 class Watching:
-    """Looks for the gestures of all models; nothing is learned or written."""
+    """Search for the gestures of all models; nothing is learned or written."""
 
     reported: dict[str, Any] = {"rounds": 0, "seconds": {}}
     folder = None
@@ -383,11 +400,14 @@ class Watching:
 
     @property
     def paused(self) -> bool:
-        """Nothing goes on until the page says so."""
+        """Whether the session waits for the page."""
         return self._pause
 
     def frame(self, taken: Taken, controls: Controls, commands: Sequence[Command], fresh: bool) -> _Shown:
-        """Take a picture; fresh False: it was taken before, and only the commands are new."""
+        """Process a picture.
+
+        fresh: False: only the commands are new, the picture was processed before.
+        """
         for c in commands:
             self._pause = c == "pause" if c in ("pause", "continue") else self._pause
         lens = self.feed.source.lens
@@ -440,19 +460,19 @@ class Watching:
         return message, maps[best.gesture - 1][0] if controls.map else None
 
     def judged(self, time: float, controls: Controls) -> dict[str, Any] | None:
-        """Nothing is judged while watching."""
+        """Return None: nothing is tested while watching."""
         return None
 
     def save(self, controls: Controls) -> Path | None:
-        """There is nothing to save."""
+        """Return None: there is nothing to save."""
         return None
 
     def close(self) -> None:
-        """Nothing to close."""
+        """Do nothing; there is nothing to close."""
 
 
 def event_message(event: Event, names: Sequence[str]) -> dict[str, Any]:
-    """An event as the page gets it."""
+    """Convert an event to the form of the page."""
     return {
         "kind": event.kind,
         "gesture": names[event.gesture - 1],
@@ -464,10 +484,10 @@ def event_message(event: Event, names: Sequence[str]) -> dict[str, Any]:
 
 
 def position(found: Localisation) -> list[float] | None:
-    """m in the camera's frame."""
+    """Return the place of a gesture in the camera's frame of reference, rounded, m."""
     return None if found.position is None else [round(float(v), 3) for v in found.position]
 
 
 def rounded(value: float | None) -> float | None:
-    """For JSON."""
+    """Round a value for JSON."""
     return None if value is None else round(value, 3)

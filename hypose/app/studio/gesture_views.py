@@ -1,4 +1,4 @@
-"""Gestures as the page shows them: pictures of depth and of votes, and lists of sessions, models and sources."""
+"""Prepare gestures for the page: pictures of depth and votes, and lists of sessions, models and sources."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from hypose.synthetic.gesture_people import load_people
 from hypose.synthetic.gesture_poses import GESTURES
 
 _MOST_BYTES = 64 << 20
-"""Of a session's frames.csv."""
+"""Largest frames.csv of a session that is read, bytes."""
 _SIZE, _QUALITY = 96, 82
-"""px, width and height of the picture."""
+"""Width and height of the thumbnail, px, and its JPEG quality."""
 _HALF_M = 0.22
-"""Half side of the shown square, at the surface where the gesture is done."""
+"""Half side of the shown square at the surface where the gesture is done, m."""
 _NEAREST_MM, _FARTHEST_MM = 500, 4200
-"""mm: the colours' range; nearer and farther depths have the end's colour."""
+"""Range of the colours, mm; nearer and farther depths have the colour of the end."""
 _JPEG_QUALITY = 75
 # from near to far: BGR, light enough to stand out on both themes' stages
 _COLOURS = (
@@ -42,17 +42,19 @@ _HOLE = (22, 15, 12)
 
 
 def depth_jpeg(depth: DepthImage) -> bytes:
-    """A depth picture (h, w) uint16 mm in colours."""
+    """Encode a depth picture (h, w) uint16 mm as a coloured JPEG."""
     return cv2.imencode(".jpg", coloured(depth), [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1].tobytes()
 
 
 def coloured(depth: DepthImage) -> NDArray[np.uint8]:
-    """(h, w, 3) BGR of a depth picture (h, w) uint16 mm; holes are dark."""
+    """Convert a depth picture (h, w) uint16 mm to colours (h, w, 3) BGR; holes are dark."""
     return cv2.applyColorMap(np.take(_levels(), depth), _palette())  # type: ignore[return-value] - uint8, as it says
 
 
 def map_png(density: NDArray[np.float32], full: float) -> bytes:
-    """A map of voting surface (rows, columns): alpha is the share of `full`, the density that is shown opaque."""
+    """Encode a map of voting surface (rows, columns) as PNG; alpha is the share of `full`, the density
+    shown as opaque.
+    """
     alpha = np.clip(density * (255 / max(full, 1e-12)), 0, 255).astype(np.uint8)
     image = np.empty((*alpha.shape, 4), np.uint8)
     image[..., :3] = (60, 90, 255)
@@ -62,7 +64,7 @@ def map_png(density: NDArray[np.float32], full: float) -> bytes:
 
 @cache
 def _levels() -> NDArray[np.uint8]:
-    """Level of each depth in mm: 0 = hole, then from near to far."""
+    """Return the colour level of each depth in mm: 0 = hole, then from near to far."""
     mm = np.arange(1 << 16)
     level = 1 + np.rint(254 * np.clip((mm - _NEAREST_MM) / (_FARTHEST_MM - _NEAREST_MM), 0, 1))
     level[0] = 0
@@ -78,7 +80,7 @@ def _palette() -> NDArray[np.uint8]:
 
 
 def sessions_shown(catalog: Catalog) -> list[dict[str, Any]]:
-    """The recorded sessions, for a list: read briefly, without their pictures."""
+    """List the recorded sessions, without reading their pictures."""
     out = []
     for item in catalog.items("session"):
         gestures, frames = _brief(item.path)
@@ -88,7 +90,7 @@ def sessions_shown(catalog: Catalog) -> list[dict[str, Any]]:
 
 
 def models_shown(catalog: Catalog) -> list[dict[str, Any]]:
-    """The models that can be used, for a list."""
+    """List the usable models."""
     out = []
     for item in catalog.items("model"):
         facts = _facts_of_model(item.path, item.changed)
@@ -100,7 +102,7 @@ def models_shown(catalog: Catalog) -> list[dict[str, Any]]:
 
 @lru_cache(maxsize=512)
 def _facts_of_model(path: Path, changed: float) -> dict[str, Any] | None:
-    """What a list says of a model as it was changed last; None where it cannot be used."""
+    """Describe a model for the list; None where it cannot be used. changed: time of its last change, for the cache."""
     try:
         model = load_model(path)
     except HyposeError:
@@ -109,7 +111,7 @@ def _facts_of_model(path: Path, changed: float) -> dict[str, Any] | None:
 
 
 def sources_shown(catalog: Catalog) -> list[dict[str, Any]]:
-    """Where depth can come from; with "missing" when it cannot just now."""
+    """List the sources of depth; with "missing" where a source is not available."""
     people = [
         {"value": f"simulated:{n}", "title": f"Simulated person {n + 1}", "gestures": GESTURES}
         for n in range(len(load_people()))
@@ -125,7 +127,7 @@ def sources_shown(catalog: Catalog) -> list[dict[str, Any]]:
 
 
 def _brief(folder: Path) -> tuple[list[str], int]:
-    """Names of the gestures and number of frames of a session."""
+    """Read the names of the gestures and the number of frames of a session."""
     try:
         names = read_json(folder / "session.json", "a session.json").get("gestures")
         frames = read_bytes(folder / "frames.csv", "a frames.csv", _MOST_BYTES).count(b"\n") - 1
@@ -135,15 +137,17 @@ def _brief(folder: Path) -> tuple[list[str], int]:
 
 
 def gesture_thumbnail(model: Path) -> bytes | None:
-    """Return a JPEG thumbnail of a gesture, made from a frame of a training session of the model.
+    """Return a JPEG thumbnail of a gesture: the middle one of the frames that a training session learned the gesture
+    from.
 
-    model: path of the model file; the session folders are searched in the same folder, the latest first.
-    The frame is the middle one of the session's training frames that show the gesture.
-    Return None when no such session or frame is found.
+    model: path of the model file; its sessions are searched in the same folder, the latest first.
+    Returns: None where no session or frame is found.
     """
     learned = load_model(model)
     for entry in reversed(learned.history):
-        folder = model.parent / Path(str(entry.get("session", ""))).name  # next to it, whatever the model says
+        folder = (
+            model.parent / Path(str(entry.get("session", ""))).name
+        )  # only its name is used, so that the folder lies next to the model
         if folder == model.parent or not (folder / "session.json").is_file():
             continue
         recording = read_recording(folder)

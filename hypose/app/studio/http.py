@@ -1,6 +1,7 @@
-"""What comes from pages, read field by field, and what goes to them: JSON without NaN, errors in a sentence.
+"""Read requests of pages field by field, and build answers: JSON without NaN, errors as one sentence; refuse foreign
+requests.
 
-Every WebSocket, request and address is read by these functions; their InputErrors are sentences for the page.
+Every WebSocket message, request and address is read by these functions; their InputErrors are sentences for the page.
 """
 
 from __future__ import annotations
@@ -29,37 +30,40 @@ from hypose.json_text import parse_json
 
 MAX_JSON = 1 << 20
 _BODY_S = 30.0
-"""s that a request may take from one piece of its body to the next."""
+"""Time a request may take from one piece of its body to the next, s."""
 _SLICE = 1 << 18
 """Bytes of a block that are sent at once."""
 _DEEPEST = 16
 _HALF_OF_PAIR = re.compile(r"[\ud800-\udfff]")
-"""JSON can say half of a pair of UTF-16, which no text, file or terminal takes."""
+"""Half of a UTF-16 pair, which JSON allows but no text, file or terminal accepts."""
 
 
 class NotNow(InputError):
-    """What was asked for cannot be done in the present state."""
+    """Error: the request cannot be done in the present state."""
 
 
 class TooLarge(InputError):
-    """More was sent than is taken."""
+    """Error: the request is too large."""
 
 
 class TooSlow(InputError):
-    """What was announced did not come."""
+    """Error: the announced data did not arrive in time."""
 
 
 _STATUS: tuple[tuple[type[HyposeError], int], ...] = ((NotFound, 404), (NotNow, 409), (TooSlow, 408), (TooLarge, 413))
 
 
 def answer(value: Any, status: int = 200) -> JSONResponse:
-    """JSON; numpy values become plain ones, NaN becomes null. Never kept by the browser: files change."""
+    """Build a JSON answer; numpy values become plain ones, NaN becomes null. The browser must not cache it, since files
+    change.
+    """
     return JSONResponse(json_values(value), status, headers={"Cache-Control": "no-store"})
 
 
 def block_answer(block: bytes | bytearray | None) -> Response:
-    """A block of a result (`view_bundle`), or that there is none. It goes slice after slice, as the page takes them:
-    whole, it would lie twice more in memory on its way."""
+    """Build the answer with a block of a result (`view_bundle`), or an empty one. It is sent in slices, so that the
+    block is not copied as a whole.
+    """
     if block is None:
         return Response(status_code=204)
 
@@ -72,20 +76,23 @@ def block_answer(block: bytes | bytearray | None) -> Response:
 
 
 def jpeg_answer(data: bytes | None, seconds: int) -> Response:
-    """A picture, or that there is none; it stays what it is for so many seconds."""
+    """Build the answer with a JPEG, or an empty one; it may be cached for so many seconds."""
     if data is None:
         return Response(status_code=204)
     return Response(data, media_type="image/jpeg", headers={"Cache-Control": f"private, max-age={seconds}"})
 
 
 def error_response(status: int, sentence: str) -> JSONResponse:
-    """An error as the page shows it."""
+    """Build the answer with an error sentence."""
     return JSONResponse({"error": sentence}, status)
 
 
 def route(path: str, call: Callable[..., Any], method: str = "GET", status: int = 200) -> Route:
-    """The action at an address. call gets the request, of a POST also its JSON object, and gives a response or all that
-    is to be one; it runs in a thread, unless it is asynchronous. Its errors become answers."""
+    """Make the route of an address.
+
+    call: gets the request, for POST also its JSON object; returns a response, or a value for a JSON answer. It runs in
+        a thread unless it is asynchronous; its HyposeErrors become error answers.
+    """
 
     async def endpoint(request: Request) -> Response:
         try:
@@ -99,7 +106,10 @@ def route(path: str, call: Callable[..., Any], method: str = "GET", status: int 
 
 
 async def _body_of(request: Request) -> dict[str, Any]:
-    """The JSON object of a request; TooSlow when a piece of it does not come, InputError when it breaks off."""
+    """Read the JSON object of a request.
+
+    Raises: TooSlow where a piece of it does not arrive; InputError where it breaks off.
+    """
     data, pieces = bytearray(), aiter(request.stream())
     while True:
         try:
@@ -119,7 +129,10 @@ async def _body_of(request: Request) -> dict[str, Any]:
 
 
 def object_of(data: str | bytes | bytearray, what: str) -> dict[str, Any]:
-    """The JSON object of a message or request, of bounded depth; what: how it is called in the InputError."""
+    """Parse the JSON object of a message or request, of limited depth.
+
+    what: its name in the InputError.
+    """
     try:
         value = parse_json(data)
     except (ValueError, RecursionError):
@@ -141,7 +154,7 @@ def _inside(value: dict[str, Any] | list[Any]) -> list[Any]:
 
 
 def request_number(value: Any, what: str, low: float, high: float) -> float:
-    """A number from low to high."""
+    """Return a number after checking that it is from low to high."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise InputError(f"There is no number for {what} in {_short(value)}; give {low:g} to {high:g}.")
     if not low <= value <= high:  # NaN is neither
@@ -150,14 +163,17 @@ def request_number(value: Any, what: str, low: float, high: float) -> float:
 
 
 def whole(value: Any, what: str, low: int, high: int) -> int:
-    """A whole number from low to high."""
+    """Return a whole number after checking that it is from low to high."""
     if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
         raise InputError(f"{_capital(what)} cannot be {_short(value)}; give a whole number from {low} to {high}.")
     return value
 
 
 def text(value: Any, what: str, longest: int, advice: str) -> str:
-    """A text that says something; advice: the next step when there is none."""
+    """Return a text after checking that it is not empty and not too long.
+
+    advice: next step for the user where it is missing.
+    """
     if not isinstance(value, str) or not value.strip():
         raise InputError(f"There is no {what}; {advice}.")
     if len(value) > longest:
@@ -166,7 +182,7 @@ def text(value: Any, what: str, longest: int, advice: str) -> str:
 
 
 def request_choice(value: Any, what: str, allowed: Sequence[str]) -> str:
-    """One of some words."""
+    """Return a word after checking that it is one of the allowed ones."""
     if not isinstance(value, str) or value not in allowed:
         words = f"{', '.join(allowed[:-1])} or {allowed[-1]}" if len(allowed) > 1 else "".join(allowed)
         raise InputError(f"There is no {what} {_short(value)}; choose {words}.")
@@ -174,7 +190,7 @@ def request_choice(value: Any, what: str, allowed: Sequence[str]) -> str:
 
 
 def digits(value: str, what: str) -> int:
-    """A whole number out of an address or a query: from 0, of at most nine digits."""
+    """Parse a whole number from an address or query, from 0 with at most nine digits."""
     if not value.isascii() or not value.isdigit() or len(value) > 9:
         raise InputError(f"{_capital(what)} must be a whole number, {_short(value)} is none.")
     return int(value)
@@ -189,11 +205,11 @@ def _capital(what: str) -> str:
 
 
 # ---- guard ---------------------------------------------------------------------------------------------------------
-# Who may talk to the server: this computer's own pages, or who shows the token.
+# Access to the server: only this computer's own pages, or clients that show the token.
 #
-# A web page of another site can make a browser send requests to 127.0.0.1. So a WebSocket, and whatever changes
-# something, must come from the page that this server served (its Origin is the host that was asked for); and the host
-# that was asked for must be one the server goes by, else a foreign name that was pointed to 127.0.0.1 would pass.
+# A web page of another site can make a browser send requests to 127.0.0.1. So a WebSocket, and any request that changes
+# something, must come from the page that this server served (its Origin is the requested host). The requested host must
+# be a name of this server; otherwise a foreign name that resolves to 127.0.0.1 would pass.
 
 
 LOOPBACK = frozenset({"127.0.0.1", "localhost", "::1"})
@@ -202,23 +218,29 @@ _POLICY = (
     "default-src 'self'; img-src 'self' data: blob:; style-src 'self' 'unsafe-inline'; connect-src 'self'; "
     "worker-src 'self' blob:; media-src 'self' data: blob:; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
 )
-"""Nothing from elsewhere is loaded, whatever a recording or a bug puts into the page."""
+"""Content security policy of all pages: nothing is loaded from elsewhere, whatever a recording or a bug puts into the
+page.
+"""
 
 
 def token_for(host: str, token: str | None = None) -> str | None:
-    """What pages must show to a server that listens on a host: a new one when others can reach it and none is given."""
+    """Return the token that pages must show to a server on this host: the given one, a new one where other computers
+    can connect, else None.
+    """
     return token or (None if host in LOOPBACK else secrets.token_urlsafe(16))
 
 
 class Guard:
-    """Refuses what may not talk to the server, before anything else sees it. token: None when it listens on this
-    computer alone."""
+    """Application that refuses foreign requests before any other code sees them.
+
+    token: None where the server listens on this computer only.
+    """
 
     def __init__(self, app: ASGIApp, token: str | None) -> None:
         self._app, self._token = app, token
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """One request or connection."""
+        """Handle one request or connection."""
         if scope["type"] not in ("http", "websocket"):
             return await self._app(scope, receive, send)
         try:
@@ -234,7 +256,7 @@ class Guard:
             await send({"type": "websocket.close", "code": 1008, "reason": problem[1][:120]})
 
     def _problem(self, scope: Scope) -> tuple[HTTPStatus, str] | None:
-        """Why a request is refused, None when it is not."""
+        """Return why a request is refused; None where it is allowed."""
         headers = Headers(scope=scope)
         asked = headers.get("host", "")
         name = (urlsplit(f"//{asked}").hostname or "").lower() if asked.isprintable() else ""

@@ -1,7 +1,7 @@
-"""The hub of the studio's WebSockets: /ws/TOPIC, with typed messages both ways (docs/studio-protocol.md).
+"""Hub of the studio's WebSockets: /ws/TOPIC, with typed messages in both directions (docs/studio-protocol.md).
 
-A page listens to one topic and talks to it. What waits for a page that is slow is bounded: of messages with a key only
-the newest waits, pictures wait until the page has drawn the last ones, and a page that reads nothing at all is closed.
+A page listens to one topic and sends messages to it. The queue of a slow page is limited: of messages with a key only
+the newest waits, pictures wait until the page has drawn earlier ones, and a page that reads nothing is closed.
 """
 
 from __future__ import annotations
@@ -21,35 +21,37 @@ from hypose.app.studio.view_bundle import json_values
 from hypose.errors import HyposeError, InputError
 
 MAX_MESSAGE = 1 << 16
-"""Bytes of a message from the page."""
+"""Largest message from a page, bytes."""
 _MOST_PAGES, _MOST_WAITING = 16, 512
-"""Connections, and messages without a key that wait for one of them."""
+"""Most connections, and most messages without a key that wait for one of them."""
 IN_FLIGHT = 3
-"""Pictures that may be on their way before the page has drawn the first of them."""
+"""Pictures that may be sent before the page has drawn the first of them."""
 DEPTH, MAP = 1, 2
 """Types of pictures."""
 Message = Mapping[str, Any]
 
 
 class Topic:
-    """What pages listen and talk to. Everything is called in the server's loop; name: its part of the address."""
+    """Topic that pages listen and send messages to. All methods are called in the server's event loop; name: its part
+    of the address.
+    """
 
     name = ""
 
     def hello(self) -> Message:
-        """The first message to a page."""
+        """Return the first message to a page."""
         raise NotImplementedError
 
     async def heard(self, message: dict[str, Any]) -> None:
-        """Take a message of a page; an InputError is sent to that page alone."""
+        """Handle a message of a page; an InputError is sent to that page only."""
         raise InputError("A page has nothing to say here.")
 
     def watched(self, pages: int) -> None:
-        """So many pages listen from now on."""
+        """Handle a change of the number of listening pages."""
 
 
 class Hub:
-    """The connections of a server. post and picture may be called from any thread, and never wait."""
+    """Connections of a server. `post` and `picture` may be called from any thread, and never wait."""
 
     def __init__(self) -> None:
         self._topics: dict[str, Topic] = {}
@@ -57,12 +59,12 @@ class Hub:
         self._loop: asyncio.AbstractEventLoop | None = None
 
     def add(self, topic: Topic) -> None:
-        """From now on pages can listen to a topic."""
+        """Add a topic that pages can listen to."""
         self._topics[topic.name] = topic
         self._pages[topic.name] = []
 
     async def serve(self, ws: WebSocket) -> None:
-        """Let a connection in and talk to it until either side ends it."""
+        """Accept a connection and handle it until either side ends it."""
         self._loop = asyncio.get_running_loop()
         topic = self._topics.get(ws.path_params["topic"])
         await ws.accept()
@@ -82,18 +84,19 @@ class Hub:
             topic.watched(len(pages))
 
     def listens(self, topic: str) -> bool:
-        """Whether any page listens to a topic."""
+        """Return whether any page listens to a topic."""
         return bool(self._pages[topic])
 
     def post(self, topic: str, message: Message | str, key: Hashable = None) -> None:
-        """A message, also as JSON, to all pages of a topic. Of those with the same key only the newest waits."""
+        """Send a message (or its JSON) to all pages of a topic. Of messages with the same key only the newest waits."""
         if self.listens(topic):
             text = message if isinstance(message, str) else _text(message)
             self._later(lambda: [page.put(text, key) for page in self._pages[topic]])
 
     def picture(self, topic: str, kind: int, seq: int, time: float, data: bytes) -> None:
-        """A picture to all pages of a topic: 16 bytes of type, stream, number and time (s), then the file. Of a type
-        only the newest waits."""
+        """Send a picture to all pages of a topic: 16 bytes with type, stream, number and time (s), then the file. Of
+        each type only the newest waits.
+        """
         if self.listens(topic):
             message = struct.pack("<BBHId", kind, 0, 0, seq & 0xFFFFFFFF, time) + data
             self._later(lambda: [page.show(kind, message) for page in self._pages[topic]])
@@ -105,7 +108,7 @@ class Hub:
 
 
 class _Page:
-    """The server's end of a connection; used in its loop."""
+    """Server side of one connection; used in the event loop."""
 
     def __init__(self, ws: WebSocket) -> None:
         self._ws = ws
@@ -115,19 +118,19 @@ class _Page:
         self._awake, self._numbers = asyncio.Event(), itertools.count()
 
     def put(self, text: str, key: Hashable = None) -> None:
-        """A text to be sent."""
+        """Queue a text."""
         key = next(self._numbers) if key is None else ("newest", key)
         self._texts.pop(key, None)
         self._texts[key] = text
         self._awake.set()
 
     def show(self, kind: int, message: bytes) -> None:
-        """A picture to be sent as soon as the page has drawn the last ones."""
+        """Queue a picture; it is sent when the page has drawn the last ones."""
         self._pictures[kind] = message
         self._awake.set()
 
     async def talk(self, topic: Topic) -> None:
-        """Send what comes and hand over what the page says, until either side ends it."""
+        """Send queued messages and pass received ones to the topic, until either side ends the connection."""
         reading = asyncio.ensure_future(self._read(topic))
         try:
             while not reading.done() and len(self._texts) <= _MOST_WAITING:
@@ -151,7 +154,7 @@ class _Page:
                 message = self._pictures.pop(next(iter(self._pictures)))
                 self._unanswered.add(struct.unpack_from("<I", message, 4)[0])
                 await self._ws.send_bytes(message)
-        except RuntimeError:  # the server has closed it, which we have not heard of yet
+        except RuntimeError:  # the connection is closed already
             raise WebSocketDisconnect(1006) from None
 
     async def _read(self, topic: Topic) -> None:
@@ -164,14 +167,14 @@ class _Page:
                 if message["t"] == "ack":
                     self._unanswered.discard(whole(message.get("seq"), "the picture's number", 0, 2**32 - 1))
                     self._awake.set()
-                else:  # a page that leaves meanwhile must not leave it half begun, nor half ended with nothing kept
+                else:  # a page that leaves must not interrupt a start or an end with its saving
                     await asyncio.shield(topic.heard(message))
             except HyposeError as error:
                 self.put(_text({"t": "error", "error": str(error)}))
 
 
 def _message(received: str | None) -> dict[str, Any]:
-    """A message of a page: an object whose "t" says what it is."""
+    """Parse a message of a page: an object whose "t" names its type."""
     if received is None:
         raise InputError("The message is binary; send JSON as text.")
     message = object_of(received, "message")

@@ -1,8 +1,8 @@
-"""What a job is on the command line: the page's options as the arguments of a hypose command.
+"""Define the studio's jobs: convert the page's options to the arguments of a hypose command, and find the next job of a
+recording.
 
 A job is the command itself in a process of its own, so the studio can do nothing that the command line cannot, and the
-page can show the line that does the same again. The command checks its options; here it is only seen to that each is
-one argument, and belongs to its option.
+page can show the command. The command checks its options; here each one is only kept in one argument.
 """
 
 from __future__ import annotations
@@ -24,16 +24,24 @@ from hypose.io.recordings.recording import Recording
 from hypose.options import Declared, declared
 
 CALIBRATION = "calibration.toml"
-"""Where a recording keeps the calibration that is made of clips of a board, or of the person."""
+"""File of a recording for the calibration from clips of a board or from the person."""
 IN_STEP = 0.5
-"""frames: cameras that differ by less show the same instant, for a person who walks."""
+"""Smallest difference between cameras that is corrected, frames; below it they show the same instant of a person who
+walks.
+"""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """arguments of `hypose`; title; recording, result: ids (the result may be not there yet); resumable: the same
-    command with --resume goes on; folder: where a motion that is under way keeps its state; makes: id of a recording
-    that comes of it."""
+    """Command of a job.
+
+    arguments: of `hypose`.
+    title: for the page.
+    recording, result: ids; the result may not exist yet.
+    resumable: the same command with --resume continues.
+    folder: where an unfinished motion keeps its state.
+    makes: id of the recording that the job makes.
+    """
 
     arguments: tuple[str, ...]
     title: str
@@ -67,23 +75,23 @@ _KINDS: Mapping[str, tuple[str, Callable[..., Any], str]] = {
     "demo": ("Make a demo recording and track it", commands_track.demo, "seconds seed"),
     "fuse": ("Fuse {}", options.FuseCommand, ""),
 }
-"""Title of each kind, what declares the options of its command, and which of them a page may set."""
+"""Title of each kind, the declaration of its command's options, and those which a page may set."""
 JOB_KINDS = tuple(_KINDS)
 _OWN = {"track": ("name",), "correct": ("start",)}
-"""What a page says that is no option of the command: the name of the result, the clicks to start from."""
+"""Values of a page that are no options of the command: the name of the result, the clicks to start from."""
 _CLICKS = "clicks:"
-"""Begins the name under which the page has saved clicks, as a start."""
+"""Prefix of a start that is the name of saved clicks."""
 
 
 def form_of(kind: str) -> tuple[Declared, ...]:
-    """The options of a job that a page may set, as its command declares them."""
+    """List the options of a job that a page may set, as its command declares them."""
     _, declares, names = _KINDS[kind]
     known = {option.name: option for option in declared(declares)}
     return tuple(known[name] for name in names.split())
 
 
 def forms() -> dict[str, list[dict[str, Any]]]:
-    """The options of every job that a page may set, as JSON."""
+    """Return the options of every job that a page may set, as JSON values."""
     return {
         kind: [
             {"name": o.name, "kind": o.kind.__name__, "default": o.default, **asdict(o.option)} for o in form_of(kind)
@@ -93,7 +101,9 @@ def forms() -> dict[str, list[dict[str, Any]]]:
 
 
 def _arguments(kind: str, given: Mapping[str, Any]) -> list[str]:
-    """Options as arguments, each one with its value in it: so none passes for another option or for a file."""
+    """Convert options to arguments, each with its value included, so that none can be read as another
+    option or file.
+    """
     out = []
     for option in form_of(kind):
         value = given.get(option.name)
@@ -115,7 +125,10 @@ def _word(name: str, value: Any) -> str:
 
 
 def plan_job(kind: str, request: Mapping[str, Any], catalog: Catalog) -> Plan:
-    """The command of a job that the page asks for: {"recording" or "result": id, "options": {...}}."""
+    """Plan the command of a job that the page requests: {"recording" or "result": id, "options": {...}}.
+
+    Raises: InputError for an unknown kind or option; NotFound for an unknown id.
+    """
     if kind not in JOB_KINDS:
         raise InputError(f"There is no job {str(kind)[:40]!r}; the jobs are {', '.join(JOB_KINDS)}.")
     title, known = _KINDS[kind][0], [*(o.name for o in form_of(kind)), *_OWN.get(kind, ())]
@@ -163,25 +176,26 @@ def plan_job(kind: str, request: Mapping[str, Any], catalog: Catalog) -> Plan:
 
 
 def _inside(catalog: Catalog, item: Item, out: Path) -> Path:
-    """A folder that is written to; an InputError when a link leads it out of the served folder."""
+    """Return an output folder after checking that no link leads it out of the served folder."""
     if not catalog.contains(out):
         raise InputError(f"The results of {item.path.name} lie outside the served folder; use the command line.")
     return out
 
 
 def fused_in(skeletons: Path) -> Path:
-    """Where a recording of live sensors is fused to."""
+    """Return the folder into which a recording of live sensors is fused."""
     return skeletons / "results" / "fuse-fit"
 
 
 def next_step(
     folder: Path, recording: Recording, after: str = "", anyway: bool = False
 ) -> tuple[str, dict[str, Any]] | None:
-    """Kind and options of the next job on the way from the videos in a recording's folder to a motion.
+    """Find the next job on the way from the videos of a recording to a motion.
 
     after: kind of the job that has just ended, which is not tried again.
-    anyway: whatever the check finds.
-    None when the user is to act (a board, a finding that is to be put right), or the motion is there."""
+    anyway: continue whatever the check found.
+    Returns: kind and options; None where the user must act (a board, a finding to correct), or where the motion exists.
+    """
     views = recording.views
     if uncalibrated(folder):
         person = len(views) > 1 and recording.subject_height is not None and not board_files(folder)
@@ -208,8 +222,10 @@ def next_step(
 
 
 def _waits_for_user(finding: Mapping[str, Any], masked: Set[str]) -> bool:
-    """Whether a finding is a fault that a button of the page puts right; masked: views whose masks are given, which
-    do not move with their pictures."""
+    """Return whether a finding is a fault that a button of the page corrects.
+
+    masked: views with given masks, which do not move with their pictures.
+    """
     cure = str(finding.get("cure"))
     moves = "set image_shift" in cure and masked.isdisjoint(finding.get("views", []))
     button = moves or "--refine" in cure or "set keypoint_" in cure or finding.get("kind") == "size"
@@ -217,7 +233,7 @@ def _waits_for_user(finding: Mapping[str, Any], masked: Set[str]) -> bool:
 
 
 def uncalibrated(folder: Path) -> bool:
-    """Whether the cameras of a recording are still to be found, by a board or from the person."""
+    """Return whether the cameras of a recording are not calibrated yet and are found from a board or the person."""
     with contextlib.suppress(HyposeError):
         lost = not (folder / CALIBRATION).is_file()
         return lost and read_toml(folder / "recording.toml").get("calibration") == CALIBRATION
@@ -246,7 +262,8 @@ def found_offsets(folder: Path, names: Sequence[str]) -> list[float] | None:
 
 def read_found(folder: Path, name: str) -> dict[str, Any] | None:
     """Read the JSON object that `hypose check` or `hypose sync` last wrote to results/`name`, with whether the
-    recording has been changed since (`stale`); None if there is none."""
+    recording was changed since (`stale`); None where there is none.
+    """
     path = folder / "results" / name
     with contextlib.suppress(InputError, OSError):
         value = read_json(path, "what a command found")
@@ -257,7 +274,7 @@ def read_found(folder: Path, name: str) -> dict[str, Any] | None:
 
 
 def board_files(folder: Path) -> list[Path]:
-    """The clips or folders of photos of the board, one per camera, that a recording.toml names."""
+    """List the clips or photo folders of the board, one per camera, that a recording.toml names."""
     with contextlib.suppress(HyposeError):
         views = read_toml(folder / "recording.toml").get("view", [])
         return [folder / v["board"] for v in views if isinstance(v, dict) and isinstance(v.get("board"), str)]
@@ -265,8 +282,9 @@ def board_files(folder: Path) -> list[Path]:
 
 
 def with_result_name(kind: str, request: Mapping[str, Any], catalog: Catalog) -> Mapping[str, Any]:
-    """A request with what it leaves open decided, so that it means the same when it is planned again: a new track takes
-    a name under which nothing lies yet, since what was tracked before is not to be written over."""
+    """Complete a request so that it means the same when it is planned again: a new track gets a free name, so that it
+    does not overwrite an older result.
+    """
     given = request.get("options") or {}
     if kind != "track" or not isinstance(given, dict):
         return request
@@ -307,7 +325,7 @@ def _correct(item: Item, given: Mapping[str, Any], catalog: Catalog) -> Plan:
 
 
 def _clicked(folder: Path, start: str) -> Path:
-    """The file of clicks that the page has saved under a name."""
+    """Return the file of clicks that the page saved under a name."""
     name = start.removeprefix(_CLICKS)
     path = folder / "starts" / f"{name}.json"
     if not is_name(name) or not path.is_file():
@@ -323,12 +341,12 @@ def _id(request: Mapping[str, Any], name: str) -> str:
 
 
 def is_name(text: str) -> bool:
-    """A name for a folder or file that means nothing else to any system."""
+    """Return whether a text is a safe name of a folder or file on any system."""
     return re.fullmatch(r"[A-Za-z0-9_](?:[A-Za-z0-9_.-]{0,78}[A-Za-z0-9_-])?", text) is not None
 
 
 def free_folder(parent: Path, name: str) -> Path:
-    """parent/name, or with a number behind it the first that is not taken: walk, walk-2, walk-3."""
+    """Return parent/name, or the first free numbered name: walk, walk-2, walk-3."""
     numbered = re.fullmatch(r"(.+)-(\d{1,4})", name)
     stem, number = (numbered[1], int(numbered[2]) + 1) if numbered else (name, 2)
     path = parent / name

@@ -1,9 +1,11 @@
-"""The studio's jobs: the command line in a process of its own, one after the other; progress, stopping, going on.
+"""Run the studio's jobs: hypose commands in processes of their own, one after the other, with progress, stop and
+resume.
 
-They belong to the served folder, not to a page. A job that is stopped, or whose server ends, keeps what it has
-computed, as the command line does, and `resume` goes on, with the next server too: the list lies in a file of the
-folder, with what pages had asked for. A job that goes on is planned again from that, so no one who writes this file
-gets a command run that a page could not ask for."""
+Jobs belong to the served folder, not to a page. A job that is stopped, or whose server ends, keeps what it has
+computed, and `resume` continues it, also with a later server: a file of the folder keeps the list with the pages'
+requests. A resumed job is planned again from its request, so that this file cannot start a command that a page could
+not.
+"""
 
 from __future__ import annotations
 
@@ -37,25 +39,32 @@ from hypose.pipeline.assessment import EXIT_UNTRUSTED
 
 NAME = ".studio-jobs.json"
 GO_ON = "go_on"
-"""In place of a kind: the next job on the way from videos to a motion, and then the others."""
+"""Pseudo kind: the next job on the way from videos to a motion, and then all others."""
 _USE = {"what": "use_refined"}
 JobState = Literal["queued", "running", "done", "failed", "cancelled"]
 ENDED: tuple[JobState, ...] = ("done", "failed", "cancelled")
 _KEPT_JOBS, _MOST_WAITING, _KEPT_LINES = 100, 20, 200
 _CODE_OF_INPUT = 2
-"""What a command ends with when its input cannot be used."""
+"""Exit code of a command whose input cannot be used."""
 _ASSESSMENT = "Assessment: "
 _NOTHING_WRITTEN = "nothing is written"
-"""Part of what `check --refine` says when it has found no calibration to recommend."""
+"""Part of the sentence of `check --refine` when it recommends no calibration."""
 _KILL_S = 20.0
-"""After this a process that was asked to end is ended."""
+"""Time after which a process that was asked to end is killed, s."""
 _INTERRUPTED = "The server ended while this job was under way; what it had computed is kept."
 
 
 @dataclass
 class _StudioJob:
-    """One job. Changed under the lock of Jobs only. request: what the page asked for; stages: as the page gets them, by
-    name, in order, and when they began; hopeless: to go on would end as it did."""
+    """One job; changed only under the lock of Jobs.
+
+    request: request of the page.
+    stages: progress by stage, in order, in the form of the page.
+    lines: last lines of output.
+    error: sentence on why it failed.
+    hopeless: resuming would fail in the same way.
+    starts: when each stage began.
+    """
 
     id: str
     kind: str
@@ -75,7 +84,7 @@ class _StudioJob:
     starts: dict[str, float] = field(default_factory=dict)
 
     def shown(self) -> dict[str, Any]:
-        """As the page gets it."""
+        """Return the job in the form of the page."""
         return {
             "id": self.id,
             "kind": self.kind,
@@ -98,7 +107,7 @@ class _StudioJob:
 
     @classmethod
     def of(cls, record: Mapping[str, Any]) -> _StudioJob:
-        """A job of an earlier server, which is not running any more."""
+        """Restore a job of an earlier server; one that was running counts as failed."""
         shown, interrupted = record["job"], record["job"]["state"] not in ENDED
         if shown["kind"] not in JOB_KINDS:
             raise ValueError(shown["kind"])
@@ -115,7 +124,7 @@ class _StudioJob:
 
 
 class Jobs(Topic):
-    """All jobs of a server, and those of servers before it. Changes are posted to the topic from any thread."""
+    """All jobs of a server and of earlier servers. Changes are posted to the topic from any thread."""
 
     name = "jobs"
 
@@ -128,16 +137,19 @@ class Jobs(Topic):
         self._worker.start()
 
     def hello(self) -> Message:
-        """See `Topic`."""
+        """Return all jobs."""
         return {"t": "jobs", "jobs": [j.shown() for j in self.every()]}
 
     def every(self) -> list[_StudioJob]:
-        """The newest first."""
+        """List all jobs, newest first."""
         with self._lock:
             return sorted(self._jobs.values(), key=lambda j: -j.created)
 
     def find(self, id: str) -> _StudioJob:
-        """A job by its id; NotFound when there is none."""
+        """Find a job by its id.
+
+        Raises: NotFound where there is none.
+        """
         with self._lock:
             if id not in self._jobs:
                 raise NotFound(f"There is no job {id[:40]!r}.")
@@ -146,17 +158,21 @@ class Jobs(Topic):
     def start(self, kind: str, request: Mapping[str, Any]) -> _StudioJob:
         """Add a job to the queue and return it.
 
-        kind: kind of the job, a key of `JOB_KINDS`.
-        request: recording or result id, and the options of the job.
-        An InputError for an unknown kind or invalid options. NotNow when the queue is full, or when the same job for
-        the same result is waiting or running."""
+        kind: one of `JOB_KINDS`, or GO_ON.
+        request: id of the recording or result, and the options of the job.
+        Raises: InputError for an unknown kind or invalid options; NotNow where the queue is full, or the same job for
+            the same result is waiting or running.
+        """
         if kind == GO_ON:
             kind, request = self._next(request, "")
         request = with_result_name(kind, request, self._catalog)
         return self._queue(kind, request, plan_job(kind, request, self._catalog))
 
     def resume(self, id: str) -> _StudioJob:
-        """Go on with a job that was stopped or failed, as a new job."""
+        """Continue a job that was stopped or failed, as a new job.
+
+        Raises: NotNow where it cannot be resumed.
+        """
         old = self.find(id)
         if not old.shown()["resumable"]:
             raise NotNow(f"The job {old.plan.title!r} is {old.state} and cannot be resumed; start it again.")
@@ -164,7 +180,10 @@ class Jobs(Topic):
         return self._queue(old.kind, old.request, replace(made, arguments=(*made.arguments, "--resume")))
 
     def cancel(self, id: str) -> _StudioJob:
-        """Stop a job with its work kept."""
+        """Stop a job; its work is kept.
+
+        Raises: NotNow where it has ended.
+        """
         job = self.find(id)
         with self._lock:
             if job.state in ENDED:
@@ -174,12 +193,12 @@ class Jobs(Topic):
         return job
 
     def needs(self, id: str) -> bool:
-        """Whether a job that is not over works on the recording or result of this id."""
+        """Return whether an unfinished job uses the recording or result with this id."""
         with self._lock:
             return any(id in (j.plan.recording, j.plan.result) for j in self._jobs.values() if j.state not in ENDED)
 
     def close(self) -> None:
-        """Stop what runs, and wait for it."""
+        """Stop all jobs and wait for the running one."""
         with self._lock:
             self._closed = True
             for job in self._jobs.values():
@@ -205,7 +224,7 @@ class Jobs(Topic):
         return job
 
     def _stop(self, job: _StudioJob) -> None:
-        """Take a job out of the queue, or ask its process to end, as Ctrl-C does; the lock is held."""
+        """Remove a job from the queue, or ask its process to end like Ctrl-C; called with the lock held."""
         if job.state == "queued":
             job.state, job.ended = "cancelled", time.time()
         if job.state != "running" or job.stopping:
@@ -218,7 +237,7 @@ class Jobs(Topic):
             timer.start()
 
     def _changed(self, job: _StudioJob) -> None:
-        """A job is in another state: kept on disk, and reported."""
+        """Save and report a changed job."""
         with self._keeping:
             write_jobs(self._catalog, self.every())
         self._tell(job)
@@ -244,7 +263,7 @@ class Jobs(Topic):
             self._go_on(job)
 
     def _go_on(self, job: _StudioJob) -> None:
-        """Start what follows a job on the way to a motion, where the page has asked for all of it."""
+        """Start the job that follows on the way to a motion, where the page requested all of them."""
         if job.request.get("go_on") is not True or not (
             job.state == "done" or (job.kind, job.state) == ("sync", "failed")
         ):
@@ -256,7 +275,11 @@ class Jobs(Topic):
             self.start(*self._next(asked, job.kind))
 
     def _next(self, request: Mapping[str, Any], after: str) -> tuple[str, Mapping[str, Any]]:
-        """Kind and request of the next job of a recording on the way to a motion, after one of this kind."""
+        """Return kind and request of the next job of a recording on the way to a motion.
+
+        after: kind of the job that has just ended.
+        Raises: NotNow where the user must act first.
+        """
         item = self._catalog.find("recording", str(request.get("recording")))
         recording = load_recording(item.path, uncalibrated=uncalibrated(item.path))
         anyway = request.get("anyway") is True
@@ -272,7 +295,7 @@ class Jobs(Topic):
     def _run(self, job: _StudioJob) -> None:
         try:
             process = subprocess.Popen(
-                # no module of the served folder is to be imported, nor settings of a library read there
+                # neither import modules nor read settings of libraries from the served folder
                 [sys.executable, "-P", "-m", "hypose.app", *job.plan.arguments],
                 cwd=Path(__file__).parent,
                 env={**os.environ, JSON_PROGRESS: "1", "PYTHONUNBUFFERED": "1", "COLUMNS": "160"},
@@ -282,7 +305,7 @@ class Jobs(Topic):
                 text=True,
                 encoding="utf-8",
                 errors="replace",
-                start_new_session=True,  # Ctrl-C ends the server, which then ends its jobs in order
+                start_new_session=True,  # Ctrl-C ends the server, which then stops its jobs itself
             )
         except OSError as error:
             return self._end(job, f"The job could not be started ({error.strerror}).", 1)
@@ -310,22 +333,22 @@ class Jobs(Topic):
             if job.stopping:
                 job.state = "cancelled"
             elif code == 0 or (job.kind == "check" and code == 1 and not problem and job.stages):
-                job.state = "done"  # a check that found something wrong has done its work
+                job.state = "done"  # a check that found faults was successful
             elif code == EXIT_UNTRUSTED and not problem:
-                job.state = "done"  # all of it was tracked; the user judges the result
+                job.state = "done"  # everything was tracked; the user judges the result
                 job.error = said(_ASSESSMENT).removeprefix(_ASSESSMENT)
             else:
                 job.state = "failed"
-                # a refinement says as its result why it wrote nothing, not as an error
+                # a refinement prints why it wrote nothing as a result, not as an error
                 problem = problem or (said(_NOTHING_WRITTEN) if job.kind == "refine" else "")
                 job.error = problem or f"The command ended with code {code}; its last words are below."
-                # the same input is the same error again, unless there is something behind it to go on from
+                # the same input fails again, unless there is a checkpoint to continue from
                 kept = job.plan.folder is not None and (job.plan.folder / "checkpoint.npz").is_file()
                 job.hopeless = code == _CODE_OF_INPUT and not kept
 
 
 def _progress(job: _StudioJob, text: str) -> bool:
-    """Take a line of progress of a job's command; False when it is none."""
+    """Take a line of progress from a command's output; return False where it is none."""
     try:
         value = parse_json(text)
         name, title, done, total = value["stage"], value["title"], int(value["done"]), int(value["total"])
@@ -341,7 +364,7 @@ def _progress(job: _StudioJob, text: str) -> bool:
 
 
 def read_jobs(catalog: Catalog) -> list[_StudioJob]:
-    """The jobs that an earlier server has left, none of them running. What cannot be read is left out."""
+    """Load the jobs of earlier servers; unreadable ones are left out."""
     path, found = catalog.root / NAME, list[_StudioJob]()
     if not path.is_file() or not catalog.contains(path):
         return found
@@ -353,7 +376,7 @@ def read_jobs(catalog: Catalog) -> list[_StudioJob]:
 
 
 def write_jobs(catalog: Catalog, jobs: Sequence[_StudioJob]) -> None:
-    """Keep the list. A folder that may not be written to keeps none, nor does one in which nothing was ever started."""
+    """Save the list of jobs. Nothing is written where the folder is read-only, or no job was ever started."""
     path = catalog.root / NAME
     records = [{"job": j.shown(), "request": j.request, "resumable": j.plan.resumable and not j.hopeless} for j in jobs]
     with contextlib.suppress(OSError, HyposeError):

@@ -1,4 +1,4 @@
-"""What runs live inside the studio: the fusion of `hypose fuse --live`, and the cameras of `hypose live`."""
+"""Live topics of the studio: the fusion of `hypose fuse --live`, and the cameras of `hypose live`."""
 
 from __future__ import annotations
 
@@ -39,25 +39,28 @@ from hypose.pipeline.live.recorder import LiveRecorder
 from hypose.pipeline.settings import SETTINGS
 
 _FOLDER = "live"
-"""Where recordings go, in the served folder."""
+"""Folder for recordings in the served folder."""
 _WAITING = 32
-"""Messages of the fusion that wait to be reported."""
+"""Most messages of the fusion that wait to be sent to pages."""
 PICTURES_S = 0.25
-"""s between two pictures of the cameras on the page"""
+"""Time between two pictures of the cameras on the page, s."""
 _WIDTH, _QUALITY = 320, 70
 _TINT = np.array([90, 200, 255], np.float32)
 _STREAMS = ("http://", "https://", "rtsp://")
 
 
 def recording_folder(catalog: Catalog, folder: str, name: str) -> Path:
-    """A new folder to record to, in one of the served folder; an InputError where that is a link that leads out."""
+    """Return a new folder for a recording, in a folder of the served one.
+
+    Raises: InputError where that is a link that leads out of it.
+    """
     if not catalog.contains(catalog.root / folder):
         raise InputError(f"{folder} is a link that leads out of the served folder; remove it first.")
     return free_folder(catalog.root / folder, name)
 
 
 def _target(message: Message, kind: str, port: int) -> str | None:
-    """Where something is sent to, HOST:PORT; None for nowhere."""
+    """Read the address HOST:PORT to send to; None where none is given."""
     if message.get(kind) in (None, ""):
         return None
     return text(message[kind], "address to send to", 100, f"give HOST:PORT, for example 127.0.0.1:{port}").strip()
@@ -68,17 +71,19 @@ def _reported(path: Path | None) -> str | None:
 
 
 class LiveTopic(Topic):
-    """What runs at most once in a server, and goes on without a page. hello()["running"] is False, or how it runs."""
+    """Topic of something that runs at most once per server, and continues without a page. hello()["running"] is False,
+    or describes the run.
+    """
 
     acts: tuple[str, ...] = ()
-    """What a page may ask for besides start and stop: names of methods."""
+    """Names of the methods that a page may call in addition to start and stop."""
 
     def __init__(self, hub: Hub, catalog: Catalog) -> None:
         self._hub, self._catalog = hub, catalog
-        self._changing = asyncio.Lock()  # of two pages that start at once the second finds it running
+        self._changing = asyncio.Lock()  # of two pages that start at the same time the second one is refused
 
     async def heard(self, message: dict[str, Any]) -> None:
-        """Start, stop, or do one of the acts."""
+        """Handle start, stop or one of the acts."""
         kind = message["t"]
         if kind == "stop":
             await self.stop()
@@ -95,7 +100,7 @@ class LiveTopic(Topic):
             raise InputError(f"There is nothing to {kind[:20]!r} here; {known} or stop.")
 
     async def stop(self, why: str = "") -> None:
-        """End, and tell it; why: the sentence that is sent where `_stop` returns none."""
+        """Stop and inform the pages; why: the sentence for them where `_stop` returns none."""
         async with self._changing:
             said = await self._stop() or why
         if said:
@@ -103,16 +108,19 @@ class LiveTopic(Topic):
         self._hub.post(self.name, self.hello())
 
     async def _start(self, message: Message) -> None:
-        """Begin as a page asks; an InputError says what cannot be."""
+        """Start as a page requests.
+
+        Raises: InputError names the value that is not possible.
+        """
         raise NotImplementedError
 
     async def _stop(self) -> str | None:
-        """End; returns the sentence for the page, or None."""
+        """Stop; return a sentence for the page, or None."""
         raise NotImplementedError
 
 
 class FuseTopic(LiveTopic):
-    """Skeletons of several depth sensors, fused as they come."""
+    """Topic of the live fusion of skeletons from several depth sensors."""
 
     name = "fuse"
 
@@ -123,7 +131,7 @@ class FuseTopic(LiveTopic):
         self._simulated = False
 
     def hello(self) -> Message:
-        """See `Topic`."""
+        """Return the state, and names and parents of the joints."""
         running: Any = False
         if (s := self._server) is not None:
             o = s.options
@@ -132,8 +140,9 @@ class FuseTopic(LiveTopic):
         return {"t": "hello", "running": running, "joints": COMMON, "parents": PARENT.tolist()}
 
     async def _start(self, message: Message) -> None:
-        """Open the ports on this computer, and the recording where one is wanted. With `simulated` so many made-up
-        sensors send to it."""
+        """Open the ports on this computer, and the recording where wanted; `simulated`: number of simulated sensors
+        that send to it.
+        """
         udp, ws = (whole(message.get(k, 0), f"the {k} port", 0, 65535) for k in ("udp", "ws"))
         rate = request_number(message.get("rate", 30), "the rate", 1, 240)
         made_up = message.get("simulated") or 0
@@ -159,7 +168,7 @@ class FuseTopic(LiveTopic):
             self._tasks.append(asyncio.ensure_future(sending))
 
     async def _tell(self, server: LiveServer) -> None:
-        """What the server sends to its own listeners goes to the pages, too."""
+        """Forward the messages of the fusion server to the pages."""
         queue: asyncio.Queue[str] = asyncio.Queue(_WAITING)
         server.outbox.queues.add(queue)
         while True:
@@ -167,7 +176,7 @@ class FuseTopic(LiveTopic):
             self._hub.post(self.name, line.replace('"type":', '"t":', 1), key=line.partition(",")[0])
 
     async def _stop(self) -> str | None:
-        """Close the ports."""
+        """Close the ports; return the sentence on the recording."""
         server, self._server = self._server, None
         for task in self._tasks:
             task.cancel()
@@ -182,7 +191,7 @@ class FuseTopic(LiveTopic):
 
 @dataclass
 class _Following:
-    """Cameras that are followed: the engine, who listens to it, and what pages are informed of it."""
+    """Running live tracking: the engine, its listeners, and its description for pages."""
 
     engine: LiveEngine
     outputs: PoseOutputs
@@ -192,7 +201,7 @@ class _Following:
 
 
 class CameraTopic(LiveTopic):
-    """Calibrated cameras that are followed as they show a person, with small pictures and masks."""
+    """Topic of live tracking with calibrated cameras, with small pictures and masks."""
 
     name = "cameras"
     acts = ("room",)
@@ -203,20 +212,29 @@ class CameraTopic(LiveTopic):
         self._watching: asyncio.Task[None] | None = None
 
     def hello(self) -> Message:
-        """See `Topic`."""
+        """Return the state, and names and parents of the joints."""
         s, f = human().skeleton, self._following
         joints = {"joints": s.joint_names, "parents": [int(p) for p in s.parents]}
         return {"t": "hello", "running": False if f is None else f.reported, **joints}
 
     def room(self) -> None:
-        """Learn the empty room."""
+        """Learn the empty room again.
+
+        Raises: NotNow where no cameras are running.
+        """
         if self._following is None:
             raise NotNow("The empty room is learnt while the cameras run; start them.")
         self._following.engine.learn_room()
 
     async def _start(self, message: Message) -> None:
-        """recording: id of one with calibrated cameras; sources: where each camera is, by name, empty: its videos are
-        played; countdown s; people: at most so many; record, osc, vmc as for the fusion."""
+        """Start live tracking. The message has these fields:
+
+        recording: id of a recording with calibrated cameras.
+        sources: addresses by camera name; empty: its videos are played, again and again unless they are recorded.
+        countdown: time before the empty room is learned, s.
+        people: most people that are tracked.
+        record, osc, vmc: as for the fusion.
+        """
         recording = self._catalog.find("recording", text(message.get("recording"), "recording", 200, "choose one"))
         sources = _sources(message.get("sources") or {})
         countdown = request_number(message.get("countdown", 5), "the countdown", 0, 600)
@@ -224,11 +242,12 @@ class CameraTopic(LiveTopic):
         ws = whole(message.get("ws", 0), "the ws port", 0, 65535)
         people = whole(message.get("people", 1), "the number of people", 1, SETTINGS.engine_most_people)
         osc, vmc = _target(message, "osc", 9000), _target(message, "vmc", 39539)
-        cameras = await run_in_threadpool(live_rig, recording.path, sources, rate)
+        recorded = message.get("record") is True
+        cameras = await run_in_threadpool(live_rig, recording.path, sources, rate, not recorded)
         names = tuple(v.name for v in cameras.views)
-        record = recording_folder(self._catalog, _FOLDER, "cameras") if message.get("record") is True else None
+        record = recording_folder(self._catalog, _FOLDER, "cameras") if recorded else None
         recorder = None
-        async with contextlib.AsyncExitStack() as undone:  # what was begun, when the rest cannot be
+        async with contextlib.AsyncExitStack() as undone:  # undo the beginning where a later part fails
             outputs = PoseOutputs(names, cameras.rate, ws=ws, osc=osc, vmc=vmc, clock=time.monotonic)
             undone.push_async_callback(run_in_threadpool, outputs.close)
             if record is not None:
@@ -250,7 +269,7 @@ class CameraTopic(LiveTopic):
         self._watching = asyncio.ensure_future(self._watch(self._following))
 
     async def _watch(self, following: _Following) -> None:
-        """Files are over, or something has failed: it ends, and that is said."""
+        """Stop the run when all files are over or it has failed, and report that, and a failed recorder."""
         recorder, reported = following.recorder, False
         while not following.engine.ended.is_set():
             await asyncio.sleep(0.2)
@@ -261,7 +280,7 @@ class CameraTopic(LiveTopic):
             await self.stop("All videos are over.")
 
     async def _stop(self) -> str | None:
-        """End the engine, then those who listen to it."""
+        """Stop the engine, then its listeners."""
         f, self._following = self._following, None
         if f is None:
             return None
@@ -275,7 +294,7 @@ class CameraTopic(LiveTopic):
 
 
 def _recorded(recorder: LiveRecorder) -> str:
-    """End a recording; returns the sentence for the page."""
+    """Finish a recording; return the sentence for the page."""
     try:
         if not recorder.close():
             return "Nothing was recorded: no instant was seen after the empty room was known."
@@ -286,7 +305,7 @@ def _recorded(recorder: LiveRecorder) -> str:
 
 
 def _sources(value: Any) -> dict[str, str]:
-    """Devices and streams: a page opens no files."""
+    """Read the addresses of cameras: devices and streams only, since a page must not open files."""
     if not isinstance(value, dict):
         raise InputError("The cameras' places are no object; give the place of each by its name.")
     out = {str(k): text(v, f"place of camera {k}", 500, "give its number or address").strip() for k, v in value.items()}
@@ -300,7 +319,7 @@ def _sources(value: Any) -> dict[str, str]:
 
 
 class _Pictures:
-    """A listener of the engine that tells pages: every pose, how it goes, and now and then small pictures."""
+    """Listener of the engine that sends pages all poses, the status, and small pictures now and then."""
 
     def __init__(self, hub: Hub, topic: str, cameras: LiveRig) -> None:
         self._hub, self._topic = hub, topic
@@ -313,7 +332,7 @@ class _Pictures:
         self._thread.start()
 
     def seen(self, seen: LiveResult) -> None:
-        """See `Listener`."""
+        """Send the poses of an instant, and let pictures be drawn where they are due."""
         now, people = time.monotonic(), []
         for pose in seen.poses:
             person = json.loads(pose_json(pose, now - seen.sight.arrival, self._cameras))
@@ -326,7 +345,7 @@ class _Pictures:
             self._wake.set()
 
     def status(self, status: LiveStatus) -> None:
-        """See `Listener`."""
+        """Send the state of the run."""
         reported: dict[str, Any] = json.loads(status_json(status))
         del reported["type"]
         reported |= {"t": "status", "sensors": reported.pop("cameras")}
@@ -336,7 +355,7 @@ class _Pictures:
         self._hub.post(self._topic, reported, key="status")
 
     def close(self) -> None:
-        """No more pictures."""
+        """Stop drawing pictures."""
         self._ended = True
         self._wake.set()
         self._thread.join(5)
@@ -352,7 +371,7 @@ class _Pictures:
 
 
 def _picture(jpeg: bytes | None, bits: np.ndarray | None) -> str | None:
-    """A small picture with the mask as a tint, base64; None without a picture."""
+    """Encode a small picture with the mask as a tint, base64; None without a picture."""
     image = None if jpeg is None else CameraImage(0.0, None, jpeg).picture((_WIDTH, 1))
     if image is None:
         return None

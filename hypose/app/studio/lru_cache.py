@@ -1,4 +1,4 @@
-"""Values that take long to make, kept for a while: bounded in bytes, and let go when no one asks for them."""
+"""Cache for values that take long to make, limited in bytes; unused values are released after some time."""
 
 from __future__ import annotations
 
@@ -11,13 +11,19 @@ from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
 IDLE_S = 300.0
-"""s after which what no one has asked for is let go."""
+"""Time without use after which a value is released, s."""
 V = TypeVar("V")
 
 
 @dataclass
 class _Entry(Generic[V]):
-    """value: None until it is made, under the entry's own lock: who wants another one does not wait for it."""
+    """Entry of the cache.
+
+    value: None until it is made.
+    users: number of users at present.
+    used: time of the last use.
+    making: lock while the value is made, so that users of other entries do not wait.
+    """
 
     value: V | None = None
     users: int = 0
@@ -26,9 +32,14 @@ class _Entry(Generic[V]):
 
 
 class LruCache(Generic[V]):
-    """Values by key, for several threads. most: bytes of all together, as weigh(value) tells them; beyond, those that
-    were not used for longest are let go, but never one that is being used. let_go(value) releases it; idle_s: after
-    this time without use it is called anyway; one_more: the one used last stays, however large it is."""
+    """Bounded least-recently-used cache for several threads.
+
+    most: bytes of all values together; the least recently used are released beyond it, but never one in use.
+    weigh: gives the bytes of a value.
+    let_go: releases a value.
+    idle_s: time without use after which a value is released anyway, s.
+    one_more: the last used value stays, however large it is.
+    """
 
     def __init__(
         self,
@@ -47,10 +58,10 @@ class LruCache(Generic[V]):
 
     @contextlib.contextmanager
     def use(self, key: Hashable, make: Callable[[], V]) -> Iterator[V]:
-        """The value of a key, made when it is not there; it stays while the block runs."""
+        """Return the value of a key, made by `make` where it is missing; it stays in the cache while the block runs."""
         with self._lock:
             entry = self._entries.get(key)
-            if entry is None:  # while it is made, as large as the largest, not more is to be there than afterwards
+            if entry is None:  # make room before, for a value as large as the largest
                 self._shrink(self._most - max(map(self._weight, self._entries.values()), default=0))
                 entry = self._entries[key] = _Entry()
             entry.users += 1
@@ -74,7 +85,7 @@ class LruCache(Generic[V]):
             return sum(map(self._weight, self._entries.values()))
 
     def tidy(self) -> None:
-        """Drop values beyond the limit and values not used for long."""
+        """Release values beyond the limit and values not used for long."""
         with self._lock:
             self._shrink(self._most, next(reversed(self._entries), None) if self._one_more else None)
             if self._entries and (self._timer is None or not self._timer.is_alive()):
@@ -88,7 +99,7 @@ class LruCache(Generic[V]):
             self.tidy()
 
     def _shrink(self, most: int, stays: Hashable = None) -> None:
-        """Drop values until at most so many bytes are kept, and idle ones."""
+        """Release idle values, and others until at most so many bytes are kept; the key `stays` is not released."""
         total = self.held
         for key, entry in [(k, e) for k, e in self._entries.items() if not e.users]:
             if (total > most and key != stays) or self._clock() - entry.used >= self._idle_s:
@@ -104,7 +115,7 @@ class LruCache(Generic[V]):
             self._let_go(value)
 
     def drop(self) -> None:
-        """Let go of all that is not in use."""
+        """Release all values that are not in use."""
         with self._lock:
             for key in [k for k, e in self._entries.items() if not e.users]:
                 self._release(key)

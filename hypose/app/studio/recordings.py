@@ -1,4 +1,6 @@
-"""Recordings as the Set up and Click screens ask for them: facts, pictures, masks with settings tried out."""
+"""Recordings for the Set up and Click screens: facts, pictures, masks with trial settings, and edits of
+recording.toml.
+"""
 
 from __future__ import annotations
 
@@ -42,9 +44,9 @@ from hypose.io.recordings.view_source import Preparer
 from hypose.json_text import parse_json
 
 # ---- edits ---------------------------------------------------------------------------------------------------------
-# Faults that a check has found, corrected by a change of recording.toml, in whose other lines nothing changes.
+# Correct faults that a check has found by a change of recording.toml; its other lines stay unchanged.
 #
-# Every change is tried: where the recording cannot be read with it, the text is as it was, and the sentence says why.
+# Every change is tried: where the recording cannot be read with it, the old text is restored, and a sentence says why.
 
 
 _KINDS = (
@@ -52,14 +54,19 @@ _KINDS = (
     "keypoint_pixels", "image_shift",
 )  # fmt: skip
 _AWAY = "#left out# "
-"""Stands before every line of a view that is left out, so that it can be taken back."""
+"""Prefix of every line of a view that is left out, so that it can be restored."""
 _REFINED = "results/calibration_refined*.toml"
 
 
 def edit_recording(folder: Path, recording: Recording | None, asked: dict[str, Any], catalog: Catalog) -> None:
-    """Apply an edit: {"what": one of KINDS, "view": name, "path": picture or video of an empty room, "frames":
-    by which key points come too early, "x", "y": px by which a view's pictures have to move}. recording: as it is read
-    now, None where it cannot be."""
+    """Correct a fault of a recording by an edit of recording.toml.
+
+    recording: as it is read now; None where it cannot be read.
+    asked: {"what": one of _KINDS, "view": name, "path": picture or video of an empty room, "frames": by which key
+        points are early, "x", "y": px by which a view's pictures are moved, "metres": height}.
+    Raises: InputError names the cause. Where the recording cannot be read with the edit, the old text is restored
+        first; height and board are not checked in this way.
+    """
     what = request_choice(asked.get("what"), "way to repair", _KINDS)
     path = described(folder, recording)
     before = read_text(path, "a recording.toml")
@@ -96,7 +103,7 @@ def edit_recording(folder: Path, recording: Recording | None, asked: dict[str, A
 
 
 def tick_findings(folder: Path, numbers: Sequence[Any]) -> None:
-    """Mark findings of the last check, by their numbers, as put right; the check is no longer of now."""
+    """Mark findings of the last check, by their numbers, as corrected, and the check as no longer up to date."""
     found = read_found(folder, "check.json")
     if found is not None:
         for number, finding in enumerate(found["findings"]):
@@ -105,14 +112,14 @@ def tick_findings(folder: Path, numbers: Sequence[Any]) -> None:
 
 
 def described(folder: Path, recording: Recording | None) -> Path:
-    """The recording.toml of a recording; a Pose2Sim project that has none gets one that says how it is read."""
+    """Return the path of a recording's recording.toml; for a Pose2Sim project without one, write it first."""
     if not (folder / "recording.toml").is_file() and recording is not None:
         write_recording(recording, folder)
     return folder / "recording.toml"
 
 
 def _names(path: Path, recording: Recording | None) -> list[str]:
-    """The names of the views, also of a recording that cannot be read as it is."""
+    """Return the names of the views, also of a recording that cannot be read."""
     if recording is not None:
         return [v.name for v in recording.views]
     tables = read_toml(path).get("view", [])
@@ -120,7 +127,7 @@ def _names(path: Path, recording: Recording | None) -> list[str]:
 
 
 def excluded_views(folder: Path) -> list[str]:
-    """Names of the views that have been left out of a recording."""
+    """List the names of the views that were left out of a recording."""
     try:
         lines = read_text(folder / "recording.toml", "a recording.toml").split("\n")
     except InputError:
@@ -133,7 +140,7 @@ def excluded_views(folder: Path) -> list[str]:
 
 
 def newest_refined_calibration(folder: Path) -> str | None:
-    """The newest refined calibration of a recording, relative to it."""
+    """Return the newest refined calibration of a recording, as a path relative to it; None without one."""
     files = sorted(folder.glob(_REFINED), key=lambda p: p.stat().st_mtime)
     return files[-1].relative_to(folder).as_posix() if files else None
 
@@ -148,7 +155,7 @@ def _try(path: Path, before: str, after: str) -> None:
 
 
 def _changed(whole: str, number: int, change: Callable[[list[str]], list[str]]) -> str:
-    """The text with the lines of its view `number` changed."""
+    """Return the text with the lines of view `number` changed."""
     lines = whole.split("\n")
     heads = [i for i, line in enumerate(lines) if line.split("#")[0].strip() == "[[view]]"]
     if number >= len(heads):
@@ -162,7 +169,7 @@ def _changed(whole: str, number: int, change: Callable[[list[str]], list[str]]) 
 
 
 def _at_top(whole: str, key: str, value: Any) -> str:
-    """The text with a key of the recording itself."""
+    """Return the text with a key of the recording itself set."""
     lines = whole.split("\n")
     end = next((i for i, line in enumerate(lines) if line.lstrip().startswith("[")), len(lines))
     return "\n".join([f"{key} = {toml_value(value)}", *_set_aside(lines[:end], key), *lines[end:]])
@@ -173,7 +180,7 @@ def _set_aside(lines: list[str], key: str) -> list[str]:
 
 
 def _with_calibration(whole: str, name: str | None) -> str:
-    """The text with another calibration, in metres and z up, and that of before behind a #."""
+    """Return the text with another calibration, in metres with z up; the old lines become comments."""
     if name is None:
         raise InputError("There is no refined calibration yet; refine it first.")
     lines = whole.split("\n")
@@ -184,16 +191,21 @@ def _with_calibration(whole: str, name: str | None) -> str:
 
 
 _OPEN, _LENSES, _QUALITY = 128 << 20, 32 << 20, 85
-"""Bytes of the kept part open of all recordings, and of the maps that undistort the pictures of one."""
+"""Most bytes of all open recordings, and of one recording's undistortion maps; JPEG quality."""
 _PER_PIXEL, _PER_LENS_PIXEL, _PER_WORKING_PIXEL = 40, 8, 30
-"""Bytes that an open video, such a map and a background hold per pixel, about."""
+"""Approximate bytes per pixel of an open video, of an undistortion map, and of a background."""
 _EDGE = (70, 60, 255)  # BGR; the same pink as in the report
 
 
 @dataclass
 class _Open:
-    """A recording that is being worked on, by one thread at a time. images: readers by view; stored: the frame that
-    each read last, with its number; masks: what makes them; lenses: what undistorts, by (view, width)."""
+    """Recording that is open, for one thread at a time.
+
+    images: readers by view.
+    stored: frame number and picture that each reader read last.
+    masks: stream that makes the masks.
+    lenses: undistortion maps by (view, width).
+    """
 
     recording: Recording
     lock: threading.Lock = field(default_factory=threading.Lock)
@@ -203,7 +215,7 @@ class _Open:
     lenses: dict[tuple[int, int], Preparer] = field(default_factory=dict)
 
     def image(self, view: int, frame: int, small: Camera) -> Image:
-        """The undistorted picture of a view with pictures, of the size of the camera `small`."""
+        """Return the undistorted picture of a view, of the size of the camera `small`."""
         v, key = self.recording.views[view], (view, small.size[0])
         if key not in self.lenses:
             while self.lenses and self._of_lenses + _PER_LENS_PIXEL * math.prod(small.size) > _LENSES:
@@ -212,14 +224,14 @@ class _Open:
         return self.lenses[key](self._read(view, frame))
 
     def mask(self, view: int, frame: int, settings: SilhouetteSettings) -> Mask:
-        """The mask at working size, as tracking gets it with these settings."""
+        """Compute the mask at working size that tracking would get with these settings."""
         if self.masks is None:
             self.masks = FrameStream(replace(self.recording, frame_range=None))
         stored = self._read(view, frame) if self.recording.views[view].source else None
         return self.masks.mask(view, frame, stored, settings)
 
     def _read(self, view: int, frame: int) -> Image:
-        """The picture of a view as it is stored."""
+        """Read the stored picture of a view; the last one of each view is kept."""
         if view not in self.images:
             self.images[view] = AnyFrame(self.recording.views[view])
         if self.stored.get(view, (-1,))[0] != frame:
@@ -231,7 +243,7 @@ class _Open:
 
     @property
     def held(self) -> int:
-        """Bytes of memory that it holds, about."""
+        """Approximate memory in use, bytes."""
         r = self.recording
         videos = sum(math.prod(r.rig[v].size) for v in self.images)
         working = 0 if self.masks is None else sum(math.prod(c.size) for c in self.masks.rig)
@@ -252,20 +264,23 @@ class _Open:
 
 
 class Recordings:
-    """Open files of recordings; used by several threads."""
+    """Open recordings, for several threads."""
 
     def __init__(self, catalog: Catalog) -> None:
         self._catalog = catalog
-        # however large it is, the one that is worked on stays: its empty rooms take seconds to make
+        # the last used one stays, however large it is, since backgrounds take seconds to make
         self._open: LruCache[_Open] = LruCache(_OPEN, lambda o: o.held, _Open.close, one_more=True)
 
     def load(self, item: Item) -> Recording:
-        """The recording of an item; an InputError names the cause."""
+        """Load the recording of an item.
+
+        Raises: InputError names the cause.
+        """
         with self._opened(item) as opened:
             return opened.recording
 
     def shown(self, item: Item, results: Sequence[str]) -> dict[str, Any]:
-        """All there is to say about a recording; results: ids."""
+        """Return all facts about a recording for the page; results: ids of its results."""
         made = item.path.with_name(f"{item.path.name}-in-step")
         common = {
             "in_step": self._catalog.id_of("recording", made) if (made / "recording.toml").is_file() else None,
@@ -310,7 +325,7 @@ class Recordings:
                 }
                 for v, c in zip(r.views, r.rig, strict=True)
             ],
-            "cameras": [  # as pinholes, which is what undistorted pictures are seen through
+            "cameras": [  # pinhole cameras, which belong to undistorted pictures
                 {
                     "name": c.name,
                     "K": c.K,
@@ -327,8 +342,11 @@ class Recordings:
     def picture(
         self, item: Item, camera: str, frame: int, width: int, shown: str, settings: Mapping[str, str]
     ) -> bytes:
-        """An undistorted picture as JPEG; with the mask that `settings` (over the recording's own) would give, shown as
-        an edge, filled, or only."""
+        """Encode an undistorted picture as JPEG, with the mask that `settings` (over the recording's own) would give.
+
+        shown: "none", or the mask as "edge", "fill" or "only".
+        Raises: NotFound or InputError where there is no such picture.
+        """
         with self._opened(item) as opened:
             r = opened.recording
             if camera not in r.rig.names:
@@ -352,7 +370,7 @@ class Recordings:
         return cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()
 
     def save_settings(self, item: Item, settings: Mapping[str, Any]) -> dict[str, Any]:
-        """Write [silhouettes] into recording.toml, in whose other lines nothing changes; returns all settings."""
+        """Write the table [silhouettes] into recording.toml, without a change of other lines; return all settings."""
         options = silhouette_options("The settings", settings)
         path = described(item.path, self.load(item))
         read_toml(path)
@@ -371,7 +389,7 @@ class Recordings:
 
 
 def _draw_mask(image: Image, mask: Mask, shown: str) -> Image:
-    """A picture with a mask of any size of the same shape."""
+    """Draw a mask, of any size with the same proportions, on a picture."""
     h, w = image.shape[:2]
     whole = np.asarray(cv2.resize(mask * np.uint8(255), (w, h), interpolation=cv2.INTER_LINEAR) > 127, np.uint8)
     if shown == "only":
@@ -385,7 +403,7 @@ def _draw_mask(image: Image, mask: Mask, shown: str) -> Image:
 
 
 def _with_query(options: SilhouetteSettings, settings: Mapping[str, str]) -> SilhouetteSettings:
-    """The options with settings out of a query: texts as in JSON, numbers of a list with commas between."""
+    """Return the options with settings from a query: texts as in JSON, lists as numbers with commas."""
     table: dict[str, Any] = {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(options).items()}
     for key, value in settings.items():
         kind = SILHOUETTE_KEYS.get(key)
@@ -397,7 +415,7 @@ def _with_query(options: SilhouetteSettings, settings: Mapping[str, str]) -> Sil
 
 
 def without_table(text: str, name: str) -> str:
-    """A TOML text without the table of a name."""
+    """Return a TOML text without the table of this name."""
     out, inside = [], False
     for line in text.splitlines():
         if line.lstrip().startswith("["):
@@ -408,8 +426,10 @@ def without_table(text: str, name: str) -> str:
 
 
 def board_of(folder: Path) -> dict[str, Any] | None:
-    """The cameras of which there are clips of a calibration board, none where cameras are to be found from the person;
-    whether they have been calibrated; when the picture of what was seen was made, s, None without one."""
+    """Describe the calibration by a board: cameras with clips of the board (none where they are calibrated from the
+    person), whether they are calibrated, and the time (s) of the contact sheet, None without one. None where neither
+    applies.
+    """
     sheet, names = folder / "results" / "calibration.png", list[str]()
     with contextlib.suppress(HyposeError):
         names = [s.name for s in find_sources(board_files(folder))]
@@ -419,7 +439,7 @@ def board_of(folder: Path) -> dict[str, Any] | None:
 
 
 def _unused(folder: Path) -> str | None:
-    """A refined calibration that the recording does not use yet."""
+    """Return a refined calibration that the recording does not use yet."""
     found = newest_refined_calibration(folder)
     with contextlib.suppress(HyposeError):
         return found if read_toml(folder / "recording.toml").get("calibration") != found else None
@@ -427,7 +447,7 @@ def _unused(folder: Path) -> str | None:
 
 
 def read_subject(folder: Path) -> dict[str, Any] | None:
-    """Read stature_m (m) and sizes_cm (cm by name) of the measured person; None if nothing usable was measured."""
+    """Read stature_m (m) and sizes_cm (cm by name) of the measured person; None where nothing usable was measured."""
     with contextlib.suppress(HyposeError, TypeError, ValueError, KeyError, AttributeError):
         in_cm = {str(k): float(v["cm"]) for k, v in read_toml(folder / "subject" / "subject.toml")["sizes"].items()}
         return {"stature_m": in_cm.get("stature", float("nan")) / 100, "sizes_cm": in_cm}
@@ -435,6 +455,6 @@ def read_subject(folder: Path) -> dict[str, Any] | None:
 
 
 def _stamp(folder: Path) -> float:
-    """Changes when the recording's description does, or the detector has been."""
+    """Return a number that changes when the recording's description changes, or the detector has run."""
     names = ("recording.toml", "Config.toml", "calibration.toml", "subject", "keypoints/detector.json")
     return sum(p.stat().st_mtime for n in names if (p := folder / n).exists())

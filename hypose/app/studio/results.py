@@ -1,4 +1,4 @@
-"""Results as the View screen asks for them: facts for lists, one block of bytes, pictures, thumbnails, gait."""
+"""Results for the View screen: facts for lists, the block of bytes, pictures, thumbnails, gait."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ from hypose.pipeline.gait import angle_cycles, gait_of
 from hypose.tracking.tracker import estimates_from_arrays, motion_of
 
 _BLOCKS, _PICTURES, _THUMBNAILS, _GAITS = 24 << 20, 64 << 20, 4 << 20, 4 << 20
-"""Bytes of blocks, of open pictures, of thumbnails and of answers on gait that are kept."""
+"""Most bytes of blocks, of open pictures, of thumbnails and of gait answers that are kept."""
 _DESCRIBED = ("recording.toml", "Config.toml", "calibration.toml")
 _MOTION = ("motion.npz", "body.npz")
 _JUDGED = ("assessment.json", "modes.npz", "checkpoint.npz")
-"""Files next to a motion that say how good it is, and whether it is all."""
+"""Files with a motion that show how good it is, and whether it is complete."""
 _SIZE = (192, 144)
-"""px, width and height of a thumbnail."""
+"""Width and height of a thumbnail, px."""
 _ROOM = 1.35
-"""The thumbnail's height over that of the joints in it."""
+"""Height of the thumbnail relative to that of the joints in it."""
 _QUALITY = 82
 _LEFT, _RIGHT, _MIDDLE = (74, 160, 245), (245, 178, 91), (247, 245, 242)  # BGR; as in View
 Stamp = tuple[float | None, ...]
@@ -46,8 +46,11 @@ Stamp = tuple[float | None, ...]
 
 @dataclass(frozen=True)
 class Glimpse:
-    """The kept part of a motion for its picture: rows with their joints (J, 3) m, of which the first that has a picture
-    is shown."""
+    """Part of a motion that is kept for its thumbnail.
+
+    rows: rows with their joints (J, 3) m; the first that has a picture is shown.
+    skeleton: of the joints.
+    """
 
     rows: tuple[tuple[int, Array], ...]
     skeleton: Skeleton
@@ -55,7 +58,12 @@ class Glimpse:
 
 @dataclass(frozen=True)
 class _Head:
-    """What a list shows of a result, as of when its files had this stamp. glimpse: None where it cannot be read."""
+    """Facts of a result for a list.
+
+    stamp: state of the files at that time.
+    facts: for the page.
+    glimpse: None where the motion cannot be read.
+    """
 
     stamp: Stamp
     facts: dict[str, Any]
@@ -63,22 +71,22 @@ class _Head:
 
 
 class Results:
-    """Open files of results; used by several threads."""
+    """Open results, for several threads."""
 
     def __init__(self, catalog: Catalog) -> None:
         self._catalog = catalog
         self._blocks: LruCache[bytearray] = LruCache(_BLOCKS, len, one_more=True)
-        # of four cameras of 1080p more is open than is kept of others: to open it for every picture would take seconds
+        # four cameras of 1080p exceed the limit; one_more keeps them, since opening them takes seconds
         self._pictures: LruCache[ViewPictures] = LruCache(
             _PICTURES, lambda p: p.held, ViewPictures.close, one_more=True
         )
         self._thumbnails: LruCache[bytes] = LruCache(_THUMBNAILS, len)
         self._heads: dict[str, _Head] = {}
         self._gaits: LruCache[bytes] = LruCache(_GAITS, len)
-        self._one = threading.Lock()  # whole motions are held by one thread at a time: they are large
+        self._one = threading.Lock()  # one thread at a time loads a whole motion, since it is large
 
     def block(self, item: Item) -> bytearray:
-        """The whole result; made again when its files have changed, or those of its recording."""
+        """Return the block of a result; it is made again when files of the result or its recording have changed."""
 
         def make() -> bytearray:
             with self._one:
@@ -90,27 +98,29 @@ class Results:
             return block
 
     def pictures(self, item: Item) -> AbstractContextManager[ViewPictures]:
-        """The pictures of a result's recording, while they are used; NotFound when it has none. Results of the same
-        frames share them."""
+        """Open the pictures of a result's recording, as a context; results of the same frames share them.
+
+        Raises: NotFound where there is no recording.
+        """
         folder = self._catalog.recording_of(item.path)
         if folder is None:
-            raise NotFound("The result has no recording beside it, so there are no pictures of it.")
-        facts = self.head(item)  # the motion itself is not needed, and may be large
+            raise NotFound("The result is in no recording's folder, so there are no pictures of it.")
+        facts = self.head(item)  # the motion itself, which may be large, is not needed
         frames = facts["first_frame"], facts["frames"]
         return self._pictures.use(
             (folder, _stamp(folder, _DESCRIBED), *frames), lambda: ViewPictures(load_recording(folder), *frames)
         )
 
     def head(self, item: Item) -> dict[str, Any]:
-        """What a list says of a result."""
+        """Return the facts of a result for a list."""
         return self._head(item).facts
 
     def _head(self, item: Item) -> _Head:
         stamp = _stamp(item.path, (*_MOTION, *_JUDGED))
-        known = self._heads.get(item.id)  # without waiting for the thread that holds a motion
+        known = self._heads.get(item.id)  # without waiting for a thread that loads a motion
         if known is not None and known.stamp == stamp:
             return known
-        with self._one:  # several that ask at once do not each read all
+        with self._one:  # several simultaneous requests read the files only once
             if item.id not in self._heads or self._heads[item.id].stamp != stamp:
                 self._heads[item.id] = self._read_head(item, stamp)
             return self._heads[item.id]
@@ -147,7 +157,7 @@ class Results:
         return _Head(stamp, facts, glimpse)
 
     def thumbnail(self, item: Item) -> bytes:
-        """A small JPEG: the person with the skeleton in the middle of the result, as the first camera sees it."""
+        """Return a small JPEG of the middle frame with the skeleton, from the first camera."""
         with self._thumbnails.use((item.id, _stamp(item.path)), lambda: self._thumbnail(item)) as data:
             return data
 
@@ -159,7 +169,7 @@ class Results:
             return thumbnail(glimpse, opened)
 
     def gait(self, item: Item) -> bytes:
-        """How a person walks, as JSON."""
+        """Return the gait of a result as JSON."""
 
         def make() -> bytes:
             with self._one:
@@ -169,9 +179,12 @@ class Results:
             return data
 
     def so_far(self, plan: Plan, began: float | None, recordings: Recordings) -> bytearray | None:
-        """The block of what a job has tracked so far, read from its checkpoint, or of the finished result; None while
-        there is nothing, NotFound when there never will be. began: when the job did (s); what lies there from before is
-        not its own."""
+        """Build the block of what a job has tracked so far, from its checkpoint or the finished result.
+
+        began: when the job began, s; older files are not its own.
+        Returns: None while there is nothing.
+        Raises: NotFound where the job makes no motion that can be shown.
+        """
         folder = plan.folder
         if folder is None or plan.recording is None:
             raise NotFound("This job makes no motion.")
@@ -193,14 +206,13 @@ class Results:
         return view_bundle(in_recording(recording, tracked, body, first_frame=first, complete=False))
 
     def drop(self) -> None:
-        """Release values not in use."""
+        """Release all values not in use."""
         for kept in (self._gaits, self._thumbnails, self._pictures, self._blocks):
             kept.drop()
 
 
 def _stamp(folder: Path, files: Sequence[str] = _MOTION) -> Stamp:
-    """Changes when these files of a folder are written again, or are there no longer; of a checkpoint, which is written
-    all the time, when it comes and goes."""
+    """Return times of change of a folder's files, to notice changes; of a checkpoint only whether it exists."""
 
     def written(name: str) -> float | None:
         try:
@@ -213,14 +225,17 @@ def _stamp(folder: Path, files: Sequence[str] = _MOTION) -> Stamp:
 
 
 def glimpse_of(motion: Motion) -> Glimpse:
-    """The frame in the middle, and the first one, for where the pictures end before."""
+    """Keep the middle frame of a motion, and the first one for pictures that end before."""
     seen = np.flatnonzero(np.isfinite(motion.joints).all((1, 2)))
     rows = [int(seen[k]) for k in (len(seen) // 2, 0)] if len(seen) else []
     return Glimpse(tuple((t, motion.joints[t].copy()) for t in rows), motion.skeleton)
 
 
 def thumbnail(glimpse: Glimpse, pictures: ViewPictures) -> bytes:
-    """A JPEG of it as the first camera with a picture sees it; NotFound when none has one."""
+    """Draw a JPEG from the first camera with a picture.
+
+    Raises: NotFound where there is no picture.
+    """
     for row, joints in glimpse.rows:
         found = pictures.seen(row, joints)
         if found is not None:
@@ -256,8 +271,9 @@ NO_GAIT: dict[str, Any] = {"events": [], "figures": [], "cycles": []}
 
 
 def gait_view(results: Path) -> dict[str, Any]:
-    """Of a results folder: events by time (s of the motion's times), figures, and the cycles in degrees at 0 to 100 %;
-    all empty where no person walks, or where the motion has no poses or body."""
+    """Compute the gait of a results folder for the page: events by time (s), figures, and cycles in degrees at 0 to 100
+    %. All are empty where the person does not walk, or the motion has no poses or body.
+    """
     try:
         motion, body = load_motion(results / "motion.npz"), load_body(results / "body.npz")
         if motion.poses is None or body.skeleton.joint_names != motion.skeleton.joint_names:

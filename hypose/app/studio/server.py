@@ -1,4 +1,4 @@
-"""The studio's server: everything put together, and `hypose view`'s main loop."""
+"""The studio's server: build the application with all addresses, and run it for `hypose view`."""
 
 from __future__ import annotations
 
@@ -55,14 +55,18 @@ from hypose.body.default_body import human
 from hypose.errors import HyposeError, InputError
 
 STATIC_FOLDER = Path(__file__).parent / "static"
-"""Where the built page lies."""
+"""Folder of the built page."""
 MOST_CONNECTIONS = 256
 
 
 @dataclass(frozen=True)
 class StudioOptions:
-    """root: the folder that is served; host, port (0 = any free one); token: None = made when others can reach the
-    host."""
+    """Options of the studio.
+
+    root: folder that is served.
+    host, port: address; port 0: any free one.
+    token: None: one is made where other computers can connect.
+    """
 
     root: Path
     host: str = "127.0.0.1"
@@ -71,7 +75,7 @@ class StudioOptions:
 
 
 class Studio:
-    """What a server holds: the catalog and everything that is open. `app` is the ASGI application."""
+    """State of a server: the catalog, jobs, topics and open files; `app` is the ASGI application."""
 
     def __init__(self, options: StudioOptions) -> None:
         self.token = token_for(options.host, options.token)
@@ -91,7 +95,7 @@ class Studio:
         self.app = Guard(self._routed, self.token)
 
     def state(self) -> dict[str, Any]:
-        """Everything there is, for the page's lists."""
+        """Return all recordings, results and other items for the page's lists."""
         catalog = self.catalog
         found = [self.results.head(i) for i in catalog.items("result", fresh=True)]
         return {
@@ -115,7 +119,7 @@ class Studio:
         }
 
     def _skeletons(self, item: Item) -> dict[str, Any]:
-        """A recording of live sensors, for a list; result: id of what it was fused to."""
+        """Describe a recording of live sensors for a list; result: id of its fused result."""
         fused = fused_in(item.path)
         result = self.catalog.id_of("result", fused) if (fused / "motion.npz").is_file() else None
         return {"id": item.id, "name": item.path.name, "path": self.catalog.shown(item.path), "result": result}
@@ -130,25 +134,25 @@ class Studio:
         await run_in_threadpool(self.close)
 
     def let_go(self) -> None:
-        """Close open files of results and recordings: a file that is open cannot be moved everywhere."""
+        """Close open files of results and recordings, since some systems cannot move open files."""
         self.results.drop()
         self.recordings.drop()
 
     def close(self) -> None:
-        """Stop what runs with its work kept, and let go of everything."""
+        """Stop jobs and sessions, keep their work, and close all files."""
         self.gestures.close()
         self.jobs.close()
         self.let_go()
 
 
 def _warm() -> None:
-    """Load the kernels that a result is opened with, before a page waits for them."""
+    """Compile the kernels that a result needs, before a page waits for them."""
     skeleton = human().skeleton
     skeleton.forward(np.zeros((1, skeleton.dof)))
 
 
 def _static() -> list[BaseRoute]:
-    """An installation without the page has nothing there."""
+    """Return the route of the page's files; none where the page was not built."""
     return [Mount("/static", StaticFiles(directory=STATIC_FOLDER))] if STATIC_FOLDER.is_dir() else []
 
 
@@ -175,8 +179,9 @@ async def _nothing(request: Request, error: Exception) -> Response:
 
 
 def config(studio: Studio, host: str, port: int) -> uvicorn.Config:
-    """How the application is served: so many connections at most, small messages only, nothing compressed (pictures
-    are), no signature, and who comes follows from the connection alone."""
+    """Return how the application is served: limited connections, small messages, no compression (pictures are
+    compressed), no server name, and no trust in proxy headers.
+    """
     made = uvicorn.Config(
         studio.app,
         http="h11",
@@ -192,7 +197,7 @@ def config(studio: Studio, host: str, port: int) -> uvicorn.Config:
         ws_max_size=MAX_MESSAGE,
         ws_per_message_deflate=False,
         ws_max_queue=32,
-        ws_ping_timeout=60,  # a page on a busy machine may be silent for long
+        ws_ping_timeout=60,  # a page on a busy computer may not answer for long
         timeout_graceful_shutdown=2,
     )
     quiet_logs()
@@ -200,14 +205,14 @@ def config(studio: Studio, host: str, port: int) -> uvicorn.Config:
 
 
 class _Server(uvicorn.Server):
-    """Calls `ready` with the port as soon as it listens."""
+    """Server that calls `ready` with the port as soon as it listens."""
 
     def __init__(self, settings: uvicorn.Config, ready: Callable[[int], None]) -> None:
         super().__init__(settings)
         self._ready = ready
 
     async def startup(self, sockets=None) -> None:  # noqa: ANN001 - as in uvicorn
-        """Listen, then say so."""
+        """Start listening, and report the port."""
         await super().startup(sockets)
         if self.started:
             self._ready(self.servers[0].sockets[0].getsockname()[1])
@@ -216,12 +221,15 @@ class _Server(uvicorn.Server):
 def make_server(
     studio: Studio, host: str, port: int, ready: Callable[[int], None] = lambda port: None
 ) -> uvicorn.Server:
-    """A server that is not running yet; `should_exit` ends it."""
+    """Make a server that is not running yet; `should_exit` ends it."""
     return _Server(config(studio, host, port), ready)
 
 
 def run_server(options: StudioOptions, ready: Callable[[str], None]) -> None:
-    """Serve until Ctrl-C or SIGTERM; ready(address) is called when the page can be opened."""
+    """Serve until Ctrl-C or SIGTERM; ready(address) is called when the page can be opened.
+
+    Raises: InputError where the port cannot be used.
+    """
     import socket
 
     studio = Studio(options)
@@ -249,13 +257,15 @@ _UNTRUSTED = (
     "sandbox allow-scripts; default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; script-src "
     "'unsafe-inline'; media-src data: blob:; worker-src blob:"
 )
-"""For pages that lie in the served folder: they may show themselves, and reach neither the server nor anything else."""
+"""Content security policy of pages from the served folder: they can show themselves, but reach neither the server nor
+anything else.
+"""
 _T = TypeVar("_T")
 _Body = dict[str, Any]
 
 
 def routes(studio: Studio) -> list[Route]:
-    """All addresses of a studio."""
+    """Build all routes of a studio."""
     catalog = studio.catalog
 
     def item_of(kind: Kind, request: Request) -> Item:
@@ -278,12 +288,12 @@ ItemOf = Callable[[Kind, Request], Item]
 
 
 def _of_folders(studio: Studio, item_of: ItemOf) -> list[Route]:
-    """Recordings and results are renamed, and results deleted for good."""
+    """Build the routes that rename recordings and results, and delete results."""
     catalog = studio.catalog
 
     @contextlib.contextmanager
     def changing(item: Item, what: str) -> Iterator[None]:
-        """While the folder of an item is changed no job works on it, and nothing in it is open."""
+        """Prepare the change of an item's folder: refuse it while a job uses the item, and close all open files."""
         if item.path == catalog.root:
             raise InputError(f"{item.path.name} is the folder that is served; change it from outside.")
         if any(studio.jobs.needs(i.id) for i in catalog.every() if i.path.is_relative_to(item.path)):
@@ -409,10 +419,10 @@ def _of_recordings(studio: Studio, item_of: ItemOf) -> list[Route]:
 
 def _of_results(studio: Studio, item_of: ItemOf) -> list[Route]:
     catalog, results = studio.catalog, studio.results
-    blocks, gaits = asyncio.Lock(), asyncio.Lock()  # of what takes long one at a time is made
+    blocks, gaits = asyncio.Lock(), asyncio.Lock()  # slow answers are made one at a time
 
     async def in_turn(turn: asyncio.Lock, request: Request, make: Callable[[Item], _T]) -> _T | None:
-        """None: it was looked at only briefly, and no client waits for it any more."""
+        """Make an answer when it is its turn; return None where the client has disconnected meanwhile."""
         item = item_of("result", request)
         async with turn:
             return None if await request.is_disconnected() else await run_in_threadpool(make, item)
@@ -431,7 +441,7 @@ def _of_results(studio: Studio, item_of: ItemOf) -> list[Route]:
         width = digits(request.query_params.get("width", "640"), "The width")
         with results.pictures(item_of("result", request)) as opened:
             data = opened.row(row_of(request), width)
-        # the same row of the same result stays what it is while a page is open
+        # a row of a result does not change while a page is open
         return Response(data, media_type="application/octet-stream", headers={"Cache-Control": "private, max-age=60"})
 
     def outlines(request: Request) -> Any:
@@ -492,7 +502,7 @@ def _of_clicks(studio: Studio, item_of: ItemOf) -> list[Route]:
 
 
 def _file(folder: Path, name: str, known: Any, catalog: Catalog) -> Response:
-    """A file of a folder that may be given away by its name."""
+    """Return the answer with a file of a folder, if its name is one of the known ones."""
     path = folder / name
     if name not in known or not path.is_file() or not catalog.contains(path):
         raise NotFound(f"There is no file {name[:80]!r} here.")

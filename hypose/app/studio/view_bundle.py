@@ -1,9 +1,9 @@
-"""What the View screen shows of one result, as one block of bytes: the server sends it, the report carries it.
+"""Pack one result for the View screen into one block of bytes, which the server sends and the report contains.
 
-Layout: the eight bytes "HYPOSEV1", the header's length (uint32), the header (JSON, UTF-8), zeros up to a multiple of 8,
-then the arrays one after the other, each at a multiple of 8 bytes from the end of that padding; all little-endian. The
-header's "arrays" says for each its dtype (f4, f8, u1, u2, u4), shape and offset, so that a browser reads it without a
-copy. Metres, seconds, radians (angles: degrees), world z up.
+Layout: the eight bytes "HYPOSEV1", length of the header (uint32), header (JSON, UTF-8), zeros up to a multiple of 8,
+    then the arrays, each at a multiple of 8 bytes from there; all little-endian. The header's "arrays" gives dtype (f4,
+    f8, u1, u2, u4), shape and offset of each, so that a browser reads them without a copy. Metres, seconds, radians
+    (angles: degrees), world z up.
 """
 
 from __future__ import annotations
@@ -44,15 +44,19 @@ _LOST, _EXTRAPOLATED, _LOW_CONFIDENCE = 1, 2, 3
 MOST_RIVALS = 6
 _UNKNOWN_PERCENT = 255
 _AT_ONCE = 1 << 11
-"""Frames that are worked on at a time."""
+"""Frames that are converted at a time."""
 _THREADS = 2
-"""Of which each works on some frames."""
+"""Threads that convert frames."""
 
 
 @dataclass(frozen=True)
 class Rivals:
-    """Other poses that the evidence allows: weights (T, 1 + R), first that of the motion's own pose; rows (N,) that
-    have another pose, which are few; joints (N, R, J, 3) m of these, best first. NaN where a frame has fewer."""
+    """Other poses that the evidence allows.
+
+    rows: (N,) rows of the motion that have another pose.
+    joints: (N, R, J, 3) m of these, best first; NaN where a frame has fewer.
+    weights: (T, 1 + R), first the weight of the motion's own pose.
+    """
 
     rows: NDArray[np.int64]
     joints: NDArray[np.float32]
@@ -60,8 +64,10 @@ class Rivals:
 
     @classmethod
     def of(cls, joints: Array, weights: Array) -> Rivals | None:
-        """From all modes, joints (T, K, J, 3) with weights (T, K), the motion's own first; None when there is no other.
-        MOST_RIVALS at most: what comes after them weighs next to nothing."""
+        """Make them from all modes: joints (T, K, J, 3) with weights (T, K), the motion's own first.
+
+        Returns: at most MOST_RIVALS other poses; None where there are none.
+        """
         if joints.shape[1] < 2:
             return None
         others = joints[:, 1 : 1 + MOST_RIVALS]
@@ -70,7 +76,7 @@ class Rivals:
 
     @classmethod
     def of_motion(cls, motion: Motion) -> Rivals | None:
-        """From those that the motion itself has kept; None when there is none in any frame."""
+        """Make them from the rivals in a motion; None where there are none."""
         if motion.rivals is None or motion.rival_weights is None or not motion.rival_weights.any():
             return None
         others = motion.rival_weights.astype(np.float64)
@@ -84,10 +90,23 @@ class Rivals:
 
 @dataclass(frozen=True)
 class ViewResult:
-    """A result to look at. body, rig: None when not known (a fused skeleton has neither). image_shifts: (x, y) px per
-    camera, as in recording.toml. first_frame: the recording's frame of row 0. pictures: names of the cameras whose
-    pictures can be had. files: (name, meaning, bytes). rivals: where the method keeps any. assessment: of the
-    result, None when nothing has judged it."""
+    """Result to show.
+
+    title: of the page.
+    motion: the motion.
+    body, rig: None where not known, e.g. for a fused skeleton.
+    image_shifts: (x, y) px per camera, as in recording.toml.
+    pictures: names of the cameras that have pictures.
+    first_frame: frame of the recording in row 0.
+    files: (name, meaning, bytes).
+    notes: sentences for the user.
+    citation: source of the method.
+    seconds: time per stage, s.
+    truth: comparison with the true motion of a synthetic recording.
+    complete: every frame was tracked.
+    rivals: other poses, where the method keeps any.
+    assessment: of the result; None where there is none.
+    """
 
     title: str
     motion: Motion
@@ -107,12 +126,12 @@ class ViewResult:
 
 
 def pictured(recording: Recording) -> list[str]:
-    """Names of the cameras of which a recording has pictures, or masks in their place; its views may have others."""
+    """Return the names of the cameras that have pictures, or masks in their place."""
     return [c.name for v, c in zip(recording.views, recording.rig, strict=True) if v.source or v.masks]
 
 
 def view_bundle(result: ViewResult) -> bytearray:
-    """The block of bytes."""
+    """Pack a result into the block of bytes."""
     arrays = _arrays(result)
     header = _header(result)
     offset, index = 0, {}
@@ -124,7 +143,9 @@ def view_bundle(result: ViewResult) -> bytearray:
     start = -(-(len(MAGIC) + 4 + len(text)) // 8) * 8
     block = bytearray(start + offset)
     struct.pack_into(f"<{len(MAGIC)}sI{len(text)}s", block, 0, MAGIC, len(text), text)
-    for name in list(arrays):  # each is let go as soon as it is in the block: two long motions do not lie side by side
+    for name in list(
+        arrays
+    ):  # each array is released as soon as it is copied, so that memory holds one long motion only
         a = np.ascontiguousarray(arrays.pop(name)).reshape(-1).view(np.uint8)
         at = start + index[name]["offset"]
         block[at : at + len(a)] = a.data
@@ -133,7 +154,7 @@ def view_bundle(result: ViewResult) -> bytearray:
 
 def _arrays(result: ViewResult) -> dict[str, np.ndarray]:
     m = result.motion
-    # first what needs most memory on the way, while nothing else is there
+    # first the arrays whose computation needs most memory
     turns = {} if m.poses is None else _turns(m.skeleton, m.poses)
     out = turns | {
         "times": m.times.astype("<f8"),
@@ -166,8 +187,9 @@ def _arrays(result: ViewResult) -> dict[str, np.ndarray]:
 
 
 def _turns(skeleton: Skeleton, poses: Array) -> dict[str, np.ndarray]:
-    """How joints are turned in poses (T, D), and the anatomical angles where the skeleton has these. Some frames at a
-    time: intermediate arrays are several times a long motion."""
+    """Compute the rotations of joints in poses (T, D), and anatomical angles where the skeleton has them. Some frames
+    at a time, since intermediate arrays are several times as large as a long motion.
+    """
     known = np.flatnonzero(np.isfinite(poses).all(1))
     rotations = np.full((len(poses), len(skeleton.joint_names), 4), np.nan, "<f4")
     read = turns_reader(skeleton) if angles_known(skeleton) else None
@@ -191,7 +213,7 @@ def _turns(skeleton: Skeleton, poses: Array) -> dict[str, np.ndarray]:
 
 
 def _upper(matrices: NDArray[np.floating]) -> np.ndarray:
-    """Symmetric matrices (..., 3, 3) as xx xy xz yy yz zz (..., 6) float32."""
+    """Pack symmetric matrices (..., 3, 3) as xx xy xz yy yz zz (..., 6) float32."""
     out = np.empty((*matrices.shape[:-2], 6), "<f4")
     for k, (i, j) in enumerate(zip(*np.triu_indices(3), strict=True)):
         out[..., k] = matrices[..., i, j]
@@ -199,7 +221,7 @@ def _upper(matrices: NDArray[np.floating]) -> np.ndarray:
 
 
 def _in_degrees(names: Sequence[str], values: Array | NDArray[np.float32]) -> np.ndarray:
-    """(A, T) as the page shows them: angles in degrees, lengths in metres."""
+    """Convert angles (A, T) to degrees; lengths stay in metres."""
     out = np.empty(values.shape, "<f4")
     for n, (name, value) in enumerate(zip(names, values, strict=True)):
         out[n] = value if is_length(name) else np.degrees(value)
@@ -207,7 +229,7 @@ def _in_degrees(names: Sequence[str], values: Array | NDArray[np.float32]) -> np
 
 
 def _flags(motion: Motion) -> np.ndarray:
-    """(T,) the gravest that is said of each frame; 0 = nothing."""
+    """Compute one flag (T,) per frame, the most serious one; 0 = none."""
     low_confidence = np.zeros(len(motion), dtype=bool) if motion.low_confidence is None else motion.low_confidence
     cases = [motion.lost.astype(bool), motion.extrapolated.astype(bool), low_confidence]
     return np.select(cases, [_LOST, _EXTRAPOLATED, _LOW_CONFIDENCE], 0).astype("u1")
@@ -224,7 +246,7 @@ def _mesh(level: str, mesh: Mesh) -> dict[str, np.ndarray]:
 
 
 def angles_known(skeleton: Skeleton) -> bool:
-    """Anatomical angles are defined for skeletons with the human joints only."""
+    """Return whether a skeleton has the joints for which anatomical angles are defined."""
     needed = {"pelvis", "chest", "head", "left_shoulder", "left_elbow", "left_hip", "left_knee", "left_ankle"}
     return needed <= set(skeleton.joint_names)
 
@@ -285,7 +307,7 @@ def _cameras(result: ViewResult) -> list[dict[str, Any]]:
 
 
 def _floor(motion: Motion, body: Body | None) -> float:
-    """Height of the floor (m): 0, the world's own, unless the feet say that it lies elsewhere."""
+    """Estimate the height of the floor, m: 0, unless the feet are clearly elsewhere."""
     feet = [j for j, n in enumerate(motion.skeleton.joint_names) if n.endswith(("ankle", "foot"))]
     low = motion.joints[:, feet, 2]
     low = low[np.isfinite(low)]
@@ -299,7 +321,7 @@ def _floor(motion: Motion, body: Body | None) -> float:
 
 
 def json_values(value: Any) -> Any:
-    """Plain JSON values; what JSON cannot say (NaN, infinity) becomes null, invalid text in a name an escape."""
+    """Convert a value to plain JSON values; NaN and infinity become null, invalid text is escaped."""
     if isinstance(value, np.ndarray | np.generic):
         return json_values(value.tolist())
     if isinstance(value, float):
@@ -312,17 +334,18 @@ def json_values(value: Any) -> Any:
 
 
 # ---- view result ---------------------------------------------------------------------------------------------------
-# A results folder as something to look at: the motion, and what lies around it (body, recording, truth).
+# Load a results folder to be shown: the motion with body, recording and truth.
 
 
 _T = TypeVar("_T")
 
 
 def load_view(results: str | Path, recording: Recording | None = None) -> ViewResult:
-    """What can be shown of a results folder, or of a motion.npz.
+    """Load a results folder, or a motion.npz, to be shown.
 
-    recording: by default that in whose folder the results lie. A body, recording or truth that is absent or cannot be
-    read leaves its part out, and a note says why; an InputError when there is no motion.
+    recording: default: the one whose folder contains the results. A body, recording or truth that is missing or
+        unreadable is left out with a note.
+    Raises: InputError where there is no motion.
     """
     path = Path(results)
     if not path.exists():
@@ -366,7 +389,7 @@ def load_view(results: str | Path, recording: Recording | None = None) -> ViewRe
 
 
 def in_recording(recording: Recording | None, motion: Motion, body: Body | None, **more: Any) -> ViewResult:
-    """A motion with what its recording says of the cameras; more: other fields of a ViewResult."""
+    """Make a result from a motion and the cameras of its recording; more: other fields of ViewResult."""
     if recording is None:
         return ViewResult(motion=motion, body=body, **more)
     shifts = [v.image_shift for v in recording.views]
@@ -375,20 +398,20 @@ def in_recording(recording: Recording | None, motion: Motion, body: Body | None,
 
 
 def first_frame(motion: Motion) -> int:
-    """The recording's frame of row 0, as far as a motion tells; others than hypose may have written it."""
+    """Return the recording's frame of row 0, where the motion contains it; else 0."""
     with contextlib.suppress(TypeError, KeyError, IndexError, ValueError, OverflowError):
         return int(motion.provenance["settings"]["frames"][0])
     return 0
 
 
 def find_recording(results: Path) -> Recording | None:
-    """The recording whose folder holds the results (results/RECIPE/ in it), None when there is none."""
+    """Load the recording whose folder contains the results (results/RECIPE/ in it); None where there is none."""
     folder = recording_above(results)
     return None if folder is None else load_recording(folder)
 
 
 def _citation(motion: Motion) -> str:
-    """Where the method of a motion comes from, "" for one that is not known."""
+    """Return the source of a motion's method; "" where it is not known."""
     settings = motion.provenance.get("settings")
     refined = isinstance(settings, Mapping) and bool(settings.get("refine"))
     return citation_of(str(motion.provenance.get("recipe")), refined)
@@ -405,8 +428,9 @@ def _body(folder: ResultsFolder, motion: Motion) -> Body | None:
 
 
 def _rivals(path: Path, motion: Motion) -> Rivals | None:
-    """Where the modes of a track with one camera lie next to its motion, which is their first; else what the motion
-    has kept."""
+    """Load the other poses: from the modes of a track with one camera, whose first mode is the motion; else from the
+    motion.
+    """
     if not path.is_file():
         return Rivals.of_motion(motion)
     joints, weights = load_joints_of_modes(path)
@@ -414,7 +438,7 @@ def _rivals(path: Path, motion: Motion) -> Rivals | None:
 
 
 def _assessment(path: Path, motion: Motion) -> Assessment | None:
-    """As it was written when the motion was tracked, which knows what was found before; else from the motion."""
+    """Load the assessment that was written after tracking; where it is missing, assess the motion."""
     with contextlib.suppress(InputError, ValueError, KeyError, TypeError):
         return Assessment.of_document(read_json(path, "an assessment"))
     return None if motion.low_confidence is None else assess(motion)

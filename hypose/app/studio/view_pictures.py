@@ -1,7 +1,7 @@
-"""The recorded pictures and masks of any frame of a result, for the View screen.
+"""Read recorded pictures and masks of any frame of a result, for the View screen.
 
-A user who drags along the timeline asks for frames in any order, and decoding a long video from its start for each
-would take seconds. So a video is jumped in where its jumps have been found to land exactly, and read through otherwise.
+A user who drags along the timeline requests frames in any order, and decoding a long video from its start would take
+seconds. So frames are reached by seeking where that was found to be exact in this video, and by decoding otherwise.
 """
 
 from __future__ import annotations
@@ -28,15 +28,17 @@ from hypose.io.recordings.recording import Recording, ViewSettings
 from hypose.io.recordings.recording_views import open_pictures
 from hypose.io.videos.video import VideoReader, open_capture, open_video
 
-_DECODED_AHEAD = 24  # frames ahead that are sooner decoded than jumped to
-_TRIAL = 10  # the frame at which jumps are tried
+_DECODED_AHEAD = 24  # frames ahead that are faster decoded than reached by seeking
+_TRIAL = 10  # the frame at which seeking is tested
 _CACHE_BYTES = 16 << 20
 _PER_PIXEL, _PER_WORKING_PIXEL = 40, 60
-"""Bytes that an open video holds per pixel of its frames, and a view's masks per pixel of the working size, about."""
+"""Approximate memory of an open video per pixel of its frames, and of a view's masks per pixel of the working size,
+bytes.
+"""
 
 
 class AnyFrame:
-    """Frames of one view in any order. A folder of images is read directly."""
+    """Frames of one view in any order; a folder of images is read directly."""
 
     def __init__(self, view: ViewSettings) -> None:
         source = view.source or view.masks
@@ -49,7 +51,7 @@ class AnyFrame:
         self._path = source
 
     def read(self, index: int) -> Image | None:
-        """Frame `index` (BGR), None beyond the end."""
+        """Return frame `index` (BGR); None beyond the end."""
         if not 0 <= index < self._reader.n_frames:
             return None
         reader = self._reader
@@ -66,7 +68,7 @@ class AnyFrame:
                 with open_video(self._path) as forward:
                     true = forward.read(_TRIAL)
                 self._jumps = open_capture(self._path)
-                self._jumps.set(cv2.CAP_PROP_POS_FRAMES, self._reader.n_frames - 1)  # somewhere else first
+                self._jumps.set(cv2.CAP_PROP_POS_FRAMES, self._reader.n_frames - 1)  # first seek to another frame
                 self._next = -1
                 tried = self._jump(_TRIAL)
                 self._exact = tried is not None and np.array_equal(tried, true)
@@ -93,8 +95,7 @@ class AnyFrame:
 
 
 class ViewPictures:
-    """Pictures and masks of a recording by row of a motion whose row 0 is frame `first`. May be used by several
-    threads."""
+    """Pictures and masks of a recording by row of a motion whose row 0 is frame `first`; for several threads."""
 
     def __init__(self, recording: Recording, first: int, rows: int) -> None:
         self._recording = replace(recording, frame_range=(first, first + rows))
@@ -106,14 +107,16 @@ class ViewPictures:
 
     @property
     def held(self) -> int:
-        """Bytes of memory that it holds, about."""
+        """Approximate memory in use, bytes."""
         rig = self._recording.rig
         working = 0 if self._stream is None else sum(math.prod(c.size) for c in self._stream.rig)
         return self._kept.held + _PER_PIXEL * sum(math.prod(c.size) for c in rig) + _PER_WORKING_PIXEL * working
 
     def row(self, row: int, width: int) -> bytes:
-        """JPEGs of all views at most `width` px wide: their number (uint32), the length of each (uint32, 0 = no
-        picture), then the files; little-endian."""
+        """Encode the pictures of all views in a row as JPEG, at most `width` px wide.
+
+        Returns: number of views (uint32), length of each file (uint32, 0 = no picture), then the files; little-endian.
+        """
         self._check(row)
         if not 32 <= width <= 4096:
             raise InputError(f"Pictures cannot be {width} px wide; ask for 32 to 4096.")
@@ -127,8 +130,9 @@ class ViewPictures:
             return data
 
     def seen(self, row: int, points: Array) -> tuple[Image, Array] | None:
-        """The picture (BGR) of the first view that has one of `row`, and where points (N, 3) m of the world are in it,
-        (N, 2) px; None when no view has one."""
+        """Return the picture (BGR) of the first view that has one in `row`, and the pixels (N, 2) of points (N, 3) m,
+        world, in it; None where no view has one.
+        """
         self._check(row)
         with self._lock:
             for reader, view, camera in zip(self._views, self._recording.views, self._recording.rig, strict=True):
@@ -138,8 +142,11 @@ class ViewPictures:
         return None
 
     def outlines(self, row: int) -> list[list[list[float]]]:
-        """Edges of the masks that tracking uses: per view polygons [x0, y0, x1, y1, ...] in px of the calibrated
-        size, moved by image_shift as the picture is. The first call builds the background and takes seconds."""
+        """Compute the outlines of the masks that tracking uses in a row. The first call builds the background and takes
+        seconds.
+
+        Returns: per view, polygons [x0, y0, x1, y1, ...] in px of the calibrated size, shifted by image_shift.
+        """
         self._check(row)
         with self._mask_lock:
             if self._stream is None:
@@ -176,6 +183,6 @@ class ViewPictures:
 
 
 def _pixels(line: NDArray[np.int32]) -> list[float]:
-    """OpenCV's 1/16 px as plain numbers, every second point: a screen shows no more."""
+    """Convert OpenCV's 1/16 px to numbers, every second point, which is enough for a screen."""
     step = 2 if len(line) > 60 else 1
     return (np.round(line[::step, 0] / 16, 1)).ravel().tolist()

@@ -47,7 +47,7 @@ from hypose.io.calibrations.calibration_camera import (
     numbers,
     plain_lenses,
 )
-from hypose.io.calibrations.camera_tables import add_cameras, tables_of, unit_of
+from hypose.io.calibrations.camera_tables import add_cameras, strange_keys, tables_of, unit_of
 from hypose.io.file_names import natural_key, text_of
 from hypose.io.files import open_file, read_bytes, read_json, read_toml, text_lines, toml_key, toml_lines, write_text
 from hypose.io.formats import Source
@@ -77,6 +77,10 @@ def read_tables(source: Source, rig: RigFile) -> None:
         rig.unit = "cm"
         rig.notes.append(f"{rig.path.name}: translations are taken as centimetres, as CMU Panoptic's are.")
     add_cameras(rig, tables)
+    if strange := strange_keys(documents[0], tables):
+        rig.notes.append(f"{rig.path.name}: {', '.join(strange[:6])} is not understood and passed over.")
+    if source.path.is_dir() and (others := [p.name for p in source.files(".xml", ".yml", ".yaml") if p not in files]):
+        rig.notes.append(f"{rig.path.name}: {', '.join(others)} is no camera's calibration and is left out.")
 
 
 def _file_name(path: Path) -> str:
@@ -146,6 +150,8 @@ def read_easymocap(source: Source, rig: RigFile) -> None:
         labels = (str(names.index(name) + 1), name)  # Pose2Sim numbers the entries
         known = ((f"{entry}_{label}", key) for label in labels for entry, key in entries.items())
         tables[name] = {key: both[entry] for entry, key in known if entry in both}
+    if tables and not any("translation" in table for table in tables.values()):
+        raise CalibrationError(f"{pair[1]} holds none of the poses T_NAME, R_NAME; give EasyMocap's {pair[1].name}.")
     add_cameras(rig, tables)
 
 
@@ -347,8 +353,8 @@ def read_biocv(source: Source, rig: RigFile) -> None:
     for file in plain_files(source.path):
         rows = _rows(file)
         pose, size = np.array(rows[6:9]), np.array([rows[0][0], rows[1][0]])
-        lens = next((r for r in reversed(rows) if r), [])
-        lens = np.array(lens) if len(lens) in (4, 5, 8) and rows.index(lens) > 8 else None
+        lens = [r for r in rows[9:] if r and r != [0.0, 0.0, 0.0, 1.0]][-1]
+        lens = numbers(str(file), {"the last line": lens}, ("the last line",), (5,), (4,), (8,))
         name = text_of(file.stem if file.suffix.lower() == ".calib" else file.name)
         rig.add(name, np.array(rows[2:5]), lens, pose[:, :3], pose[:, 3], size)
 

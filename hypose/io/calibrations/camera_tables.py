@@ -70,6 +70,7 @@ _PASSED_OVER = {
         "centre",
         "rotation_EulerAngles",
         "frame_rate",
+        *("CreationDate", "calibDataSource", "nb_camera", "version", "date", "camera_count"),
     ),
 }
 _UNDERSTOOD = {
@@ -81,6 +82,8 @@ _UNIT_WORDS = {
     "mm": "mm", "millimeter": "mm", "millimetre": "mm",
 }  # fmt: skip
 _NOT_CAMERAS = {"metadata", "capture_volume", "charuco", "checkerboard", "board"}
+_SHARED = {*_AXES, *_MODEL, *_DIRECTION, *_SIZE, *_WIDTH, *_HEIGHT}
+"""Keys that a document may state once, for all its cameras."""
 
 
 def tables_of(document: Any, name: str) -> dict[str, Table]:
@@ -92,18 +95,30 @@ def tables_of(document: Any, name: str) -> dict[str, Table]:
     if isinstance(document, Mapping) and any(isinstance(document.get(k), list | np.ndarray) for k in _MATRIX):
         return {str(document.get("camera_name") or name): document}
     nested = document.get("cameras", document) if isinstance(document, Mapping) else document
+    outer = document if isinstance(document, Mapping) else {}
+    inner = outer.get("metadata")
+    stated = {**(inner if isinstance(inner, Mapping) else {}), **outer}
+    shared = {k: v for k, v in stated.items() if k in _SHARED and not isinstance(v, Mapping)}
     if isinstance(nested, list):
         nested = {f"cam_{i}": v for i, v in enumerate(nested)}
     wanted = {*_MATRIX, *_PROJECTION}
     if not isinstance(nested, Mapping):
         return {}
     found = {
-        f"cam_{k}" if str(k).isdecimal() else str(k): v
+        f"cam_{k}" if str(k).isdecimal() else str(k): {**shared, **v}
         for k, v in nested.items()
         if isinstance(v, Mapping) and str(k).lower() not in _NOT_CAMERAS and wanted & v.keys()
     }
     names = [_own_name(v) or k for k, v in found.items()]
     return dict(zip(names if len(set(names)) == len(names) else found, found.values(), strict=True))
+
+
+def strange_keys(document: Any, tables: Mapping[str, Table]) -> list[str]:
+    """List the keys next to the cameras of a document whose plain values are not understood."""
+    if not isinstance(document, Mapping) or any(table is document for table in tables.values()):
+        return []
+    plain = (k for k, v in document.items() if isinstance(v, str | int | float) and k not in _UNDERSTOOD)
+    return sorted(str(k) for k in plain)
 
 
 def _own_name(table: Table) -> str:

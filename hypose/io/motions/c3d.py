@@ -29,7 +29,7 @@ from hypose.io.motions.marker_files import Markers, checked_markers, metres_per_
 _KIND = "a C3D file"
 _BLOCK = 512
 _MAX_BYTES = 512 * 2**20
-_MAX_FRAMES = 65_535  # the header counts frames in 16 bits
+_MOST = 65_535  # the header counts frames and points in 16 bits
 
 
 def write_c3d(
@@ -56,12 +56,9 @@ def write_c3d(
     """
     names, p = checked_markers(names, points, frame_rate, str(path))
     t, m = p.shape[:2]
-    if t > _MAX_FRAMES:
-        raise InputError(
-            f"{path}: C3D holds at most {_MAX_FRAMES} frames, these are {t}; write TRC, or cut the motion."
-        )
-    if m > 65_535:
-        raise InputError(f"{path}: C3D holds at most 65535 points, these are {m}.")
+    for count, what in ((t, "frames"), (m, "points")):
+        if count > _MOST:
+            raise InputError(f"{path}: C3D holds at most {_MOST} {what}, these are {count}; write TRC.")
     residuals = np.ones((t, m)) if residuals_mm is None else np.array(residuals_mm, dtype=np.float64)
     if residuals.shape != (t, m):
         raise InputError(f"{path}: residuals have shape {residuals.shape}, {(t, m)} is needed.")
@@ -72,10 +69,8 @@ def write_c3d(
 
     # ezc3d is a compiled module without types
     file: Any = ezc3d.c3d()
-    point = file["parameters"]["POINT"]
-    point["RATE"]["value"] = [float(frame_rate)]
-    point["LABELS"]["value"] = names
-    point["UNITS"]["value"] = ("mm",)
+    for key, value in {"RATE": [float(frame_rate)], "LABELS": names, "UNITS": ("mm",)}.items():
+        file["parameters"]["POINT"][key]["value"] = value
     file.add_parameter("POINT", "X_SCREEN", ("+X",))
     file.add_parameter("POINT", "Y_SCREEN", ("+Z",))
     if subjects:
@@ -95,22 +90,25 @@ def write_c3d(
 def _add_subjects(file: Any, subjects: Sequence[str]) -> None:
     """Add the SUBJECTS group as Vicon writes it: the prefix of each subject's points."""
     several = len(subjects) > 1
-    file.add_parameter("SUBJECTS", "USED", [len(subjects)])
-    file.add_parameter("SUBJECTS", "IS_STATIC", [0])
-    file.add_parameter("SUBJECTS", "USES_PREFIXES", [int(several)])
-    file.add_parameter("SUBJECTS", "NAMES", list(subjects))
-    file.add_parameter("SUBJECTS", "LABEL_PREFIXES", [f"{s}:" if several else "" for s in subjects])
+    prefixes = [f"{s}:" if several else "" for s in subjects]
+    about = {"USED": [len(subjects)], "IS_STATIC": [0], "USES_PREFIXES": [int(several)], "NAMES": list(subjects)}
+    for name, value in (about | {"LABEL_PREFIXES": prefixes}).items():
+        file.add_parameter("SUBJECTS", name, value)
 
 
 def _add_events(file: Any, events: Sequence[tuple[float, str, str]], subject: str) -> None:
     """Add the EVENT group as Vicon writes it, with times in minutes and seconds."""
-    file.add_parameter("EVENT", "USED", [len(events)])
-    file.add_parameter("EVENT", "CONTEXTS", [context for _, context, _ in events])
-    file.add_parameter("EVENT", "LABELS", [label for _, _, label in events])
-    file.add_parameter("EVENT", "SUBJECTS", [subject for _ in events])
-    file.add_parameter("EVENT", "ICON_IDS", [1 if label == "Foot Strike" else 2 for _, _, label in events])
-    minutes = [time // 60 for time, _, _ in events]
-    file.add_parameter("EVENT", "TIMES", np.array([minutes, [time % 60 for time, _, _ in events]]))
+    times, contexts, labels = zip(*events, strict=True)
+    about = {
+        "USED": [len(events)],
+        "CONTEXTS": list(contexts),
+        "LABELS": list(labels),
+        "SUBJECTS": [subject] * len(events),
+        "ICON_IDS": [1 if label == "Foot Strike" else 2 for label in labels],
+        "TIMES": np.array([[time // 60 for time in times], [time % 60 for time in times]]),
+    }
+    for name, value in about.items():
+        file.add_parameter("EVENT", name, value)
 
 
 def read_c3d(path: str | Path) -> Markers:

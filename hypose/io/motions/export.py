@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +13,19 @@ from hypose.body.joint_angles import ANGLE_NAMES, joint_angles
 from hypose.body.motion import Motion, region_reach
 from hypose.errors import InputError, extra
 from hypose.io.files import atomic_path
+from hypose.io.formats import Format, FormatTable
 from hypose.io.motions.animation import write_bvh
-from hypose.io.motions.c3d import write_c3d
-from hypose.io.motions.marker_files import write_angles_csv, write_joints_csv, write_mot, write_trc
+from hypose.io.motions.c3d import read_c3d, write_c3d
+from hypose.io.motions.marker_files import (
+    read_mot,
+    read_trc,
+    write_angles_csv,
+    write_joints_csv,
+    write_mot,
+    write_trc,
+)
 from hypose.io.motions.opensim_model import shoulder_places, write_ik_markers, write_ik_setup, write_osim
+from hypose.io.motions.results import load_result
 
 # ---- rerun file ----------------------------------------------------------------------------------------------------
 # Rerun recordings (.rrd): the body, its skeleton and the 90 % regions of its joints over time, for Rerun's viewer.
@@ -84,29 +92,36 @@ def rerun_module() -> Any:  # noqa: ANN401 (a module)
     return extra("rerun", "A Rerun recording", "rerun", "rerun-sdk")
 
 
-def _trc(motion: Motion, body: Body, path: Path) -> None:
+def _in_one_file(name: str, write: Callable[[Path, Motion, Body], None]) -> Callable[[Motion, Body, Path], list[Path]]:
+    """Make the writer of a format with one file of this name."""
+
+    def written(motion: Motion, body: Body, folder: Path) -> list[Path]:
+        write(folder / name, motion, body)
+        return [folder / name]
+
+    return written
+
+
+def _trc(path: Path, motion: Motion, body: Body) -> None:
     start = float(motion.times[0])
     write_trc(path, motion.skeleton.joint_names, motion.joints, motion.frame_rate, start_time=start)
 
 
-def _c3d(motion: Motion, body: Body, path: Path) -> None:
+def _c3d(path: Path, motion: Motion, body: Body) -> None:
     computed = (motion.lost | motion.extrapolated).astype(bool)
     # a standard deviation of exactly 0 is still a measurement, so keep it off the mark for computed points
     residuals = np.where(computed[:, None], 0.0, np.maximum(motion.joint_sd * 1000, 1e-3))
     write_c3d(path, motion.skeleton.joint_names, motion.joints, motion.frame_rate, residuals)
 
 
-def _bvh(motion: Motion, body: Body, path: Path) -> None:
-    write_bvh(path, motion)
-
-
-def _glb(motion: Motion, body: Body, path: Path) -> None:
+def _glb(path: Path, motion: Motion, body: Body) -> None:
     from hypose.io.motions.gltf import write_glb  # takes long to import
 
     write_glb(path, motion, body)
 
 
-def _csv(motion: Motion, body: Body, joints: Path, angles: Path) -> list[Path]:
+def _csv(motion: Motion, body: Body, folder: Path) -> list[Path]:
+    joints, angles = folder / "joints.csv", folder / "angles.csv"
     write_joints_csv(joints, motion)
     if motion.poses is None:  # joint positions alone have no angles
         return [joints]
@@ -114,8 +129,9 @@ def _csv(motion: Motion, body: Body, joints: Path, angles: Path) -> list[Path]:
     return [angles, joints]
 
 
-def _mot(motion: Motion, body: Body, path: Path, sd: Path) -> list[Path]:
+def _mot(motion: Motion, body: Body, folder: Path) -> list[Path]:
     assert motion.poses is not None  # export_motion has checked
+    path, sd = folder / "motion.mot", folder / "motion_sd.sto"
     names, values = joint_angles(motion.skeleton, motion.poses)
     more, places = shoulder_places(motion.skeleton, motion.poses)
     write_mot(path, (*names, *more), np.concatenate([values, places], axis=1), motion.times)
@@ -126,40 +142,55 @@ def _mot(motion: Motion, body: Body, path: Path, sd: Path) -> list[Path]:
     return [path, sd]
 
 
-def _osim(motion: Motion, body: Body, model: Path, markers: Path, setup: Path) -> None:
+def _osim(motion: Motion, body: Body, folder: Path) -> list[Path]:
+    model, markers, setup = (folder / name for name in ("motion.osim", "motion_markers.trc", "motion_ik.xml"))
     write_osim(model, body)
     write_ik_markers(markers, motion, body)
     write_ik_setup(setup, motion, body, model.name, markers.name, "motion_ik.mot")
+    return [model, markers, setup]
 
 
-@dataclass(frozen=True)
-class _MotionFormat:
-    """A motion file format.
-
-    write: function of motion, body and one path per file; it returns the written paths, or None for all.
-    files: names of the files.
-    poses: the format needs poses; joint positions are not enough.
-    """
-
-    write: Callable[..., list[Path] | None]
-    files: tuple[str, ...]
-    poses: bool = False
-
-
-MOTION_FORMATS: Mapping[str, _MotionFormat] = {
-    "trc": _MotionFormat(_trc, ("motion.trc",)),
-    "c3d": _MotionFormat(_c3d, ("motion.c3d",)),
-    "bvh": _MotionFormat(_bvh, ("motion.bvh",), poses=True),
-    "glb": _MotionFormat(_glb, ("motion.glb",), poses=True),
-    "csv": _MotionFormat(_csv, ("joints.csv", "angles.csv")),
-    "mot": _MotionFormat(_mot, ("motion.mot", "motion_sd.sto"), poses=True),
-    "osim": _MotionFormat(_osim, ("motion.osim", "motion_markers.trc", "motion_ik.xml"), poses=True),
-}
-_KNOWN = {
-    **MOTION_FORMATS,
-    "rrd": _MotionFormat(lambda motion, body, path: write_rrd(path, motion, body), ("motion.rrd",)),
-}
-"""The default formats and those that need an extra, which are written on request only."""
+_POSES = "needs poses: joint positions alone are not enough"
+MOTION_FILES = FormatTable(
+    "a motion",
+    "give results of hypose, .c3d, .trc, .mot or .sto",
+    (
+        Format(
+            "trc",
+            (".trc",),
+            lambda source: read_trc(source.path),
+            write=_in_one_file("motion.trc", _trc),
+            precision=1e-7,
+        ),
+        Format(
+            "c3d",
+            (".c3d",),
+            lambda source: read_c3d(source.path),
+            write=_in_one_file("motion.c3d", _c3d),
+            limits="32-bit floats of millimetres; at most 65 535 frames",
+            precision=1e-6,
+        ),
+        Format(
+            "bvh",
+            (".bvh",),
+            write=_in_one_file("motion.bvh", lambda path, motion, _: write_bvh(path, motion)),
+            limits=_POSES,
+        ),
+        Format("glb", (".glb",), write=_in_one_file("motion.glb", _glb), limits=_POSES),
+        Format("csv", (".csv",), write=_csv, limits="six digits"),
+        Format(
+            "mot", (".mot", ".sto"), lambda source: read_mot(source.path), write=_mot, limits=_POSES, precision=1e-8
+        ),
+        Format("osim", (".osim",), write=_osim, limits=_POSES),
+        Format("rrd", (".rrd",), write=_in_one_file("motion.rrd", write_rrd), limits="needs the extra [rerun]"),
+        Format("npz", (".npz", "/"), lambda source: load_result(source.path)),
+    ),
+)
+"""Motions: readers of a source that return Markers, the columns of `read_mot`, or a Motion; writers of motion and body
+to a folder, which return the written files."""
+_WRITERS = {f.name: f for f in MOTION_FILES.formats if f.write is not None}
+MOTION_FORMATS = tuple(name for name in _WRITERS if name != "rrd")
+"""Names of the formats that are written by default; those that need an extra are written on request only."""
 
 
 def known_formats(asked: Sequence[str]) -> None:
@@ -167,14 +198,14 @@ def known_formats(asked: Sequence[str]) -> None:
 
     Raises: InputError for a format that does not exist or whose package is not installed.
     """
-    if unknown := [f for f in asked if f not in _KNOWN]:
-        raise InputError(f"There is no export format {unknown[0]!r}; the formats are {', '.join(_KNOWN)}.")
+    if unknown := [f for f in asked if f not in _WRITERS]:
+        raise InputError(f"There is no export format {unknown[0]!r}; the formats are {', '.join(_WRITERS)}.")
     if "rrd" in asked:
         rerun_module()
 
 
 def export_motion(
-    motion: Motion, body: Body, folder: str | Path, formats: Sequence[str] = tuple(MOTION_FORMATS)
+    motion: Motion, body: Body, folder: str | Path, formats: Sequence[str] = MOTION_FORMATS
 ) -> list[Path]:
     """Write a motion to a folder in the given formats.
 
@@ -196,13 +227,13 @@ def export_motion(
     known_formats(formats)
     if not len(motion):
         raise InputError("The motion has no frames, so there is nothing to export.")
-    if motion.poses is None and (wanting := [f for f in formats if _KNOWN[f].poses]):
+    points_only = [name for name, f in _WRITERS.items() if f.limits != _POSES]
+    if motion.poses is None and (wanting := [f for f in formats if f not in points_only]):
         raise InputError(
             f"The format {wanting[0]} needs poses, this motion holds joint positions only; choose "
-            f"{', '.join(name for name, f in _KNOWN.items() if not f.poses)}."
+            f"{', '.join(points_only)}."
         )
     written: list[Path] = []
-    for name in dict.fromkeys(formats):
-        paths = [Path(folder) / file for file in _KNOWN[name].files]
-        written += _KNOWN[name].write(motion, body, *paths) or paths
+    for write in (_WRITERS[name].write for name in dict.fromkeys(formats)):
+        written += write(motion, body, Path(folder)) if write is not None else []
     return written

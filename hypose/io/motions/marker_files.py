@@ -9,6 +9,7 @@ whose last cell is empty.
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +21,7 @@ from hypose.body.joint_angles import is_length
 from hypose.body.motion import Motion, sd_per_axis
 from hypose.errors import InputError
 from hypose.geometry import Array
-from hypose.io.files import numbers_of, text_lines, write_text
+from hypose.io.files import MAX_TEXT_BYTES, numbers_of, open_file, text_lines, write_text
 
 # ---- markers -------------------------------------------------------------------------------------------------------
 # Markers: the type that every reader of marker files returns.
@@ -155,6 +156,11 @@ def read_trc(path: str | Path) -> Markers:
     rows = [_row(line, len(names), f"{path}: line {n}") for n, line in enumerate(lines[5:], start=6) if line.strip()]
     if not rows:
         raise InputError(f"{path} has a header but no frames.")
+    if lines[-1].rstrip("\t ").count("\t") < 1 + 3 * len(names):
+        with open_file(path, _KIND, MAX_TEXT_BYTES) as stream:
+            stream.seek(-1, os.SEEK_END)
+            if stream.read() not in (b"\n", b"\r"):  # else the last number may lack digits
+                raise InputError(f"{path} is cut off in its last line; copy it again.")
     data = np.array(rows).reshape(len(rows), len(names), 3)
     points = np.empty_like(data)
     points[..., _WORLD] = data * scale

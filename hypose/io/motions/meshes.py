@@ -106,45 +106,34 @@ def _read_geometry(path: Path, data: bytes, kind: str) -> tuple[Array, NDArray[n
 
 
 def _read_smpl(path: Path, data: bytes) -> PersonMesh:
-    wanted = "v_template, f, weights, J_regressor and kintree_table"
+    names = ("v_template", "f", "weights", "J_regressor", "kintree_table")
     arrays: dict[str, np.ndarray] = {}
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            for name in ("v_template", "f", "weights", "J_regressor", "kintree_table"):
+            for name in names:
                 info = archive.getinfo(f"{name}.npy")
                 if info.file_size > MAX_MESH_BYTES:
-                    raise InputError(f"{path}: {name} has {info.file_size / 2**20:.0f} MiB; that is no body model.")
+                    raise ValueError(f"{name} has {info.file_size / 2**20:.0f} MiB")
                 with archive.open(info) as stream:
                     arrays[name] = parse_array(name, stream, info.file_size)
-    except InputError:
-        raise
-    except KeyError as error:
-        raise InputError(f"{path} is not an SMPL-format model: it needs {wanted}, and {error} is missing.") from None
-    except ValueError as error:
-        raise InputError(
-            f"{path}: an array holds Python objects or is damaged ({error}); save {wanted} as plain numbers "
-            "(J_regressor.toarray() if it is sparse)."
-        ) from None
-    except (zipfile.BadZipFile, OSError, EOFError) as error:
-        raise InputError(f"{path} is not an .npz archive ({error}); save the model with numpy.savez.") from None
-    try:
         v = arrays["v_template"].astype(np.float64).reshape(-1, 3)
         f = arrays["f"].astype(np.int64).reshape(-1, 3)
         w, regressor = arrays["weights"].astype(np.float64), arrays["J_regressor"].astype(np.float64)
         parents = arrays["kintree_table"].astype(np.float64)[0]
         n = w.shape[1]
         if w.shape != (len(v), n) or regressor.shape != (n, len(v)) or parents.shape != (n,) or n < len(SMPL_JOINTS):
-            raise ValueError("shapes differ")
-    except (ValueError, IndexError, TypeError):
-        shapes = ", ".join(f"{k} {a.shape}" for k, a in arrays.items())
+            shapes = ", ".join(f"{k} {a.shape}" for k, a in arrays.items())
+            raise ValueError(f"the shapes {shapes} do not belong to one model of at least {len(SMPL_JOINTS)} joints")
+    except (KeyError, ValueError, IndexError, TypeError, zipfile.BadZipFile, OSError, EOFError) as error:
+        reason = f"{error} is missing" if isinstance(error, KeyError) else error
         raise InputError(
-            f"{path}: the shapes {shapes} do not belong to one model of at least {len(SMPL_JOINTS)} joints; "
-            "save it again."
+            f"{path} is not an SMPL-format model ({reason}); save {', '.join(names)} as plain numbers with numpy.savez "
+            "(J_regressor.toarray() if it is sparse)."
         ) from None
     # the root's parent is -1, or 2^32 - 1 where it was stored unsigned
     tree = np.where((parents >= 0) & (parents < n), parents, -1).astype(np.int64)
-    names = SMPL_JOINTS + tuple(f"extra_{k}" for k in range(len(SMPL_JOINTS), n))
-    rig = Rig(names, tree, regressor @ v, w)
+    joint_names = SMPL_JOINTS + tuple(f"extra_{k}" for k in range(len(SMPL_JOINTS), n))
+    rig = Rig(joint_names, tree, regressor @ v, w)
     return _checked(PersonMesh(v, f.astype(np.int32), rig, "", str(path)))
 
 

@@ -13,7 +13,7 @@ Source: Rajagopal et al. 2016 for the definitions of the joints.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from xml.etree import ElementTree as Xml
 
@@ -122,11 +122,13 @@ class _Writer:
 
     def document(self, name: str) -> str:
         root = Xml.Element("OpenSimDocument", Version="40000")
-        model = put(root, "Model", name=name)
-        put(model, "credits", "hypose: a model of the tracked body, made of its own joints, lengths and volume")
-        put(model, "length_units", "meters")
-        put(model, "force_units", "N")
-        put(model, "gravity", "0 -9.80665 0")
+        about = {
+            "credits": "hypose: a model of the tracked body, made of its own joints, lengths and volume",
+            "length_units": "meters",
+            "force_units": "N",
+            "gravity": "0 -9.80665 0",
+        }
+        model = put(root, "Model", children=about, name=name)
         bodies = put(put(model, "BodySet", name="bodyset"), "objects")
         for segment, m in self.masses.items():
             self.segment(bodies, segment, m)
@@ -143,11 +145,9 @@ class _Writer:
     def segment(self, parent: Xml.Element, name: str, m: SegmentMass) -> None:
         turn = BODY_AXES @ self.neutral[self.origin[name]]
         inertia = turn @ m.inertia @ turn.T
-        entry = put(parent, "Body", name=name)
-        put(entry, "mass", _numbers([m.mass]))
-        put(entry, "mass_center", _numbers(self.local(name, m.centre[None])[0]))
         six = [*np.diag(inertia), inertia[0, 1], inertia[0, 2], inertia[1, 2]]
-        put(entry, "inertia", _numbers(six))
+        values = {"mass": [m.mass], "mass_center": self.local(name, m.centre[None])[0], "inertia": six}
+        put(parent, "Body", children={tag: _numbers(v) for tag, v in values.items()}, name=name)
 
     def trunk(self, joints: Xml.Element) -> None:
         turn = [("pelvis_tilt", _Z), ("pelvis_list", _X), ("pelvis_rotation", _Y)]
@@ -229,10 +229,9 @@ class _Writer:
         points = np.concatenate([s.rest_joints, s.rest_joints[marks.joint] + marks.offset])
         for name, carrier, point in zip(marker_names(self.body), carriers, points, strict=True):
             segment = self.segment_of[s.joint_names[carrier]]
-            entry = put(parent, "Marker", name=name)
-            put(entry, "socket_parent_frame", f"/bodyset/{segment}")
-            put(entry, "location", _numbers(self.local(segment, point[None])[0]))
-            put(entry, "fixed", "false")
+            place = _numbers(self.local(segment, point[None])[0])
+            about = {"socket_parent_frame": f"/bodyset/{segment}", "location": place, "fixed": "false"}
+            put(parent, "Marker", children=about, name=name)
 
 
 def _joint(
@@ -247,25 +246,24 @@ def _joint(
     locked: bool = False,
 ) -> None:
     """Add a CustomJoint: successive rotations about axes in the parent's frame, and translations along axes."""
-    joint = put(parent, "CustomJoint", name=name)
-    put(joint, "socket_parent_frame", f"{name}_parent")
-    put(joint, "socket_child_frame", f"{name}_child")
+    sockets = {f"socket_{end}_frame": f"{name}_{end}" for end in ("parent", "child")}
+    joint = put(parent, "CustomJoint", children=sockets, name=name)
     names = dict.fromkeys(n for n, *_ in (*turn, *moves) if isinstance(n, str))
     names |= dict.fromkeys(n for group, *_ in moves if isinstance(group, tuple) for n in group)
     coordinates = put(joint, "coordinates")
     for coordinate in names:
-        entry = put(coordinates, "Coordinate", name=coordinate)
-        put(entry, "default_value", "0")
-        low, high = (limits or {}).get(coordinate, (-10.0, 10.0) if is_length(coordinate) else (-2 * np.pi, 2 * np.pi))
-        put(entry, "range", _numbers([low, high]))
-        put(entry, "clamped", "true" if coordinate in (limits or {}) else "false")
-        put(entry, "locked", "true" if locked else "false")
+        reach = (limits or {}).get(coordinate, (-10.0, 10.0) if is_length(coordinate) else (-2 * np.pi, 2 * np.pi))
+        about = {
+            "default_value": "0",
+            "range": _numbers(reach),
+            "clamped": "true" if coordinate in (limits or {}) else "false",
+            "locked": "true" if locked else "false",
+        }
+        put(coordinates, "Coordinate", children=about, name=coordinate)
     frames = put(joint, "frames")
     for suffix, frame, where in (("parent", above, place), ("child", f"/bodyset/{child}", np.zeros(3))):
-        entry = put(frames, "PhysicalOffsetFrame", name=f"{name}_{suffix}")
-        put(entry, "socket_parent", frame)
-        put(entry, "translation", _numbers(where))
-        put(entry, "orientation", "0 0 0")
+        about = {"socket_parent": frame, "translation": _numbers(where), "orientation": "0 0 0"}
+        put(frames, "PhysicalOffsetFrame", children=about, name=f"{name}_{suffix}")
     transform = put(joint, "SpatialTransform")
     axes = _completed([axis for _, axis in turn])
     for k in range(3):
@@ -293,25 +291,29 @@ def _axis(
     free: name of its coordinate, a fixed value, or the names of two coordinates.
     law: offset added to one coordinate, or coefficients of the polynomial of two.
     """
-    entry = put(parent, "TransformAxis", name=name)
     coordinates = (free,) if isinstance(free, str) else free if isinstance(free, tuple) else ()
-    put(entry, "coordinates", " ".join(coordinates))
-    put(entry, "axis", _numbers(axis))
+    about = {"coordinates": " ".join(coordinates), "axis": _numbers(axis)}
     if isinstance(free, tuple):
-        function = put(entry, "MultivariatePolynomialFunction", name="function")
-        put(function, "coefficients", _numbers(np.asarray(law)))
-        put(function, "dimension", str(len(free)))
-        put(function, "order", str(_ORDER))
+        kind, function = "MultivariatePolynomialFunction", {"coefficients": _numbers(np.asarray(law))}
+        function |= {"dimension": str(len(free)), "order": str(_ORDER)}
     elif isinstance(free, str):
-        put(put(entry, "LinearFunction", name="function"), "coefficients", _numbers([1, float(law)]))
+        kind, function = "LinearFunction", {"coefficients": _numbers([1, float(law)])}
     else:
-        put(put(entry, "Constant", name="function"), "value", _numbers([free]))
+        kind, function = "Constant", {"value": _numbers([free])}
+    put(put(parent, "TransformAxis", children=about, name=name), kind, children=function, name="function")
 
 
-def put(parent: Xml.Element, tag: str, text: str = "", **attributes: str) -> Xml.Element:
-    """Append a new XML element to `parent`."""
+def put(
+    parent: Xml.Element, tag: str, text: str = "", children: Mapping[str, str] | None = None, **attributes: str
+) -> Xml.Element:
+    """Append a new XML element to `parent`.
+
+    children: texts of its child elements by their tags.
+    """
     entry = Xml.SubElement(parent, tag, attributes)
     entry.text = text or None
+    for name, content in (children or {}).items():
+        put(entry, name, content)
     return entry
 
 
@@ -353,19 +355,19 @@ def write_ik_setup(path: str | Path, motion: Motion, body: Body, model: str, mar
     model, markers, output: names of the model, marker and result files, relative to the set-up file.
     """
     root = Xml.Element("OpenSimDocument", Version="40000")
-    tool = put(root, "InverseKinematicsTool", name=Path(output).stem)
-    put(tool, "model_file", model)
-    put(tool, "constraint_weight", "Inf")
-    put(tool, "accuracy", "1e-05")
+    about = {
+        "model_file": model,
+        "constraint_weight": "Inf",
+        "accuracy": "1e-05",
+        "marker_file": markers,
+        "time_range": _numbers([motion.times[0], motion.times[-1]]),
+        "report_errors": "true",
+        "output_motion_file": output,
+    }
+    tool = put(root, "InverseKinematicsTool", children=about, name=Path(output).stem)
     tasks = put(put(tool, "IKTaskSet"), "objects")
     for name, weight in zip(marker_names(body), marker_weights(motion, body).tolist(), strict=True):
-        task = put(tasks, "IKMarkerTask", name=name)
-        put(task, "apply", "true")
-        put(task, "weight", f"{weight:.4g}")
-    put(tool, "marker_file", markers)
-    put(tool, "time_range", _numbers([motion.times[0], motion.times[-1]]))
-    put(tool, "report_errors", "true")
-    put(tool, "output_motion_file", output)
+        put(tasks, "IKMarkerTask", children={"apply": "true", "weight": f"{weight:.4g}"}, name=name)
     Xml.indent(root, "\t")
     write_text(path, '<?xml version="1.0" encoding="UTF-8" ?>\n' + Xml.tostring(root, encoding="unicode") + "\n")
 

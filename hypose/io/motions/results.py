@@ -463,20 +463,15 @@ def load_result(path: Path) -> Motion:
 
 
 def _first_difference(stored: Any, current: Any, where: str = "") -> str:
-    if isinstance(stored, dict) and isinstance(current, dict):
-        for key in sorted(set(stored) | set(current)):
-            name = f"{where}.{key}" if where else key
-            if key not in stored:
-                return f"{name} was not given then and is now"
-            if key not in current:
-                return f"{name} was given then and is not now"
-            difference = _first_difference(stored[key], current[key], name)
-            if difference:
-                return difference
-        return ""
-    if stored == current:
-        return ""
-    return f"{where} was {_short(stored)} then and is {_short(current)} now"
+    if not (isinstance(stored, dict) and isinstance(current, dict)):
+        return "" if stored == current else f"{where} was {_short(stored)} then and is {_short(current)} now"
+    for key in sorted(set(stored) | set(current)):
+        name = f"{where}.{key}" if where else key
+        if key not in stored or key not in current:
+            return f"{name} was {'given' if key in stored else 'not given'} then and is{' not' * (key in stored)} now"
+        if difference := _first_difference(stored[key], current[key], name):
+            return difference
+    return ""
 
 
 def _short(value: Any) -> str:

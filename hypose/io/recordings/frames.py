@@ -318,11 +318,7 @@ def build_backgrounds(
         `views`.
     """
     o = options or FrameSettings()
-    wanted = [
-        c
-        for c, v in enumerate(recording.views)
-        if v.masks is None and v.depth is None and v.source is not None and (views is None or c in views)
-    ]
+    wanted = [c for c, v in enumerate(recording.views) if v.segmented and (views is None or c in views)]
     total, pictures = len(wanted) * o.background_frames, itertools.count(1)
 
     def counted(image: Image) -> Image:
@@ -488,7 +484,7 @@ class FrameStream:
         things = (
             f"View {s.view.name}: {area:.2f} m^2 of things that the empty room did not have are left out"
             for s in self._sources
-            if s.depth is not None and (area := s.depth.furnished[1]) > 0
+            if (area := s.furnished[1]) > 0
         )
         return (*self.people_notes, *low_confidence, *unread, *things)
 
@@ -536,7 +532,7 @@ class FrameStream:
             colours = pending.colours(silhouettes.masks.shape) if self.options.colours else None
             depth = self._depth(number, silhouettes)
             if not self.options.people:
-                rooms = [None if s.depth is None else s.depth.furnished[0] for s in self._sources]
+                rooms = [s.furnished[0] for s in self._sources]
                 silhouettes = behind_things(silhouettes, depth, rooms)
         keypoints = None if self.keypoints is None else self.keypoints[index]
         return Frame(number / self.recording.frame_rate, number, silhouettes, keypoints, colours=colours, depth=depth)

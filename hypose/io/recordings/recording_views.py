@@ -52,6 +52,11 @@ class ViewSettings:
         return self.video or self.images or self.depth
 
     @property
+    def segmented(self) -> bool:
+        """Whether masks are made from its video or images."""
+        return bool(self.video or self.images) and not (self.masks or self.depth)
+
+    @property
     def has_pictures(self) -> bool:
         """Whether there is a video, images, depth maps or masks; else there are key points alone."""
         return self.source is not None or self.masks is not None

@@ -339,6 +339,11 @@ class ViewSource:
         """Number and stored picture of a frame that need not be read."""
 
     @property
+    def furnished(self) -> tuple[DepthBackground | None, float]:
+        """The empty room before a depth camera; see `DepthSource.furnished`."""
+        return (None, 0.0) if self.depth is None else self.depth.furnished
+
+    @property
     def objects(self) -> ObjectMasks | None:
         """Masks of several objects of this view; None where its masks do not separate objects."""
         return None if self._masks is None else self._masks.objects

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -36,11 +36,11 @@ from hypose.io.files import (
     text_lines,
     write_text,
 )
+from hypose.io.formats import Format, FormatTable, Source
 from hypose.io.motions.results import to_json
 from hypose.io.sensors.depth import read_depth_png, sample_depth
 from hypose.io.sensors.skeleton_streams import (
     MAX_JOINTS,
-    MAX_SENSORS,
     MISSING_MARK,
     SkeletonRecording,
     StreamRows,
@@ -65,17 +65,23 @@ class _Sensor:
     depth: dict[int, str] = field(default_factory=dict)
 
 
-def read_folder(folder: str | Path) -> SkeletonRecording:
-    """Read a recording folder of skeletons.
+def read_folder(source: Source) -> SkeletonRecording:
+    """Read a recording folder of skeletons, or that of a session.json.
 
     Raises: InputError where a file or line cannot be used; it names both.
     """
-    folder = Path(folder)
+    folder = source.path if source.path.is_dir() else source.path.parent
     session, frames, skeleton = (folder / name for name in ("session.json", "frames.csv", "skeleton.csv"))
-    value = _session(session)
-    sensors = {s.rows.name: s for s in (_sensor(session, x) for x in value["sensors"])}
-    if len(sensors) < len(value["sensors"]):
-        raise InputError(f"{session} names a sensor twice; every sensor needs its own name.")
+    with numbers_of(str(session)):
+        value = read_json(session, "a session.json")
+        stated, clock = (value["format"], value["version"]), value.get("clock", "common")
+        sensors = {s.rows.name: s for s in (_sensor(session, x) for x in value["sensors"])}
+        twice = len(sensors) < len(value["sensors"])
+    if stated != (_FORMAT, 1) or clock not in ("common", "own") or twice:
+        raise InputError(
+            f'{session} must say "format": "{_FORMAT}", "version": 1, "clock": "common" or "own", and name each sensor '
+            "once; correct it."
+        )
     _read_frames(frames, sensors)
     bodies = _read_bodies(skeleton, sensors)
     for s in sensors.values():
@@ -86,47 +92,26 @@ def read_folder(folder: str | Path) -> SkeletonRecording:
         str(folder),
         {p.name: p for p in (session, frames, skeleton)},
         reference=value.get("reference"),
-        common_clock=value.get("clock", "common") == "common",
+        common_clock=clock == "common",
     )
 
 
-def _session(path: Path) -> dict[str, Any]:
-    value = read_json(path, "a session.json")
-    if not isinstance(value, dict) or value.get("format") != _FORMAT or value.get("version") != 1:
-        raise InputError(f'{path} is no session of skeletons; it must say "format": "{_FORMAT}", "version": 1.')
-    sensors = value.get("sensors")
-    if not isinstance(sensors, list) or not 1 <= len(sensors) <= MAX_SENSORS:
-        raise InputError(f"{path}: sensors must be a list of 1 to {MAX_SENSORS} sensors.")
-    if value.get("clock", "common") not in ("common", "own"):
-        raise InputError(f"{path}: clock must be common or own.")
-    if not isinstance(value.get("reference", ""), str):
-        raise InputError(f"{path}: reference must be the name of a sensor.")
-    return value
-
-
-def _sensor(path: Path, value: Any) -> _Sensor:
-    if not isinstance(value, dict) or not isinstance(value.get("name"), str) or not 1 <= len(value["name"]) <= 64:
-        raise InputError(f"{path}: every sensor needs a name of 1 to 64 characters.")
-    name, joints, unit = value["name"], value.get("joints"), value.get("unit", "m")
-    if (
-        not isinstance(joints, list)
-        or not 1 <= len(joints) <= MAX_JOINTS
-        or not all(isinstance(j, str) and j for j in joints)
-        or len(set(joints)) < len(joints)
-    ):
-        raise InputError(f"{path}: the joints of sensor {name} must be a list of 1 to {MAX_JOINTS} different names.")
-    if unit not in ("m", "mm"):
-        raise InputError(f"{path}: the unit of sensor {name} must be m or mm.")
-    depth, intrinsics, y_up = value.get("depth"), None, False
+def _sensor(path: Path, value: Mapping[str, Any]) -> _Sensor:
+    name, joints, unit, depth = value["name"], value["joints"], value.get("unit", "m"), value.get("depth")
+    texts = [name, *joints]
+    named = all(isinstance(text, str) and 1 <= len(text) <= 64 for text in texts)
+    if not named or len(set(joints)) < len(joints) or not 1 <= len(joints) <= MAX_JOINTS or unit not in _SCALE:
+        raise InputError(
+            f"{path}: each sensor needs a name, a list of 1 to {MAX_JOINTS} different names of joints, and the unit m "
+            "or mm; correct it."
+        )
+    lens, y_up = None, False
     if depth is not None:
-        k = depth.get("intrinsics") if isinstance(depth, dict) else None
-        fine = isinstance(k, list) and len(k) == 4 and all(isinstance(v, int | float) and abs(v) < 1e5 for v in k)
-        if not fine or not k or min(k[:2]) <= 0:
+        fx, fy, cx, cy = map(float, depth["intrinsics"])
+        lens, y_up = (fx, fy, cx, cy), depth.get("y_up", False) is True
+        if not (0 < fx < 1e5 and 0 < fy < 1e5 and abs(cx) < 1e5 and abs(cy) < 1e5):
             raise InputError(f"{path}: depth of sensor {name} needs intrinsics [fx, fy, cx, cy] in pixels.")
-        intrinsics = (float(k[0]), float(k[1]), float(k[2]), float(k[3]))
-        y_up = depth.get("y_up", False) is True
-    rows = StreamRows(name, tuple(joints))
-    return _Sensor(rows, _SCALE[unit], intrinsics, y_up, {n: i for i, n in enumerate(joints)})
+    return _Sensor(StreamRows(name, tuple(joints)), _SCALE[unit], lens, y_up, {n: i for i, n in enumerate(joints)})
 
 
 def _rows_of(path: Path, header: Sequence[str], kind: str) -> Iterator[tuple[str, list[str]]]:
@@ -312,11 +297,9 @@ KINECT_V2 = tuple(
 )
 """The 25 joints of Kinect v2 in the order of its SDK and of NTU files."""
 NTU_RATE = 30.0
-_MAX_FRAMES = 1_000_000
-_KIND = "a CSV of skeletons with one row per skeleton and columns <Joint>_X, <Joint>_Y, <Joint>_Z"
 
 
-def read_kinect_csv(path: str | Path) -> SkeletonRecording:
+def read_kinect_csv(source: Source) -> SkeletonRecording:
     """Read a CSV of KinectMultiTrack (.csv or .csv.gz): one stream per Kinect_Id, people by Person_Id.
 
     Times are those of Tracker_Time (one clock, ms), shifted to start at 0. No tracking state is logged, so a joint that
@@ -327,25 +310,25 @@ def read_kinect_csv(path: str | Path) -> SkeletonRecording:
 
     Raises: InputError where columns are missing or a line cannot be used.
     """
-    path = Path(path)
-    header, lines = csv_rows(path, _KIND)
+    path = source.path
+    header, lines = csv_rows(path, source.kind)
     at = {name: i for i, name in enumerate(header)}
     starts = [i for i, c in enumerate(header) if c.endswith("_X")]
     joints = tuple(header[i][:-2] for i in starts)
     wrong = [c for i, c in zip(starts, joints, strict=True) if header[i : i + 3] != [f"{c}_{x}" for x in "XYZ"]]
-    if not joints or len(joints) > MAX_JOINTS or wrong or len(set(joints)) < len(joints):
-        raise InputError(f"{path} is not {_KIND}: its first line does not name 1 to {MAX_JOINTS} joints that way.")
-    sensor_column = next((i for n, i in at.items() if n.startswith("Kinect_Id") or n == "Kinect#"), None)
-    if sensor_column is None or "Tracker_Time" not in at:
-        missing = "Kinect_Id" if sensor_column is None else "Tracker_Time"
-        raise InputError(f"{path}: the column {missing} is missing; it must be in the first line.")
+    if not 1 <= len(joints) <= MAX_JOINTS or wrong or len(set(joints)) < len(joints):
+        raise InputError(
+            f"{path} needs columns <Joint>_X, <Joint>_Y, <Joint>_Z of 1 to {MAX_JOINTS} joints; export it "
+            "with such a first line."
+        )
+    sensor_column = at[next((n for n in at if n.startswith("Kinect_Id") or n == "Kinect#"), "Kinect_Id")]
     person_column = at.get("Person_Id", at.get("Skeleton_Id"))
-    turned = [at[n] for n in ("Skeleton_Init_Angle", "Skeleton_Init_Dist") if n in at]
+    time_column, turned = at["Tracker_Time"], [at[n] for n in ("Skeleton_Init_Angle", "Skeleton_Init_Dist") if n in at]
     turns: dict[str, Array] = {}
     sensors: dict[str, StreamRows] = {}
     for number, cells in lines:
         with numbers_of(f"{path}: line {number}"):
-            time = float(cells[at["Tracker_Time"]]) * 1e-3
+            time = float(cells[time_column]) * 1e-3
             person = int(float(cells[person_column])) if person_column is not None else 0
             values = np.array([[float(c) for c in cells[i : i + 3]] for i in starts])
             turn = np.array([float(cells[i]) for i in turned])
@@ -376,12 +359,12 @@ def _before_own_sensor(points: Array, first: Array, own: Array) -> Array:
 _NTU_NAME = re.compile(r"(S\d{3})C(\d{3})(P\d{3}R\d{3}A\d{3})", re.IGNORECASE)
 
 
-def read_ntu(files: Sequence[str | Path]) -> SkeletonRecording:
+def read_ntu(source: Source) -> SkeletonRecording:
     """Read NTU RGB+D .skeleton files of one action, one file per camera. Joints at zero count as missing.
 
     Raises: InputError where the files are of several actions or one is damaged.
     """
-    paths = [Path(f) for f in files]
+    paths = source.files(".skeleton")
     named = [_NTU_NAME.search(p.name) for p in paths]
     actions = {(m[1] + m[3]).upper() if m else p.stem for p, m in zip(paths, named, strict=True)}
     if len(paths) > 1 and len(actions) > 1:
@@ -394,54 +377,36 @@ def read_ntu(files: Sequence[str | Path]) -> SkeletonRecording:
 
 
 def _ntu_rows(path: Path, name: str) -> StreamRows:
-    rows = StreamRows(name, KINECT_V2)
-    lines = enumerate((ln.split() for ln in bounded_lines(path, "an NTU RGB+D .skeleton file")), start=1)
-    ids: dict[str, int] = {}
+    rows, ids = StreamRows(name, KINECT_V2), dict[str, int]()
+    lines = (line.split() for line in bounded_lines(path, "an NTU RGB+D .skeleton file"))
 
-    def read(what: str, cells: int) -> tuple[int, list[str]]:
-        number, found = next(lines, (0, []))
-        if not number:
-            raise InputError(f"{path} ends where {what} should follow; the file is cut off, fetch it again.")
-        if len(found) != cells:
-            raise InputError(f"{path}: line {number} has {len(found)} values, {what} has {cells}.")
-        return number, found
+    def cells(count: int) -> list[str]:
+        found = next(lines, [])
+        if len(found) != count:
+            raise ValueError(f"a line has {len(found)} values in place of {count}")
+        return found
 
-    def count(what: str, most: int) -> int:
-        number, (cell,) = read(what, 1)
-        if not cell.isdecimal() or len(cell) > 9 or int(cell) > most:
-            raise InputError(
-                f"{path}: line {number} should be {what} (0 to {most}), as in an NTU RGB+D .skeleton file."
-            )
-        return int(cell)
-
-    for frame in range(count("the number of frames", _MAX_FRAMES)):
-        bodies = count("the number of bodies", 64)
-        for _ in range(bodies):
-            _, head = read("a body", 10)
-            joints = count("the number of joints", MAX_JOINTS)
-            if joints != len(KINECT_V2):
-                raise InputError(
-                    f"{path}: a body in frame {frame} has {joints} joints, Kinect v2 has {len(KINECT_V2)}."
-                )
-            values = np.empty((joints, 12))
-            for j in range(joints):
-                number, cells = read("a joint", 12)
-                with numbers_of(f"{path}: line {number}"):
-                    values[j] = [float(c) for c in cells]
-            xyz, state = values[:, :3], values[:, 11]
-            state = np.where(np.isin(state, (0, 1, 2)), state, 0).astype(np.uint8)
-            state[(xyz == 0).all(1)] = 0
-            if state.any():
-                rows.add(frame / NTU_RATE, ids.setdefault(head[0], len(ids)), xyz, state)
+    with numbers_of(str(path)):
+        frames = int(cells(1)[0])
+    for frame in range(frames):
+        with numbers_of(f"{path}, frame {frame}"):
+            bodies = int(cells(1)[0])
+            for _ in range(bodies):
+                person, joints = cells(10)[0], int(cells(1)[0])
+                if joints != len(KINECT_V2):
+                    raise ValueError(f"a body has {joints} joints, Kinect v2 has {len(KINECT_V2)}")
+                values = np.array([cells(12) for _ in KINECT_V2], dtype=np.float64)
+                xyz, state = values[:, :3], values[:, 11]
+                state = np.where(np.isin(state, (0, 1, 2)), state, 0).astype(np.uint8)
+                state[(xyz == 0).all(1)] = 0
+                if state.any():
+                    rows.add(frame / NTU_RATE, ids.setdefault(person, len(ids)), xyz, state)
         if not bodies:
             rows.empty.append(frame / NTU_RATE)
     return rows
 
 
-_AZURE = "an offline_processor's .json of Azure Kinect"
-
-
-def read_azure(files: Sequence[str | Path]) -> SkeletonRecording:
+def read_azure(source: Source) -> SkeletonRecording:
     """Read the .json files of Azure Kinect's offline_processor, one per sensor, each with its own clock.
 
     Positions are in millimetres. confidence_level (0 none, 1 low, 2 medium, 3 high) becomes the joint's state; without
@@ -449,71 +414,72 @@ def read_azure(files: Sequence[str | Path]) -> SkeletonRecording:
 
     Raises: InputError where a file is not of this format.
     """
-    paths = [Path(f) for f in files]
+    paths = source.files(".json")
     sensors = [_azure_rows(p) for p in paths]
     inputs = {p.name: p for p in paths}
     return checked_recording(text_of(paths[0].stem), sensors, str(paths[0]), inputs, common_clock=len(paths) == 1)
 
 
+def _json(path: Path) -> Any:
+    return read_json(path, "recorded skeletons", MAX_TEXT_BYTES)
+
+
 def _azure_rows(path: Path) -> StreamRows:
-    value = read_json(path, _AZURE, MAX_TEXT_BYTES)
-    names, frames = (value.get(k) if isinstance(value, dict) else None for k in ("joint_names", "frames"))
-    if not isinstance(names, list) or not isinstance(frames, list) or not 1 <= len(names) <= MAX_JOINTS:
-        raise InputError(f"{path} is not {_AZURE}: it needs joint_names and frames.")
-    rows = StreamRows(text_of(path.stem), tuple(map(str, names)))
+    with numbers_of(str(path)):
+        value = _json(path)
+        rows = StreamRows(text_of(path.stem), tuple(map(str, value["joint_names"])))
+        frames = list(value["frames"])
     for i, frame in enumerate(frames):
-        try:
+        with numbers_of(f"{path}, frame {i}"):
             time = float(frame["timestamp_usec"]) * 1e-6
-            bodies = frame["bodies"]
-            for body in bodies:
-                xyz = np.array(body["joint_positions"], dtype=np.float64).reshape(len(names), 3) * 1e-3
-                state = np.minimum(np.array(body.get("confidence_level", [2] * len(names)), dtype=np.uint8), 2)
-                rows.add(time, int(body["body_id"]), xyz, state.reshape(len(names)))
-        except (TypeError, KeyError, ValueError, OverflowError, AttributeError) as error:
-            raise InputError(
-                f"{path}, frame {i}: {error!r} is missing or no number; run offline_processor again."
-            ) from None
-        if not bodies:
-            rows.empty.append(time)
+            for body in frame["bodies"]:
+                xyz = np.array(body["joint_positions"], dtype=np.float64).reshape(len(rows.joint_names), 3) * 1e-3
+                state = np.array(body.get("confidence_level", [2] * len(xyz)), dtype=np.uint8).reshape(len(xyz))
+                rows.add(time, int(body["body_id"]), xyz, np.minimum(state, 2))
+            if not frame["bodies"]:
+                rows.empty.append(time)
     return rows
 
 
 # ---- skeleton formats ----------------------------------------------------------------------------------------------
-# Recorded skeletons of any known program: choice of the reader for a file or folder.
+# Recorded skeletons of any known program.
+
+
+SKELETONS = FormatTable(
+    "a recording of skeletons",
+    "give the recording of a sensor (other archives than .gz must be unpacked first)",
+    (
+        Format(
+            "hypose",
+            ("/", "session.json"),
+            read_folder,
+            lambda source: (source.path / "session.json").exists() or source.path.is_file(),
+            FolderWriter,
+            "positions in steps of 0.01 mm, times of 1 us",
+            1e-5,
+        ),
+        Format("NTU RGB+D", ("/", ".skeleton", ".skeleton.gz"), read_ntu, lambda source: source.files(".skeleton")),
+        Format(
+            "Azure Kinect (offline_processor)",
+            ("/", ".json"),
+            read_azure,
+            lambda source: any("joint_names" in _json(file) for file in source.files(".json")[:1]),
+        ),
+        Format(
+            "KinectMultiTrack",
+            (".csv", ".csv.gz"),
+            read_kinect_csv,
+            lambda source: any("Kinect" in c for c in source.header),
+        ),
+        Format("lines of hypose", (".jsonl", ".ndjson", ".jsonl.gz", ".ndjson.gz"), read_lines),
+    ),
+)
+"""Skeletons: readers of a source; writers are opened with a new folder and take one body after another."""
 
 
 def read_skeletons(path: str | Path) -> SkeletonRecording:
-    """Read recorded skeletons in any known format.
-
-    The formats are: a folder with session.json; a folder of NTU .skeleton files or Azure Kinect .json files, one per
-        camera; .csv or .csv.gz of several Kinects; .skeleton; .json; .jsonl or .jsonl.gz.
+    """Read recorded skeletons in any known format (`SKELETONS`).
 
     Raises: InputError where the path has no known format or cannot be used.
     """
-    p = Path(path)
-    name = p.name.lower().removesuffix(".gz")
-    read = next((read for ending, read in _READERS.items() if name.endswith(ending)), None)
-    if p.is_dir() and (p / "session.json").exists():
-        return read_folder(p)
-    if p.is_dir() and (files := sorted(p.glob("*.skeleton"))):
-        return read_ntu(files)
-    if p.is_dir() and (files := sorted(p.glob("*.json"))):
-        return read_azure(files)
-    if p.is_file() and read is not None:
-        return read(p)
-    what = "does not exist" if not p.exists() else "holds no skeletons" if p.is_dir() else "has no known form"
-    raise InputError(
-        f"{p} {what}; give a folder with session.json or .skeleton files, or a .csv, .skeleton, .json or .jsonl file "
-        "(.gz is allowed; other archives must be unpacked first)."
-    )
-
-
-_READERS: Mapping[str, Callable[[Path], SkeletonRecording]] = {
-    "session.json": lambda p: read_folder(p.parent),
-    ".csv": read_kinect_csv,
-    ".skeleton": lambda p: read_ntu([p]),
-    ".json": lambda p: read_azure([p]),
-    ".jsonl": read_lines,
-    ".ndjson": read_lines,
-}
-"""Readers by the end of the file's name, without .gz."""
+    return SKELETONS.read(path)

@@ -96,7 +96,9 @@ class CameraSource(Protocol):
         ...
 
 
-def open_camera(address: str, rate: float, size: tuple[int, int], begin: float | None = None) -> CameraSource:
+def open_camera(
+    address: str, rate: float, size: tuple[int, int], begin: float | None = None, loop_s: float | None = None
+) -> CameraSource:
     """Open a camera by its address.
 
     address: number of a device (0), address of a stream (http://, https://, rtsp://), a video file or a folder of
@@ -105,6 +107,7 @@ def open_camera(address: str, rate: float, size: tuple[int, int], begin: float |
     size: width and height requested from a device, px.
     begin: time of a file's first picture, s of the monotonic clock, so that several files can start together; now by
         default.
+    loop_s: period after which a file begins again, s, the same for all that belong together; None: it ends.
     Raises: InputError where it cannot be opened.
     """
     if is_device(address):
@@ -118,7 +121,7 @@ def open_camera(address: str, rate: float, size: tuple[int, int], begin: float |
             f"There is no file {address}; a camera is the number of a device (0), an address (http://, rtsp://), a "
             "video or a folder of pictures."
         )
-    return Played(open_video(Path(address)), rate, time.monotonic() if begin is None else begin)
+    return Played(open_video(Path(address)), rate, time.monotonic() if begin is None else begin, loop_s)
 
 
 def is_device(address: str) -> bool:
@@ -338,18 +341,24 @@ class Played:
     reader: the video or folder.
     rate: Hz, where the film's own rate is not known.
     begin: time of the first picture, s of the monotonic clock.
+    loop_s: period after which it begins again, s; None: it ends.
     """
 
     live = False
 
-    def __init__(self, reader: Film, rate: float, begin: float) -> None:
-        self._reader, self._rate, self._begin = reader, reader.frame_rate or rate, begin
+    def __init__(self, reader: Film, rate: float, begin: float, loop_s: float | None = None) -> None:
+        self._reader, self._rate, self._begin, self._loop_s = reader, reader.frame_rate or rate, begin, loop_s
 
     def read(self) -> CameraImage:
         """Wait until the next picture is due, and return it; StreamEnded after the last."""
-        due = int((time.monotonic() - self._begin) * self._rate)
-        number = max(self._reader.position, min(due, self._reader.n_frames - 1))
-        if self._reader.position >= self._reader.n_frames:
+        now, next_one = time.monotonic(), self._reader.position
+        due_s, following = now - self._begin, next_one / self._rate
+        if self._loop_s is not None and max(due_s, following) >= self._loop_s - 0.5 / self._rate:
+            laps = max(1, int(due_s // self._loop_s))
+            self._begin += laps * self._loop_s
+            due_s, next_one = now - self._begin, 0
+        number = max(next_one, min(int(due_s * self._rate), self._reader.n_frames - 1))
+        if next_one >= self._reader.n_frames:
             raise StreamEnded(f"{self._reader.path} is over.")
         image = self._reader.read(number)
         at = self._begin + number / self._rate

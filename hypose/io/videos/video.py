@@ -348,12 +348,8 @@ def frame_times(path: Path) -> Array | None:
 
 @lru_cache(maxsize=64)
 def _stamps(path: Path, size: int, changed: int) -> Array | None:
-    capture, found = open_capture(path, raw=True), list[float]()
-    try:
-        while capture.grab():
-            found.append(capture.get(cv2.CAP_PROP_POS_MSEC) * 1e-3)
-    finally:
-        capture.release()
+    with _capturing(path, raw=True) as capture:
+        found = [capture.get(cv2.CAP_PROP_POS_MSEC) * 1e-3 for _ in iter(capture.grab, False)]
     times = np.sort(found)  # packets are stored in the order of decoding
     if len(times) < 2 or len(times) != count_frames(path) or not (np.diff(times) > 0).all():
         return None
@@ -404,8 +400,7 @@ def _about(path: Path) -> _About:
 
 @lru_cache(maxsize=256)
 def _looked_into(path: Path, size: int, changed: int, number: int) -> _About:
-    capture = open_capture(path, 1)
-    try:
+    with _capturing(path, 1) as capture:
         rate = float(capture.get(cv2.CAP_PROP_FPS))
         stated = max(0, int(capture.get(cv2.CAP_PROP_FRAME_COUNT)))
         codec = int(capture.get(cv2.CAP_PROP_FOURCC))
@@ -415,8 +410,6 @@ def _looked_into(path: Path, size: int, changed: int, number: int) -> _About:
                 f"The video {path} contains no frame that can be decoded (it is empty, cut off or of an unknown "
                 "codec); record or copy it again, or convert it with: ffmpeg -i INPUT -c:v libx264 OUTPUT.mp4."
             )
-    finally:
-        capture.release()
     by_packets = codec in _PICTURE_PER_PACKET
     whole = stated > 0 and (by_packets and _holds_packets(path, stated) or _ends_with(path, stated))
     count = stated if whole else _count(path)
@@ -428,36 +421,34 @@ def _holds_packets(path: Path, stated: int) -> bool:
 
     It reads the position of the last key frame and counts the packets from there to the end.
     """
-    capture = open_capture(path, raw=True)
-    try:
+    with _capturing(path, raw=True) as capture:
         capture.set(cv2.CAP_PROP_POS_FRAMES, stated - 1)
         number = round(capture.get(cv2.CAP_PROP_POS_FRAMES))
         while number <= stated and capture.grab():
             number += 1
         return number == stated
-    finally:
-        capture.release()
 
 
 def _ends_with(path: Path, stated: int) -> bool:
     """Test whether the stated last frame of a video can be decoded and is the last."""
-    capture = open_capture(path)
-    try:
+    with _capturing(path) as capture:
         # position: some files jump elsewhere without complaint; one frame more: the container may say too little
         capture.set(cv2.CAP_PROP_POS_FRAMES, stated - 1)
         landed = round(capture.get(cv2.CAP_PROP_POS_FRAMES))
         return landed == stated - 1 and capture.grab() and not capture.grab()
-    finally:
-        capture.release()
 
 
 def _count(path: Path) -> int:
-    capture = open_capture(path)
+    with _capturing(path) as capture:
+        return sum(1 for _ in iter(capture.grab, False))
+
+
+@contextlib.contextmanager
+def _capturing(path: Path, threads: int | None = None, raw: bool = False) -> Iterator[cv2.VideoCapture]:
+    """Open a video as `open_capture` does, and release it at the end of a with block."""
+    capture = open_capture(path, threads, raw)
     try:
-        count = 0
-        while capture.grab():
-            count += 1
-        return count
+        yield capture
     finally:
         capture.release()
 

@@ -1,9 +1,9 @@
 """Capture for live tracking: read cameras, choose instants and make masks, in a process of its own so that tracking has
 the Python interpreter to itself.
 
-`Capture.look` gives the newest instant not processed yet; nothing queues up, so a slow tracker skips instants instead
-of falling behind. `CaptureProcess` runs it in another process; while the caller works on one result, the next is
-prepared.
+An instant is a time of which all present cameras have sent the nearest picture. `Capture.look` gives the newest instant
+not processed yet; nothing queues up, so a slow tracker skips instants instead of falling behind. `CaptureProcess` runs
+it in another process; while the caller works on one result, the next is prepared.
 """
 
 from __future__ import annotations
@@ -52,6 +52,7 @@ class LiveView:
     stretched: accept pictures of another shape than calibrated.
     depth: it is a depth camera (`open_depth_camera`).
     depth_room: background of a depth camera, where known.
+    loop_s: period after which a video begins again, s; None: it ends.
     """
 
     name: str
@@ -61,6 +62,7 @@ class LiveView:
     stretched: bool = False
     depth: bool = False
     depth_room: DepthBackground | None = None
+    loop_s: float | None = None
 
 
 @dataclass(frozen=True)
@@ -187,7 +189,9 @@ class Capture:
         return all(f.status().ended for f in self._feeds)
 
     def look(self, question: CaptureRequest, wait: float = 0.1) -> CaptureResult:
-        """Return the newest instant; after `wait` seconds without one, the state of the cameras."""
+        """Make the masks of the newest instant, with pictures and depth where requested; after `wait` seconds without
+        an instant, return the state of the cameras only.
+        """
         if question.room:
             self._learn_room()
         if question.offsets is not None:
@@ -370,7 +374,7 @@ def stored(image: NDArray[Any]) -> bytes | None:
 def _opener(view: LiveView, size: tuple[int, int], rate: float, begin: float) -> Callable[[], CameraSource]:
     if view.depth:
         return lambda: open_depth_camera(view.address, rate, begin)
-    return lambda: open_camera(view.address, rate, size, begin)
+    return lambda: open_camera(view.address, rate, size, begin, view.loop_s)
 
 
 # ---- in a process of their own -------------------------------------------------------------------------------------

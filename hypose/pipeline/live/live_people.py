@@ -211,10 +211,10 @@ class LiveTrack:
     def _fought(
         self, body: Body, pose: Array, first: Frame, frames: queue.SimpleQueue[tuple[Frame, float]]
     ) -> tuple[TrackerState, float] | None:
-        """Track the body with exchanged sides in another thread; limits as for whole clips
-        (`hypose.pipeline.left_right`), at half their rate.
+        """Track the body with exchanged sides in another thread, on the same frames at half their rate, until it wins
+        or loses.
 
-        Returns: state and time where it wins, else None.
+        Returns: state and time where it costs less than the tracked body, else None.
         """
         slow, give_up = (
             self.options.tracker(body, SETTINGS.search_slowly_hz),

@@ -1,4 +1,4 @@
-"""From a picture to what the search looks at: edges, flow, silhouette and points as flat arrays."""
+"""Convert a picture into the flat arrays of the search's cost terms: edges, flow, silhouette and 2D points."""
 
 from __future__ import annotations
 
@@ -19,12 +19,15 @@ FORMS = {"gaussian": GAUSSIAN, "lorentzian": LORENTZIAN, "leclerc": LECLERC}
 SMALLEST_MASK = 50
 """px: a silhouette of fewer pixels shows no person"""
 OUTLINE = 130
-"""points on a silhouette's outline"""
+"""number of points sampled on a silhouette's outline"""
 
 
 def checked_picture(frame: Frame) -> Picture:
-    """The picture of a frame; an InputError or EvidenceError, naming the frame, when there is none, or picture or mask
-    cannot belong to its camera."""
+    """Check and return the picture of a frame.
+
+    Raises: InputError where the frame has no picture, or where picture or mask do not have the camera's size;
+        EvidenceError where the mask is empty. Both name the frame.
+    """
     picture = frame.picture
     if picture is None:
         raise InputError(f"Frame {frame.index} has no picture, and one camera alone needs it; give its video.")
@@ -53,12 +56,17 @@ def checked_picture(frame: Frame) -> Picture:
 
 
 def grey(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """(h, w, 3) BGR -> (h, w)."""
+    """Convert a BGR image (h, w, 3) to grey values (h, w)."""
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
 
 
 def edge_arrays(field: NDArray[np.float32], flow: Flow | None, settings: EdgeSettings, *, use: bool) -> EdgeArrays:
-    """The edge term on a field of `edge_field`, weighted by the flow's motion boundaries where there are any."""
+    """Build the arrays of the edge term.
+
+    field: (h, w, 2) edges of a picture, from `edge_field`.
+    flow: optical flow, whose motion boundaries weight the edges; None: no weighting.
+    use: False gives the term weight 0.
+    """
     if settings.motion_boundaries and flow is not None:
         share = np.full(field.shape[:2], settings.boundary_floor, np.float32)
         (x, y), (h, w) = flow.corner, flow.boundaries.shape
@@ -81,7 +89,7 @@ def edge_arrays(field: NDArray[np.float32], flow: Flow | None, settings: EdgeSet
 
 
 def flow_arrays(flow: Flow | None, settings: FlowSettings) -> FlowArrays:
-    """The flow term; without flow it has no nodes."""
+    """Build the arrays of the flow term; without flow the term has no nodes."""
     if flow is None or not settings.use:
         none = np.zeros((0, 0), np.float32)
         flow = Flow(np.zeros((0, 0, 2), np.float32), none, none, (0, 0))
@@ -99,7 +107,11 @@ def flow_arrays(flow: Flow | None, settings: FlowSettings) -> FlowArrays:
 
 
 def mask_arrays(mask: NDArray[np.uint8] | None, settings: CueSettings, sample_px: float) -> MaskArrays:
-    """The silhouette term; without a mask it is left out."""
+    """Build the arrays of the silhouette term; without a mask, or with height 0, the term is left out.
+
+    mask: (h, w), not 0 on the person.
+    sample_px: px of contour per independent sample.
+    """
     form, sigma = FORMS[settings.silhouette_form], float(settings.silhouette_sigma_px)
     if mask is None or settings.silhouette_height <= 0:
         empty = np.zeros((0, 0), np.float32)
@@ -120,7 +132,7 @@ def mask_arrays(mask: NDArray[np.uint8] | None, settings: CueSettings, sample_px
 
 
 def mark_arrays(points: MonoPoints | None, settings: CueSettings) -> MarkArrays:
-    """The 2D points term; without points it is left out."""
+    """Build the arrays of the term of 2D points; without points, or with weight 0, the term is left out."""
     form = FORMS[settings.point_form]
     if points is None or settings.point_weight <= 0:
         none = np.zeros(0)

@@ -1,8 +1,8 @@
-"""Mirrored limbs: one view cannot tell whether a segment points towards the camera or away from it.
+"""Mirror limb segments in depth: one view cannot tell whether a segment points towards the camera or away from it.
 
-Source: the ambiguity of Sminchisescu & Triggs 2001, section 4.2 (motions far from parallel with the image plane), made
-explicit as in Sminchisescu & Triggs 2003 (kinematic jumps). Mirrored poses must be optimised before they are ranked:
-raw ones destroy a track.
+Mirrored poses must be optimised before they are ranked: unoptimised ones destroy a track.
+Source: Sminchisescu & Triggs 2001, section 4.2 (the ambiguity of motions far from parallel with the image plane);
+    Sminchisescu & Triggs 2003 (kinematic jumps).
 """
 
 from __future__ import annotations
@@ -23,18 +23,25 @@ CHAINS = tuple(
     for parts in (("shoulder", "elbow", "wrist"), ("hip", "knee", "ankle"))
     for side in ("left", "right")
 )
-"""Joints of the limbs; a segment joins neighbours."""
+"""Joints of each limb, from the trunk outwards; two neighbours are the ends of a segment."""
 LEAST_DEPTH = 0.06
-"""m: a segment that leaves the image plane by less has no mirror image worth trying"""
+"""m: a segment whose ends differ by less in depth is not mirrored"""
 HELD, _LOOSE = 1e6, 0.02
-"""Weights (1 / rad^2) that hold a dof where it is, and that decide between poses with the same joint centres."""
+"""Weights (1 / rad^2): HELD fixes a dof; _LOOSE chooses among poses with the same joint centres the one nearest to
+the start."""
 REACHED = 0.06
-"""m: how near the limb's joints must come to their mirrored places; limits may forbid it"""
+"""m: largest distance allowed between the limb's joints and their mirrored places; joint limits may prevent a closer
+fit"""
 
 
 def mirrored(body: Body, camera: Camera, pose: ArrayLike, active: NDArray[np.int64]) -> Array:
-    """Poses (M, D) that look nearly the same from the camera as pose (D,): each has one segment of one limb mirrored
-    in depth (what hangs on it is carried along), as far as the active dof (A,) and the joint limits allow it."""
+    """Compute the poses that look nearly the same in the camera because one limb segment is mirrored in depth.
+
+    Each result has one segment of one limb mirrored; the joints further out on the limb are moved with it.
+    pose: (D,) the pose to mirror.
+    active: (A,) indices of the dof that may change, within the joint limits.
+    Returns: (M, D) poses; mirror images that the joint limits do not allow are left out.
+    """
     q = np.asarray(pose, dtype=np.float64)
     s = body.skeleton
     joints = body.joints(q)
@@ -60,7 +67,10 @@ def mirrored(body: Body, camera: Camera, pose: ArrayLike, active: NDArray[np.int
 
 
 def _reach(body: Body, pose: Array, target: Array, held: NDArray[np.bool_]) -> Array | None:
-    """The pose near `pose` whose joint centres are those of target (J, 3); held (D,): dof that stay."""
+    """Solve for the pose near `pose` whose joint centres are at target (J, 3), m; None where the solve fails.
+
+    held: (D,) true for dof that keep their values.
+    """
     j = len(target)
     term = PointTerm(target, np.ones(j), np.arange(j, dtype=np.int64), np.zeros((j, 3)), 0.05)
     stay = Quadratic(pose, np.where(held, HELD, _LOOSE))

@@ -1,9 +1,9 @@
-"""The first set of hypotheses from one picture: clicked joints or a detector's key points.
+"""Find the first hypotheses from one picture with clicked joints or a detector's key points.
 
-Three stages. (1) Pose and internal proportions from the points, with mirrored sides, prior intervals and hard joint
-limits; several headings are tried, mirrored limbs are optimised before they are ranked, rivals are kept. (2) The
-parts' volumes from contours, everything else held. (3) Everything. The rivals with the covariances of the last stage
-are the first hypotheses. Source: Sminchisescu & Triggs 2001, section 5; see `initialise`.
+Three stages: (1) pose and skeleton lengths from the points, with equal left and right sides, prior intervals and hard
+joint limits; several headings are tried, mirrored limbs are optimised before they are ranked, alternatives are kept;
+(2) volumes of the parts from contours, everything else fixed; (3) everything. The alternatives with the covariances of
+stage 3 are the first hypotheses. Source: Sminchisescu & Triggs 2001, section 5; deviations: see `initialise`.
 """
 
 from __future__ import annotations
@@ -37,18 +37,22 @@ from hypose.tracking.starts import known_pose
 LEAST_CLICKS = 6
 _HEADINGS = 8
 DISTINCT_M = 0.06
-"""Poses are rivals when a joint lies at least so far apart."""
+"""m: poses are different alternatives when at least one joint lies further apart than this."""
 FLIP_ROUNDS = 2
 JOINT_FITS = 3
-"""So many of the best rivals get proportions of their own before one body is chosen."""
+"""Number of the best alternatives that get proportions of their own before one body is chosen."""
 _HELD = 1e6
 
 
 @dataclass(frozen=True)
 class InitialFit:
-    """body: the template with the person's proportions; hypotheses: the rivals with covariances and `cost`, best
-    first; factors (K,): logarithms of the proportions (proportions.NAMES); residual_px: root mean square distance of
-    the best rival to the points, px."""
+    """First hypotheses of a person in one picture, and the body fitted with them.
+
+    body: the template with the person's proportions.
+    hypotheses: alternative poses, best first, with covariances and the column `cost`.
+    factors: (K,) logarithms of the proportions, in the order of proportions.PROPORTION_NAMES.
+    residual_px: root mean square distance of the best pose to the points, px.
+    """
 
     body: Body
     hypotheses: Hypotheses
@@ -69,16 +73,19 @@ def initialise(
     rivals: int = 8,
     floor: float | None = None,
 ) -> InitialFit:
-    """The first hypotheses of the picture in a frame.
+    """Estimate the first hypotheses and the body proportions from the points and the picture of one frame.
 
-    Deviation: headings and mirrored limbs are tried, where the paper has one start. Deviation: in stages 2 and 3 the
-    proportions are searched one after the other, because the contour's cost has jumps.
-
-    later: the points of further pictures of the same camera; lengths are those that suit all of them. height in m: of
-    the person, None if not known: then the distance to the camera stays as uncertain as people's heights. fixed_body:
-    the template is the person's own body; only poses are looked for. active: dof to estimate (by default the body's
-    30). floor: height in the world of the floor that the person stands on, m. An EvidenceError when fewer than 6 points
-    are seen.
+    points_on: the seen points, placed on a given body.
+    frame: the frame with the picture.
+    later: points of further pictures of the same camera; the lengths are fitted to all pictures.
+    height: body height, m; None: unknown, then the distance to the camera stays as uncertain as people's heights are.
+    fixed_body: the template is the person's own body; only poses are estimated.
+    active: (A,) dof to estimate (default: the 30 of `body_dofs`).
+    rivals: largest number of hypotheses.
+    floor: height in the world of the floor that the person stands on, m; None: unknown.
+    Raises: EvidenceError where fewer than 6 points are seen.
+    Deviation: several headings and mirrored limbs are tried; the paper has one start. In stages 2 and 3 the proportions
+        are searched one after the other, because the contour's cost has jumps.
     """
     camera = checked_picture(frame).camera
     chosen = body_dofs(template.skeleton) if active is None else np.asarray(active, dtype=np.int64)
@@ -120,8 +127,12 @@ def initialise(
 
 
 def rival_poses(body: Body, camera: Camera, points: MonoPoints, active: NDArray[np.int64], count: int) -> Array:
-    """Distinct poses (M, D), M <= count, that explain points, best first: from several headings, and with mirrored
-    limbs; all are optimised before they are compared."""
+    """Find distinct poses that explain the points, from several headings and with mirrored limbs.
+
+    All poses are optimised before they are compared.
+    count: largest number of poses.
+    Returns: (M, D) poses, M <= count, best first.
+    """
     starts = np.stack([_placed(body, camera, points, yaw, name) for yaw in _yaws() for name in ("standing", "a")])
     poses, costs = _solved(body, camera, points, starts, active)
     poses = _distinct(poses, costs, body, count)
@@ -133,8 +144,10 @@ def rival_poses(body: Body, camera: Camera, points: MonoPoints, active: NDArray[
 
 
 def _later_pose(body: Body, camera: Camera, points: MonoPoints, near: Array, active: NDArray[np.int64]) -> Array:
-    """(D,) the best pose on the points of another picture, from the pose `near` (D,) and from several headings; which
-    of its mirror images it is does not matter for lengths."""
+    """Find the best pose (D,) on the points of another picture, from the pose `near` (D,) and from several headings.
+
+    Which mirror image it is does not matter, since only the lengths are used.
+    """
     starts = [near, *(_placed(body, camera, points, yaw, "standing") for yaw in _yaws())]
     poses, costs = _solved(body, camera, points, np.stack(starts), active)
     return poses[int(costs.argmin())]
@@ -145,8 +158,12 @@ def _yaws() -> Array:
 
 
 def _placed(body: Body, camera: Camera, points: MonoPoints, yaw: float, name: str) -> Array:
-    """(D,) a known pose with a heading, placed where its points lie nearest to the seen ones under a scaled
-    orthographic camera: its depth comes from the size of the figure."""
+    """Build a start pose (D,): a known posture with a heading, placed where its points lie nearest to the seen ones.
+
+    The placing uses a scaled orthographic camera: the depth comes from the size of the figure.
+    yaw: heading, rad.
+    name: name of the posture ("standing" or "a").
+    """
     pose = known_pose(body, name)
     pose[3:6] = so3_log(so3_exp([0, 0, yaw]) @ so3_exp(pose[3:6]))
     seen = points.confidence > 0
@@ -168,7 +185,7 @@ def _placed(body: Body, camera: Camera, points: MonoPoints, yaw: float, name: st
 def _solved(
     body: Body, camera: Camera, points: MonoPoints, starts: Array, active: NDArray[np.int64]
 ) -> tuple[Array, Array]:
-    """Poses (M, D) solved on the points from starts (M, D), and their costs (M,)."""
+    """Fit poses to the points from the starts (M, D); return poses (M, D) and costs (M,)."""
     scale = float(np.median(points.scale_px))
     confidence = points.confidence * (scale / points.scale_px) ** 2
     term = KeypointTerm(
@@ -195,7 +212,10 @@ def _distinct(poses: Array, costs: Array, body: Body, count: int) -> Array:
 
 
 def _distinct_indices(joints: Array, count: int) -> list[int]:
-    """Of sets of joint centres (M, J, 3) m, best first, those that differ from all better ones; at most count."""
+    """Select poses that differ from all better ones; at most count.
+
+    joints: (M, J, 3) joint centres, m, best pose first.
+    """
     keep: list[int] = []
     for i in range(len(joints)):
         if all(np.linalg.norm(joints[i] - joints[k], axis=1).max() > DISTINCT_M for k in keep):
@@ -208,7 +228,8 @@ def _distinct_indices(joints: Array, count: int) -> list[int]:
 def _contour_cost(
     template: Body, search: PictureSearch, points_on: PointsOn, frame: Frame, pose: Array
 ) -> Callable[[Array], float]:
-    """What factors (K,) cost on the picture's contours and the points, at a pose."""
+    """Build the function that gives the cost of factors (K,) at a fixed pose, on the picture's contours and the
+    points."""
     light = without_display(template)
 
     def cost(x: Array) -> float:

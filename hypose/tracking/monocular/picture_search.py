@@ -1,4 +1,4 @@
-"""The search in one picture, layer by layer: predict, look for edges and flow, optimise, mirror, sample, prune.
+"""Search for the pose in one picture, layer by layer: predict, find edges and flow, optimise, mirror, sample, prune.
 
 Source: Sminchisescu & Triggs 2001, figure 4; recipe.py puts the layers together.
 """
@@ -45,9 +45,10 @@ from hypose.tracking.pose_covariance import PoseUncertainty, packed
 _MARGIN = 40
 """px around the person in which flow is computed"""
 _LOST_SHARE = 0.2
-"""lost when a smaller share of the contour's nodes finds an edge"""
+"""the track is lost when a smaller share of the contour's nodes finds an edge"""
 CONTOUR, ASSIGNED, FLOW = 0, 1, 5
-"""Of a candidate's nodes: of the contour, which are seen; of these, with an edge; inside, with usable flow."""
+"""Indices into a candidate's node counts: visible contour nodes; contour nodes with an edge; inner nodes with usable
+flow."""
 
 
 @dataclass(frozen=True)
@@ -59,12 +60,16 @@ class _Place:
 
 @dataclass(frozen=True)
 class PictureSearch:
-    """A body, whose coarse mesh is compared with pictures (lens distortion is ignored: give undistorted ones),
-    settings, the dof to estimate (default `body_dofs`: 30; the others keep their start values), how many threads share
-    the hypotheses (default: the machine's; any number gives the same results), and the height in the world of the
-    floor that the person stands on, m (default: not known). points: key points (K, 3) by names on a body.
+    """The layers of the monocular search, for one body; its methods are the kernels of the recipe's layers.
 
-    Its methods are the kernels of the recipe's layers; they share the frame's problem by `PreparedFrame.shared`."""
+    body: its coarse mesh is compared with the pictures. Lens distortion is ignored: give undistorted pictures.
+    settings: options of costs and search.
+    active: (A,) dof to estimate (default: the 30 of `body_dofs`); the others keep their start values.
+    threads: number of threads that share the hypotheses (default: the machine's); the results do not depend on it.
+    floor: height in the world of the floor that the person stands on, m; None: unknown.
+    points: function that places named key points (K, 3) on a body.
+    The kernels of one frame share edges and problem by `PreparedFrame.shared`.
+    """
 
     body: Body
     settings: MonoSettings = MonoSettings()
@@ -75,9 +80,9 @@ class PictureSearch:
     _places: list[_Place] = field(default_factory=list, init=False, compare=False, repr=False)
 
     def predicted(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
-        """Every hypothesis where its own velocity takes it; the picture's edges.
+        """Predict every hypothesis by its own velocity, and compute the picture's edges.
 
-        Raises InputError or EvidenceError, naming the frame, for a picture, mask or points that do not fit the camera.
+        Raises: InputError or EvidenceError, naming the frame, where picture, mask or points do not fit the camera.
         """
         picture = checked_picture(frame.frame)
         fixed = self._at(picture.camera).fixed
@@ -90,7 +95,8 @@ class PictureSearch:
         return replace(h, values=poses, columns={"velocity": velocities, "before": h.values, "evidence": evidence})
 
     def carried(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
-        """The same; flow from the picture before, and everything that hypotheses are compared with."""
+        """Compute the optical flow from the previous picture, and build the frame's problem; the hypotheses stay as
+        they are."""
         picture = checked_picture(frame.frame)
         flow = self._flow(picture, np.concatenate([h.columns["before"], h.values]))
         seen, points = frame.frame.keypoints, None
@@ -101,7 +107,7 @@ class PictureSearch:
         return h
 
     def optimised(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
-        """Candidates: every hypothesis optimised from its prediction."""
+        """Optimise every hypothesis from its prediction; return the candidates."""
         settings, before, place = self.settings, h.columns["before"], self._at(checked_picture(frame.frame).camera)
         problem: MonoProblem = frame.shared["problem"]
         found = self._solved(place, problem, h.values, before, settings.coarse_iterations, settings.iterations)
@@ -112,13 +118,13 @@ class PictureSearch:
         return self._candidates(OPTIMISED, place.fixed, found, velocities, h.values, history)
 
     def mirror_now(self, h: Hypotheses, frame: PreparedFrame, /) -> bool:
-        """Whether mirrored limbs are tried in this frame."""
+        """Decide whether mirrored limbs are tried in this frame."""
         search = self.settings.search
         wanted = frame.frame.keypoints is not None if search.flips is None else search.flips
         return wanted and frame.done % search.flip_every == 0
 
     def mirror(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
-        """The candidates and mirrored limbs of the best one, optimised; they start at rest."""
+        """Add optimised mirrored limbs of the best candidate to the candidates; the added ones have velocity 0."""
         settings, best, place = self.settings, best_of(h), self._at(checked_picture(frame.frame).camera)
         poses = mirrored(self.body, place.camera, h.values[best], place.fixed.model.active)
         if len(poses) == 0:
@@ -130,8 +136,10 @@ class PictureSearch:
         return pooled(h, self._candidates(MIRRORED, place.fixed, found, np.zeros_like(poses), poses, history))
 
     def sampled(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
-        """The candidates and samples of all of them, each with the history and the prediction of the one it was drawn
-        from."""
+        """Add samples along the uncertain directions of every candidate to the candidates.
+
+        Each sample keeps the prediction and the accumulated evidence of the candidate from which it was drawn.
+        """
         if self.settings.search.hypotheses == 1:
             return pooled(h)
         problem: MonoProblem = frame.shared["problem"]
@@ -148,12 +156,16 @@ class PictureSearch:
         return pooled(*sets)
 
     def pruned(self, h: Hypotheses, rng: np.random.Generator, /) -> Hypotheses:
-        """Return the hypotheses followed into the next frame: the best distinct candidates, with their velocities."""
+        """Keep the best distinct candidates, with their velocities, as the hypotheses of the next frame."""
         kept = prune(h, self.body, self.settings.search)
         return replace(kept, columns={"velocity": kept.columns["velocity"]})
 
     def uncertainty(self, pose: Array, h: Hypotheses, frame: PreparedFrame, /) -> PoseUncertainty:
-        """All distinct candidates that were optimised, with covariances; the joints' (inflated) of the best one."""
+        """Compute the uncertainty of the frame's result: all distinct optimised candidates as modes, with covariances.
+
+        Returns: joint covariances (J, 3, 3) of the best candidate, inflated, and the modes. The packed matrix of the
+            pose is zero: the modes hold more than one matrix could.
+        """
         fixed, s = self._at(checked_picture(frame.frame).camera).fixed, self.body.skeleton
         found = prune(h.take(np.flatnonzero(~h.has(SAMPLED))), self.body, self.settings.search)
         covariances = covariances_by_turns(self._covariances(fixed, found), found.values)
@@ -175,15 +187,22 @@ class PictureSearch:
         return PoseUncertainty(around.astype(np.float32), packed(np.zeros((s.dof, s.dof))), modes)
 
     def lost(self, pose: Array, h: Hypotheses, frame: PreparedFrame, /) -> bool:
-        """Hardly any contour finds an edge, or the body is out of the picture."""
+        """Decide whether the track is lost: hardly any contour node of the best candidate finds an edge, or none is
+        visible."""
         nodes = h.columns["nodes"][best_of(h)]
         return self.settings.edges and bool(nodes[ASSIGNED] < _LOST_SHARE * max(nodes[CONTOUR], 1))
 
     def optimise(
         self, poses: Array, frame: Frame, points: MonoPoints | None = None, *, iterations: int = 20
     ) -> Hypotheses:
-        """Poses (N, D) optimised on one still picture (edges, silhouette, points; no flow, no prediction), best first,
-        each with its covariance and its `cost`: for initialisation and for mirrored poses. Costs are comparable."""
+        """Optimise poses on one still picture (edges, silhouette, points; no flow, no prediction).
+
+        Used for initialisation and for mirrored poses.
+        poses: (N, D) start poses.
+        iterations: of the Newton search.
+        Returns: hypotheses, best first, each with its covariance and its column `cost`; the costs can be compared.
+        Raises: InputError where a pose has the wrong number of values or is not finite.
+        """
         picture, dof = checked_picture(frame), self.body.skeleton.dof
         if poses.shape[1] != dof or not np.isfinite(poses).all():
             raise InputError(f"Start poses need {dof} finite numbers each, got {poses.shape[1]}; fit the first again.")
@@ -200,7 +219,7 @@ class PictureSearch:
         return Hypotheses(where, cost[0] - cost, covariance=covariance, columns={"cost": cost})
 
     def _at(self, camera: Camera) -> _Place:
-        """What does not change as long as the camera is the same one."""
+        """Return the parts of the problem that stay the same as long as the camera does not change."""
         if not self._places or self._places[0].camera is not camera:
             active = body_dofs(self.body.skeleton) if self.active is None else np.asarray(self.active, dtype=np.int64)
             fixed = fixed_parts(self.body, self.body.coarse, camera, active, self.settings, self.floor)
@@ -210,7 +229,8 @@ class PictureSearch:
         return self._places[0]
 
     def _flow(self, picture: Picture, poses: Array) -> Flow | None:
-        """Flow around the moving parts at all poses (N, D); None when it is not used or they are out of the picture."""
+        """Compute the flow around the moving parts at all poses (N, D); None where it is not used or they are
+        outside the picture."""
         if picture.before is None or not (self.settings.flow.use or self.settings.edge.motion_boundaries):
             return None
         moving = self._at(picture.camera).fixed.model.moving_vertices
@@ -238,7 +258,10 @@ class PictureSearch:
         *,
         predict: bool = True,
     ) -> list[mono.MonoSolution]:
-        """Every start (N, D) optimised, with its own prediction when asked for; over threads."""
+        """Optimise every start (N, D) in several threads.
+
+        predict: add to each a pull to its own start as the prediction.
+        """
         solutions: list[mono.MonoSolution | None] = [None] * len(starts)
         free = list(place.workspaces)
 
@@ -277,12 +300,12 @@ class PictureSearch:
         )
 
     def _covariances(self, fixed: Fixed, h: Hypotheses) -> Array:
-        """(N, D, D) of candidates, inflated."""
+        """Compute the inflated covariances (N, D, D) of candidates."""
         dof, inflation = self.body.skeleton.dof, self.settings.inflation
         each = (hessian_covariance(m, fixed.spread, fixed.model.active, dof, inflation) for m in h.columns["hessian"])
         return np.stack(list(each))
 
 
 def _history(h: Hypotheses) -> Array:
-    """(N,) what candidates had cost before this frame."""
+    """Compute the accumulated cost (N,) of candidates before this frame."""
     return h.columns["evidence"] - h.columns["cost"]

@@ -14,17 +14,21 @@ from hypose.evidence.keypoints import landmark_of, person_size
 from hypose.geometry import Array
 
 _KEYPOINT_SHARE = 0.016
-"""1 sd of a detector's point, as a share of the person's size in the picture."""
+"""Standard deviation of a detector's point, as a share of the person's size in the picture."""
 FEWEST_PX = 1.0
 _MIN_CONFIDENCE = 0.3
 
 
 @dataclass(frozen=True)
 class MonoPoints:
-    """Points of the body seen in the image: key points of a detector and clicked joints.
+    """Points of the body seen in one picture: key points of a detector or clicked joints.
 
-    pixels (P, 2) of the undistorted image; confidence (P,) the weight, 0 = not seen; joint (P,), offset (P, 3) m in
-    the joint's frame: where the point sits on the body; scale_px (P,): 1 sd."""
+    pixels: (P, 2) in the undistorted image, px.
+    confidence: (P,) weights; 0 = not seen.
+    joint: (P,) index of the joint to which the point is fixed.
+    offset: (P, 3) position of the point in the joint's frame, m.
+    scale_px: (P,) standard deviations, px.
+    """
 
     pixels: Array
     confidence: Array
@@ -36,8 +40,15 @@ class MonoPoints:
 def points_from_keypoints(
     body: Body, names: Sequence[str], keypoints: ArrayLike, *, scale_px: float = 4.0
 ) -> MonoPoints:
-    """Key points (K, 3) = (u px, v px, confidence) of one view. Those that the body does not know, that are weaker than
-    _MIN_CONFIDENCE or not finite get confidence 0."""
+    """Place the key points of one view on a body.
+
+    Key points that the body does not have, weak ones (confidence below _MIN_CONFIDENCE) and not finite ones get
+    confidence 0.
+    names: (K) names of the key points.
+    keypoints: (K, 3) u px, v px, confidence.
+    scale_px: standard deviation of a key point, px.
+    Raises: InputError where the shape does not fit the names.
+    """
     k = np.array(keypoints, dtype=np.float64)
     if k.shape != (len(names), 3):
         raise InputError(f"{len(names)} key points need the shape {(len(names), 3)} (u, v, confidence), got {k.shape}.")
@@ -48,7 +59,10 @@ def points_from_keypoints(
 
 
 def clicked_joints(body: Body, clicks: Mapping[str, tuple[float, float]], scale_px: float = 4.0) -> MonoPoints:
-    """Joints clicked in an image: name -> (u, v) px; an InputError lists the joints."""
+    """Convert clicked joints, joint name -> (u, v) px, to points with confidence 1.
+
+    Raises: InputError, listing the joints, where a name is not a joint of the body.
+    """
     joint = np.array([body.skeleton.joint(name) for name in clicks], dtype=np.int64)
     pixels = np.array(list(clicks.values()), dtype=np.float64).reshape(-1, 2)
     n = len(joint)
@@ -56,6 +70,6 @@ def clicked_joints(body: Body, clicks: Mapping[str, tuple[float, float]], scale_
 
 
 def keypoints_on(body: Body, names: Sequence[str], keypoints: Array) -> MonoPoints:
-    """Key points (K, 3) on a body, with the error that detectors have at that size."""
+    """Place key points (K, 3) on a body, with the error that detectors usually have at that size of the person."""
     scale = max(FEWEST_PX, _KEYPOINT_SHARE * person_size(keypoints))
     return points_from_keypoints(body, names, keypoints, scale_px=scale)

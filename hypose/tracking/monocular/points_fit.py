@@ -1,8 +1,9 @@
-"""Poses and proportions found together from the points of one or several pictures (stage 1 of the start).
+"""Fit poses and proportions together to the points of one or several pictures (stage 1 of the start).
 
-One picture cannot tell a short limb from one that points at the camera; in several, the same limb points elsewhere.
+One picture cannot tell a short limb from one that points at the camera; in further pictures the limb has another
+direction.
 Source: Sminchisescu & Triggs 2001, section 5 (points, prior intervals, joint limits, mirrored sides). Deviation: more
-than one picture, where there are points in more than one.
+    than one picture can be used.
 """
 
 from __future__ import annotations
@@ -24,14 +25,14 @@ from hypose.tracking.monocular.proportions import INTERNAL, Proportions, shaped,
 from hypose.tracking.refinement import anatomical_prior
 
 PointsOn = Callable[[Body], MonoPoints]
-"""Where the points of one picture sit on a body, with their pixels: points.clicked_joints or
-points.points_from_keypoints."""
+"""Function that places the points of one picture on a body, with their pixels; for example points.clicked_joints or
+points.points_from_keypoints with the other arguments given."""
 _STEP = 0.01
-"""of a factor's logarithm, for its numeric derivative"""
+"""step of a factor's logarithm for its numeric derivative"""
 
 
 def points_on_body(body: Body, pose: Array, points: MonoPoints) -> Array:
-    """(P, 3) m: the points on the body at a pose (D,), world."""
+    """Compute the world positions (P, 3), m, of the points on the body at a pose (D,)."""
     return _places(body, pose, points.joint, points.offset)
 
 
@@ -45,9 +46,16 @@ def fit_proportions(
     active: NDArray[np.int64],
     floor: FloorArrays | None = None,
 ) -> tuple[Array, Array, float]:
-    """Poses (M, D) and factors (K,), one body for all M pictures, and their cost: bounded Newton from the given ones,
-    over the active dof (A,) of every pose and the factors that move joints. floor: what the person stands on; without
-    it one view cannot tell long legs that point away from shorter ones that do not."""
+    """Fit one body to all M pictures: poses and proportions together, by a bounded Newton search.
+
+    pictures: M functions that place the points of a picture on a body.
+    poses: M start poses (D,).
+    factors: (K,) start values of the proportions, logarithms; only those that move joints change.
+    active: (A,) dof of every pose that may change.
+    floor: the soles and the floor they stand on. Why: without it one view cannot tell long legs that point away from
+        shorter ones that do not.
+    Returns: poses (M, D), factors (K,), cost.
+    """
     start = np.array(poses, dtype=np.float64), np.array(factors, dtype=np.float64)
     problem = _PointsProblem(template, camera, pictures, start, prior, active, floor)
     found = problem.solve(problem.begin, 30, Rule(1e-3, easier=9, least=1e-9, gain=1e-5))
@@ -55,7 +63,8 @@ def fit_proportions(
 
 
 class _PointsProblem(Problem[Array, tuple[Array, Array]]):
-    """The active dof of every picture's pose, then the factors, as one vector (M A + I,)."""
+    """Least-squares problem over the active dof of every picture's pose and the joint-moving factors, one vector (M
+    A + I,)."""
 
     def __init__(
         self,
@@ -78,7 +87,7 @@ class _PointsProblem(Problem[Array, tuple[Array, Array]]):
         self.begin = np.clip(first, self.lower, self.upper)
 
     def unpack(self, x: Array) -> tuple[Array, Array]:
-        """Poses (M, D) and factors (K,)."""
+        """Split the vector into poses (M, D) and factors (K,)."""
         (q, f), known = (a.copy() for a in self.start), len(self.pictures) * len(self.active)
         q[:, self.active], f[INTERNAL] = x[:known].reshape(len(q), -1), x[known:]
         return q, f
@@ -116,14 +125,14 @@ class _PointsProblem(Problem[Array, tuple[Array, Array]]):
 
 
 def _residuals(body: Body, camera: Camera, points: MonoPoints, pose: Array) -> Array:
-    """(P, 2) standard deviations; 0 for points that are not seen."""
+    """Compute the residuals (P, 2) of the points, in standard deviations; 0 for points that are not seen."""
     shown = camera.project_pinhole(points_on_body(body, pose, points))
     apart = (shown - points.pixels) / points.scale_px[:, None]
     return np.where(points.confidence[:, None] > 0, apart, 0.0)
 
 
 def image_jacobian(body: Body, camera: Camera, points: MonoPoints, pose: Array) -> Array:
-    """(P, 2, D) px: derivative of the points' pixels by the pose (D,)."""
+    """Compute the derivative (P, 2, D) of the points' pixels with respect to the pose (D,), px per unit."""
     world, by_pose = points_on_body(body, pose, points), _jacobian(body, pose, points.joint, points.offset)
     p = camera.projection
     h = world @ p[:, :3].T + p[:, 3]
@@ -135,8 +144,12 @@ def image_jacobian(body: Body, camera: Camera, points: MonoPoints, pose: Array) 
 def _above_floor(
     body: Body, moved: Sequence[Body], pose: Array, floor: FloorArrays, active: NDArray[np.int64]
 ) -> tuple[Array, Array]:
-    """(F,) heights of the lowest point of the soles and of those under the floor, in standard deviations, and their
-    derivatives (F, A + K) by the active dof and by the factors, from the bodies `moved` by one step each."""
+    """Compute heights of the soles above the floor, in standard deviations, and their derivatives.
+
+    Only the lowest sole point and those under the floor count (F).
+    moved: one body per factor that moves joints, changed by one step.
+    Returns: heights (F,); derivatives (F, A + I) with respect to the active dof and these factors.
+    """
     height = _places(body, pose, floor.joint, floor.offset)[:, 2] - floor.height
     on = np.flatnonzero((height < 0) | (np.arange(len(height)) == height.argmin()))
     joint, offset = floor.joint[on], floor.offset[on]
@@ -146,13 +159,13 @@ def _above_floor(
 
 
 def _places(body: Body, pose: Array, joint: NDArray[np.int64], offset: Array) -> Array:
-    """(P, 3) m: points on joints (P,) at offsets (P, 3), world."""
+    """Compute the world positions (P, 3), m, of points fixed to joints (P,) at offsets (P, 3)."""
     rotations, centres = body.skeleton.forward(pose)
     return centres[joint] + np.einsum("pab,pb->pa", rotations[joint], offset)
 
 
 def _jacobian(body: Body, pose: Array, joint: NDArray[np.int64], offset: Array) -> Array:
-    """(P, 3, D): derivative of such points by the pose."""
+    """Compute the derivative (P, 3, D) of the world positions of points on joints with respect to the pose."""
     twists = body.skeleton.world_twists(pose)
     world = _places(body, pose, joint, offset)
     out = np.cross(twists[None, :, :3], world[:, None]) + twists[None, :, 3:]

@@ -1,11 +1,14 @@
-"""The pool of hypotheses: candidates, samples along uncertain directions, pruning to the best distinct ones.
+"""Manage the pool of candidates: mark, join, sample along uncertain directions, prune to the best distinct ones.
 
-A candidate carries in columns: velocity, prediction (D,); hessian (A, A) of the evidence where it (or its parent) was
-optimised, free (A,) dof that no limit held there; cost in this frame, evidence: the cost accumulated over the frames;
-nodes: of its contour, as in MonoWorkspace.
+Columns of a candidate:
+    velocity, prediction: (D,).
+    hessian: (A, A) of the evidence, where the candidate (or the one it was drawn from) was optimised.
+    free: (A,) dof that no joint limit held there.
+    cost: in this frame; evidence: the cost accumulated over the frames.
+    nodes: counts of its contour nodes, as in MonoWorkspace.
 Source: Sminchisescu & Triggs 2001, section 4.2 and figure 4. Deviations: samples of all hypotheses are pooled before
-pruning (the printed listing empties the pool for each), costs are accumulated over frames with a memory, and directions
-are those of the Hessian within the subspace that no limit holds, in units of the usual motion of each dof.
+    pruning (the printed listing empties the pool for each); costs are accumulated over frames with a memory;
+    directions are those of the Hessian in the subspace that no limit holds, in units of each dof's usual motion.
 """
 
 from __future__ import annotations
@@ -22,24 +25,25 @@ from hypose.tracking.frame_evidence import PreparedFrame
 from hypose.tracking.monocular.settings import SearchSettings
 
 OPTIMISED, SAMPLED, MIRRORED = _ROLES = ("optimised", "sampled", "mirrored")
-"""Where a hypothesis came from: it was optimised, drawn along an uncertain direction, or is a mirrored limb."""
+"""Origin of a hypothesis: optimised, drawn along an uncertain direction, or a mirrored limb."""
 LEAST_CURVATURE = 1e-6
-"""of the Hessian in units of the usual motion: directions without any evidence"""
+"""smallest eigenvalue of the Hessian in units of the usual motion; replaces smaller ones, in directions without
+evidence"""
 
 
 def candidates(role: str, poses: Array, **columns: NDArray[Any]) -> Hypotheses:
     """Make a set of N candidates from poses; all log-weights are 0.
 
     role: origin of all candidates: "optimised", "sampled" or "mirrored".
-    poses (N, D): one pose per candidate.
-    columns (N, ...): further values per candidate, by name.
+    poses: (N, D) one pose per candidate.
+    columns: (N, ...) further values per candidate, by name.
     """
     bit = np.full(len(poses), 1 << _ROLES.index(role), dtype=np.int32)
     return Hypotheses(poses, np.zeros(len(poses)), role=bit, role_names=_ROLES, columns=columns)
 
 
 def pooled(*sets: Hypotheses) -> Hypotheses:
-    """Sets of candidates as one, not yet weighed."""
+    """Join sets of candidates into one, with log-weights 0."""
     return Hypotheses(
         np.concatenate([h.values for h in sets]),
         np.zeros(sum(h.count for h in sets)),
@@ -50,9 +54,10 @@ def pooled(*sets: Hypotheses) -> Hypotheses:
 
 
 def accumulated(h: Hypotheses, frame: PreparedFrame, /) -> Array:
-    """(N,) log-likelihoods of candidates, minus their evidence: equation (4), whose Z is the sum over the set.
+    """Compute the log-likelihoods (N,) of candidates: minus their accumulated evidence.
 
-    Deviation: the evidence is accumulated over frames with a memory."""
+    Source: equation (4); its Z is the sum over the set. Deviation: evidence is accumulated over frames with a memory.
+    """
     return -h.columns["evidence"]
 
 
@@ -67,11 +72,18 @@ def uncertain_samples(
     settings: SearchSettings,
     rng: np.random.Generator,
 ) -> Array:
-    """Poses (S, D) along the n_s most uncertain free directions of an optimised candidate, on both sides.
+    """Draw poses along the most uncertain free directions of an optimised candidate, on both sides of it.
 
-    Deviation: directions are those of the Hessian within the subspace that no limit holds, in units of the usual motion
-    of each dof. spread (A,): the usual error of a prediction, the unit of each dof and the bound on a sample's
-    length."""
+    pose: (D,) the candidate's pose.
+    hessian: (A, A) of its evidence.
+    free: (A,) true where no joint limit holds the dof.
+    active: (A,) indices of the estimated dof.
+    spread: (A,) usual error of a prediction; the unit of each dof and the bound on a sample's length.
+    lower, upper: (A,) joint limits.
+    Returns: (S, D) poses.
+    Deviation: directions are those of the Hessian in the subspace that no limit holds, in units of each dof's usual
+        motion.
+    """
     loose = np.flatnonzero(free)
     if len(loose) == 0:
         return np.zeros((0, len(pose)))
@@ -95,16 +107,17 @@ def uncertain_samples(
 
 
 def best_of(pool: Hypotheses) -> int:
-    """The number of the best candidate that was optimised."""
+    """Find the index of the best candidate that is not a sample."""
     return int(np.where(pool.has(SAMPLED), np.inf, pool.columns["evidence"]).argmin())
 
 
 def prune(pool: Hypotheses, body: Body, settings: SearchSettings) -> Hypotheses:
-    """The best distinct candidates, at most settings.hypotheses, best first: the best optimised one comes first and
-    stays, the others are ranked by their accumulated evidence.
+    """Keep the best distinct candidates, at most settings.hypotheses, best first.
 
-    Deviation: samples of all hypotheses are pooled before pruning, where the printed listing empties the pool for each.
-    Deviation: only poses that differ are kept."""
+    The best optimised candidate is always kept and comes first; the others are ranked by their accumulated evidence.
+    Deviations: samples of all hypotheses are pooled before pruning, where the printed listing empties the pool for
+        each; only poses that differ are kept.
+    """
     first = best_of(pool)
     others = np.delete(np.arange(pool.count), first)
     ranked = [first, *others[np.argsort(pool.columns["evidence"][others], kind="stable")]]
@@ -119,12 +132,13 @@ def prune(pool: Hypotheses, body: Body, settings: SearchSettings) -> Hypotheses:
 
 
 def landmark_places(body: Body, poses: Array) -> Array:
-    """(N, L, 3) m: joint centres and landmarks, by which poses are compared."""
+    """Compute joint centres and landmarks (N, L, 3), m, by which poses are compared."""
     return np.concatenate([body.joints(poses), body.landmark_points(poses)], axis=1)
 
 
 def covariances_by_turns(covariances: Array, poses: Array) -> Array:
-    """(N, D, D): covariances of poses (N, D) with the root's rotation vector replaced by a small turn in the world."""
+    """Convert covariances (N, D, D) of poses (N, D): the root's rotation vector becomes a small rotation in the
+    world."""
     out, turns = covariances.copy(), so3_left_jacobian(poses[:, 3:6])
     out[:, 3:6] = turns @ out[:, 3:6]
     out[:, :, 3:6] = out[:, :, 3:6] @ np.swapaxes(turns, 1, 2)
@@ -132,7 +146,12 @@ def covariances_by_turns(covariances: Array, poses: Array) -> Array:
 
 
 def hessian_covariance(hessian: Array, spread: Array, active: NDArray[np.int64], dof: int, inflation: float) -> Array:
-    """(D, D) covariance of a pose: inflation^2 H^-1 over the active dof, 0 elsewhere."""
+    """Compute the covariance (D, D) of a pose: inflation^2 H^-1 over the active dof, 0 elsewhere.
+
+    hessian: (A, A).
+    spread: (A,) usual error of a prediction, the unit in which small eigenvalues are replaced.
+    dof: D.
+    """
     values, vectors = np.linalg.eigh(hessian * spread[:, None] * spread)
     root = spread[:, None] * vectors / np.sqrt(np.maximum(values, LEAST_CURVATURE))
     out = np.zeros((dof, dof))

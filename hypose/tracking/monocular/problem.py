@@ -1,6 +1,6 @@
-"""What one search looks at, put together: the body's moving parts, a frame's evidence, the priors.
+"""Build the cost function of one search: the body's moving parts, a frame's evidence, the priors.
 
-The prior against interpenetration puts spheres inside the body's parts and says which of them must keep apart: limbs
+The prior against interpenetration puts spheres inside the body's parts and defines which of them must stay apart: limbs
 from the trunk and from each other.
 """
 
@@ -26,19 +26,21 @@ from hypose.tracking.monocular.points import MonoPoints
 from hypose.tracking.monocular.settings import CueSettings, MonoSettings
 
 TOLERANCE = 0.02
-"""m: two parts that overlap by this much cost one half (weight 1)"""
+"""m: two parts that overlap by this much have cost one half (at weight 1)"""
 FIRM = 0.85
-"""share of the radii's sum that counts: skin gives way, and spheres are rounder than limbs"""
+"""share of the sum of two radii that must stay apart: skin is soft, and spheres are rounder than limbs"""
 _TRUNK = ("pelvis", "spine", "chest", "head")
 _ARM, _LEG = ("elbow", "wrist"), ("hip", "knee", "ankle")
 
 
 def part_spheres(body: Body, weight: float) -> SphereArrays:
-    """Spheres of the trunk, forearms, hands and legs of a body at rest, and the pairs that may not run into each other.
+    """Place spheres in the trunk, forearms, hands and legs of the body at rest, and list the pairs that must stay
+    apart.
 
-    Limb spheres sit on the bones with the median distance of the skin as radius, trunk spheres side by side with half
-    the trunk's depth. Pairs: arms with trunk, with thighs and with each other; one leg with the other. Where parts
-    touch at rest already, the rest distance counts.
+    Limb spheres lie on the bones and have the median distance of the skin as radius. Trunk spheres lie side by side and
+    have half the trunk's depth as radius. Pairs: arms with trunk, with thighs and with each other; one leg with the
+    other. The distance that two parts keep is at most 0.95 of that at rest.
+    weight: of the prior.
     """
     names = body.skeleton.joint_names
     parts: list[str] = []
@@ -73,7 +75,7 @@ def part_spheres(body: Body, weight: float) -> SphereArrays:
 
 
 def _spheres(body: Body, name: str, skin: Array) -> list[tuple[Array, float]]:
-    """(centre in the joint's rest frame, radius) of one part's spheres; skin (V, 3) in the same frame."""
+    """List the spheres of one part: (centre in the joint's rest frame, radius), m; skin (V, 3) in the same frame."""
     end = BONE_END.get(name)
     if end is not None:
         s = body.skeleton
@@ -91,7 +93,7 @@ def _spheres(body: Body, name: str, skin: Array) -> list[tuple[Array, float]]:
 
 
 def _may_meet(a: str, b: str) -> bool:
-    """Whether two parts can run into each other and are not neighbours."""
+    """Decide whether two parts can run into each other and are not neighbours."""
     kind_a, kind_b = a.split("_")[-1], b.split("_")[-1]
     if a in _TRUNK:
         a, b, kind_a, kind_b = b, a, kind_b, kind_a
@@ -104,13 +106,19 @@ def _may_meet(a: str, b: str) -> bool:
 
 
 LONGEST_STEP = 2.0
-"""times the expected error of a prediction: the longest Newton step"""
+"""longest Newton step, in units of the expected error of a prediction"""
 
 
 @dataclass(frozen=True)
 class Fixed:
-    """What does not change from frame to frame: the model, the spheres, the floor, limits (A,), and how far each active
-    dof usually is from its prediction (A,)."""
+    """Parts of the problem that do not change from frame to frame.
+
+    model: the body in the camera.
+    spheres: prior against interpenetration.
+    floor: soles and the floor they stand on.
+    lower, upper: (A,) joint limits; infinite where limits are off.
+    spread: (A,) usual error of the prediction of each active dof.
+    """
 
     model: MonoModel
     spheres: SphereArrays
@@ -128,8 +136,12 @@ def fixed_parts(
     settings: MonoSettings,
     floor: float | None = None,
 ) -> Fixed:
-    """The parts of the problem that do not change; floor: its height in the world, m, None where there is none or it is
-    not known. An InputError when the active dof are not dof of the body."""
+    """Build the parts of the problem that do not change from frame to frame.
+
+    active: (A,) ascending indices of the dof to estimate.
+    floor: its height in the world, m; None: unknown or none.
+    Raises: InputError where the active dof are not dof of the body.
+    """
     s = body.skeleton
     if active.ndim != 1 or len(active) == 0 or (np.diff(active) <= 0).any() or active[0] < 0 or active[-1] >= s.dof:
         raise InputError(f"The dof to estimate must be ascending indices between 0 and {s.dof - 1}, got {active}.")
@@ -145,7 +157,7 @@ def fixed_parts(
 
 
 def floor_arrays(body: Body, height: float | None, settings: CueSettings) -> FloorArrays:
-    """The soles of a body on a floor at a height in the world, m; None: the term is left out."""
+    """Build the floor term: the soles of a body on a floor at a height in the world, m; None: the term is left out."""
     if height is None:
         return FloorArrays(np.zeros(0, np.int64), np.zeros((0, 3)), 0.0, 1.0, 0.0)
     soles = soles_of(body)
@@ -153,7 +165,7 @@ def floor_arrays(body: Body, height: float | None, settings: CueSettings) -> Flo
 
 
 def prediction_spread(skeleton: Skeleton, settings: MonoSettings) -> Array:
-    """(D,) how far a pose usually is from its prediction, 1 sd, at the settings' frame rate."""
+    """Compute the usual error (D,) of a predicted pose, one standard deviation, at the settings' frame rate."""
     return settings.motion_scale * skeleton.sigma * (25.0 / settings.frame_rate)
 
 
@@ -165,7 +177,11 @@ def frame_problem(
     flow: Flow | None,
     settings: MonoSettings,
 ) -> MonoProblem:
-    """The problem of one frame, whose edges are `field`, with the pull to the rest posture but no prediction yet."""
+    """Build the problem of one frame, with the pull to the rest posture but without a prediction.
+
+    field: (h, w, 2) edges of the picture, from `field_of`.
+    points, flow: None where there are none.
+    """
     edge = settings.edge
     a = len(fixed.model.active)
     posture = np.zeros(a)
@@ -192,14 +208,14 @@ def frame_problem(
 
 
 def field_of(image: NDArray[np.uint8], settings: MonoSettings) -> NDArray[np.float32]:
-    """The edges (h, w, 2) of a picture."""
+    """Compute the edges (h, w, 2) of a picture; all 0 where edges are not used."""
     if not settings.edges:
         return np.zeros((*image.shape[:2], 2), np.float32)
     return edge_field(image, settings.edge.smoothing_px, settings.edge.strength)
 
 
 def with_prediction(problem: MonoProblem, prediction: Array, spread: Array) -> MonoProblem:
-    """The problem with a pull to the predicted pose (D,), spread (A,)."""
+    """Add a pull to the predicted pose (D,) to the problem; spread (A,): its standard deviations."""
     centre, weight = problem.priors.centre.copy(), problem.priors.weight.copy()
     centre[0], weight[0] = prediction[problem.model.active], 1 / spread**2
     return problem._replace(priors=problem.priors._replace(centre=centre, weight=weight))

@@ -1,8 +1,8 @@
-"""Body proportions as unknowns: logarithms of the template's factors, mirrored left and right, with prior intervals.
+"""Body proportions as unknowns: logarithms of the template's factors, the same left and right, with prior intervals.
 
 The factors are those of body.fit_skeleton: lengths and widths of the skeleton (scale, segments), and volumes of the
-parts (girths, hands, feet, head). Source: Sminchisescu & Triggs 2001, section 5: x_i (internal proportions) and x_d
-(sizes), left and right mirrored, within prior intervals.
+parts (girths, hands, feet, head). Source: Sminchisescu & Triggs 2001, section 5: x_i (internal proportions), x_d
+(sizes).
 """
 
 from __future__ import annotations
@@ -20,36 +20,39 @@ from hypose.geometry import Array
 
 PROPORTION_NAMES = tuple(f.name for f in FACTORS)
 INTERNAL: NDArray[np.int64] = np.flatnonzero([f.kind in ("scale", "length", "offset") for f in FACTORS])
-"""The factors that move joints."""
+"""Indices of the factors that move joints."""
 VOLUMETRIC: NDArray[np.int64] = np.flatnonzero([f.kind in ("girth", "size") for f in FACTORS])
-"""The factors of the parts' volumes."""
+"""Indices of the factors of the parts' volumes."""
 ADULT_HEIGHT_M, ADULT_SPREAD = 1.71, 0.055
-"""Height of an unknown adult, and the relative sd of it. One view cannot tell a small person from a far one."""
+"""Height of an unknown adult, and its relative sd. One view cannot tell a small person from a distant one."""
 KNOWN_SPREAD = 0.01
 INTERVAL = 2.0
-"""Half width of the prior intervals, in sd."""
+"""Half width of the prior intervals, in standard deviations."""
 
 
 @dataclass(frozen=True)
 class Proportions:
-    """The prior: centre, sd, lower, upper (K,) of the logarithms of the factors of a template."""
+    """Prior of the logarithms of a template's factors: centre (K,) and standard deviations sd (K,)."""
 
     centre: Array
     sd: Array
 
     @property
     def lower(self) -> Array:
-        """(K,) lower ends of the prior intervals."""
+        """Compute the lower ends (K,) of the prior intervals."""
         return self.centre - INTERVAL * self.sd
 
     @property
     def upper(self) -> Array:
-        """(K,) upper ends of the prior intervals."""
+        """Compute the upper ends (K,) of the prior intervals."""
         return self.centre + INTERVAL * self.sd
 
 
 def proportions(template: Body, height: float | None) -> Proportions:
-    """The prior for a person of this height in m (None: an adult)."""
+    """Build the prior of the proportions for a person of a given height, m (None: an adult of unknown height).
+
+    Raises: InputError where the height is not between 0.4 and 2.8 m.
+    """
     if height is not None and not 0.4 <= height <= 2.8:
         raise InputError(f"A height of {height:g} m is implausible; give it in metres (0.4 to 2.8).")
     centre, sd = np.zeros(len(FACTORS)), np.array([f.sd for f in FACTORS])
@@ -60,18 +63,18 @@ def proportions(template: Body, height: float | None) -> Proportions:
 
 
 def shaped(template: Body, factors: ArrayLike) -> Body:
-    """The template with the proportions (K,)."""
+    """Deform the template by the proportions (K,)."""
     return deform(template, shape_from_factors(factors), template.name)
 
 
 def skeleton_only(body: Body) -> Body:
-    """The body without its meshes, to be shaped often."""
+    """Copy the body without its meshes, so that it is fast to deform."""
     nothing = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32), np.zeros((0, 4), np.int32), np.zeros((0, 4)))
     return replace(body, coarse=nothing, fine=nothing)
 
 
 def without_display(body: Body) -> Body:
-    """The body without its display mesh, to be shaped often: contours need the coarse one only."""
+    """Copy the body without its display mesh, so that it is fast to deform; contours need the coarse mesh only."""
     body.coarse.arrays  # noqa: B018 - builds the edges once, before the copies
     return replace(body, fine=body.coarse)
 
@@ -79,8 +82,16 @@ def without_display(body: Body) -> Body:
 def search_factors(
     cost: Callable[[Array], float], start: Array, which: NDArray[np.int64], prior: Proportions, rounds: int = 2
 ) -> Array:
-    """The factors (K,) near start that lower cost(factors) + prior, the ones in `which` one after the other, within the
-    prior intervals. The contour's cost jumps where parts begin to hide each other, so it is searched, not derived."""
+    """Search for factors near the start that lower cost + prior, one factor after the other, within the prior
+    intervals.
+
+    cost: function of the factors (K,).
+    start: (K,).
+    which: indices of the factors that change.
+    rounds: number of passes; the step is halved in each.
+    Returns: (K,) factors.
+    Why: the contour's cost jumps where parts begin to hide each other, so no derivatives are used.
+    """
 
     def total(x: Array) -> float:
         away = (x - prior.centre) / prior.sd

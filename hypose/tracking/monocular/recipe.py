@@ -1,10 +1,10 @@
-"""One camera, several hypotheses: the recipe of Sminchisescu & Triggs 2001, and the solve of a whole clip.
+"""Build the recipe of one camera with several hypotheses (Sminchisescu & Triggs 2001), and solve whole clips.
 
-Whole clips of one camera are tracked backwards as well, both passes are summed up frame by frame, and smoothed. A
-tracker that looks at one frame after the other decides early which way a limb leans, and stays with it. The way back
-comes from the other side and errs elsewhere, so the two together are nearer to the truth than either. Then the frames
-are solved together, coupled by what bodies do (hypose.tracking.smoothing); errors last longer than a frame, so what
-each frame says counts less than it claims.
+A whole clip of one camera is also tracked backwards; both passes are averaged frame by frame, then all frames are
+solved together with a model of motion (hypose.tracking.smoothing). Why: a tracker that sees one frame after the other
+decides early whether a limb points to the camera or away, and keeps to it; the backward pass makes other errors, so
+the average is nearer to the truth than either. Errors last longer than a frame, so single frames get less weight than
+their covariances claim.
 """
 
 from __future__ import annotations
@@ -31,17 +31,18 @@ from hypose.tracking.smoothing import ClipSettings, smooth_poses
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState, modes_of
 
 _HELD = 1e8
-"""1/rad^2: how well dof are known that are not estimated"""
+"""1/rad^2: information on dof that are not estimated, which fixes them"""
 
 
 @dataclass(frozen=True)
 class WholeClip:
-    """How the two passes are put together; chosen on arm seeds 100 to 106 and body seeds 100 to 103.
+    """Settings for joining the forward and the backward pass; chosen on arm seeds 100 to 106 and body seeds 100 to 103.
 
-    temperature: of a frame's costs, by which the passes are weighed; settled: s after which the start is forgotten, so
-    that the way back counts as much as the way there; widening: of the covariances of single frames, whose errors last;
-    motion: usual accelerations and speeds, once for
-    the whole clip, since the noise of depth would be followed."""
+    temperature: scale of the cost difference from which the weights of the passes are computed.
+    settled: s after which the start is forgotten, so that the backward pass counts as much as the forward pass.
+    widening: factor on the covariances of single frames, because errors last longer than a frame.
+    motion: usual accelerations and speeds; one round for the whole clip, since more would follow the noise of depth.
+    """
 
     temperature: float = 4.0
     settled: float = 2.0
@@ -50,9 +51,14 @@ class WholeClip:
 
 
 def solve_clip(clip: Clip, active: NDArray[np.int64]) -> tuple[Motion, tuple[str, ...]]:
-    """The motion of a clip's best modes, solved as a whole: from all modes of both ways; active (A,): the dof that are
-    estimated. Frames in which the person was lost are bridged. Feet are not held where they seem to stand, as they are
-    with several cameras: their depth is known far too badly to tell."""
+    """Solve the motion of a whole clip from the modes of all frames of the forward and the backward pass.
+
+    Frames in which the person was lost are bridged. Feet are not held where they seem to stand, as they are with
+    several
+    cameras: their depth is too uncertain for that.
+    active: (A,) dof that are estimated.
+    Returns: the motion; notes (none).
+    """
     tracker, motion, total = clip.tracker, clip.motion, len(clip.motion)
     body = tracker.body
     modes = modes_of(clip.estimates)
@@ -79,15 +85,21 @@ def solve_clip(clip: Clip, active: NDArray[np.int64]) -> tuple[Motion, tuple[str
 
 
 def backward_estimates(tracker: Tracker, last: TrackerState, frames: Iterable[Frame]) -> Iterator[FrameEstimate]:
-    """Estimates of a clip's frames on the way back, from the state in its last frame. frames: all but that one, whose
-    pictures `before` are those of the frames after them."""
+    """Track a clip backwards, from the state in its last frame.
+
+    frames: all but the last frame, in reverse order; the picture `before` of each is that of the frame after it.
+    """
     h = last.hypotheses
     turned = replace(h, columns={"velocity": -h.columns["velocity"]}).marked(OPTIMISED, np.arange(h.count))
     return (estimate for _, estimate in tracker.follow(tracker.start(turned), frames))
 
 
 def together(there: Modes, back: Modes, frame_rate: float, settings: WholeClip | None = None) -> tuple[Array, Array]:
-    """Poses (T, D) and covariances (T, D, D) of both passes over a clip; the last frame of `back` is not looked at."""
+    """Average the poses of the forward and the backward pass over a clip, weighted by their costs.
+
+    back: the backward pass; its last frame is not used.
+    Returns: poses (T, D); covariances (T, D, D) of the average, including the difference of the passes.
+    """
     o = settings or WholeClip()
     first, own = summed_up(there)
     second, other = summed_up(back, first)
@@ -105,8 +117,10 @@ def together(there: Modes, back: Modes, frame_rate: float, settings: WholeClip |
 
 
 def summed_up(modes: Modes, near: Array | None = None) -> tuple[Array, Array]:
-    """Mean (T, D) and covariance (T, D, D) of the modes of every frame; near (T, D): poses on whose branch the root's
-    rotation vectors are (default: that of the best mode)."""
+    """Compute mean (T, D) and covariance (T, D, D) of the modes of every frame.
+
+    near: (T, D) poses that choose the branch of the root's rotation vectors (default: the best mode of each frame).
+    """
     seen = np.isfinite(modes.weights)
     weights = np.where(seen, modes.weights, 0.0)
     poses = np.where(seen[..., None], modes.poses, modes.poses[:, :1])
@@ -122,15 +136,18 @@ def summed_up(modes: Modes, near: Array | None = None) -> tuple[Array, Array]:
 
 
 def _by_turn(off: Array, poses: Array) -> Array:
-    """Differences (T, D) from poses (T, D) with that of the root's rotation vector as a turn in the world."""
+    """Convert the root's rotation vector in differences (T, D) from poses (T, D) to a rotation in the world."""
     out = off.copy()
     out[:, 3:6] = np.einsum("tab,tb->ta", so3_left_jacobian(poses[:, 3:6]), off[:, 3:6])
     return out
 
 
 def information(covariances: ArrayLike, active: NDArray[np.int64], settings: WholeClip | None = None) -> Array:
-    """(T, D, D) what frames say of their poses, for solving the clip: from covariances (T, D, D) over the active dof
-    (A,); the others are held."""
+    """Compute the information matrices (T, D, D) of the frames' poses, for solving the clip.
+
+    covariances: (T, D, D), inverted over the active dof after widening.
+    active: (A,) estimated dof; all others are fixed.
+    """
     o, given = settings or WholeClip(), np.asarray(covariances, dtype=np.float64)
     out = np.zeros_like(given)
     held = np.setdiff1d(np.arange(given.shape[1]), active)
@@ -149,18 +166,24 @@ PICTURE_CUES = ("auto", "edges", "silhouettes", "keypoints", "both")
 
 
 def monocular(body: Body, particles: int = 7, frame_rate: float = 25.0, *, floor: float | None = None) -> Recipe:
-    """The person in the pictures of one camera, by so many hypotheses; floor: its height in the world, m, None when it
-    is not known. Key points tell mirrored limbs apart sooner or later, so with them these are tried while tracking."""
+    """Build the recipe for the pictures of one camera.
+
+    particles: number of hypotheses.
+    floor: height in the world of the floor, m; None: unknown.
+    Mirrored limbs are tried while tracking where there are key points, because these show sooner or later which is
+    right.
+    """
     usual = MonoSettings(frame_rate=frame_rate)
     search = replace(usual.search, hypotheses=particles, flips=None)
     return picture_recipe(PictureSearch(body, replace(usual, search=search), floor=floor))
 
 
 def picture_recipe(search: PictureSearch) -> Recipe:
-    """Figure 4: in every frame all hypotheses are optimised, sampled along uncertain directions, pooled and pruned.
+    """Build the recipe of figure 4: in every frame all hypotheses are optimised, sampled along uncertain directions,
+    and pruned.
 
-    Deviation: a constant-velocity prediction comes before the optimisation; without it nothing keeps track.
-    Evidence is accumulated over frames, mirrored limbs are an option; see also pool.py and compute's mono_rows.py.
+    Deviations: a constant-velocity prediction comes before the optimisation, because without it nothing keeps track;
+        evidence is accumulated over frames; mirrored limbs are an option. See also pool.py and compute's mono_rows.py.
     """
     layers = (
         Layer(search.predicted, None, keep, "edges"),

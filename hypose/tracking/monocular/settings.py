@@ -1,6 +1,6 @@
 """Settings of a monocular tracker, and the degrees of freedom that a single view can estimate.
 
-Every ablation of the method is one of these settings. A single view can estimate 30 degrees of freedom of a body.
+Every ablation of the method is one of these settings.
 """
 
 from __future__ import annotations
@@ -14,25 +14,27 @@ from hypose.body.skeleton import Skeleton
 
 
 def body_dofs(skeleton: Skeleton) -> NDArray[np.int64]:
-    """The 30 dof of a whole body: all but clavicles and the inversion of the ankles (and forearm twists and wrists),
-    which one view does not show."""
+    """List the 30 dof of a whole body that one view shows: all but clavicles, ankle inversion, forearm twists and
+    wrists."""
     hidden = ("clavicle", "inversion", "twist", "wrist")
     return np.flatnonzero([not any(h in name for h in hidden) for name in skeleton.dof_names])
 
 
 @dataclass(frozen=True)
 class EdgeSettings:
-    """Contours against image edges.
+    """Settings of the edge term, which compares contours with image edges.
 
-    form: of the cost, 'gaussian', 'lorentzian' or 'leclerc'; sigma_px: its scale; height: nu, what one independent
-    sample costs that finds nothing; sample_px: contour per independent sample; window_px: reach of the line search to
-    either side; spacing_px: distance of the contour's nodes; strength: quantile of the image gradient that counts as a
-    full edge; threshold: weakest edge that is taken, as a share of that; smoothing_px: of the image before. background:
-    expected cost of a node where no body is, as a share of nu, taken off each node: a contour that fits worse than it
-    would by chance is the better the shorter it is, so with too low a value limbs hide; occluded: k of equation (5),
-    what an occluded node costs as a share of nu (as much: hiding neither helps nor harms). motion_boundaries: weigh
-    edges by them; boundary_floor: weight of an edge where nothing moves. coarse_factor: of sigma in the first
-    iterations.
+    form: of the cost: 'gaussian', 'lorentzian' or 'leclerc'; sigma_px: its scale, px.
+    height: nu, the cost of one independent sample that finds no edge.
+    sample_px: px of contour per independent sample; spacing_px: distance of the contour's nodes.
+    window_px: reach of the line search to either side.
+    strength: quantile of the image gradient that counts as a full edge; threshold: weakest edge used, as a share of it.
+    smoothing_px: smoothing of the image before.
+    background: expected cost of a node where no body is, as a share of nu, subtracted from each node. Why: a contour
+        that fits worse than by chance would cost less the shorter it is, so with too low a value limbs hide.
+    occluded: k of equation (5), cost of an occluded node as a share of nu; equal to background, hiding has no effect.
+    motion_boundaries: weight the edges by motion boundaries; boundary_floor: weight of an edge where nothing moves.
+    coarse_factor: factor on sigma in the first iterations.
     """
 
     form: str = "leclerc"
@@ -53,9 +55,14 @@ class EdgeSettings:
 
 @dataclass(frozen=True)
 class FlowSettings:
-    """Inner nodes against optical flow. form, sigma_px, height as for edges; area_px: side of the square that makes one
-    independent sample; spacing_px: of the grid of nodes; consistency_px: nodes with a larger forward-backward error are
-    outliers."""
+    """Settings of the flow term, which compares inner nodes with optical flow.
+
+    use: False leaves the term out.
+    form, sigma_px, height: as for edges.
+    area_px: side of the square that makes one independent sample, px.
+    spacing_px: distance of the grid's nodes, px.
+    consistency_px: nodes with a larger forward-backward error are outliers.
+    """
 
     use: bool = True
     form: str = "lorentzian"
@@ -68,9 +75,13 @@ class FlowSettings:
 
 @dataclass(frozen=True)
 class CueSettings:
-    """Silhouettes, 2D points (key points, clicked joints) and the floor. silhouette_height, silhouette_form,
-    silhouette_sigma_px as for edges (height 0: not used); point_weight on all points (0: not used), whose scales come
-    with them; point_form; floor_sd_m: how far from a known floor the lower sole usually is, m."""
+    """Settings of silhouettes, 2D points (key points, clicked joints) and the floor.
+
+    silhouette_height, silhouette_form, silhouette_sigma_px: as for edges; height 0: not used.
+    point_weight: factor on all points; 0: not used. The points carry their own scales.
+    point_form: form of the cost of points.
+    floor_sd_m: usual distance of the lower sole from a known floor, m.
+    """
 
     silhouette_height: float = 2.0
     silhouette_form: str = "lorentzian"
@@ -82,14 +93,17 @@ class CueSettings:
 
 @dataclass(frozen=True)
 class SearchSettings:
-    """The hypotheses (section 4.2, figure 4).
+    """Settings of the search with several hypotheses (section 4.2, figure 4).
 
-    hypotheses: k, kept from frame to frame; directions: n_s, uncertain eigen-directions sampled per hypothesis;
-    samples: on either side of each; reach: p_f, of the outermost in standard deviations; longest: no sample moves a dof
-    by more than this many times its usual motion; isotropic: random directions of the same length instead. distinct_m:
-    hypotheses differ when a joint lies at least so far apart; memory: share of the accumulated cost carried to the next
-    frame. flips: mirrored limbs are optimised and pooled while tracking too, every flip_every frames (None: where there
-    are key points).
+    hypotheses: k, number kept from frame to frame.
+    directions: n_s, uncertain eigen-directions sampled per hypothesis; samples: on either side of each.
+    reach: p_f, distance of the outermost sample in standard deviations.
+    longest: no sample moves a dof by more than this many times its usual motion.
+    isotropic: use random directions instead.
+    distinct_m: hypotheses differ when a joint or landmark lies further apart than this, m.
+    memory: share of the accumulated cost carried to the next frame.
+    flips: also optimise and pool mirrored limbs while tracking, every flip_every frames (None: where there are key
+        points).
     """
 
     hypotheses: int = 7
@@ -108,13 +122,18 @@ class SearchSettings:
 class MonoSettings:
     """All settings of a monocular tracker.
 
-    velocity: share of the last step expected again (0: none, as in the printed listing); motion_scale: expected error
-    of that prediction in units of the skeleton's usual motion per frame; posture_scale: spread of the weak pull to the
-    rest posture in the same units; limits: joint limits are hard; interpenetration: weight of the prior that keeps
-    limbs out of each other and the trunk (0: none); second_order: use rho'' in the Hessian (9), safeguarded.
-    iterations, coarse_iterations: of the Newton search per frame; inflation: of standard deviations in the reported
-    posterior, because neighbouring nodes err together (fixed on other scenes); edges: False leaves them out. frame_rate
-    Hz.
+    edge, flow, cues, search: settings of the terms and of the search.
+    edges: False leaves the edges out.
+    velocity: share of the last step that is predicted again (0: none, as in the printed listing).
+    motion_scale: expected error of that prediction, in units of the skeleton's usual motion per frame.
+    posture_scale: spread of the weak pull to the rest posture, in the same units.
+    limits: joint limits are hard.
+    interpenetration: weight of the prior that keeps limbs out of each other and the trunk (0: none).
+    second_order: use rho'' in the Hessian (9), safeguarded.
+    iterations, coarse_iterations: of the Newton search per frame.
+    inflation: factor on the standard deviations of the reported posterior, because errors of neighbouring nodes are
+        correlated (chosen on other scenes).
+    frame_rate: Hz.
     """
 
     edge: EdgeSettings = EdgeSettings()
@@ -134,7 +153,7 @@ class MonoSettings:
     frame_rate: float = 25.0
 
     def robust(self, form: str) -> MonoSettings:
-        """The same settings with one form for every cue ('gaussian' is the non-robust ablation)."""
+        """Copy the settings with one cost form for every cue ('gaussian' is the non-robust ablation)."""
         return replace(
             self,
             edge=replace(self.edge, form=form),

@@ -15,8 +15,8 @@ const TELL_MS = 250;
 const PHASES: Record<string, string> = {
   "empty room": "The empty room is learnt",
   nobody: "Nobody is seen",
-  looking: "Somebody is there; it is found out how they stand",
-  following: "Somebody is followed",
+  looking: "A person is there; it is found out how they stand",
+  following: "A person is followed",
   lost: "Lost; looked for",
 };
 const STAGES: Record<string, string> = { masks: "masks", track: "tracking", tell: "telling", judge: "judging" };
@@ -109,11 +109,10 @@ export function camerasLive(root: HTMLElement): Screen {
     answered = () => (start.disabled = false);
     form.replaceChildren(
       h("div", { class: "live-row" }, h("span", { class: "field-name" }, "Cameras of"), select("Recording", recordings.map((r) => ({ value: r.id, label: r.name })), chosen, (id) => { chosen = id; void look(); })),
-      h("p", { class: "dim" }, "Where each camera is: the number of one of this computer (0), or the address of a stream. With none, the recording's videos are played; with some, only these cameras are used."),
+      h("p", { class: "dim" }, "Where each camera is: the number of one of this computer (0), or the address of a stream. With none, the recording's videos are played again and again; with some, only these cameras are used."),
       where,
       h("div", { class: "live-row" }, h("span", { class: "field-name" }, "People"), most),
-      h("div", { class: "live-row" }, h("span", { class: "field-name" }, "OSC to"), osc),
-      h("div", { class: "live-row" }, h("span", { class: "field-name" }, "Avatar at"), vmc),
+      h("details", {}, h("summary", { class: "dim" }, "Where poses are sent"), h("div", { class: "live-row" }, h("span", { class: "field-name" }, "OSC to"), osc), h("div", { class: "live-row" }, h("span", { class: "field-name" }, "Avatar at"), vmc)),
       h("div", { class: "live-row" }, h("span", { class: "field-name" }, "Record"), h("label", {}, record, "pictures, masks and poses")),
       h("div", { class: "row" }, start, setup),
     );

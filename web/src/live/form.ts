@@ -38,8 +38,7 @@ export function liveForm(send: (message: Record<string, unknown>) => void): {
       "div",
       { class: "live-form" },
       row("Seen by", source),
-      h("div", { class: "live-row" }, h("label", {}, "UDP", udp), h("label", {}, "WebSocket", ws)),
-      row("OSC to", osc),
+      h("details", {}, h("summary", { class: "dim" }, "Ports, and where poses are sent"), h("div", { class: "live-row" }, h("label", {}, "UDP", udp), h("label", {}, "WebSocket", ws)), row("OSC to", osc)),
       row("Record", h("label", {}, record, "all that the sensors send")),
       h("div", { class: "row" }, start, stop),
     ),
@@ -60,5 +59,5 @@ export function liveForm(send: (message: Record<string, unknown>) => void): {
 /** The two kinds of live tracking, as links; active: the one that is shown. */
 export function kinds(active: "sensors" | "cameras"): HTMLElement {
   const link = (kind: "sensors" | "cameras", label: string, to: string): HTMLElement => h("a", { class: "button", href: to, "aria-current": kind === active ? "page" : null }, label);
-  return h("nav", { class: "row", "aria-label": "Kinds of sensors" }, link("sensors", "Depth sensors", "#/live"), link("cameras", "Cameras", "#/live/cameras"));
+  return h("nav", { class: "row", "aria-label": "Kinds of sensors" }, link("cameras", "Cameras", "#/live"), link("sensors", "Depth sensors", "#/live/sensors"));
 }

@@ -15,7 +15,7 @@ const TELL_MS = 250;
 
 /** Skeletons of several depth sensors, fused as they come: who is seen, and how the sensors do. */
 export const live: OpenScreen = (root, rest) => {
-  if (rest[0] === "cameras") return camerasLive(root);
+  if (rest[0] !== "sensors") return camerasLive(root);
   const box = shell(root, "live");
   const nobody = h("p", { class: "live-nobody" });
   const space = h("div", { class: "live-space" }, nobody);
@@ -47,7 +47,7 @@ export const live: OpenScreen = (root, rest) => {
 
   const showRunning = (running: false | Running): void => {
     form.show(running);
-    state.textContent = running ? runningText(running) : "Not running. Start it, then let each sensor's program send its skeletons as lines of JSON (docs/live.md); or look at simulated sensors first.";
+    state.textContent = running ? runningText(running) : "Not running. Choose who is seen and press Start; simulated sensors need nothing.";
     setText(nobody, running ? "Nobody is seen yet" : "Press Start to see who the sensors see");
     nobody.hidden = false;
     sensors.replaceChildren(h("tr", {}, h("td", { class: "dim", colspan: 3 }, "No sensor has sent anything yet.")));

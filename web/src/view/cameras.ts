@@ -100,13 +100,14 @@ export class CameraPane {
       this.draw();
     };
     const made = [
-      toggle("", this.shown.body, change("body"), { icon: "body", title: "Body on the pictures" }),
-      toggle("", this.shown.skeleton, change("skeleton"), { icon: "skeleton", title: "Skeleton on the pictures" }),
+      toggle("Body", this.shown.body, change("body"), { icon: "body", title: "Body on the pictures" }),
+      toggle("Skeleton", this.shown.skeleton, change("skeleton"), { icon: "skeleton", title: "Skeleton on the pictures" }),
     ];
-    if (this.data.rivals) made.push(toggle("", this.shown.rivals, change("rivals"), { icon: "rivals", title: "Other poses on the pictures" }));
+    if (this.data.rivals) made.push(toggle("Other poses", this.shown.rivals, change("rivals"), { icon: "rivals", title: "Other poses on the pictures" }));
     if (this.source.id !== null) {
-      made.push(toggle("", this.shown.masks, change("masks"), { icon: "edge", title: "Edge of the masks" }));
+      made.push(toggle("Masks", this.shown.masks, change("masks"), { icon: "edge", title: "Edge of the masks" }));
     }
+    for (const { element } of made) element.setAttribute("aria-label", element.title); // in 3D are buttons of the same words
     return made.map((t) => t.element);
   }
 

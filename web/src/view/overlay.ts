@@ -1,5 +1,6 @@
 import { doubtfulAt, rivalJoints, side, type CameraData, type ViewData } from "../lib/bundle";
 import { Projector } from "../lib/camera";
+import { Feet } from "../lib/feet";
 import type { Skin } from "../lib/skin";
 import { colour } from "../ui/theme";
 import type { Beside } from "./plots";
@@ -16,6 +17,7 @@ export class Overlay {
   private readonly projector: Projector;
   private pixels: Float32Array;
   private readonly joints: Float32Array;
+  private readonly feet: Feet;
   /** Another result, drawn as well, and its skin, which is in the pose of the row when `besidePosed`. */
   beside: Beside | null = null;
   besideSkin: Skin | null = null;
@@ -29,6 +31,7 @@ export class Overlay {
     this.projector = new Projector(camera);
     this.pixels = new Float32Array(skin ? (2 * skin.vertices.length) / 3 : 0);
     this.joints = new Float32Array(2 * data.joints);
+    this.feet = new Feet(data);
   }
 
   /** The skin must be in the pose of `row`, `posed` says whether it has one. scale: screen per picture pixel. */
@@ -120,21 +123,21 @@ export class Overlay {
   }
 
   private skeleton(c: CanvasRenderingContext2D, row: number, scale: number): void {
-    const { positions, joints, header } = this.data;
     const doubted = new Set(doubtfulAt(this.data, row));
-    const here = positions.subarray(3 * row * joints, 3 * (row + 1) * joints);
+    const here = this.feet.at(row);
     this.lines(c, here, 4.5 / scale, () => "rgb(0 0 0 / 65%)");
-    this.lines(c, here, 2.2 / scale, (j) => (doubted.has(j) ? DOUBTFUL : LIMBS[side(header.joint_names[j]!)]));
+    this.lines(c, here, 2.2 / scale, (j) => (doubted.has(j) ? DOUBTFUL : LIMBS[side(this.feet.names[j]!)]));
   }
 
   private lines(c: CanvasRenderingContext2D, positions: Float32Array, width: number, tone: (joint: number) => string): void {
-    this.projector.project(positions, this.joints);
+    const pixels = new Float32Array((2 * positions.length) / 3);
+    this.projector.project(positions, pixels);
     c.lineCap = "round";
     c.lineWidth = width;
-    this.data.header.parents.forEach((p, j) => {
-      if (p < 0) return;
-      const [x0, y0] = [this.joints[2 * p]!, this.joints[2 * p + 1]!];
-      const [x1, y1] = [this.joints[2 * j]!, this.joints[2 * j + 1]!];
+    this.feet.parents.forEach((p, j) => {
+      if (p < 0 || 2 * j >= pixels.length) return;
+      const [x0, y0] = [pixels[2 * p]!, pixels[2 * p + 1]!];
+      const [x1, y1] = [pixels[2 * j]!, pixels[2 * j + 1]!];
       if (!Number.isFinite(x0 + y0 + x1 + y1)) return;
       c.strokeStyle = tone(j);
       c.beginPath();

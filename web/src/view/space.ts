@@ -1,6 +1,7 @@
 import { Box3, Group, Vector3 } from "three";
 import { doubtfulAt, type ViewData } from "../lib/bundle";
 import { Projector } from "../lib/camera";
+import { Feet } from "../lib/feet";
 import { memory } from "../ui/dom";
 import { onTheme } from "../ui/theme";
 import { SkinnedBody, Spread, Sticks, Trails } from "./figure";
@@ -18,6 +19,7 @@ export class Space {
   readonly stage: Stage;
   readonly on: Record<Layer, boolean>;
   follow = false;
+  private readonly feet: Feet;
   private readonly sticks: Sticks;
   private readonly body: SkinnedBody | null;
   private readonly spread: Spread;
@@ -49,7 +51,8 @@ export class Space {
       truth: true,
       ...(JSON.parse(memory.get("layers") ?? "{}") as object),
     };
-    this.sticks = new Sticks(header.parents, header.joint_names, null);
+    this.feet = new Feet(data);
+    this.sticks = new Sticks(this.feet.parents, this.feet.names, null);
     this.body = data.fine && data.rotations ? new SkinnedBody(data) : null;
     this.spread = new Spread(data);
     this.rivals = data.rivals ? new RivalPoses(data, data.rivals) : null;
@@ -97,7 +100,7 @@ export class Space {
     this.row = row;
     if (this.on.skeleton || !this.body) {
       this.sticks.doubt(doubtfulAt(this.data, row));
-      this.sticks.place(this.data.positions, 3 * row * this.data.joints);
+      this.sticks.place(this.feet.at(row), 0);
     }
     if (this.on.body) this.body?.place(row);
     if (this.on.spread) this.spread.place(row);
