@@ -63,13 +63,11 @@ class SensorBody:
     person: the sensor's number of the person.
     positions: (15, 3) m in the sensor's frame, NaN where missing.
     state: (15,) of each joint: 0 missing, 1 inferred, 2 tracked.
-    age: s since the sensor's last report before the instant; 0 where reports lie on both sides.
     """
 
     person: int
     positions: Array
     state: NDArray[np.uint8]
-    age: float
 
 
 @dataclass(frozen=True)
@@ -139,8 +137,7 @@ class _Track:
 
     def __init__(self) -> None:
         self.times: list[float] = []
-        self.positions = np.full((_KEPT + 1, 15, 3), np.nan)
-        self.state = np.zeros((_KEPT + 1, 15), dtype=np.uint8)
+        self.reports: list[tuple[Array, NDArray[np.uint8]]] = []  # positions and state
 
     def add(self, time: float, positions: Array, state: NDArray[np.uint8]) -> bool:
         n = len(self.times)
@@ -150,48 +147,43 @@ class _Track:
         if at == 0 and n >= _KEPT:
             return False
         self.times.insert(at, time)
-        self.positions[at + 1 : n + 1] = self.positions[at:n].copy()
-        self.state[at + 1 : n + 1] = self.state[at:n].copy()
-        self.positions[at], self.state[at] = positions, state
+        self.reports.insert(at, (positions, state))
         if n == _KEPT:
-            del self.times[0]
-            self.positions[:-1], self.state[:-1] = self.positions[1:].copy(), self.state[1:].copy()
+            del self.times[0], self.reports[0]
         return True
 
-    def at(self, time: float, period: float, s: AlignSettings) -> tuple[Array, NDArray[np.uint8], float] | None:
-        """Interpolate or extrapolate positions, state and age at a time; None where no report is near."""
+    def at(self, time: float, period: float, s: AlignSettings) -> tuple[Array, NDArray[np.uint8]] | None:
+        """Interpolate or extrapolate positions and state at a time; None where no report is near."""
         times = self.times
         k = bisect_left(times, time)
         if k == 0:
-            near = times[0] - time <= 0.5 * period
-            return (self.positions[0].copy(), self.state[0].copy(), 0.0) if near else None
+            return self.reports[0] if times[0] - time <= 0.5 * period else None
         if k < len(times) and times[k] - times[k - 1] <= s.hold + period:
             w = (time - times[k - 1]) / (times[k] - times[k - 1])
-            return *self._between(k, w), 0.0
+            return self._between(k, w)
         age = time - times[k - 1]
         if k < len(times) and times[k] - time < age:
-            near = times[k] - time <= 0.5 * period
-            return (self.positions[k].copy(), self.state[k].copy(), 0.0) if near else None
+            return self.reports[k] if times[k] - time <= 0.5 * period else None
         if age > s.hold:
             return None
-        return *self._ahead(k, time, period, s), age
+        return self._ahead(k, time, period, s)
 
     def _between(self, k: int, w: float) -> tuple[Array, NDArray[np.uint8]]:
-        a, b = self.positions[k - 1], self.positions[k]
+        (a, before), (b, after) = self.reports[k - 1], self.reports[k]
         both = a + w * (b - a)
-        state = np.minimum(self.state[k - 1], self.state[k])
+        state = np.minimum(before, after)
         if state.all():
             return both, state
-        nearer = k - 1 if w < 0.5 else k
+        nearer, known = self.reports[k - 1 if w < 0.5 else k]
         alone = state == 0
-        return np.where(alone[:, None], self.positions[nearer], both), np.where(alone, self.state[nearer], state)
+        return np.where(alone[:, None], nearer, both), np.where(alone, known, state)
 
     def _ahead(self, k: int, time: float, period: float, s: AlignSettings) -> tuple[Array, NDArray[np.uint8]]:
         """Extrapolate along a straight line fitted to the last reports, at most `horizon` ahead.
 
         Why: a line through two reports alone would double the noise, and holding the last report lags by its age.
         """
-        last, state = self.positions[k - 1].copy(), self.state[k - 1].copy()
+        last, state = self.reports[k - 1]
         age = time - self.times[k - 1]
         if age > 1.6 * period:
             state = np.minimum(state, np.uint8(INFERRED))
@@ -209,8 +201,9 @@ class _Track:
         # never further than they reach back: reports a few ms apart give no speed, only noise
         ahead = t[-1] + min(age, s.horizon, float(t[-1] - t[0]))
         weights = 1 / n + ahead * t / spread
-        line = (weights @ self.positions[first:k].reshape(n, 45)).reshape(15, 3)
-        if self.state[first:k].all():
+        positions, states = (np.stack(part) for part in zip(*self.reports[first:k], strict=True))
+        line = (weights @ positions.reshape(n, 45)).reshape(15, 3)
+        if states.all():
             return line, state
         return np.where(np.isfinite(line), line, last), state
 

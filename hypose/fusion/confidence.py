@@ -289,10 +289,7 @@ class NoiseRules:
         """
         strength = self.firing(f, d, a)
         sets = self._consequents[1]
-        rest = 1 - strength[0][..., None] * sets[0]
-        for w, s in zip(strength[1:], sets[1:], strict=True):
-            rest *= 1 - w[..., None] * s
-        return 1 - rest
+        return 1 - np.prod([1 - w[..., None] * s for w, s in zip(strength, sets, strict=True)], axis=0)
 
     def noise(self, f: ArrayLike, d: ArrayLike, a: ArrayLike) -> Array:
         """Compute the noise lambda in (0, 1): the centroid of the aggregated output set, 0.5 where no rule fires.

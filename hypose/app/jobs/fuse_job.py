@@ -284,7 +284,7 @@ def _instant(synced: Sequence[SensorStream], picks: Sequence[NDArray[np.int64]],
     views = []
     for s, pick in zip(synced, picks, strict=True):
         columns = np.flatnonzero((s.person_ids[n] >= 0) & (s.state[n] > 0).any(1))
-        bodies = tuple(SensorBody(int(c), s.positions[n, c, pick], s.state[n, c, pick], 0.0) for c in columns)
+        bodies = tuple(SensorBody(int(c), s.positions[n, c, pick], s.state[n, c, pick]) for c in columns)
         views.append(SensorView(s.name, True, 0, bodies))
     return Instant(n, time, tuple(views))
 
