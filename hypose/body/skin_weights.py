@@ -26,8 +26,8 @@ _SMALLEST = 0.01
 
 
 HEAT = 2.0
-"""Constant c (1 in the paper); less makes wider transitions. With 2 the weights are nearer to those of the template, which artists made (mean
-absolute difference 0.0136 against 0.0164), and equally smooth.
+"""Constant c (1 in the paper); less makes wider transitions. With 2 the weights are nearer to those of the template,
+which artists made (mean absolute difference 0.0136 against 0.0164), and equally smooth.
 """
 
 

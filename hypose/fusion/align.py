@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hypose.errors import InputError
 from hypose.evidence.frame import FARTHEST_M, INFERRED, MISSING_MARK, SensorReport
-from hypose.fusion.clocks import ClockSettings, SensorClock
+from hypose.fusion.clocks import AGREE_S, WINDOW_S, SensorClock
 from hypose.fusion.joints import joint_set
 from hypose.geometry import Array
 
@@ -34,7 +34,6 @@ class AlignSettings:
     latency: s by sensor name, a known constant delay between exposure and sending.
     most_sensors: number of sensors beyond which new ones are refused.
     most_people: number of people per sensor beyond which new ones are refused.
-    clock: settings of the clock estimation.
     Raises: InputError for a rate, wait, timeout or hold outside its range.
     """
 
@@ -47,7 +46,6 @@ class AlignSettings:
     latency: Mapping[str, float] = field(default_factory=dict)
     most_sensors: int = 16
     most_people: int = 16
-    clock: ClockSettings = field(default_factory=ClockSettings)
 
     def __post_init__(self) -> None:
         if not 1 <= self.rate <= 1000:
@@ -219,7 +217,7 @@ class _Sensor:
         self.name = name
         self.latency = s.latency.get(name, 0.0)
         self.until, self.since = -math.inf, -math.inf
-        self.clock = SensorClock(s.clock)
+        self.clock = SensorClock()
         self.tracks: dict[int, _Track] = {}
         self.arrival = -math.inf
         self.newest = -math.inf
@@ -244,11 +242,11 @@ class _Sensor:
         ended; then nothing is reset.
         """
         ahead = time + self.clock.offset - now  # NaN for a new sensor
-        same_clock = self.newest < time and ahead <= s.clock.agree and now - self.arrival < s.clock.window
+        same_clock = self.newest < time and ahead <= AGREE_S and now - self.arrival < WINDOW_S
         if same_clock and time - self.newest <= s.timeout:
             return
         if not same_clock:  # else the delay of a late line would become the clock's offset
-            self.clock, self.newest, self.jumps = SensorClock(s.clock), -math.inf, 0
+            self.clock, self.newest, self.jumps = SensorClock(), -math.inf, 0
             self.until = self.since = -math.inf
         self.tracks.clear()
         self.steps.clear()

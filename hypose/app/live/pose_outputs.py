@@ -13,7 +13,6 @@ from hypose.app.live.servers import SocketListeners
 from hypose.app.live.vmc import vmc_messages
 from hypose.body.default_body import JOINT_NAMES
 from hypose.errors import InputError
-from hypose.geometry import Array
 from hypose.pipeline.live.engine import LiveResult, LiveStatus
 from hypose.pipeline.live.live_people import LivePose
 
@@ -40,16 +39,11 @@ def pose_json(pose: LivePose, latency: float, cameras: tuple[str, ...]) -> str:
         "cameras": [c for c, seen in zip(cameras, pose.views, strict=True) if seen],
         "joints": pose.joints.round(5).tolist(),
         "sd": m.joint_sd[0].astype(np.float64).round(5).tolist(),
-        "covariance": [[float(f"{v:.3g}") for v in row] for row in _covariance(pose).tolist()],
+        "covariance": [[float(f"{v:.3g}") for v in row] for row in m.joint_covariance[0][:, *_UPPER].tolist()],
         "wrong": m.error_probability[0].astype(np.float64).round(3).tolist(),
         "low_confidence": names[m.low_confidence_joints[0]].tolist(),
     }
     return json.dumps(value, separators=(",", ":"))
-
-
-def _covariance(pose: LivePose) -> Array:
-    """Return the upper triangle of each joint's covariance, (J, 6) m^2."""
-    return np.asarray(pose.motion.joint_covariance[0][:, *_UPPER], np.float64)
 
 
 class PoseOutputs:
