@@ -364,16 +364,12 @@ class CalibratedLens:
     """The lens of one camera.
 
     camera: the lens; its pose is the identity.
-    frames: numbers of the board pictures that were used.
     rms_px: root mean square error per coordinate, px.
-    focal_sd: standard deviation of the focal length, px.
     given: it was read from a file, not calibrated.
     """
 
     camera: Camera
-    frames: tuple[int, ...]
     rms_px: float
-    focal_sd: float
     given: bool = False
 
 
@@ -430,7 +426,7 @@ def calibrate_lens(
             f"Camera {name}: the boards found in its pictures contradict each other; check the pattern size and that "
             "the board is flat and stiff."
         )
-    return CalibratedLens(start, tuple(chosen), result.rms_px, float(result.focal_sd[0]))
+    return CalibratedLens(start, result.rms_px)
 
 
 def spread_out(

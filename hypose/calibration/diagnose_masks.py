@@ -71,16 +71,12 @@ class Alignment:
     lag_sd: standard deviation of the lag, frames.
     shift: (2,) to add to the images so that they agree, px of the masks.
     shift_sd: (2,) standard deviation of the shift, px of the masks.
-    left: median distance of bone and middle of the limb after both corrections, px of the working size.
-    samples: number of limbs that were compared.
     """
 
     lag: float
     lag_sd: float
     shift: Array
     shift_sd: Array
-    left: float
-    samples: int
 
 
 def limb_offsets(
@@ -212,9 +208,9 @@ def align_to_masks(
         found = limb_offsets(points, velocities, names, masks, lag)
         if len(found.offset) < 60:
             return best
-        x, sd, left = _regressed(found, scale)
+        x, sd = _regressed(found, scale)
         sd[:2] = np.hypot(sd[:2], _BIAS * scale / 0.006 / np.sqrt(_views_of_limbs(found, scale / 0.006)))
-        best = Alignment(lag - float(x[2]), float(sd[2]), -x[:2], sd[:2], left, len(found.offset))
+        best = Alignment(lag - float(x[2]), float(sd[2]), -x[:2], sd[:2])
         new = int(np.clip(np.rint(best.lag), -largest, largest))
         if new == lag:
             break
@@ -241,9 +237,8 @@ def _velocities(points: Array) -> Array:
     return (xy[b] - xy[a]) / np.maximum(b - a, 1)[:, None, None]
 
 
-def _regressed(found: LimbOffsets, scale_px: float) -> tuple[Array, Array, float]:
-    """Estimate (shift x, shift y, time) by robust regression, with standard deviations (3,) and the median residual,
-    px."""
+def _regressed(found: LimbOffsets, scale_px: float) -> tuple[Array, Array]:
+    """Estimate (shift x, shift y, time) by robust regression, with standard deviations (3,)."""
     rows = np.concatenate([found.normal, (found.normal * found.velocity).sum(1)[:, None]], 1)
     y, x, h = found.offset, np.zeros(3), np.eye(3)
     # a calf bulges backwards in every frame: limbs that are often seen may not outvote the others
@@ -268,7 +263,7 @@ def _regressed(found: LimbOffsets, scale_px: float) -> tuple[Array, Array, float
     frames = max(len(np.unique(found.frame)) / 2, 1.0)
     noise = float((weight * r**2).sum() / max(weight.sum(), 1e-9))
     by_frame = np.diag(inverse) * noise * len(y) / frames
-    return x, np.sqrt(np.maximum(by_limb, by_frame)), float(np.median(np.abs(r)))
+    return x, np.sqrt(np.maximum(by_limb, by_frame))
 
 
 def view_masks(silhouettes: Sequence[Silhouettes | None], view: int) -> list[NDArray[np.uint8] | None]:

@@ -352,7 +352,7 @@ def _lens(
         assert given is not None
         camera = replace(_scaled(given, view, "the given lens"), camera_from_world=np.eye(4))
         errors = [board_poses(camera, s, board.points)[0][1] for s in view.sightings.values()]
-        return CalibratedLens(camera, (), float(np.median(errors)), float("nan"), True)
+        return CalibratedLens(camera, float(np.median(errors)), True)
     seen = lens_views[i].sightings if lens_views else view.sightings
     size = lens_views[i].size if lens_views else view.size
     lens = calibrate_lens(view.name, seen, board, size, fisheye=o.fisheye)

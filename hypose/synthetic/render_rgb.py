@@ -302,7 +302,8 @@ def cast_shadow(
         return
     rows, columns = slice(max(y - 5, 0), y + h + 5), slice(max(x - 5, 0), x + w + 5)
     soft = cv2.GaussianBlur(mask[rows, columns].astype(np.float32), (0, 0), 1.5)
-    darken(picture[rows, columns], np.asarray(soft, dtype=np.float32), backdrop.floor[rows, columns], SHADOW_DEPTH)
+    soft = np.where(backdrop.floor[rows, columns], soft, 0).astype(np.float32)
+    picture[rows, columns] *= (1 - np.float32(SHADOW_DEPTH) * soft)[..., None]
 
 
 def shadow_mask(camera: Camera, faces: NDArray[np.int32], vertices: Array) -> NDArray[np.uint8]:
@@ -329,7 +330,10 @@ def develop(picture: Floats, gain: Array, noise: NDArray[np.int16], rng: np.rand
         grain = grain[::-1]
     if rng.random() < 0.5:
         grain = grain[:, ::-1]
-    return expose(picture, gain, grain)
+    seen = picture * np.asarray(gain, dtype=np.float32)
+    seen += grain
+    seen += np.float32(0.5)  # rounds
+    return np.clip(seen, 0, 255, out=seen).astype(np.uint8)
 
 
 def noise_bank(size: tuple[int, int], sd: float, rng: np.random.Generator) -> NDArray[np.int16]:
@@ -372,17 +376,3 @@ def blend_shaded(
     blocks = h, samples, w, samples
     picture *= 1 - drawn.reshape(blocks).mean((1, 3), dtype=np.float32)[..., None]
     picture += colour.reshape(*blocks, 3).mean((1, 3))
-
-
-def darken(picture: NDArray[np.float32], shade: NDArray[np.float32], where: NDArray[np.bool_], depth: float) -> None:
-    """Multiply a picture (h, w, 3) by 1 - depth * shade (h, w) where `where` (h, w) is True, in place."""
-    at = where & (shade > 0)
-    picture[at] *= (1 - np.float32(depth) * shade[at])[:, None]
-
-
-def expose(picture: NDArray[np.float32], gain: ArrayLike, noise: NDArray[np.int16]) -> NDArray[np.uint8]:
-    """Compute round(picture (h, w, 3) * gain (3,) + noise (h, w, 3)), clipped to 8 bit."""
-    seen = picture * np.asarray(gain, dtype=np.float32)
-    seen += noise
-    seen += np.float32(0.5)
-    return np.clip(seen, 0, 255, out=seen).astype(np.uint8)

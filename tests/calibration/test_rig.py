@@ -20,7 +20,7 @@ EVEN = Board("chessboard", 8, 6, 0.08)
 
 
 def given_lenses(rig):
-    return [CalibratedLens(replace(c, camera_from_world=np.eye(4)), (), 0.2, float("nan"), True) for c in rig]
+    return [CalibratedLens(replace(c, camera_from_world=np.eye(4)), 0.2, True) for c in rig]
 
 
 @pytest.mark.parametrize("fisheye", [False, True])
