@@ -152,15 +152,14 @@ def heat_weights(vertices: ArrayLike, faces: ArrayLike, bones: Bones, n_joints: 
     return weights / weights.sum(1, keepdims=True)
 
 
-def influences(weights: ArrayLike, count: int = 4) -> tuple[NDArray[np.int32], Array]:
-    """Keep the largest weights of each vertex.
+def influences(weights: ArrayLike) -> tuple[NDArray[np.int32], Array]:
+    """Keep the four largest weights of each vertex.
 
     weights: (V, J) dense.
-    count: number of weights to keep, at most 4.
     Returns: joints (V, 4) and weights (V, 4), descending, sum 1, unused 0.
     """
     w = np.asarray(weights, dtype=np.float64)
-    keep = min(4, count, w.shape[1])
+    keep = min(4, w.shape[1])
     index = np.zeros((len(w), 4), dtype=np.int32)
     value = np.zeros((len(w), 4))
     index[:, :keep] = np.argsort(-w, axis=1, kind="stable")[:, :keep]

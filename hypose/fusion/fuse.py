@@ -314,7 +314,18 @@ def fuse_clip(
         frames.append(fused)
         if watch is not None:
             watch(len(frames))
-    motion = _motion(state.joint_names, frames, times, lengths, s)
+    motion = points_motion(
+        state.joint_names,
+        np.stack([f.joints for f in frames]),
+        np.stack([f.sd for f in frames]),
+        times,
+        np.array([f.lost for f in frames]),
+        np.array([f.n_sensors for f in frames]),
+        lengths,
+        {"recipe": f"fusion-{s.method}", "seed": s.seed},
+        np.stack([f.systematic for f in frames]),
+        np.stack([f.wrong for f in frames]),
+    )
     choice = None if frames[0].choice is None else np.stack([f.choice for f in frames if f.choice is not None])
     return Fused(
         motion,
@@ -432,24 +443,6 @@ def _clip_times(joints: Sequence[SensorJoints]) -> Array:
     index = np.arange(len(times))
     times[missing] = np.interp(index[missing], index[~missing], times[~missing])
     return times
-
-
-def _motion(
-    names: tuple[str, ...], frames: Sequence[FusedFrame], times: Array, lengths: Array, s: FusionSettings
-) -> Motion:
-    provenance: dict[str, Any] = {"recipe": f"fusion-{s.method}", "seed": s.seed}
-    return points_motion(
-        names,
-        np.stack([f.joints for f in frames]),
-        np.stack([f.sd for f in frames]),
-        times,
-        np.array([f.lost for f in frames]),
-        np.array([f.n_sensors for f in frames]),
-        lengths,
-        provenance,
-        np.stack([f.systematic for f in frames]),
-        np.stack([f.wrong for f in frames]),
-    )
 
 
 # ---- motion of points ------------------------------------------------------------------------------------------------

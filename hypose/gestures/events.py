@@ -79,10 +79,6 @@ class EventState:
 
     watches: Mapping[int, _Watch] = field(default_factory=dict)
 
-    def active(self) -> list[int]:
-        """Return the numbers of the gestures that have started and not ended."""
-        return [g for g, w in self.watches.items() if w.on]
-
 
 def detect_events(
     state: EventState, found: Sequence[Localisation], time: float, settings: Sequence[EventSettings]

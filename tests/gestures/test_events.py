@@ -20,13 +20,13 @@ def run(scores, rate=20.0, settings=SETTINGS):
 def test_a_held_gesture_starts_once_and_ends_once():
     events, state = run([0] * 5 + [15] * 40 + [0] * 10)
     assert events == [("start", 0.4), ("end", 2.4)]
-    assert state.active() == []
+    assert not any(w.on for w in state.watches.values())
 
 
 def test_between_the_two_thresholds_nothing_changes():
     assert run([7] * 40)[0] == []
     events, state = run([12] * 10 + [7] * 40)
-    assert events == [("start", 0.15)] and state.active() == [1]
+    assert events == [("start", 0.15)] and state.watches[1].on
 
 
 def test_rest_after_the_end():
