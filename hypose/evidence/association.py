@@ -289,7 +289,7 @@ class Association:
         turned: Array,
         exchange: NDArray[np.bool_],
     ) -> Array:
-        """Correct left and right of the points (C, N, K, 3) by what is expected of each person.
+        """Correct left and right of the points (C, N, K, 3) by the points expected of each person.
 
         views, who: (M,) view and person of each assigned candidate.
         plain, turned: (M, K) distances from `_both`; exchange: (M, G + 1) from `_better_exchanged`.

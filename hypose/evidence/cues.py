@@ -1,8 +1,8 @@
-"""The cues of a frame that a search asks: silhouettes, depth, key points, and evidence of the user's own.
+"""Cues of a frame for a search: silhouettes, depth, key points, and evidence of the user's own.
 
-Each is prepared once for all that ask it, and remembers what it has said of single poses. A frame has a tuple of them;
-where it has none of a kind, NO_SILHOUETTES, NO_DEPTH and NO_KEYPOINTS say nothing of any pose.
-Sources: silhouettes by Alcoverro 2014, eq. 2.8; the depth cost is hypose's own.
+Each cue is prepared once and caches its results for single poses. A frame has a tuple of them; NO_SILHOUETTES, NO_DEPTH
+and NO_KEYPOINTS stand for missing ones and have energy 0.
+Source: silhouettes as in Alcoverro 2014, eq. 2.8; the depth cost is hypose's own.
 """
 
 from __future__ import annotations
@@ -36,52 +36,54 @@ from hypose.geometry import Array
 
 _Found = TypeVar("_Found")
 VISIBLE = 0.2
-"""Share of a body that must be visible in a view which is to tell of its overlap."""
+"""Least share of a body that must be visible in a view for its overlap to be computed."""
 SHARE = 1.0
-"""What a pixel at the wrong depth costs against one outside the mask. Chosen on the seeds 0 to 9 (benchmark
+"""Cost of a pixel at the wrong depth relative to one outside the mask. Chosen on the seeds 0 to 9 (benchmark
 `depth`)."""
 MOST_M = 0.15
-"""m: a pixel that is further off costs no more"""
+"""m: depth differences are cut off here"""
 TALL = 60
-"""px: how tall a person is in the depth maps that are compared, at least"""
+"""px: least height of a person in the depth maps that are compared"""
 MEASURED, HOPEFUL = 16, 1.1
-"""of many poses of a limb so many are drawn, and none that costs so much more than the limb as it is by a rough look.
-Chosen on the seeds 0 to 15, and 0 to 29 (benchmark `depth`)."""
+"""largest number of a limb's poses that are compared in full, and largest cost relative to the current limb in a rough
+comparison. Chosen on the seeds 0 to 15, and 0 to 29 (benchmark `depth`)."""
 ARM_M2, ARM_REACH_M, EXPLAINED_M = 0.055, 0.75, 0.08
-"""m^2 of an arm that is seen from its side; m from the shoulder; m between what was drawn and seen"""
+"""m^2 of an arm seen from its side; m of its reach from the shoulder; m between drawn and seen surface"""
 LEAST_SHOWN, AGREED, NEARBY = 0.7, 0.8, 0.4
-"""shares of an arm: in sight; of the part in sight, where it was seen; seen in its reach, but no part of the body. An
-arm that is so much in sight is looked for nowhere else. Chosen on the seeds 0 to 15 (benchmark `depth`)."""
+"""Shares of an arm: visible; of the visible part, at the right depth; seen in its reach without belonging to the body.
+An arm that is visible to this degree is not searched elsewhere. Chosen on the seeds 0 to 15 (benchmark `depth`)."""
 _REMEMBERED_POSES = 12
-"""sets of no more poses are looked up, and remembered: the same pose is judged several times in a frame"""
+"""results are cached for sets of at most this many poses, because the same pose is judged several times in a frame"""
 
 
 class PoseMemory(Generic[_Found]):
-    """What has been found out about single poses of a body, so that it is done once."""
+    """Cache of results for single poses of a body."""
 
     def __init__(self) -> None:
         # with the bodies, so that no other one gets the identity of a body that is gone
         self._found: dict[tuple[int, bytes], tuple[Body, _Found]] = {}
 
     def get(self, body: Body, pose: Array) -> _Found | None:
-        """What was kept of a pose (D,), or None."""
+        """Look up the result of a pose (D,); None where there is none."""
         known = self._found.get((id(body), pose.tobytes()))
         return None if known is None else known[1]
 
     def keep(self, body: Body, pose: Array, found: _Found) -> _Found:
-        """Keeps what was found, and returns it."""
+        """Store a result and return it."""
         self._found[id(body), pose.tobytes()] = body, found
         return found
 
     def same(self, body: Body, pose: Array, other: Array) -> None:
-        """Keep the values of a pose (D,) for another one as well."""
+        """Store the result of a pose (D,) for another pose as well."""
         known = self.get(body, pose)
         if known is not None:
             self.keep(body, other, known)
 
     def all(self, body: Body, poses: Array, find: Callable[[Array], NDArray[Any]]) -> NDArray[Any]:
-        """Return the values kept of the poses (N, D), row by row; `find` finds it for those of which nothing is, and of
-        many poses for all."""
+        """Look up or compute the results of the poses (N, D), row by row.
+
+        find: function that computes the missing ones; for many poses it computes all, without the cache.
+        """
         if len(poses) > _REMEMBERED_POSES:
             return find(poses)
         found = [self.get(body, pose) for pose in poses]
@@ -99,19 +101,19 @@ class PoseMemory(Generic[_Found]):
 
 @dataclass(frozen=True)
 class SilhouetteEvidence(Evidence):
-    """masks: for the search."""
+    """Silhouettes of a frame for searches and solves; masks: prepared for the search."""
 
     masks: PreparedMasks
     _counts: PoseMemory[NDArray[np.int64]] = field(default_factory=PoseMemory, compare=False, repr=False)
     _overlaps: PoseMemory[Array] = field(default_factory=PoseMemory, compare=False, repr=False)
 
     def energy(self, body: Body, poses: Array, limb: Limb | None = None) -> Array:
-        """(N,) energies of eq. 2.8."""
+        """Compute the energies (N,) of eq. 2.8."""
         use = self.masks.usable
         return (self.counts(body, poses, limb)[:, use, 0] / self.masks.norm[use]).sum(1)
 
     def counts(self, body: Body, poses: Array, limb: Limb | None = None) -> NDArray[np.int64]:
-        """(N, C, 3) pixels of each view: XOR, model, intersection."""
+        """Count the pixels (N, C, 3) of each pose and view: XOR, model, intersection."""
         if not len(self.masks.usable):
             return np.zeros((len(poses), 0, 3), np.int64)
         given = body.skeleton.tree, body.coarse.arrays, self.masks
@@ -124,8 +126,11 @@ class SilhouetteEvidence(Evidence):
         return count(poses) if limb is not None else self._counts.all(body, poses, count)
 
     def overlap(self, body: Body, pose: Array) -> Array:
-        """(C,) intersection over union of the body and the mask of each view; NaN for views without a usable mask, or
-        in which others hide nearly all of the body. Over the pixels that say something."""
+        """Compute the intersection over union (C,) of the body at a pose (D,) and each view's mask; ignored pixels do
+        not count.
+
+        Returns: NaN for views without a usable mask, or in which others hide nearly all of the body.
+        """
         known = self._overlaps.get(body, pose)
         if known is not None:
             return known
@@ -137,20 +142,23 @@ class SilhouetteEvidence(Evidence):
             return self._overlaps.keep(body, pose, np.where(use, counts[:, 2] / union, np.nan))
 
     def same(self, body: Body, pose: Array, other: Array) -> None:
-        """Keep the first pose's values for the other pose as well."""
+        """Reuse the first pose's results for the other pose."""
         self._counts.same(body, pose, other)
         self._overlaps.same(body, pose, other)
 
 
 @dataclass(frozen=True)
 class KeypointEvidence(Evidence):
-    """term: the key points as they are, for what chooses between solutions; solves may weigh them less. A search does
-    not ask them."""
+    """Key points of a frame; a search does not use them.
+
+    term: the key points with their full weight, for comparing solutions; solves may use smaller weights.
+    """
 
     term: KeypointTerm
 
     def cost(self, body: Body, poses: Array) -> Array:
-        """(N,) the robust cost of the solver, in which a difference of 1 is a difference of 1 in log-likelihood."""
+        """Compute the robust cost (N,) of poses (N, D), as the solver does; a difference of 1 is 1 in
+        log-likelihood."""
         term, (rotations, centres) = self.term, body.skeleton.forward(poses)
         x = centres[:, term.joint] + np.einsum("nkab,kb->nka", rotations[:, term.joint], term.offset)
         h = np.einsum("cij,nkj->ncki", term.projections[:, :, :3], x) + term.projections[:, None, :, 3]
@@ -164,7 +172,7 @@ class KeypointEvidence(Evidence):
 
 @dataclass(frozen=True)
 class DepthEvidence(Evidence):
-    """maps: for the search."""
+    """Depth of a frame for searches and solves; maps: prepared for the search."""
 
     maps: SeenDepth
     _costs: PoseMemory[float] = field(default_factory=PoseMemory, compare=False, repr=False)
@@ -173,8 +181,11 @@ class DepthEvidence(Evidence):
         return body.skeleton.tree, body.coarse.arrays, self.maps, MOST_M
 
     def energy(self, body: Body, poses: Array, limb: Limb | None = None) -> Array:
-        """(N,) mean difference of depth over the pixels of the person that the body covers, sum over the sensors; what
-        is not covered is the silhouettes' affair."""
+        """Compute the mean depth difference (N,) over the person's pixels that the body covers, summed over the
+        sensors.
+
+        Pixels that the body does not cover are counted by the silhouettes.
+        """
         if not self.seen:
             return np.zeros(len(poses))
 
@@ -184,7 +195,7 @@ class DepthEvidence(Evidence):
         return self._costs.all(body, poses, measured)
 
     def same(self, body: Body, pose: Array, other: Array) -> None:
-        """Keep the first pose's values for the other pose as well."""
+        """Reuse the first pose's results for the other pose."""
         self._costs.same(body, pose, other)
 
     def limb_energy(
@@ -195,11 +206,14 @@ class DepthEvidence(Evidence):
         outlines: Callable[[float, float], Array],
         standing: StandingDepth | None = None,
     ) -> Array:
-        """(N,) what poses (N, D) cost whose joints `moving` (J,) alone differ, everything else as in the last one;
-        infinite for those that are not worth a measurement: the first one is the limb as it is, and of the others only
-        the best by a rough look are measured. outlines(slack, more): what all of them cost without depth, (N,),
-        infinite where that is certainly above `slack` times what the first one costs, and `more`; standing: what does
-        not move, where it has been drawn."""
+        """Compute the energies (N,) of poses (N, D) that differ in one limb, in full only for the most promising ones.
+
+        moving: (J,) the joints that differ; all else is as in the last pose. The first pose is the current limb.
+        outlines: function (slack, more) that gives the energies (N,) without depth; they may be infinite where they are
+            certainly above `slack` times that of the first pose plus `more`.
+        standing: the parts that do not move, where they are drawn already.
+        Returns: infinite for poses that were not compared in full: only the best of a rough comparison are.
+        """
         seen = self.maps
         standing = standing or self.standing(body, poses[-1], moving)
 
@@ -219,12 +233,14 @@ class DepthEvidence(Evidence):
         return out
 
     def standing(self, body: Body, pose: Array, moving: NDArray[np.bool_]) -> StandingDepth:
-        """What depth cameras would see of a body at a pose (D,) without what the joints `moving` (J,) move."""
+        """Draw a body at a pose (D,), as depth cameras see it, without the parts that the joints `moving` (J,) move."""
         return standing_depth(pose, *self._about(body), moving)
 
     def shows_arm(self, body: Body, standing: StandingDepth, shoulder: int) -> bool:
-        """Whether depth cameras show an arm where it is in the pose that the rest of the body stands in (`standing`),
-        and nothing in its reach that the body does not explain. shoulder: its joint."""
+        """Decide whether depth cameras show an arm at its place in a pose, and nothing unexplained in its reach.
+
+        standing: the rest of the body, drawn; shoulder: joint of the arm.
+        """
         at = standing.pose[:3] + standing.centres[shoulder]
         given = body.skeleton.tree, body.coarse.arrays, self.maps
         in_sight, agreed, nearby = limb_shown(*given, standing, at, ARM_REACH_M, EXPLAINED_M).T
@@ -233,7 +249,10 @@ class DepthEvidence(Evidence):
 
 
 def seen_depth(depth: Depth, tall: int = TALL) -> tuple[NDArray[np.bool_], SeenDepth]:
-    """Which sensors (C,) see the person, and the pixels of it, so small that it is still `tall` px, cut to its box."""
+    """Reduce depth maps to the pixels of the person, cut to its box, so small that it is still `tall` px.
+
+    Returns: (C,) sensors that see the person; the reduced maps.
+    """
     views = np.array([bool(u) and box[2] > 0 for u, box in zip(depth.usable, depth.boxes, strict=True)])
     maps, projections, counts = [], [], []
     used = np.flatnonzero(views)
@@ -258,7 +277,7 @@ def seen_depth(depth: Depth, tall: int = TALL) -> tuple[NDArray[np.bool_], SeenD
 
 
 def silhouette_evidence(silhouettes: Silhouettes, weight: float) -> list[Evidence]:
-    """Prepare masks for tracking; nothing where no view has an outline. weight: of a contour row."""
+    """Prepare masks for tracking; an empty list where no view has an outline. weight: of a contour row."""
     masks = prepared_masks(silhouettes)
     try:
         contours = contour_term(silhouettes, weight=weight, working_height=WORKING_HEIGHT)
@@ -268,7 +287,7 @@ def silhouette_evidence(silhouettes: Silhouettes, weight: float) -> list[Evidenc
 
 
 def depth_evidence(depth: Depth) -> list[Evidence]:
-    """Prepare depth maps for tracking; nothing where none shows the person."""
+    """Prepare depth maps for tracking; an empty list where none shows the person."""
     term = depth_term(depth)
     if term is None:
         return []
@@ -277,45 +296,46 @@ def depth_evidence(depth: Depth) -> list[Evidence]:
 
 
 def keypoint_evidence(term: KeypointTerm, weaker: KeypointTerm) -> KeypointEvidence:
-    """Prepare key points as they are, and as solves weigh them."""
+    """Prepare key points for tracking; weaker: the term with the weights of solves."""
     return KeypointEvidence(np.asarray((term.points[..., 2] > 0).any(1)), (weaker,), term)
 
 
 def surface_evidence(frame: Frame) -> list[Term]:
-    """What a frame tells of a body's surface, for fits of its shape: outlines, and depth where there is any."""
+    """Build a frame's terms on the body's surface, for fits of its shape: outlines, and depth where there is any."""
     outlines: list[Term] = [contour_term(masks) for masks in frame.of(Silhouettes)]
     return outlines + [term for depth in frame.of(Depth) for one in depth_evidence(depth) for term in one.terms]
 
 
 class OwnEvidence(Protocol):
-    """Evidence that the product does not know: what a sensor, a marker or a rule of yours says of the body.
+    """Interface of evidence that the product does not have, for example a sensor, a marker or a rule of the user's own.
 
-    Both see the frame, whose index and time tell which measurement belongs to it; threads may ask at the same time.
+    Both methods get the frame, whose index and time identify the measurement. Threads may call them at the same time.
     """
 
     def rows(self, body: Body, frame: Frame, /) -> PointTerm | RowTerm | None:
-        """For the solver: where points of the body are, or any residuals of them; None when the frame says nothing."""
+        """Return places of body points, or any residuals of them, for the solver; None when the frame has none."""
         ...
 
     def energy(self, body: Body, poses: Array, frame: Frame, /) -> Array:
-        """For the search: (N,) cost of poses (N, D), low is good; the silhouettes of one view cost between 0 and 2."""
+        """Compute the costs (N,) of poses (N, D) for the search, low is good; the silhouettes of one view cost
+        between 0 and 2."""
         ...
 
 
 @dataclass(frozen=True)
 class OwnCue(Evidence):
-    """What evidence of the user's own says in a frame."""
+    """The user's own evidence in one frame."""
 
     source: OwnEvidence
     frame: Frame
 
     def energy(self, body: Body, poses: Array, limb: Limb | None = None) -> Array:
-        """(N,) what its author says that poses cost."""
+        """Compute the energies (N,) by the user's function."""
         return np.asarray(self.source.energy(body, poses, self.frame))
 
 
 def own_evidence(sources: Sequence[OwnEvidence], body: Body, frame: Frame) -> list[Evidence]:
-    """What evidence of the user's own says in a frame of a body."""
+    """Prepare the user's own evidence of a frame for a body."""
     rows = [one.rows(body, frame) for one in sources]
     terms = [() if term is None else (term,) for term in rows]
     return [OwnCue(_NO_VIEWS, own, one, frame) for one, own in zip(sources, terms, strict=True)]

@@ -1,10 +1,9 @@
-"""People before depth cameras: clusters of the points that all sensors measure, and which pixels are whose.
+"""Find people in front of depth cameras: clusters of the points that all sensors measure, and whose pixels are whose.
 
-A measured pixel is a place in the world, so that it belongs to whose body, or cluster, it is nearest to: people need
-not be separated in the picture. Pixels of others say nothing of a person who may be hidden behind them; of others
-who stand behind the person they say that the person is not there.
-
-The module also gives the space in which a person seen by depth cameras may be: the seen surface and all behind it.
+A measured pixel is a place in the world, so it belongs to the nearest body or cluster: people need not be separated in
+the picture. Pixels of others in front give no information on a person, who may be hidden behind them; pixels of others
+behind show that the person is not in front of them.
+The module also gives the space that a person seen by depth cameras may fill: the seen surface and what lies behind it.
 """
 
 from __future__ import annotations
@@ -29,8 +28,11 @@ _THICK_M, _VOXEL_M = 0.16, 0.03
 
 
 def space_behind(depth: Depth, bounds: Array | None = None) -> Hull:
-    """What the person may fill, in place of a visual hull: the surface and _THICK_M behind it, as far as it lies inside
-    bounds (2, 3) m. An EvidenceError when no sensor shows anything."""
+    """Compute the space that the person may fill, instead of a visual hull: the seen surface and _THICK_M behind it.
+
+    bounds: (2, 3) m, limits the space.
+    Raises: EvidenceError where no sensor shows a person.
+    """
     found, rays = [], []
     for c in np.flatnonzero(depth.usable):
         w, h = depth.rig.sizes[c]
@@ -58,28 +60,33 @@ def space_behind(depth: Depth, bounds: Array | None = None) -> Hull:
 
 
 SURFACE_LITRES = 15.0
-"""A person shows at least so much of their surface, in voxels of VOXEL, to one sensor; arms between two show less."""
+"""Least surface of a person that one sensor shows, in litres of voxels of VOXEL; arms between two people show less."""
 _EXPLAINED_M, _REACH_M = 0.2, 0.5
-"""m: what lies so near to a body is explained by it; what lies further away than the second is no person's yet"""
+"""m: points this near to a body are explained by it; points further away than the second belong to no person yet"""
 _CLUSTER_M = 0.08
-"""m: a pixel of a cluster that is nearer than this to another's body is theirs"""
+"""m: distance of a cluster's own pixels; a pixel nearer than this to another person's body belongs to that person"""
 _BEHIND_M = 0.4
-"""m behind the visible part of a person: others there do not hide them"""
+"""m behind the visible part of a person: others there do not hide it"""
 _LEAST_PX, _PER_VOXEL = 50, 2
 _EDGE = np.ones((5, 5), np.uint8)
 
 
 def occupied_space(frame: Frame, bounds: Array | None = None) -> Hull:
-    """Find where the person of a frame may be, inside bounds (2, 3) m: by depth where there is depth, else the visual
-    hull of the masks."""
+    """Compute the space that the person of a frame may fill, inside bounds (2, 3), m.
+
+    It comes from depth where there is depth, else it is the visual hull of the masks.
+    """
     if frame.depth is not None:
         return space_behind(frame.depth, bounds)
     return visual_hull(frame.the(Silhouettes), bounds)
 
 
 def people_seen(frame: Frame, known: Sequence[Other] = (), *, floor: float = 0.0) -> list[HullPerson]:
-    """Who stands before the cameras of a frame besides those that are known, the largest first: by depth where there is
-    depth, else by the visual hull. floor: m, its height."""
+    """Find the people in a frame who are not known yet, the largest first: by depth where there is depth, else by the
+    hull.
+
+    floor: its height, m.
+    """
     if frame.depth is not None:
         return people_in_depth(frame.depth, known, floor=floor)
     return [] if frame.silhouettes is None else people_in_hull(frame.silhouettes, known, floor=floor)
@@ -88,8 +95,11 @@ def people_seen(frame: Frame, known: Sequence[Other] = (), *, floor: float = 0.0
 def people_in_depth(
     depth: Depth, known: Sequence[Other] = (), *, floor: float = 0.0, most: int = 8
 ) -> list[HullPerson]:
-    """Who is in the maps besides those that are known, the largest first; a pixel belongs to whose axis it is nearest
-    to. Values between both sides of an edge are no person."""
+    """Find the people in depth maps who are not known yet, the largest first.
+
+    Each pixel belongs to the nearest axis. Values between both sides of a depth edge are left out.
+    known: people who are left out; floor: its height, m; most: largest number of people.
+    """
     at, points = depth.pixels
     calm = np.stack([cv2.dilate(m, _EDGE[:3, :3]) - cv2.erode(m, _EDGE[:3, :3]) < 2 * JUMP_M for m in depth.maps])
     rest = calm[tuple(at.T)]
@@ -118,7 +128,7 @@ def people_in_depth(
 
 
 def _without_parts(found: Sequence[HullPerson]) -> list[HullPerson]:
-    """People, the largest first, with the pixels of their separate parts: an arm held out."""
+    """Add the pixels of separate parts, such as an arm held out, to the larger person nearby."""
     kept = list[HullPerson]()
     for person in found:
         near = [k for k, o in enumerate(kept) if np.linalg.norm(o.axis - person.axis) < PART_OF_LARGER_M]
@@ -133,7 +143,8 @@ def _without_parts(found: Sequence[HullPerson]) -> list[HullPerson]:
 
 
 def own_frame(frame: Frame, own: StandingShape, others: Sequence[Other], anywhere: bool = False) -> Frame:
-    """A frame of several people as evidence for one of them; own, others, anywhere: as for `own_silhouettes`."""
+    """Extract the evidence for one person from a frame of several people; own, others, anywhere: as for
+    `own_silhouettes`."""
     if frame.silhouettes is None:
         return frame
     if frame.depth is None:
@@ -147,7 +158,7 @@ def own_frame(frame: Frame, own: StandingShape, others: Sequence[Other], anywher
 
 
 def _nearby(of_depth: Silhouettes, of_colour: Silhouettes, colour: NDArray[np.bool_]) -> Silhouettes:
-    """The outlines of depth cameras with those of colour cameras, where `colour` (C,)."""
+    """Combine silhouettes of depth cameras with those of colour cameras, where `colour` (C,)."""
 
     def merged(a: NDArray[Any], b: NDArray[Any]) -> NDArray[Any]:
         return np.where(colour.reshape(-1, *(1,) * (a.ndim - 1)), b, a)
@@ -167,7 +178,8 @@ def _nearby(of_depth: Silhouettes, of_colour: Silhouettes, colour: NDArray[np.bo
 def own_depth(
     silhouettes: Silhouettes, depth: Depth, own: StandingShape, others: Sequence[Other], anywhere: bool = False
 ) -> tuple[Silhouettes, Depth]:
-    """What of maps that show several people is one person's, and the outlines to it; nothing of other cameras."""
+    """Extract the depth and the silhouettes of one person from maps that show several people; colour cameras become
+    unusable."""
     at, points = depth.pixels
     mine_m = _away(own, at, points)
     theirs_m = np.full(len(points), np.inf)
@@ -204,8 +216,8 @@ def own_depth(
 
 
 def _away(shape: StandingShape, at: NDArray[np.int64], points: Array) -> Array:
-    """(N,) m: how far measured pixels (N, 3), at points (N, 3) m, lie from a person; inf where it is too far to
-    matter."""
+    """Compute the distance (N,), m, of measured pixels (N, 3), at points (N, 3), m, from a person; inf where it is
+    far."""
     from scipy.spatial import KDTree  # takes long to import
 
     if isinstance(shape, DrawnShape):

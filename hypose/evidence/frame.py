@@ -1,4 +1,4 @@
-"""Frame: one instant of evidence; every piece is optional and has its own type."""
+"""Frame: the evidence of one instant; every piece is optional and has its own type."""
 
 from __future__ import annotations
 
@@ -19,15 +19,18 @@ _Piece = TypeVar("_Piece")
 NOT_TRACKED, INFERRED, TRACKED = 0, 1, 2
 """States of a joint as sensors report them."""
 MISSING_MARK = -9999.0
-"""What loggers write for a missing coordinate; anything at or below it counts as missing."""
+"""Value that loggers write for a missing coordinate; anything at or below it counts as missing."""
 FARTHEST_M = 100.0
-"""No depth sensor sees further: larger coordinates are another unit."""
+"""m: no depth sensor sees further; larger coordinates have another unit."""
 
 
 @dataclass(frozen=True)
 class Expected:
-    """Where a person is expected who shares the masks with others. boxes (C, 4) px: of the body in each view, y0, y1,
-    x0, x1, half open; areas (C,) px: of its whole silhouette, what others hide included."""
+    """Expected place of a person in masks that show several people.
+
+    boxes: (C, 4) box of the body in each view, y0, y1, x0, x1, half open, px.
+    areas: (C,) pixels of its whole silhouette, including what others hide.
+    """
 
     boxes: NDArray[np.int64]
     areas: NDArray[np.int64]
@@ -37,12 +40,14 @@ class Expected:
 class Silhouettes:
     """Masks of the person, one per view, undistorted (pinhole), at one working size.
 
-    masks: (C, h, w) uint8, 1 = person; views of different size are padded with 0 to the common (h, w), `rig.sizes`
-    tells each view's own size. rig: the pinhole cameras of these masks. usable: (C,) bool, False for a view that is
-     left out (empty, collapsed, or its camera delivered no frame). reasons: (C,) short text, "" when usable.
-    ignored: (C, h, w) uint8, 1 = the pixel says nothing of this person, for another person's body covers it: neither
-    mask nor "no mask"; None: all pixels tell. expected: where this person is expected, which must be known then: the
-    masks themselves, of several people, do not tell how tall one of them is.
+    masks: (C, h, w) uint8, 1 = person; views of different size are padded with 0 to the common (h, w), see `rig.sizes`.
+    rig: the pinhole cameras of these masks.
+    usable: (C,) False for a view that is left out (empty, collapsed, or its camera delivered no frame).
+    reasons: (C,) short text, "" when usable.
+    ignored: (C, h, w) uint8, 1 = a pixel without information on this person, because another person's body covers it:
+        neither mask nor "no mask". None: all pixels have information.
+    expected: where this person is expected; needed where pixels are ignored, because masks of several people do not
+        show how tall one of them is.
     """
 
     masks: NDArray[np.uint8]
@@ -52,28 +57,29 @@ class Silhouettes:
     ignored: NDArray[np.uint8] | None = None
     expected: Expected | None = None
     ahead: Any = field(default=None, init=False, compare=False, repr=False)
-    """what hypose.evidence.prefetch keeps of these very masks, so that it is made once; a copy begins without"""
+    """results that hypose.evidence.prefetch keeps for these masks, so that they are computed once; a copy starts
+    without"""
 
     def unseen(self) -> Silhouettes:
-        """Return the masks with no usable view, where no person is expected."""
+        """Copy the masks with no usable view, where no person is expected."""
         reasons = tuple(r or f"{n}: no person is expected" for n, r in zip(self.rig.names, self.reasons, strict=True))
         return replace(self, usable=np.zeros_like(self.usable), reasons=reasons, ignored=None, expected=None)
 
     @cached_property
     def areas(self) -> NDArray[np.int64]:
-        """(C,) foreground pixels."""
+        """Number of foreground pixels (C,) that are not ignored."""
         return np.array([np.count_nonzero(view) for view in self.informative], dtype=np.int64)
 
     @cached_property
     def shared(self) -> NDArray[np.bool_]:
-        """(C,) views in which pixels are ignored."""
+        """Views (C,) in which pixels are ignored."""
         if self.ignored is None:
             return np.zeros(len(self.masks), dtype=np.bool_)
         return np.array([view.any() for view in self.ignored], dtype=np.bool_)
 
     @property
     def visible_share(self) -> Array:
-        """(C,) how much of the person each view shows that others do not hide; 0 where the view is not usable."""
+        """Share of the person (C,) that others do not hide in each view; 0 where the view is not usable."""
         out = np.ones(len(self.rig))
         if self.ignored is not None and self.expected is not None:
             for c in np.flatnonzero(self.shared):
@@ -85,7 +91,7 @@ class Silhouettes:
 
     @property
     def informative(self) -> NDArray[np.uint8]:
-        """(C, h, w) the masks without ignored pixels."""
+        """Masks (C, h, w) without ignored pixels."""
         return self.masks if self.ignored is None else np.greater(self.masks, self.ignored).view(np.uint8)
 
 
@@ -93,8 +99,9 @@ class Silhouettes:
 class Keypoints:
     """2D key points of one person in every view.
 
-    points: (C, K, 3) = (u px, v px, confidence 0..1), undistorted pixels of `rig`; confidence 0 where missing.
-    names: K key-point names (hypose.evidence.keypoints documents the sets). rig: pinhole cameras of these pixels.
+    points: (C, K, 3) u px, v px, confidence 0..1, in undistorted pixels of `rig`; confidence 0 where missing.
+    names: K key-point names (hypose.evidence.keypoints documents the sets).
+    rig: pinhole cameras of these pixels.
     """
 
     points: Array
@@ -102,14 +109,16 @@ class Keypoints:
     rig: CameraRig
 
     def unseen(self) -> Keypoints:
-        """Return the key points with none seen."""
+        """Copy the key points with none seen."""
         return replace(self, points=np.zeros_like(self.points))
 
 
 @dataclass(frozen=True)
 class Detections:
-    """Detected parts: points (M, 3) m world, score (M,), part (M,) index of the part. The bridge from detectors to
-    kernels."""
+    """Body parts that a detector found; they drive kernels of the search.
+
+    points: (M, 3) in the world, m; score: (M,); part: (M,) index of the part.
+    """
 
     points: Array
     score: Array
@@ -118,9 +127,13 @@ class Detections:
 
 @dataclass(frozen=True)
 class SensorReport:
-    """What a sensor says of one person at one instant. time: s on its own clock; person: its number, None when it sees
-    no person (the arrays are empty); positions (J, 3) m in the sensor's frame, NaN where missing; state (J,) uint8 0
-    not tracked, 1 inferred, 2 tracked; arrival: s on the clock of the computer that received it, None: not known."""
+    """Skeleton of one person at one instant, as a depth sensor reports it.
+
+    sensor: name; time: on the sensor's clock, s; arrival: on the receiving computer's clock, s, None: unknown.
+    person: the sensor's number of the person; None when it sees no person (the arrays are empty).
+    joint_names: (J,); positions: (J, 3) in the sensor's frame, m, NaN where missing.
+    state: (J,) uint8: 0 not tracked, 1 inferred, 2 tracked.
+    """
 
     sensor: str
     time: float
@@ -135,14 +148,14 @@ class SensorReport:
 class SensorJoints:
     """Skeletons of one person at one instant, one per depth sensor.
 
-    positions (K, J, 3) m, each in its own sensor's frame (or in a common frame after registration), NaN where missing.
-    state (K, J) uint8: 0 = not tracked, 1 = inferred, 2 = tracked; never above 0 where the position is missing. times
-    (K,) s, each on the common clock, NaN for a sensor without a skeleton. joint_names (J,), sensor_names (K,).
-    depth (K, h, w) float32 m with its intrinsics (K, 3, 3), 0 = hole, or None. joint_depth (K, J) m, the depth map's
-    value at the joint's pixel where no whole map is kept, 0 = hole, or None.
-
-    The constructor makes one thing of the ways to say "missing" (NaN, -9999, state 0) and raises an InputError for
-    wrong shapes and for positions that are not metres.
+    positions: (K, J, 3) m, each in its own sensor's frame (or in a common frame after registration); NaN where missing.
+    state: (K, J) uint8: 0 = not tracked, 1 = inferred, 2 = tracked; 0 where the position is missing.
+    times: (K,) on the common clock, s; NaN for a sensor without a skeleton.
+    joint_names: (J,); sensor_names: (K,).
+    depth: (K, h, w) float32 depth maps, m, 0 = hole, with their intrinsics (K, 3, 3); or None.
+    joint_depth: (K, J) depth at the joint's pixel where no whole map is kept, m, 0 = hole; or None.
+    The constructor makes all forms of "missing" (NaN, -9999, state 0) the same.
+    Raises: InputError for wrong shapes and for positions that are not metres.
     """
 
     positions: Array
@@ -192,8 +205,12 @@ class SensorJoints:
 
 @dataclass(frozen=True)
 class Picture:
-    """What one camera shows: image (h, w, 3) uint8 BGR, undistorted, as large as the pinhole `camera`; before: the one
-    that was shown before it, None at the first; mask (h, w): non-zero = person, None: not known."""
+    """Picture of one camera.
+
+    camera: pinhole camera of the same size.
+    image: (h, w, 3) uint8 BGR, undistorted; before: the previous picture, None at the first.
+    mask: (h, w), not 0 on the person; None: unknown.
+    """
 
     camera: Camera
     image: NDArray[np.uint8]
@@ -203,9 +220,12 @@ class Picture:
 
 @dataclass(frozen=True)
 class Colours:
-    """Colours of the pictures that the masks were made from, as numbers (hypose.evidence.colours): codes (C, h, w) at
-    the masks' pixels, known within the person's masks; seen (C,): False for a view without a picture; edges
-    (C, 2, h, w): how fast colours change along rows and columns there, None: not looked at."""
+    """Colour codes of the pictures from which the masks were made (hypose.evidence.colours).
+
+    codes: (C, h, w) at the masks' pixels, known within the person's masks.
+    seen: (C,) False for a view without a picture.
+    edges: (C, 2, h, w) how fast colours change along rows and columns; None: not computed.
+    """
 
     codes: NDArray[np.uint16]
     seen: NDArray[np.bool_]
@@ -214,8 +234,11 @@ class Colours:
 
 @dataclass(frozen=True)
 class Frame:
-    """One instant. time: s, index: frame number; the pieces are None when this frame has no such evidence; more: pieces
-    of further cues (`hypose.evidence.terms.Piece`), such as `hypose.evidence.limb_maps.LimbMaps`."""
+    """Evidence of one instant; each piece is None when the frame has none of this kind.
+
+    time: s; index: frame number.
+    more: pieces of further cues (`hypose.evidence.terms.Piece`), such as `hypose.evidence.limb_maps.LimbMaps`.
+    """
 
     time: float
     index: int
@@ -230,7 +253,7 @@ class Frame:
 
     @property
     def pieces(self) -> dict[str, Any]:
-        """What the frame carries, by the name of the field."""
+        """Pieces of the frame by the names of their fields."""
         return {f.name: piece for f in fields(self)[2:-1] if (piece := getattr(self, f.name)) is not None}
 
     def of(self, kind: type[_Piece]) -> list[_Piece]:
@@ -238,7 +261,10 @@ class Frame:
         return [piece for piece in (*self.pieces.values(), *self.more) if isinstance(piece, kind)]
 
     def the(self, kind: type[_Piece]) -> _Piece:
-        """Return the piece of a kind; an EvidenceError where the frame carries none."""
+        """Return the piece of a kind.
+
+        Raises: EvidenceError where the frame has none.
+        """
         for piece in self.of(kind):
             return piece
         raise EvidenceError(
@@ -246,31 +272,32 @@ class Frame:
         )
 
     def unseen(self) -> Frame:
-        """Return the frame of a person who is not there: no mask, key point or depth map of it is usable."""
+        """Copy the frame for a person who is not there: no mask, key point or depth map is usable."""
         seen = ("silhouettes", "keypoints", "depth")
         return replace(self, **{name: piece.unseen() for name, piece in self.pieces.items() if name in seen})
 
     @property
     def visible_share(self) -> Array:
-        """(C,) how much of the person each mask shows that others do not hide; (0,) without masks."""
+        """Share of the person (C,) that others do not hide in each mask; (0,) without masks."""
         return np.zeros(0) if self.silhouettes is None else self.silhouettes.visible_share
 
     @property
     def kind(self) -> str:
-        """What a pose in the frame is judged by where several cues are there: depth, silhouettes or keypoints."""
+        """Kind of evidence by which a pose is judged where there are several: depth, else silhouettes, else
+        keypoints."""
         return next((name for name in ("depth", "silhouettes", "keypoints") if name in self.pieces), "keypoints")
 
     @property
     def usable_views(self) -> NDArray[np.bool_]:
-        """(C,) the views whose masks are usable; (0,) without masks."""
+        """Views (C,) whose masks are usable; (0,) without masks."""
         return np.zeros(0, np.bool_) if self.silhouettes is None else self.silhouettes.usable
 
     @property
     def fewest_views(self) -> int:
-        """How many views must show a person to tell where it stands: a depth camera does so alone, others do not."""
+        """Number of views that must show a person to locate it: one depth camera, or two other cameras."""
         return 2 if self.depth is None else 1
 
 
 def pieces_of(frames: Iterable[Frame], kind: type[_Piece]) -> list[_Piece]:
-    """List the pieces of a kind that frames carry, in order."""
+    """List the pieces of a kind in several frames, in order."""
     return [piece for frame in frames for piece in frame.of(kind)]

@@ -1,9 +1,9 @@
-"""People in the visual hull: parts of it that stand on the floor, each about one upright axis.
+"""Find people in the visual hull: parts of it that stand on the floor, each around one upright axis.
 
-A hull of several people has parts of each of them, and ghosts where the rays of one camera that see one person cross
-those of another camera that see another. The person who is explained already is left out first
-(`hypose.evidence.shared_masks` ignores their pixels), and a person must be shown by several views in pixels that no
-person explains.
+A hull of several people has a part for each of them, and ghosts where the rays of one camera to one person cross the
+rays of another camera to another person. So people who are already known are removed first
+(`hypose.evidence.shared_masks` ignores their pixels), and a person must be visible in several views in pixels that no
+other person explains.
 """
 
 from __future__ import annotations
@@ -25,37 +25,44 @@ from hypose.geometry import Array
 
 VOXEL = 0.04
 LITRES, _TALL, FROM_FLOOR = 20.0, 1.0, 0.5
-"""A person has at least so many litres of hull, reaches so high, m, and begins that near to the floor, m."""
+"""A person has at least this hull volume, litres, reaches at least this height, m, and begins at most this far above
+the floor, m."""
 CHILD_LITRES, CHILD, SLENDER = 12.0, 0.75, 42.0
-"""A child has at least so many litres, reaches so high, m, and has no more litres than this times the cube of that: of
-children of 0.9 to 1.1 m it was 23 to 39 in four views, of people of any age 20 to 36; of stools, chairs, dogs, bins and
-suitcases 48 to 140."""
+"""A child has at least this hull volume, litres, and height, m, and at most SLENDER times the cube of the height in
+litres: for children of 0.9 to 1.1 m it was 23 to 39 in four views, for people of any age 20 to 36; for stools, chairs,
+    dogs, bins
+and suitcases 48 to 140.
+"""
 FEWEST_VIEWS = 3
-"""So many views must show a person in pixels that no other person explains; with two there are ghosts."""
+"""Number of views that must show a person in pixels that no other person explains; with two there are ghosts."""
 ABOUT, REACH, _APART = 0.3, 0.9, 0.42
-"""m: what of the hull lies so near to an upright axis makes a person; what lies further away may be theirs, too; no two
-axes lie nearer to each other."""
+"""m: the hull within ABOUT of an upright axis makes a person; hull within REACH may belong to it too; two axes are at
+least _APART from each other."""
 OWN_SHARE = 0.12
-"""Share of what a person fills of a view that no other person may fill."""
+"""Least share of a person's pixels in a view that no other person fills."""
 PART_OF_LARGER_M, SMALL = 0.5, 0.6
-"""The person who stands that near to a person larger, m, and has no more than this share of their hull is a part of
-them: a seated person's knees, an arm held out."""
+"""A person this near to a larger one, m, with at most this share of its hull, is a part of it: a seated person's knees,
+or an arm held out."""
 _SPREAD, _FINE = 0.12, 0.06
 _WIDENED = 0.01
 _NEAR_CAMERA = 0.2
 _RIM = 12
-"""cells around the hull's plan, so that its density falls to nothing inside it"""
+"""cells around the hull's plan, so that its smoothed density falls to zero inside the array"""
 
 
 def fewest_views(frame: Frame) -> int:
-    """How many views of a frame must show a person whom no other explains; a depth camera tells alone where it is."""
+    """Return the number of views that must show a person whom no other explains; a depth camera alone is enough."""
     return FEWEST_VIEWS if frame.depth is None else 1
 
 
 @dataclass(frozen=True)
 class HullPerson:
-    """hull: the part of it; axis (2,) m: where the person stands; seen (C, h, w): their pixels, where these are known
-    (depth cameras)."""
+    """A person found in a hull.
+
+    hull: the part of the hull.
+    axis: (2,) where the person stands on the floor, m.
+    seen: (C, h, w) the person's pixels, where they are known (depth cameras).
+    """
 
     hull: Hull
     axis: Array
@@ -63,23 +70,24 @@ class HullPerson:
 
     @property
     def litres(self) -> float:
-        """Of the hull."""
+        """Volume of the hull, litres."""
         return 1e3 * self.hull.volume
 
     @property
     def tall(self) -> bool:
-        """As tall as most people are; a child may not be."""
+        """Whether the hull is as tall as most people; a child's is not."""
         return self.hull.height > _TALL
 
     @property
     def is_person(self) -> bool:
-        """Whether there is as much of it as there is of a person, or of a child."""
+        """Whether the hull has the volume of a person, or of a child."""
         if self.tall:
             return self.litres > LITRES
         return CHILD_LITRES < self.litres < SLENDER * self.hull.height**3
 
     def shape(self, rig: CameraRig, about: float = np.inf) -> DrawnShape:
-        """What of the views it fills, its gaps closed; about: m, only what lies so near to the axis, of a hull."""
+        """Draw the person in all views, with gaps closed; about: draw only the hull within this distance of the
+        axis, m."""
         if self.seen is not None:
             return DrawnShape(self.seen)
         points = self.hull.points if np.isfinite(about) else self.hull.surface_points
@@ -107,10 +115,13 @@ def people_in_hull(
     floor: float = 0.0,
     most: int = 8,
 ) -> list[HullPerson]:
-    """Who stands in the masks besides those that are known, the largest first; none when too few views are usable.
+    """Find the people in the masks who are not known yet; the largest comes first.
 
-    floor: m, height of the floor. The space searched is the cameras' common view, between the floor and what a person
-    reaches. A voxel belongs to whose axis it is nearest to."""
+    known: people whose pixels are ignored.
+    floor: height of the floor, m. The cameras' common view is searched, between the floor and a person's reach.
+    most: largest number of people.
+    Returns: the people; none where too few views are usable. Each voxel belongs to the nearest axis.
+    """
     views = int(silhouettes.usable.sum())
     least = min(FEWEST_VIEWS, views)
     left = without(silhouettes, known)
@@ -128,13 +139,16 @@ def people_in_hull(
 
 
 def people_of_hull(hull: Hull, floor: float, most: int, surface: float = 0.0) -> list[HullPerson]:
-    """Parts of a hull that stand on the floor; ghosts as well. surface: litres that a person has where the voxels are
-    no more than their surface, 0: they are whole."""
+    """Split a hull into parts that stand on the floor; ghosts are included.
+
+    surface: least volume of a person where the voxels are only its surface, litres; 0: the voxels fill the person.
+    """
     return [HullPerson(_part(hull, own, axis), axis) for axis, own in _axes(hull, floor, most, surface)]
 
 
 def _axes(hull: Hull, floor: float, most: int, surface: float) -> list[tuple[Array, NDArray[np.bool_]]]:
-    """Where people stand (2,) m, by how much of the hull is near, and which of its voxels (M,) are theirs."""
+    """Find where people stand, (2,) m, in the order of the hull's density there, and which voxels (M,) belong to
+    each."""
     litre, points = 1e3 * hull.voxel**3, hull.points
     filled = np.pad(hull.occupancy.sum(2), _RIM)
     density = np.asarray(ndimage.gaussian_filter(filled * litre, _SPREAD / hull.voxel))
@@ -174,14 +188,14 @@ def _axes(hull: Hull, floor: float, most: int, surface: float) -> list[tuple[Arr
 
 
 def _disc(radius: float) -> NDArray[np.bool_]:
-    """(2 r + 1, 2 r + 1) of the cells nearer to the middle one than so many."""
+    """Build a disc (2 r + 1, 2 r + 1) of cells."""
     r = int(radius)
     u, v = np.ogrid[-r : r + 1, -r : r + 1]
     return np.hypot(u, v) < radius
 
 
 def _within(filled: NDArray[np.integer], i: int, j: int, disc: NDArray[np.bool_]) -> int:
-    """What a plan holds within a disc about one of its cells."""
+    """Sum the plan within a disc around one of its cells."""
     r = disc.shape[0] // 2
     low, left = max(i - r, 0), max(j - r, 0)
     part = filled[low : i + r + 1, left : j + r + 1]
@@ -190,8 +204,12 @@ def _within(filled: NDArray[np.integer], i: int, j: int, disc: NDArray[np.bool_]
 
 
 def _stands(near: Array, nearby: float, litre: float, floor: float, surface: float) -> bool:
-    """Do the voxels (M, 3) m about an axis make a person? nearby: litres as near as PART_OF_LARGER_M, of whomever: a
-    part of something wide is no child; a child's surface alone is no more than a piece of furniture shows."""
+    """Decide whether the voxels (M, 3), m, around an axis make a person.
+
+    nearby: litres within PART_OF_LARGER_M, of any person. Why: a part of something wide is no child; and a child's
+        surface
+    alone is no larger than that of furniture.
+    """
     if not len(near) or near[:, 2].min() - floor > FROM_FLOOR:
         return False
     litres, height = len(near) * litre, float(np.ptp(near[:, 2]))
@@ -201,7 +219,7 @@ def _stands(near: Array, nearby: float, litre: float, floor: float, surface: flo
 
 
 def _not_ghosts(left: Silhouettes, found: list[HullPerson], least: int) -> list[HullPerson]:
-    """Those who show something of their own in several views: ghosts lie where the masks belong to others."""
+    """Keep the people who show own pixels in several views; ghosts lie where the masks belong to other people."""
     given, kept, others = left.informative, list[HullPerson](), list[Other]()
     for person in found:
         near = [k for k in kept if np.linalg.norm(k.axis - person.axis) < PART_OF_LARGER_M]
@@ -218,7 +236,7 @@ def _not_ghosts(left: Silhouettes, found: list[HullPerson], least: int) -> list[
 
 
 def _part(hull: Hull, chosen: NDArray[np.bool_], axis: Array) -> Hull:
-    """What of the chosen voxels (M,) hangs together with those near the axis (2,)."""
+    """Select the part of the chosen voxels (M,) that is connected to those near the axis (2,)."""
     index = np.argwhere(hull.occupancy)
     kept = np.zeros_like(hull.occupancy)
     kept[tuple(index[chosen].T)] = True

@@ -1,8 +1,8 @@
-"""Whether the key points of several calibrated views can be of one person, and what was misread where they cannot.
+"""Check whether the key points of several calibrated views can be of one person, and find out what was misread.
 
-A detector's points err by some pixels and a calibration by some more; points of another picture size, another axis or
-exchanged sides err by the size of the person. Such readings are tried one by one, and only one that explains the points
-far better than the plain one is named.
+Normal errors of a detector and a calibration are some pixels; a wrong picture size, a wrong axis or exchanged sides
+give errors as large as the person. Such misreadings are tried one by one, and one is reported only where it explains
+the points far better.
 """
 
 from __future__ import annotations
@@ -43,8 +43,12 @@ _SCALES = (0.25, 1 / 3, 0.375, 0.5, 2 / 3, 0.75, 4 / 3, 1.5, 2.0, 8 / 3, 3.0, 4.
 
 
 def misread(people: Sequence[Sequence[Array | None]], names: Sequence[str], rig: CameraRig) -> str | None:
-    """people: per view and frame the people (P, K, 3) in px of the calibrated, distorted cameras (None: no file). A
-    sentence part on the certain error of the points; None when nothing is, or it cannot be known."""
+    """Find the misreading that explains why the views' key points contradict each other.
+
+    people: per view and frame the people (P, K, 3), px of the calibrated, distorted cameras; None: no file.
+    names: of the K points.
+    Returns: a part of a sentence that names the error; None where nothing is wrong, or it cannot be known.
+    """
     points = _one_person(people, len(names), len(rig))
     if points is None:
         return None
@@ -59,8 +63,10 @@ def misread(people: Sequence[Sequence[Array | None]], names: Sequence[str], rig:
 
 
 def _misread(points: Array, plain: float, names: Sequence[str], rig: CameraRig) -> tuple[float, str] | None:
-    """As `misread`, of one person's points (C, T, K, 3) whose views disagree by `plain`, and by how much they still do
-    when they are read otherwise."""
+    """Find the misreading of one person's points (C, T, K, 3), whose views disagree by `plain`.
+
+    Returns: the remaining disagreement, and a part of a sentence that names the error; None.
+    """
     if plain > _DOUBTFUL:
         limit = min(_FINE, _BETTER * plain)
         found = min(((_residual(change(points), rig), what) for what, change in _readings(rig)), default=None)
@@ -87,7 +93,7 @@ def _misread(points: Array, plain: float, names: Sequence[str], rig: CameraRig) 
 
 
 def _other_cameras(points: Array, rig: CameraRig) -> float:
-    """What distance is left by the cameras that would fit best: those of two views exchanged, or all poses inverted."""
+    """Compute the least disagreement with two views exchanged, or with all camera poses inverted."""
     inverted = CameraRig(tuple(replace(c, camera_from_world=se3_inverse(c.camera_from_world)) for c in rig))
     found = [_residual(points, inverted)]
     for a, b in itertools.combinations(range(len(rig)), 2):
@@ -121,7 +127,7 @@ def _readings(rig: CameraRig) -> list[tuple[str, Callable[[Array], Array]]]:
 
 
 def _one_person(people: Sequence[Sequence[Array | None]], count: int, views: int) -> Array | None:
-    """(C, T, K, 3) of frames in which two or more views see exactly one person; None when there are too few."""
+    """Select frames (C, T, K, 3) in which two or more views see exactly one person; None when there are too few."""
     frames = range(max((len(p) for p in people), default=0))
     single = [
         [None if p is None or p[t] is None or len(p[t]) != 1 else p[t][0] for p in people]  # type: ignore[index]
@@ -143,7 +149,7 @@ def _tallest(people: Array) -> Array | None:
 
 
 def _triangulated(points: Array, rig: CameraRig) -> tuple[Array, Array, Array]:
-    """World points (T, K, 3), undistorted pixels (C, T * K, 2) and weights (C, T * K)."""
+    """Triangulate points; return world points (T, K, 3), undistorted pixels (C, T * K, 2) and weights (C, T * K)."""
     uv = np.stack([c.undistort_points(p[..., :2].reshape(-1, 2)) for c, p in zip(rig, points, strict=True)])
     weights = np.where(points[..., 2] > 0.2, points[..., 2], 0.0).reshape(len(points), -1)
     weights = np.where(np.isfinite(uv).all(-1), weights, 0.0)
@@ -152,14 +158,18 @@ def _triangulated(points: Array, rig: CameraRig) -> tuple[Array, Array, Array]:
 
 
 def _well_known(points: Array, rig: CameraRig) -> Array:
-    """World points (T, K, 3), NaN where all rays are nearly parallel, as those of two cameras that face each other."""
+    """Triangulate points (T, K, 3); NaN where all rays are nearly parallel, such as those of two cameras facing each
+    other."""
     x, uv, weights = _triangulated(points, rig)
     met = widest_angle(rig, uv, weights) > PARALLEL
     return np.where(met.reshape(x.shape[:2])[..., None], x, np.nan)
 
 
 def _residual(points: Array, rig: CameraRig) -> float:
-    """Median over views of their median distance from the common triangulation, in sizes of the person."""
+    """Compute the disagreement of the views with the common triangulation: the largest of the views' median distances.
+
+    It is in units of the person's size in the picture.
+    """
     if len(rig) < 2:
         return float("nan")
     world, uv, weights = _triangulated(points, rig)
@@ -177,8 +187,10 @@ def _residual(points: Array, rig: CameraRig) -> float:
 
 
 def _disproportion(world: Array, names: Sequence[str]) -> float:
-    """How far bones (medians over frames of points (T, K, 3)) are from an adult's proportions: the mean of what their
-    logarithms differ from the usual difference; 0 when too few are seen."""
+    """Compute how far the bones are from an adult's proportions: mean deviation of the logarithms of their lengths.
+
+    world: (T, K, 3) points; lengths are medians over the frames. 0 where too few are seen.
+    """
     at = {n: i for i, n in enumerate(names)}
     found = []
     for a, b, length in _LENGTHS:
@@ -192,7 +204,8 @@ def _disproportion(world: Array, names: Sequence[str]) -> float:
 
 
 def _mirrored(world: Array, names: Sequence[str]) -> bool:
-    """Whether nose or toes point backwards of what left and right say, in nearly all frames of points (T, K, 3)."""
+    """Decide whether nose or toes point backwards relative to left and right in nearly all frames of points (T, K,
+    3)."""
     at = {n: i for i, n in enumerate(names)}
 
     def of(*wanted: str) -> Array | None:

@@ -1,4 +1,4 @@
-"""Which set 2D key points belong to: by the names that a file gives, else by their number and the lengths of bones."""
+"""Find out to which set 2D key points belong: by names in the file, else by their number and the lengths of bones."""
 
 from __future__ import annotations
 
@@ -55,14 +55,16 @@ _BONES: tuple[tuple[str, str, float], ...] = (
     ("nose", "neck", 0.20),
 )
 IMPLAUSIBLE = 0.25
-"""Mean excess of bones over their longest, in units of it, from which a set cannot be meant."""
+"""Mean excess of bones over their longest usual length, in units of it, from which a set is impossible."""
 _SCATTER = 1.3  # of the bones' ratios to their longest around the usual one, by posture and perspective
 _ENOUGH = 30  # seen bones that the judgement needs
 
 
 def common_name(name: str) -> str:
-    """A key point's name as hypose writes it (left_big_toe), of LBigToe, Left Foot Index, r_hip, hip_r, ...; names
-    not known come back in lower case with their own words."""
+    """Convert a key point's name (LBigToe, Left Foot Index, r_hip, hip_r, ...) to hypose's form (left_big_toe).
+
+    Unknown names are returned in lower case with their own words.
+    """
     text = re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=^[LR])(?=[A-Z][a-z])", "_", name.strip())
     words = [w for w in re.split(r"[^A-Za-z0-9]+", text.lower()) if w]
     if len(words) == 1 and (bare := re.fullmatch(r"(left|right)(\w+)|(\w+)(left|right)", words[0])):
@@ -83,9 +85,13 @@ _KNOWN_PARTS = {n.removeprefix("left_").removeprefix("right_") for names in KEYP
 
 
 def arranged(names: Sequence[str], points: Array) -> tuple[str, Array, list[str]]:
-    """Points (..., K, 3) with foreign names -> the set that holds most of them (the smaller of equals), the points in
-    its order (..., K', 3), confidence 0 where it has more, and the names that it lacks. An InputError when no set holds
-    four of them."""
+    """Reorder points with foreign names to the set that contains most of them (the smaller one of equals).
+
+    points: (..., K, 3).
+    Returns: name of the set; points (..., K', 3) in its order, confidence 0 where a point is missing; the given names
+        that the set does not have.
+    Raises: InputError where no set contains four of the names.
+    """
     common = [common_name(n) for n in names]
     held = {s: sum(n in order for n in dict.fromkeys(common)) for s, order in KEYPOINT_SETS.items()}
     best = max(KEYPOINT_SETS, key=lambda s: (held[s], -len(KEYPOINT_SETS[s])))
@@ -104,8 +110,12 @@ def arranged(names: Sequence[str], points: Array) -> tuple[str, Array, list[str]
 
 
 def bone_excess(points: ArrayLike, keypoint_set: str) -> float:
-    """How much bones of people (N, K, 3), read as a set, are too long: mean over bones of the median excess over their
-    longest, in units of it; NaN when too little is seen. Right sets have about 0, others 1 and more."""
+    """Compute by how much the bones of people are too long when their points are read as a given set.
+
+    points: (N, K, 3).
+    Returns: mean over bones of the median excess over their longest usual length, in units of it; NaN where too little
+        is seen. Right sets have about 0, others 1 and more.
+    """
     p = np.asarray(points, dtype=np.float64)
     names = keypoint_names(keypoint_set)
     if p.ndim != 3 or p.shape[1] < len(names):
@@ -135,12 +145,13 @@ def bone_excess(points: ArrayLike, keypoint_set: str) -> float:
 
 
 def set_of_points(views: Sequence[Array], stated: str | None, usual: Sequence[str]) -> tuple[str, str]:
-    """The set of people (N, K, 3), per view, and how it is known: "stated", "by their number", "by the lengths of
-    bones".
+    """Find the set of key points of people (N, K, 3), per view.
 
-    stated: what the user or the file says; usual: sets to think of first where several have that many points. An
-    InputError (without the file's name) when the bones of the stated set are impossible and those of another are not,
-    or when no set has that many points or fits.
+    stated: what the user or the file says; None: nothing.
+    usual: sets that are preferred where several have this number of points.
+    Returns: name of the set; how it is known: "stated", "by their number" or "by the lengths of bones".
+    Raises: InputError, without the file's name, where the bones of the stated set are impossible and those of another
+        are not, or where no set has this number of points or fits.
     """
     count = views[0].shape[1]
     fitting = [s for s in [*usual, *KEYPOINT_SETS] if s in KEYPOINT_SETS and len(KEYPOINT_SETS[s]) == count]

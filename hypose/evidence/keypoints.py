@@ -1,5 +1,4 @@
-"""2D key points of any detector: the sets of names, OpenPose-style JSON, the choice of one person,
-triangulation.
+"""2D key points of any detector: sets of names, OpenPose-style JSON, triangulation, places on the body.
 
 Names are lower case with the side first (left_shoulder); left is the person's own left.
 """
@@ -64,7 +63,7 @@ KEYPOINT_SETS: Mapping[str, tuple[str, ...]] = {
     "COCO_133": COCO_133,
     "BODY_135": BODY_135,
 }
-"""The named sets. BODY_25 and BODY_25B have the same length: a recording must say which one it holds."""
+"""The named sets. BODY_25 and BODY_25B have the same length: a recording must say which one it has."""
 
 _BONES = tuple(
     (f"{side}_{a}", f"{side}_{b}")
@@ -88,14 +87,17 @@ _BONES = tuple(
 
 
 def lasting_m(names: Sequence[str]) -> float:
-    """m per axis by which the points of a set err in all views alike and all along, so that no scatter shows it: known
-    of BlazePose's alone, which on rendered people (seeds 5200 to 5215) lay 10 to 20 mm from where they lie in the mean.
+    """Return the error of a set's points that is the same in all views and frames, m per axis, so that no scatter shows
+    it.
+
+    It is known for BlazePose only: on rendered people (seeds 5200 to 5215) its points lay 10 to 20 mm from their mean
+    offsets. 0 for other sets.
     """
     return 0.02 if tuple(names) == BLAZEPOSE_33 else 0.0
 
 
 def keypoint_names(keypoint_set: str) -> tuple[str, ...]:
-    """The names of a set; an InputError lists the sets."""
+    """Return the names of a set; InputError, which lists the sets, where it is unknown."""
     found = {k.upper(): v for k, v in KEYPOINT_SETS.items()}.get(keypoint_set.strip().upper().replace("-", "_"))
     if found is None:
         raise InputError(f"There is no key-point set {keypoint_set!r}; the sets are {', '.join(KEYPOINT_SETS)}.")
@@ -103,7 +105,7 @@ def keypoint_names(keypoint_set: str) -> tuple[str, ...]:
 
 
 def other_sides(names: Sequence[str]) -> NDArray[np.int64]:
-    """(K,) column of the other side's point of each of K points: its own where there is none."""
+    """Return the column (K,) of each point's counterpart on the other side; its own column where there is none."""
     other = {"left": "right", "right": "left"}
     column = {n: i for i, n in enumerate(names)}
     parts = [n.partition("_") for n in names]
@@ -111,7 +113,8 @@ def other_sides(names: Sequence[str]) -> NDArray[np.int64]:
 
 
 def names_of_length(count: int) -> tuple[str, ...]:
-    """The set with that many points (25 is taken as OpenPose's BODY_25); an InputError lists the sets."""
+    """Return the set with this number of points (25: OpenPose's BODY_25); InputError, which lists the sets, where
+    there is none."""
     for names in KEYPOINT_SETS.values():
         if len(names) == count:
             return names
@@ -125,11 +128,14 @@ def parse_openpose(
     source: str = "The key-point file",
     raw: bool = False,
 ) -> Array:
-    """People of one OpenPose-style JSON document -> (people, K, 3) = (u px, v px, confidence 0..1).
+    """Read the people of one OpenPose-style JSON document.
 
-    names: the expected set (by default the set of that length). source: what the error sentence calls the
-    file. raw: of any length, and scores as they are. A point that is (0, 0), or has no finite position and no
-    confidence, is missing: confidence 0. Raises InputError for anything that is not such a document.
+    names: the expected set (default: the set of that length).
+    source: name of the file in error messages.
+    raw: accept any number of points, and keep the scores unchanged.
+    Returns: (P, K, 3) u px, v px, confidence 0..1. A point at (0, 0), or without finite position and confidence, is
+        missing: confidence 0.
+    Raises: InputError where it is no such document.
     """
     if isinstance(document, (str, bytes)):
         try:
@@ -181,7 +187,7 @@ def parse_openpose(
 
 
 def tallest(people: ArrayLike, min_confidence: float = 0.2) -> int | None:
-    """Index of the person (P, K, 3) who reaches over most of the picture from top to bottom, None for no person."""
+    """Find the index of the tallest person (P, K, 3) in the picture; None where there is none."""
     p = np.asarray(people, dtype=np.float64)
     if len(p) == 0:
         return None
@@ -191,8 +197,12 @@ def tallest(people: ArrayLike, min_confidence: float = 0.2) -> int | None:
 
 
 def to_keypoints(points: Sequence[ArrayLike], names: Sequence[str], rig: CameraRig, pinhole: CameraRig) -> Keypoints:
-    """Detected points of one person, per view (K, 3) in pixels of the calibrated (distorted) cameras of
-    `rig`, as Keypoints in undistorted pixels of the working-size cameras `pinhole`."""
+    """Convert one person's detected points to Keypoints in undistorted pixels of the working-size cameras.
+
+    points: per view (K, 3) in pixels of the calibrated (distorted) cameras of `rig`.
+    pinhole: the working-size cameras.
+    Raises: InputError where a view has another number of points.
+    """
     out = np.zeros((len(rig), len(names), 3))
     for c, p in enumerate(points):
         a = np.asarray(p, dtype=np.float64)
@@ -217,18 +227,18 @@ _OF_BLAZEPOSE: Mapping[str, tuple[float, float, float]] = {
     "heel": (-0.006, -0.008, -0.005),
     "big_toe": (0.007, 0.013, -0.002),
 }
-"""Where BlazePose's points lie from joints and landmarks, in shares of the height, in the rest frame of a left limb.
-Medians over 16 rendered people (benchmark `detector`, seeds 5200 to 5215) of triangulated points."""
+"""Offsets of BlazePose's points from joints and landmarks, in shares of the body height, in the rest frame of a left
+limb. Medians over 16 rendered people (benchmark `detector`, seeds 5200 to 5215) of triangulated points."""
 
 
 def landmark_of(names: Sequence[str], body: Body) -> tuple[NDArray[np.int64], Array, NDArray[np.bool_]]:
-    """Where each key point sits on the body: joint (K,), offset (K, 3) m in that joint's rest frame, known
-    (K,).
+    """Look up where key points sit on a body.
 
-    Elbows, wrists, knees and ankles are joint centres; shoulders ride on the clavicles and hips on the
-    pelvis (the same points, but an offset learnt there does not turn with the limb); OpenPose's neck is
-    the middle between the shoulders, mid_hip the middle between the hips. Face, heels, toes are the body's
-    landmarks of that name. BlazePose's are moved to where its network has them. Unknown names get known = False.
+    Elbows, wrists, knees and ankles are joint centres. Shoulders are fixed to the clavicles and hips to the pelvis (the
+    same places, but an offset learnt there does not turn with the limb). OpenPose's neck is the middle between the
+    shoulders, mid_hip the middle between the hips. Face, heels and toes are landmarks. BlazePose's points have their
+    network's offsets.
+    Returns: joint (K,); offset (K, 3) in the joint's rest frame, m; known (K,), False for unknown names.
     """
     s, rest = body.skeleton, body.skeleton.rest_joints
     at: dict[str, tuple[str, Array]] = {}
@@ -265,15 +275,15 @@ def triangulate_keypoints(
     min_confidence: float = 0.2,
     worse: ArrayLike = 1.0,
 ) -> tuple[Array, Array, NDArray[np.int64]]:
-    """Robust triangulation of T frames -> points (T, K, 3) m world, residual (T, K) px, number of views
-    (T, K). worse (C,): by how much the noise of each view is larger than that of the others; a view with more than 1
-    is left out of the points that two others see.
+    """Triangulate the key points of T frames robustly.
 
-    Confidence-weighted linear triangulation. Where the largest reprojection distance exceeds max_residual
-    (px of the working size; default 1 % of the longest image side) and three or more views see the point,
-    every view is left out in turn and the best solution is kept when it is at least twice as good. The
-    residual is the root mean square over the views used; what still exceeds twice max_residual, or
-    has fewer than two views, is NaN.
+    It is a linear triangulation weighted by confidence. Where the largest reprojection distance exceeds max_residual
+    and three or more views see the point, every view is left out in turn; the best result is used where it is at least
+    twice as good.
+    max_residual: px of the working size (default: 1 % of the longest image side).
+    worse: (C,) noise factor of each view; a view with more than 1 is left out of points that two others see.
+    Returns: points (T, K, 3) in the world, m; residual (T, K), root mean square over the views used, px; number of
+        views (T, K). Points with fewer than two views, or with more than twice max_residual, are NaN.
     """
     if not frames:
         raise InputError("There are no key points to triangulate; give at least one frame.")
@@ -316,14 +326,14 @@ def triangulate_keypoints(
 
 
 def _reprojection(rig: CameraRig, x: Array, uv: Array, w: Array) -> Array:
-    """(C, N) px between projections of x (N, 3) and uv (C, N, 2); a point behind a camera that sees it: a
-    large number."""
+    """Compute the distances (C, N), px, between projections of x (N, 3) and uv (C, N, 2); very large behind a
+    camera."""
     d = np.stack([np.linalg.norm(camera.project_pinhole(x) - uv[c], axis=-1) for c, camera in enumerate(rig)])
     return np.where(w > 0, np.nan_to_num(d, nan=1e6), 0.0)
 
 
 def person_size(points: ArrayLike, min_confidence: float = 0.3) -> float:
-    """Longer side of the box around the confident points (K, 3), px; 0 when there are fewer than three."""
+    """Compute the longer side of the box around the confident points (K, 3), px; 0 when there are fewer than three."""
     p = np.asarray(points, dtype=np.float64)
     p = p[p[:, 2] > min_confidence]
     return float(np.ptp(p[:, :2], axis=0).max()) if len(p) > 2 else 0.0
@@ -336,10 +346,10 @@ def thick_skeleton(
     radius: float,
     min_confidence: float = 0.3,
 ) -> NDArray[np.uint8]:
-    """Mask (h, w) = `shape` of limbs drawn `radius` px thick to either side, a filled torso, a head and
-    hands.
+    """Draw a person as a mask: limbs `radius` px thick to either side, a filled torso, head and hands.
 
-    points (K, 3) px of that image. Bones with an end below min_confidence are left out.
+    points: (K, 3) px of that image; bones with an end below min_confidence are left out.
+    shape: (h, w) of the mask.
     """
     p = np.asarray(points, dtype=np.float64)
     mask = np.zeros(shape, np.uint8)

@@ -1,7 +1,8 @@
-"""Limb segmentation maps: a label image per view that says which limb of the person each pixel shows.
+"""Limb segmentation maps: a label image per view that gives the limb of the person at each pixel.
 
-Human-parsing networks make such maps. Labels tell an arm before the trunk from one behind it; outlines do not. A search
-counts the pixels where a body shows another limb; a solve draws bones into their regions. Both are hypose's own.
+Human-parsing networks make such maps. Labels distinguish an arm in front of the trunk from one behind it; outlines do
+not. A search counts the pixels where a body shows another limb; a solve draws bones into their regions. Both are
+hypose's own.
 """
 
 from __future__ import annotations
@@ -23,16 +24,17 @@ from hypose.geometry import Array
 
 _OF_ONE_SIDE = (("shoulder",), ("elbow", "wrist"), ("hip",), ("knee", "ankle"))
 LABELS = tuple(tuple(f"{side}_{n}" for n in names) for side in ("left", "right") for names in _OF_ONE_SIDE)
-"""The joints whose skin is a limb: upper arm, forearm, thigh and shank of the left side, then of the right side. A
-pixel of LABELS[k] has the label k + 2; 1 is the trunk with the head, 0 says nothing."""
+"""Joints whose skin is a limb: upper arm, forearm, thigh and shank of the left side, then of the right side. A pixel of
+LABELS[k] has the label k + 2; 1 is the trunk with the head, 0 is unknown."""
 
 
 @dataclass(frozen=True)
 class LimbSettings:
-    """How much labels count. Chosen on folded arms and serves of the seeds 500 and 503 (benchmark `arms`).
+    """Weights of the labels. Chosen on folded arms and serves of the seeds 500 and 503 (benchmark `arms`).
 
-    wrong: what a pixel of the wrong limb costs in a search, against one outside the mask.
-    along: places on a limb's bone that a solve draws to the middle of its region, in lengths of the bone, hand too.
+    wrong: cost of a pixel of the wrong limb in a search, relative to one outside the mask.
+    along: places on a limb's bone, in lengths of the bone, that a solve draws to the middle line of its region; values
+        above 1 are in the hand.
     weight: of such a place in one view; sd_of_height: sd of its offset, in heights of the person.
     few: pixels that a limb must show to have a region; middles: pixels of its middle line that are used.
     """
@@ -50,8 +52,12 @@ _SETTINGS = LimbSettings()
 
 @dataclass(frozen=True)
 class LimbMaps:
-    """Label images of one instant: labels (C, h, w) uint8, see LABELS, undistorted, padded with 0 to the common size;
-    rig: the pinhole cameras of these images."""
+    """Label images of one instant.
+
+    labels: (C, h, w) uint8, see LABELS, undistorted, padded with 0 to the common size.
+    rig: the pinhole cameras of these images.
+    Raises: InputError where the shape or a label is wrong.
+    """
 
     labels: NDArray[np.uint8]
     rig: CameraRig
@@ -124,13 +130,17 @@ def _to_bones(points: Array, projections: Array, targets: Sequence[Array], scale
 
 @dataclass(frozen=True)
 class LimbEvidence(Evidence):
-    """masks: the labelled pixels; labels (C, h, w): their limbs."""
+    """Limb labels of a frame for searches and solves.
+
+    masks: the labelled pixels; labels: (C, h, w) their limbs.
+    """
 
     masks: PreparedMasks
     labels: NDArray[np.uint16]
 
     def energy(self, body: Body, poses: Array, limb: Limb | None = None) -> Array:
-        """(N,) share of the labelled pixels where a body shows another limb, sum over the views, times `wrong`."""
+        """Compute the share (N,) of the labelled pixels where a body shows another limb, summed over the views,
+        times `wrong`."""
         count, use = len(LABELS) + 2, self.masks.usable
         wrong = 1.0 - np.eye(count, dtype=np.float32)[1:]
         wrong[:, 0] = 0
@@ -140,10 +150,10 @@ class LimbEvidence(Evidence):
 
 
 def limb_of_faces(body: Body) -> NDArray[np.uint8]:
-    """(F,) label, less 1, of the limb of each face of the body's coarse mesh."""
+    """Look up the label, minus 1, of the limb of each face (F,) of the body's coarse mesh."""
     return limb_of_joints(body.skeleton.joint_names)[body.coarse.face_joint]
 
 
 def limb_of_joints(names: Sequence[str]) -> NDArray[np.uint8]:
-    """(J,) label, less 1, of the limb whose skin is that of each joint."""
+    """Look up the label, minus 1, of the limb of each joint (J,)."""
     return np.array([next((k + 1 for k, own in enumerate(LABELS) if n in own), 0) for n in names], dtype=np.uint8)

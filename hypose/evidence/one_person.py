@@ -1,8 +1,8 @@
-"""The one person that a recording is about, of all whom its views' key points show.
+"""Find the one person that a recording is about, among all people in its views' key points.
 
-Where the cameras' rays agree, people are separated by them (`hypose.evidence.association`). Where they do not,
-because there is one camera or the calibration is wrong, each view follows people by itself, and who is who across views
- is decided by how they move (`hypose.evidence.one_person`): a calibration can then still be examined, on one person.
+Where the cameras' rays agree, they separate the people (`hypose.evidence.association`). Where they do not, because
+there is one camera or the calibration is wrong, people are tracked in each view separately and matched between views by
+how they move. So a wrong calibration can still be examined, on one person.
 """
 
 from __future__ import annotations
@@ -34,10 +34,15 @@ _COMPARED = 3  # people per view that are compared by their motion
 
 @dataclass(frozen=True)
 class OnePerson:
-    """points (T, C, K, 3 or more): as they were given, confidence 0 where the person is not seen. several: another
-     person is there for a good part of the clip. people: those seen by two views or more, the one meant first. by_rays:
-    whether rays decided who is who; else motion did. apart: views whose detections do not fit the person's place.
-    notes: sentences for the user; of_all: those of them that hold as well where all people is followed."""
+    """The person that a recording is about.
+
+    points: (T, C, K, 3 or more) as they were given, confidence 0 where the person is not seen.
+    several: another person is present in a good part of the clip.
+    people: those seen by two views or more, this person first.
+    by_rays: true: people were matched by rays; false: by motion.
+    apart: views whose detections do not fit the person's place.
+    notes: sentences for the user; of_all: those that also hold where all people are tracked.
+    """
 
     points: Array
     several: bool
@@ -57,12 +62,12 @@ def one_person(
     keep_misfits: bool = False,
     settings: AssociationSettings | None = None,
 ) -> OnePerson:
-    """The person seen in most frames and views.
+    """Find the person who is seen in most frames and views.
 
-    candidates, names, rig, settings: as in `hypose.evidence.association.people_of`. keep_misfits: the calibration
-    itself is in question, so that a view that does not fit keeps the person who moves like the one of the other views;
-    else it is
-     left out."""
+    candidates, names, rig, settings: as in `hypose.evidence.association.people_of`.
+    keep_misfits: the calibration itself is in doubt; a view that does not fit keeps the person who moves like the one
+        in the other views. Otherwise such a view is left out.
+    """
     frames, views = len(candidates), len(rig)
     columns = [[frame[c] for frame in candidates] for c in range(views)]
     shown = np.array([[_anybody(people) for people in column] for column in columns]).T  # (T, C)
@@ -127,8 +132,10 @@ def one_person(
 
 
 def _passes_by(person: PersonTrack, rig: CameraRig, absent: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """(C,) views that seem to see the person, but whose key points lie next to where the rays of the others meet: the
-    worst first, as long as three or more are left to tell."""
+    """Find views (C,) whose key points lie next to the place where the rays of the other views meet.
+
+    The worst view is removed first, as long as three or more are left to decide.
+    """
     views = Views(rig)
     points = person.points.transpose(1, 0, 2, 3)[..., :3].copy()
     points[absent] = 0.0
@@ -151,7 +158,7 @@ def _passes_by(person: PersonTrack, rig: CameraRig, absent: NDArray[np.bool_]) -
 
 
 def _never_together(a: PersonTrack, b: PersonTrack) -> bool:
-    """Whether two who are there at the same time are never seen by one and the same view."""
+    """Decide whether two people who are present at the same time are never seen by one and the same view."""
     first, last = max(a.first, b.first), min(a.last, b.last) + 1
     if first >= last:
         return False
@@ -168,7 +175,7 @@ def _how_many(people: Array | None) -> int:
 
 
 def _stranger(column: Sequence[Array | None], tracks: Sequence[PersonTrack], c: int, frames: int) -> bool:
-    """Whether a view shows a person who is none of the people, for a good part of the clip."""
+    """Decide whether a view shows a person, for a good part of the clip, who is none of the tracked people."""
     known = np.zeros(frames, dtype=np.int64)
     for t in tracks:
         known[t.first : t.last + 1] += t.candidates[:, c] >= 0
@@ -177,7 +184,7 @@ def _stranger(column: Sequence[Array | None], tracks: Sequence[PersonTrack], c: 
 
 
 def _by_motion(columns, of_view, names, width: int, notes: tuple[str, ...]) -> OnePerson:  # noqa: ANN001
-    """Each view by itself; where one shows several, those who move alike in all of them."""
+    """Select the person in each view separately; where a view shows several, those who move alike in all views."""
     found = [of_view(c)[:_COMPARED] for c in range(len(columns))]
     count = len(names)
     points = [[taken(column, t.candidates, count, width) for t in v] for column, v in zip(columns, found, strict=True)]
@@ -190,7 +197,7 @@ def _by_motion(columns, of_view, names, width: int, notes: tuple[str, ...]) -> O
 
 
 def _rivals(tracks: Sequence[ViewTrack]) -> list[ViewTrack]:
-    """Those who are there at the same time as the first."""
+    """Select the people who are present at the same time as the first one."""
     if not tracks:
         return []
     there = tracks[0].candidates >= 0
@@ -198,7 +205,7 @@ def _rivals(tracks: Sequence[ViewTrack]) -> list[ViewTrack]:
 
 
 def _alike_in_all(points: Sequence[Sequence[Array]]) -> list[int]:
-    """Which of each view's people (T, K, 3) to take so that all move alike; of those that do, the longest there."""
+    """Choose one of each view's people (T, K, 3) so that all move alike; of equals, those present longest."""
     views = [c for c, v in enumerate(points) if v]
     apart: dict[tuple[int, int, int, int], float] = {}
     for a, b in itertools.combinations(views, 2):
@@ -227,8 +234,11 @@ def _alike_in_all(points: Sequence[Sequence[Array]]) -> list[int]:
 def _alike(
     column: Sequence[Array | None], tracks: Sequence[ViewTrack], others: Array, names: Sequence[str], width: int
 ) -> Array:
-    """Points (T, K, width) of whom of a view's people moves like the person (T, C, K, 3) of the other views; no person
-    where none does."""
+    """Find the points (T, K, width) of the person in one view who moves like the person (T, C, K, 3) in the other
+    views.
+
+    All zero where no person does.
+    """
     twin = other_sides(names)
     scored = []
     for t in tracks[:_COMPARED]:
@@ -247,7 +257,7 @@ def _alike(
 
 
 def _continued(track: ViewTrack, tracks: Sequence[ViewTrack]) -> NDArray[np.int64]:
-    """(T,) a person's candidates with those of others of that view that are there alone while the person is not."""
+    """Extend a person's candidates (T,) by those of others who are alone in the view while the person is missing."""
     out = track.candidates.copy()
     count = np.sum([t.candidates >= 0 for t in tracks], axis=0)
     for t in tracks:
@@ -271,21 +281,24 @@ _FEWEST_PAIRS = 60  # with fewer nothing is known
 
 @dataclass(frozen=True)
 class ViewTrack:
-    """One person in one view: the candidate's number at each frame of the clip (T,), -1 for none."""
+    """One person tracked in one view; candidates: (T,) number of the candidate in each frame of the clip, -1 for
+    none."""
 
     candidates: NDArray[np.int64]
 
     @property
     def frames(self) -> int:
-        """In how many frames the person is there."""
+        """Number of frames in which the person is present."""
         return int((self.candidates >= 0).sum())
 
 
 def view_tracks(frames: Sequence[Array | None], patience: int) -> list[ViewTrack]:
-    """People of one view: candidates (P, K, 3) per frame joined to whom they lie nearest to; those there longest first.
+    """Track the people of one view by joining each candidate to the nearest person; those present longest come first.
 
-    patience: frames after which a person who is not seen is followed no more. In each frame candidates and people are
-    assigned exactly, so that two do not take each other's place."""
+    frames: per frame the candidates (P, K, 3).
+    patience: number of frames after which an unseen person's track ends.
+    Candidates and people of a frame are assigned exactly, so that two people do not take each other's place.
+    """
     from scipy.optimize import linear_sum_assignment  # takes long to import
 
     tracks: list[NDArray[np.int64]] = []
@@ -318,7 +331,7 @@ def view_tracks(frames: Sequence[Array | None], patience: int) -> list[ViewTrack
 
 
 def _moved(before: Array, now: Array, gap: int) -> float:
-    """How far one candidate (K, 3) lies from another, 1 = as far as a person moves in `gap` frames."""
+    """Compute the distance of two candidates (K, 3) in units of the distance that a person moves in `gap` frames."""
     both = (before[:, 2] > _LEAST_CONFIDENCE) & (now[:, 2] > _LEAST_CONFIDENCE)
     if both.sum() < 3:
         return 2.0
@@ -328,7 +341,7 @@ def _moved(before: Array, now: Array, gap: int) -> float:
 
 
 def taken(frames: Sequence[Array | None], candidates: NDArray[np.int64], count: int, columns: int = 3) -> Array:
-    """Points (T, K, columns) of the candidates numbered (T,), zeros where there is none; count: K."""
+    """Collect the points (T, K, columns) of the candidates numbered (T,), zero where there is none; count: K."""
     out = np.zeros((len(frames), count, columns))
     for t, (people, p) in enumerate(zip(frames, candidates, strict=True)):
         if p >= 0 and people is not None:
@@ -337,11 +350,13 @@ def taken(frames: Sequence[Array | None], candidates: NDArray[np.int64], count: 
 
 
 def moves_as(one: Array, other: Array) -> float:
-    """How badly points (T, K, 3) of two views can be one body's: median distance from the epipolar lines of the
-    fundamental matrix that explains them best, in sizes of the person; NaN when they share too little.
+    """Compute how badly the points (T, K, 3) of two views fit one body.
 
-    The normalised eight-point algorithm (Hartley 1997), weighted again by the rest (three rounds), as detections
-    have outliers."""
+    Points of one moving body in two views obey one fundamental matrix, whatever the cameras are. It is computed by the
+    normalised eight-point algorithm (Hartley 1997), reweighted by the residuals (three times), because detections have
+    outliers.
+    Returns: median distance from the epipolar lines, in sizes of the person; NaN where too few points are common.
+    """
     both = (one[..., 2] > _LEAST_CONFIDENCE) & (other[..., 2] > _LEAST_CONFIDENCE)
     a, b = one[both][:, :2], other[both][:, :2]
     if len(a) < _FEWEST_PAIRS:
@@ -369,14 +384,14 @@ def moves_as(one: Array, other: Array) -> float:
 
 
 def _normalised(points: Array) -> tuple[Array, float]:
-    """Points (M, 2) around 0 with a mean distance of sqrt 2, and the factor."""
+    """Shift and scale points (M, 2) to mean 0 and mean distance sqrt 2; return the factor too."""
     p = points - points.mean(0)
     factor = np.sqrt(2.0) / max(float(np.linalg.norm(p, axis=1).mean()), 1e-9)
     return p * factor, factor
 
 
 def _size(points: Array) -> float:
-    """px: median over frames of the longer side of points (T, K, 3)."""
+    """Compute the median over frames of the longer side of points (T, K, 3), px."""
     seen = points[..., 2] > _LEAST_CONFIDENCE
     enough = seen.sum(1) >= _LEAST_POINTS
     p, s = points[enough], seen[enough][..., None]

@@ -1,4 +1,5 @@
-"""Outlines of masks: signed distances and points on the edge. `hypose.evidence.prefetch` has those of a frame."""
+"""Compute outlines of masks: signed distances and points on the edge. `hypose.evidence.prefetch` caches those of a
+frame."""
 
 from __future__ import annotations
 
@@ -18,20 +19,25 @@ from hypose.compute.rows import outline_points
 from hypose.geometry import Array, Mask
 
 OUTLINE_POINTS = 130
-"""Points per view by default: two pixels apart on a person 260 px tall are enough."""
+"""Default number of points per view: two pixels apart on a person 260 px tall is enough."""
 SMALLEST = 8
-"""px: masks no longer than this have no outline worth following"""
+"""px: masks no longer than this get no outline"""
 WORKING_HEIGHT = 170
-"""px: a person this tall is outlined well enough for tracking; larger masks may be shrunk by 1.5, 2, 2.5..."""
+"""px: height of a person that is enough for tracking; larger masks may be shrunk by 1.5, 2, 2.5..."""
 
 
 @dataclass(frozen=True)
 class ViewOutline:
-    """Of one mask: distance (h, w) float32 px to its edge, negative inside (`signed_distance`), in the part of
-    the image that begins at corner (x, y); points (K, 2) float32 px on the edge, away from the image border
-    (`outline_points`); found: how many edge pixels there are; shrunk: the factor, a multiple of 1/2, by which the
-    mask was shrunk before, so that all these are in shrunk pixels; extent: longer side of the mask's box in its own
-    pixels; working_height: as asked for. A mask that is too small has no outline: zeros."""
+    """Outline of one mask; all zero for a mask that is too small.
+
+    distance: (h, w) float32 px to the edge, negative inside (`signed_distance`), of the part of the image at `corner`.
+    points: (K, 2) float32 px on the edge, away from the image border (`outline_points`).
+    found: number of edge pixels.
+    extent: longer side of the mask's box in its own pixels.
+    shrunk: factor, a multiple of 1/2, by which the mask was shrunk before; distance and points are in shrunk pixels.
+    corner: (x, y) where the part of the image begins.
+    working_height: as requested.
+    """
 
     distance: NDArray[np.float32]
     points: NDArray[np.float32]
@@ -44,8 +50,11 @@ class ViewOutline:
 
 @dataclass(frozen=True)
 class Outlines:
-    """Of all views: distance (C, h, w) with own sizes (C, 2) and corners (C, 2), points (C, K, 2), found (C,), extent
-    (C,), shrunk (C,); zeros for views that are not usable. See ViewOutline."""
+    """Outlines of all views; zero for views that are not usable. See ViewOutline for the fields.
+
+    distance: (C, h, w), each view in its own size (sizes (C, 2)) at its corner (corners (C, 2)).
+    points: (C, K, 2); found, extent, shrunk: (C,).
+    """
 
     distance: NDArray[np.float32]
     points: NDArray[np.float32]
@@ -57,8 +66,10 @@ class Outlines:
 
 
 def bounding_box(mask: ArrayLike, margin: int = 0) -> tuple[int, int, int, int] | None:
-    """Find the box (y0, y1, x0, x1), half open, around the non-zero pixels of a mask (h, w), and widen it by a margin
-    in px; None where all pixels are zero."""
+    """Compute the box (y0, y1, x0, x1), half open, around the non-zero pixels of a mask (h, w), plus a margin in px.
+
+    Returns: None where all pixels are zero.
+    """
     m = np.asarray(mask)
     h, w = m.shape
     x, y, width, height = cv2.boundingRect(m if m.dtype == np.uint8 else (m != 0).astype(np.uint8))
@@ -68,8 +79,10 @@ def bounding_box(mask: ArrayLike, margin: int = 0) -> tuple[int, int, int, int] 
 
 
 def view_outline(mask: Mask, count: int = OUTLINE_POINTS, working_height: int | None = None) -> ViewOutline:
-    """Outline of a mask (h, w), in its own size, without padding. working_height px: for tracking, see
-    `outline_in_box`."""
+    """Compute the outline of a mask (h, w) without padding, in its own size.
+
+    working_height: px, for tracking, see `outline_in_box`.
+    """
     box = bounding_box(mask) or (0, 0, 0, 0)
     if working_height is not None:
         return outline_in_box(mask[box[0] : box[1], box[2] : box[3]], box, mask.shape, count, working_height)
@@ -85,10 +98,13 @@ def view_outline(mask: Mask, count: int = OUTLINE_POINTS, working_height: int | 
 def outline_in_box(
     part: Mask, box: tuple[int, int, int, int], shape: tuple[int, ...], count: int, working_height: int
 ) -> ViewOutline:
-    """Outline of a mask (h, w) = shape that is the part in the box (y0, y1, x0, x1), and zero around it, for tracking:
-    one that is taller than working_height px is shrunk by the largest multiple of 1/2 that leaves it at least as tall,
-    and distances are made around the person only (a sixth of its size, at least 32 px): further out rows weigh
-    nothing."""
+    """Compute the outline of a mask for tracking, given only its part in a box.
+
+    part: the mask in box (y0, y1, x0, x1); all other pixels of the mask (h, w) = shape are zero.
+    A mask taller than working_height px is shrunk by the largest multiple of 1/2 that leaves it at least as tall.
+    Distances are computed around the person only (a sixth of its size, at least 32 px), because rows further away have
+    no weight.
+    """
 
     def put(mask: Mask, corner: tuple[int, int]) -> None:
         y, x = box[0] - corner[0], box[2] - corner[1]
@@ -99,7 +115,7 @@ def outline_in_box(
 
 
 def outline_of_runs(runs: MaskRuns, count: int, working_height: int) -> ViewOutline:
-    """The same of a packed mask."""
+    """Compute the outline of a packed mask, as `outline_in_box` does."""
     draw = partial(mask_runs.draw, runs)
     return _outline_around(draw, runs.box, runs.shape, count, working_height)
 
@@ -111,7 +127,8 @@ def _outline_around(
     count: int,
     working_height: int,
 ) -> ViewOutline:
-    """put: sets the person in an empty part of the mask, which begins at a corner (y, x)."""
+    """Compute the outline of a person whom the function put(mask, corner (y, x)) draws into an empty part of the
+    mask."""
     extent = max(box[1] - box[0], box[3] - box[2])
     halves = _halves(extent, working_height)
     y0, y1, x0, x1 = _around(box, shape, halves)
@@ -129,8 +146,8 @@ def _outline_around(
 
 
 def _around(box: tuple[int, ...], shape: tuple[int, ...], halves: int) -> tuple[int, int, int, int]:
-    """(y0, y1, x0, x1) px, whole blocks of halves from the upper left on, in which distances are made for a person in a
-    box (y0, y1, x0, x1) of a mask (h, w) = shape."""
+    """Compute the region (y0, y1, x0, x1), px, for the distances around a person's box, in whole blocks of `halves`
+    pixels."""
     h, w = (side // halves * halves for side in shape)
     margin = max(16 * halves, max(box[1] - box[0], box[3] - box[2]) // 6)
     y0, x0 = (max(box[k] - margin, 0) // halves * halves for k in (0, 2))
@@ -143,18 +160,20 @@ def _no_outline(shape: tuple[int, ...], count: int, extent: int, working_height:
 
 
 KNOWN_PX = 0.75
-"""By how much a distance may differ with the ignored pixels in the mask, or not, and still be known."""
+"""px: largest difference of a distance with and without the ignored pixels at which it counts as known."""
 _FEW_POINTS, _NEARBY = 8, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
 
 
 def shared_outline(
     mask: Mask, ignored: Mask, box: ArrayLike, count: int = OUTLINE_POINTS, working_height: int | None = None
 ) -> ViewOutline:
-    """Outline of a mask (h, w) in which the pixels `ignored` (h, w) say nothing, of a person expected in box (y0, y1,
-    x0, x1) px; working_height as for `outline_in_box`.
+    """Compute the outline of a mask (h, w) with pixels `ignored` (h, w), for a person expected in box (y0, y1, x0, x1),
+    px.
 
-    Distances that depend on ignored pixels are NOT_KNOWN, outline points next to them are marked (-1e6): the
-    outline there may be another person's."""
+    working_height: as for `outline_in_box`.
+    Returns: the outline; distances that depend on ignored pixels are NOT_KNOWN, and outline points next to them are set
+        to -1e6, because the outline there may be another person's.
+    """
     whose = tuple(int(n) for n in np.asarray(box))
     extent = max(whose[1] - whose[0], whose[3] - whose[2])
     nothing = _no_outline((2, 2), count, extent, working_height)
@@ -190,13 +209,13 @@ def shared_outline(
 
 
 def _halves(extent: int, working_height: int | None) -> int:
-    """Twice the factor by which to shrink, so that 2 pixels are made of so many."""
+    """Compute twice the factor by which to shrink: so many pixels become 2."""
     return 2 if working_height is None else max(2, 2 * extent // working_height)
 
 
 def _shrink(mask: Mask, halves: int) -> Mask:
-    """Mask in blocks of halves x halves pixels, of which 2 x 2 are made: a pixel is set when at least half of its area
-    is."""
+    """Shrink a mask: each block of halves x halves pixels becomes 2 x 2; a pixel is set when at least half of its
+    area is."""
     h, w = 2 * (mask.shape[0] // halves), 2 * (mask.shape[1] // halves)
     mask = mask[: h * halves // 2, : w * halves // 2]
     if halves % 2:
@@ -206,13 +225,13 @@ def _shrink(mask: Mask, halves: int) -> Mask:
 
 
 def shrunk_projection(projection: Array, factor: float) -> Array:
-    """A pinhole projection (3, 4) for pixels that are `factor` times as large; pixel centres at integer coordinates."""
+    """Scale a pinhole projection (3, 4) to pixels `factor` times as large; pixel centres are at integer coordinates."""
     shift = 0.5 / factor - 0.5
     return np.array([[1 / factor, 0, shift], [0, 1 / factor, shift], [0, 0, 1]]) @ projection
 
 
 def stack_outlines(views: Sequence[ViewOutline | None], count: int = OUTLINE_POINTS) -> Outlines:
-    """The outlines of all views of a frame, with `count` points each; None: a view that is not usable."""
+    """Stack the outlines of all views of a frame, with `count` points each; None: a view that is not usable."""
     shapes = [v.distance.shape for v in views if v is not None]
     rows, columns = (max([shape[a] for shape in shapes], default=2) for a in (0, 1))
     n = len(views)

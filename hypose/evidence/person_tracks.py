@@ -1,4 +1,4 @@
-"""People followed through a clip by their key points (PersonTrack), and which of them is meant."""
+"""Tracks of people through a clip by their key points, and the choice of the person that a recording is about."""
 
 from __future__ import annotations
 
@@ -22,11 +22,14 @@ _ALIKE = 0.12  # mean difference of the logarithms of bones' lengths up to which
 
 @dataclass(frozen=True)
 class PersonTrack:
-    """One person from frame `first` (of the clip, from 0) on, T frames.
+    """Track of one person for T frames, from frame `first` of the clip on.
 
-    points (T, C, K, 3 or more): key points in each view, px and confidence as they were given, left and right repaired,
-    confidence 0 where the person is not seen; further columns as they were given. world (T, K, 3) m: where the rays
-    meet, NaN where fewer than two do. candidates (T, C): which of the view's candidates it is, -1 for none."""
+    first: index of the first frame, from 0.
+    points: (T, C, K, 3 or more) key points in each view, px and confidence as they were given, with left and right
+        corrected; confidence 0 where the person is not seen. Further columns are as they were given.
+    world: (T, K, 3) where the rays meet, m; NaN where fewer than two do.
+    candidates: (T, C) number of the view's candidate, -1 for none.
+    """
 
     first: int
     points: Array
@@ -38,24 +41,26 @@ class PersonTrack:
 
     @property
     def last(self) -> int:
-        """The last frame of the clip in which the person is followed."""
+        """Last frame of the clip in the track."""
         return self.first + len(self) - 1
 
     @property
     def seen(self) -> NDArray[np.bool_]:
-        """(T, C) whether a view sees the person."""
+        """Whether each view sees the person (T, C)."""
         return (self.points[..., 2] > 0).sum(-1) >= _SEEN_POINTS
 
     @property
     def agreed(self) -> float:
-        """Share of the points that two views or more show whose rays meet: low for a person made of the detections of
-        several, or of views that are exchanged."""
+        """Share of the points shown by two or more views whose rays meet.
+
+        It is low for a track made of several people's detections, or where views are exchanged.
+        """
         shown = (self.points[..., 2] > 0).sum(1) >= 2
         return float((shown & np.isfinite(self.world[..., 0])).sum() / max(int(shown.sum()), 1))
 
     @property
     def height_px(self) -> float:
-        """Median over frames and views of the person's extent from top to bottom, px."""
+        """Median over frames and views of the person's height in the picture, px."""
         shown = self.points[..., 2] > 0
         high = np.where(shown, self.points[..., 1], -np.inf).max(-1) - np.where(shown, self.points[..., 1], np.inf).min(
             -1
@@ -63,7 +68,7 @@ class PersonTrack:
         return float(np.median(high[self.seen])) if self.seen.any() else 0.0
 
     def place(self, frame: int) -> Array:
-        """(3,) m: the middle of the person at a frame of the clip, NaN when the person is not placed then."""
+        """Compute the person's middle (3,), m, at a frame of the clip; NaN where unknown."""
         at = frame - self.first
         if not 0 <= at < len(self):
             return np.full(3, np.nan)
@@ -72,8 +77,11 @@ class PersonTrack:
 
 
 def choose(tracks: Sequence[PersonTrack]) -> int | None:
-    """Which of the people is meant, None when there is no person: who is seen in most frames and views, by points whose
-    rays meet; of those with nearly as much, who is largest in the pictures."""
+    """Choose the person that the recording is about; return the index, None where there is no person.
+
+    It is the one seen in most frames and views by points whose rays meet; of those with nearly as many, the largest in
+    the pictures.
+    """
     if not tracks:
         return None
     seen = np.array([t.seen.sum() * t.agreed for t in tracks])
@@ -82,8 +90,11 @@ def choose(tracks: Sequence[PersonTrack]) -> int | None:
 
 
 def joined(tracks: Sequence[PersonTrack], names: Sequence[str], frame_rate: float) -> list[PersonTrack]:
-    """The tracks with those made one that are one person before and after not having been seen: of a body as large, at
-    a place that can be reached meanwhile, and no other person comes into question. Those seen most first."""
+    """Join tracks that are one person before and after a gap; those seen most come first.
+
+    Two tracks are joined where the bones have the same lengths, the place can be reached in the gap, and no other
+    person fits.
+    """
     left = sorted(tracks, key=lambda t: t.first)
     sizes = [_bones(t, names) for t in left]
     while True:
@@ -112,13 +123,13 @@ def joined(tracks: Sequence[PersonTrack], names: Sequence[str], frame_rate: floa
 
 
 def _at_once(tracks: Sequence[PersonTrack], i: int, j: int, k: int, m: int) -> bool:
-    """Whether joining k with m rivals joining i with j: two who are there at the same time want the same one."""
+    """Decide whether joining k with m excludes joining i with j, because two simultaneous tracks claim the same one."""
     a, b = (tracks[j], tracks[m]) if k == i else (tracks[i], tracks[k])
     return a.first <= b.last and b.first <= a.last
 
 
 def _bones(track: PersonTrack, names: Sequence[str]) -> Array:
-    """(B,) m: median lengths of bones, NaN where seldom seen."""
+    """Compute the median lengths of bones (B,), m; NaN where seldom seen."""
     column = {n: i for i, n in enumerate(names)}
     out = np.full(len(_BONES), np.nan)
     for i, (a, b) in enumerate(_BONES):

@@ -18,38 +18,39 @@ from hypose.evidence.keypoints import BLAZEPOSE_33
 from hypose.geometry import Array, Image
 
 CROP, DETECTOR = 256, 224
-"""px: side of the pictures that the networks take"""
+"""px: side of the networks' input pictures"""
 MASK_PROBABILITY = 0.5
 """Probability from which a pixel of a crop is the person."""
 _LEAST_SCORE, _LEAST_PRESENCE = 0.5, 0.5
 _WIDER = 1.25
 """Half side of a crop in radii of the circle around the body."""
 _SAME, _NEARBY = 0.35, 0.5
-"""Distances between middles of the hips, in radii: two crops show the same person; a detection is of a person who is
-followed already."""
+"""Distances between hip centres, in radii: below _SAME two crops show the same person; below _NEARBY a detection is of
+a person who is tracked already."""
 _PART = 0.75
-"""Side of the parts of a picture that the detector looks at, in its shorter sides."""
+"""Side of the parts of a picture that the detector processes, relative to the picture's shorter side."""
 _LOGIT = 30.0
 
 
 @dataclass(frozen=True)
 class Crop:
-    """The square that a person is looked for in, px of the picture.
+    """Square in which a person is searched, px of the picture.
 
-    hips: (2,), the middle of the hips, which is the middle of the square.
-    top: (2,), the point above it on the circle around the whole body."""
+    hips: (2,) centre of the hips, which is the centre of the square.
+    top: (2,) point above it on the circle around the whole body.
+    """
 
     hips: Array
     top: Array
 
     @property
     def radius(self) -> float:
-        """Of the circle, px."""
+        """Radius of the circle, px."""
         return float(np.linalg.norm(self.top - self.hips))
 
     @property
     def from_picture(self) -> Array:
-        """(2, 3): pixels of the picture -> pixels of the crop, in which the body is upright."""
+        """Affine map (2, 3) from pixels of the picture to pixels of the crop, in which the body is upright."""
         x, y = self.top - self.hips
         up = np.array([x, y]) / max(np.hypot(x, y), 1e-6)
         scale = CROP / (2 * _WIDER * max(self.radius, 1.0))
@@ -62,10 +63,11 @@ class Crop:
 class Sighting:
     """One person in one picture.
 
-    points: (K, 3), px of the picture and confidence 0..1.
-    mask: (CROP, CROP) float32, probability of each pixel of the crop; None: the detector gives no masks.
-    crop: the square that mask is of.
-    following: where to look for the person in the next picture."""
+    points: (K, 3) px of the picture, and confidence 0..1.
+    mask: (CROP, CROP) float32 probability of each pixel of the crop; None: the detector gives no masks.
+    crop: the square of the mask.
+    following: where to search for the person in the next picture.
+    """
 
     points: Array
     mask: NDArray[np.float32] | None = None
@@ -74,15 +76,23 @@ class Sighting:
 
 
 class DetectorOutput(NamedTuple):
-    """boxes: (2254, 12), offsets from the anchors, px; scores: (2254,), logits."""
+    """Output of the detector network.
+
+    boxes: (2254, 12) offsets from the anchors, px.
+    scores: (2254,) logits.
+    """
 
     boxes: NDArray[np.float32]
     scores: NDArray[np.float32]
 
 
 class LandmarkOutput(NamedTuple):
-    """points: (39, 5), x, y px of the crop, z, logits of visibility and presence; presence: of a person, 0..1; mask:
-    (CROP, CROP), logits."""
+    """Output of the landmark network.
+
+    points: (39, 5) x, y px of the crop, z, logits of visibility and presence.
+    presence: probability of a person, 0..1.
+    mask: (CROP, CROP) logits.
+    """
 
     points: NDArray[np.float32]
     presence: float
@@ -91,13 +101,14 @@ class LandmarkOutput(NamedTuple):
 
 @dataclass(frozen=True)
 class PoseNetwork:
-    """Points and masks of the people in pictures that follow each other.
+    """Detector of points and masks of the people in consecutive pictures.
 
     detect: (224, 224, 3) float32 RGB -1..1 -> DetectorOutput.
     landmarks: (256, 256, 3) float32 RGB 0..1 -> LandmarkOutput.
-    identity: what decides the result, as JSON values.
-    people: most people in a picture.
-    every: number of pictures after which the detector looks for newcomers, even where a person is followed."""
+    identity: everything that determines the result, as JSON values.
+    people: largest number of people in a picture.
+    every: number of pictures after which the detector searches for new people, even where a person is tracked.
+    """
 
     detect: Callable[[NDArray[np.float32]], DetectorOutput]
     landmarks: Callable[[NDArray[np.float32]], LandmarkOutput]
@@ -108,7 +119,7 @@ class PoseNetwork:
     gives_masks: bool = True
 
     def look(self, image: Image, number: int, before: Sequence[Crop] = ()) -> list[Sighting]:
-        """People in a picture (h, w, 3) BGR with its number in the video; before: where they are expected."""
+        """Detect the people in a picture (h, w, 3) BGR; number: in the video; before: where people are expected."""
         found = self._in_crops(image, before, [])
         if not found or (number % self.every == 0 and len(found) < self.people):
             known = [f.following for f in found if f.following is not None]
@@ -117,7 +128,7 @@ class PoseNetwork:
         return found
 
     def _in_crops(self, image: Image, crops: Sequence[Crop], found: list[Sighting]) -> list[Sighting]:
-        """The people found, and those in the crops who are none of them."""
+        """Add the people in the crops to those found, unless they are the same."""
         out = list(found)
         for crop in crops:
             person = self._person(image, crop)
@@ -129,7 +140,7 @@ class PoseNetwork:
         return out
 
     def _person(self, image: Image, crop: Crop) -> Sighting | None:
-        """The person in a crop, or None."""
+        """Detect the person in a crop; None where there is none."""
         to_crop = crop.from_picture
         part = cv2.warpAffine(image, to_crop, (CROP, CROP), flags=cv2.INTER_LINEAR)
         given = np.asarray(cv2.cvtColor(part, cv2.COLOR_BGR2RGB)[None], dtype=np.float32) / np.float32(255)
@@ -148,7 +159,7 @@ class PoseNetwork:
         return Sighting(person, sigmoid(mask), crop, following)
 
     def _detected(self, image: Image) -> list[Crop]:
-        """Crops of the people that the detector finds in the picture and in parts of it, the surest first."""
+        """Detect people in the picture and in parts of it; return their crops, the most certain first."""
         found = [one for part in _squares(image.shape[1], image.shape[0]) for one in self._in_square(image, *part)]
         out = list[Crop]()
         for _, crop in sorted(found, key=lambda one: -one[0]):
@@ -157,7 +168,7 @@ class PoseNetwork:
         return out
 
     def _in_square(self, image: Image, x: int, y: int, side: int) -> Iterator[tuple[float, Crop]]:
-        """Scores and crops of what may be people in a square of the picture, which may reach beyond it."""
+        """Detect people in a square of the picture, which may reach beyond it; yield scores and crops."""
         part = image[max(y, 0) : y + side, max(x, 0) : x + side]
         scale = DETECTOR / side
         size = max(1, round(part.shape[1] * scale)), max(1, round(part.shape[0] * scale))
@@ -175,8 +186,8 @@ class PoseNetwork:
 
 
 def _squares(width: int, height: int) -> list[tuple[int, int, int]]:
-    """x, y and side, px, of the squares of a picture that the detector looks at: the whole, and parts in which people
-    are large enough for it that are small in the whole."""
+    """List the squares (x, y, side), px, that the detector processes: the whole picture, and parts for people who are
+    too small in the whole."""
     most, side = max(width, height), round(_PART * min(width, height))
 
     def begins(length: int) -> list[int]:
@@ -187,7 +198,7 @@ def _squares(width: int, height: int) -> list[tuple[int, int, int]]:
 
 
 def _anchors() -> Array:
-    """(2254, 2): middles of the detector's anchors in shares of its picture."""
+    """Compute the centres (2254, 2) of the detector's anchors, as shares of its input."""
     out = []
     for stride, count in ((8, 2), (16, 2), (32, 6)):
         side = DETECTOR // stride
@@ -200,12 +211,12 @@ _ANCHORS = _anchors()
 
 
 def _apart(a: Crop, b: Crop) -> float:
-    """Distance between the hips of two, in radii of the smaller one."""
+    """Compute the distance between the hips of two crops, in radii of the smaller one."""
     return float(np.linalg.norm(a.hips - b.hips)) / max(min(a.radius, b.radius), 1.0)
 
 
 def mask_of_people(people: Sequence[Sighting], places: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """(h, w), 1 where a person is. places (h, w, 2): where its pixels lie in the picture."""
+    """Combine the people's masks into one mask (h, w); places: (h, w, 2) position of its pixels in the picture."""
     out = np.zeros(places.shape[:2], np.float32)
     for found in people:
         if found.crop is None or found.mask is None:
@@ -217,5 +228,5 @@ def mask_of_people(people: Sequence[Sighting], places: NDArray[np.float32]) -> N
 
 
 def sigmoid(logits: NDArray[np.float32]) -> NDArray[np.float32]:
-    """1 / (1 + exp(-x))."""
+    """Compute 1 / (1 + exp(-x))."""
     return np.asarray(1 / (1 + np.exp(-np.clip(logits, -_LOGIT, _LOGIT))), dtype=np.float32)

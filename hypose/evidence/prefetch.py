@@ -1,7 +1,7 @@
-"""What the tracker wants of a frame's masks, made by other threads while the frame before is being tracked.
+"""Prepare the masks of coming frames for tracking in other threads, while the current frame is tracked.
 
-It depends on the masks alone, so the code that holds the masks may make it: `make_ahead` tells that it does,
-`look_ahead` does so for the frames to come, and `outlines` and `prepared_masks` take it from there or make it.
+The results depend on the masks alone. `make_ahead` announces results that other code computes, `look_ahead` computes
+them for the next frames, and `outlines` and `prepared_masks` use them or compute them.
 """
 
 from __future__ import annotations
@@ -27,13 +27,14 @@ from hypose.evidence.outlines import (
 )
 
 LEAST_AREA = 200
-"""px: a person of whom less is expected weighs no more than that"""
+"""px: least area by which a view's energy is divided, for a person of whom less is expected"""
 _Views = Callable[[], list[ViewOutline | None] | None]
 
 
 @dataclass(frozen=True)
 class _Made:
-    """views: waits for the outlines for tracking; stacked, masks: what `outlines` and `prepared_masks` return."""
+    """Results kept with silhouettes; views: function that waits for the outlines; stacked, masks: of `outlines`,
+    `prepared_masks`."""
 
     views: _Views | None = None
     stacked: Outlines | None = None
@@ -48,14 +49,20 @@ def _keep(silhouettes: Silhouettes, made: _Made) -> None:
 
 
 def make_ahead(silhouettes: Silhouettes, views: _Views) -> None:
-    """Tell that the outlines for tracking of these silhouettes are being made: `views` waits for them and returns one
-    per view (None where there is none), or None when they will not come. They are forgotten with the silhouettes."""
+    """Announce that other code computes the outlines of these silhouettes for tracking.
+
+    views: function that waits for them and returns one per view (None where there is none), or None when there will be
+        none.
+    The results are kept as long as the silhouettes.
+    """
     _keep(silhouettes, _Made(views))
 
 
 def look_ahead(frames: Iterable[Frame], count: int = 2) -> Generator[Frame, None, None]:
-    """The same frames, taken from `frames` by another thread, `count` of them before they are asked for, and what
-    tracking wants of their masks made. What taking a frame raises is raised when its turn comes."""
+    """Yield the same frames, read and prepared in another thread `count` frames ahead.
+
+    An exception raised while reading a frame is raised at that frame's turn.
+    """
     source = iter(frames)
     context = copy_context()  # which back end to use is said there
     pool = ThreadPoolExecutor(1, thread_name_prefix="ahead")
@@ -76,14 +83,17 @@ def _next(source: Iterator[Frame]) -> Frame | None:
 
 
 def make_now(silhouettes: Silhouettes) -> None:
-    """Makes all that tracking wants of these masks, and keeps it with them for code that tracks them more than
-    once."""
+    """Compute outlines and prepared masks now and keep them with the silhouettes, for masks that are tracked more
+    than once."""
     made = outlines(silhouettes, OUTLINE_POINTS, WORKING_HEIGHT)
     _keep(silhouettes, _Made(None, made, prepared_masks(silhouettes)))
 
 
 def outlines(silhouettes: Silhouettes, count: int = OUTLINE_POINTS, working_height: int | None = None) -> Outlines:
-    """The outlines of a frame's usable views, with `count` points each; working_height as for `view_outline`."""
+    """Compute the outlines of a frame's usable views, or take them from the cache.
+
+    count: points per view; working_height: as for `view_outline`.
+    """
     known: _Made = silhouettes.ahead or _NOTHING
     tracking = (count, working_height) == (OUTLINE_POINTS, WORKING_HEIGHT)
     if tracking and known.stacked is not None:
@@ -101,7 +111,7 @@ def outlines(silhouettes: Silhouettes, count: int = OUTLINE_POINTS, working_heig
 def _outline(
     silhouettes: Silhouettes, view: int, size: tuple[int, int], count: int, working_height: int | None
 ) -> ViewOutline:
-    """The outline of one view, of size (w, h); of the known part where a part is ignored."""
+    """Compute the outline of one view, of size (w, h), without the ignored pixels."""
     w, h = size
     mask, ignored = silhouettes.masks[view, :h, :w], silhouettes.ignored
     if ignored is None or silhouettes.expected is None or not silhouettes.shared[view]:
@@ -111,16 +121,17 @@ def _outline(
 
 
 def pack_once(silhouettes: Silhouettes) -> None:
-    """Makes the masks for the scorer now, and keeps them with the silhouettes for later use."""
+    """Prepare the masks for the scorer now and keep them with the silhouettes."""
     known: _Made = silhouettes.ahead or _NOTHING
     if known.masks is None:
         _keep(silhouettes, replace(known, masks=prepared_masks(silhouettes)))
 
 
 def prepared_masks(silhouettes: Silhouettes) -> PreparedMasks:
-    """The masks of one frame as compute's silhouette scorer takes them.
+    """Prepare the masks of one frame for the silhouette scorer, or take them from the cache.
 
-    A view without foreground is left out, never divided by zero (Alcoverro 2014, after eq. 2.8, says nothing of it).
+    A view without foreground is not usable, so nothing is divided by zero (Alcoverro 2014 does not say this after eq.
+    2.8).
     """
     known: _Made = silhouettes.ahead or _NOTHING
     if known.masks is not None:

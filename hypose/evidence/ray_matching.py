@@ -1,8 +1,7 @@
-"""Key points of several calibrated views and several people as arrays: how far rays pass each other, how far points lie
-from where people are expected, and points from rays of which some are wrong.
+"""Geometry of rays for several calibrated views and several people: distances of rays and points, robust triangulation.
 
-All distances are metres: what an error in the picture is worth at the depth of the person, so that limits hold for any
-picture size and any distance.
+All distances are metres: the size of a pixel error at the person's depth, so that limits hold for any picture size and
+any distance.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from hypose.cameras.camera import CameraRig
 from hypose.geometry import Array
 
 NOT_COMPARABLE_M = 9.0
-"""m: the distance of what cannot be compared."""
+"""m: distance that stands for pairs that cannot be compared."""
 _LEAST_CONFIDENCE = 0.1  # least confidence of a point that counts
 _NEAREST = 0.3  # m before a camera
 _PARALLEL = 0.05  # sine of the angle between two rays below which their distance says nothing
@@ -25,7 +24,10 @@ _PRIOR_M = 0.35
 
 
 class Views:
-    """The pinhole cameras of a rig, as the arrays that this needs: projections (C, 3, 4), centres (C, 3) m."""
+    """Pinhole cameras of a rig as arrays.
+
+    projections: (C, 3, 4); centres: (C, 3) m; world_from_pixel: (C, 3, 3); pairs: (Q, 2) all pairs of views.
+    """
 
     def __init__(self, rig: CameraRig) -> None:
         self.projections = rig.projections
@@ -38,7 +40,7 @@ class Views:
         return len(self.centres)
 
     def rays(self, pixels: Array) -> Array:
-        """Unit directions (C, ..., 3) in the world of pixels (C, ..., 2)."""
+        """Compute the unit directions (C, ..., 3), in the world, of the rays of pixels (C, ..., 2)."""
         shape = pixels.shape
         flat = pixels.reshape(shape[0], -1, 2)
         one = np.concatenate([flat, np.ones((*flat.shape[:2], 1))], -1)
@@ -47,8 +49,10 @@ class Views:
         return d.reshape(*shape[:-1], 3)
 
     def seen_at(self, points: Array) -> tuple[Array, Array]:
-        """Where points (..., 3) m are in all views: pixels (C, ..., 2), and metres per pixel (C, ...) at their depth,
-        NaN behind a camera or nearly in it."""
+        """Project points (..., 3), m, into all views.
+
+        Returns: pixels (C, ..., 2); metres per pixel (C, ...) at their depth; NaN behind a camera or nearly in it.
+        """
         flat = points.reshape(-1, 3)
         h = flat @ self.projections[:, :, :3].transpose(0, 2, 1) + self.projections[:, None, :, 3]
         z = np.where(h[..., 2] > _NEAREST, h[..., 2], np.nan)
@@ -57,8 +61,11 @@ class Views:
 
 
 def distances(views: Views, expected: Array, found: Array, limit: float) -> Array:
-    """(C, N, P, K) m, at most `limit`: how far the points of candidates (C, P, K, 3) lie from people expected at (N, K,
-    3), NaN where one of them is not known."""
+    """Compute the distances of candidates' points from those of expected people.
+
+    expected: (N, K, 3) m; found: (C, P, K, 3) candidates of each view; limit: m.
+    Returns: (C, N, P, K) m, at most `limit`; NaN where one of the two is unknown.
+    """
     uv, metres = views.seen_at(expected)
     e = uv[:, :, None] - found[:, None, :, :, :2]
     e = np.sqrt((e * e).sum(-1)) * metres[:, :, None]
@@ -66,8 +73,7 @@ def distances(views: Views, expected: Array, found: Array, limit: float) -> Arra
 
 
 def mean_of_known(values: Array, least: int, weights: Array | None = None) -> Array:
-    """(...) means over the last axis of values (..., K) without NaN, NOT_COMPARABLE_M where fewer than `least` are
-    known."""
+    """Average values (..., K) over the last axis without NaN; NOT_COMPARABLE_M where fewer than `least` are known."""
     known = np.isfinite(values)
     w = known if weights is None else known * weights
     n = w.sum(-1)
@@ -76,9 +82,11 @@ def mean_of_known(values: Array, least: int, weights: Array | None = None) -> Ar
 
 
 def between_rays(views: Views, which: NDArray[np.int64], found: Array, limit: float, least: int) -> Array:
-    """(M, M) m: how far the rays of the same points of M candidates (M, K, 3), seen by views `which` (M,), pass each
-    other: means over their common points, NOT_COMPARABLE_M for candidates of one view or with fewer than `least` in
-        common."""
+    """Compute the distances between the rays of candidates, averaged over their common points.
+
+    which: (M,) view of each candidate; found: (M, K, 3); limit: m, at which single distances end.
+    Returns: (M, M) m; NOT_COMPARABLE_M for candidates of one view, or with fewer than `least` common points.
+    """
     d = np.empty((*found.shape[:-1], 3))
     for c in np.unique(which):
         d[which == c] = _of_view(views, int(c), found[which == c])
@@ -104,12 +112,15 @@ def _of_view(views: Views, c: int, found: Array) -> Array:
 
 
 def meet(views: Views, found: Array, near: float, prior: Array | None = None) -> tuple[Array, NDArray[np.bool_]]:
-    """Points in which most rays meet -> (N, K, 3) m, NaN where fewer than two do, and which were used (C, N, K).
+    """Triangulate points from rays, some of which may be wrong.
 
-    found (C, N, K, 3) px and confidence; near: m from the point within which a ray counts; prior (N, K, 3): where the
-    points are expected, which decides between rays that meet in two places. Every pair of rays is tried (there are few
-    views), the pair with most support wins, and all rays near it are solved for by least squares, weighted by
-    confidence and by the metres of a pixel."""
+    Every pair of rays is tried (there are few views); the pair with most support wins, and all rays near it are solved
+    by least squares, weighted by confidence and pixel size.
+    found: (C, N, K, 3) px and confidence.
+    near: largest distance of a ray from the point, m.
+    prior: (N, K, 3) expected points, which decide between two places where rays meet.
+    Returns: points (N, K, 3), m, NaN where fewer than two rays meet; rays used (C, N, K).
+    """
     count, n, k = found.shape[:3]
     seen = found[..., 2] > _LEAST_CONFIDENCE
     if count < 2 or n == 0:

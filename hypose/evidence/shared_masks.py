@@ -1,8 +1,8 @@
-"""What of masks that show several people is evidence for one of them.
+"""Extract the evidence for one person from masks that show several people.
 
-Where another person's body covers a pixel, mask or no mask says nothing of this one. Which of the two stands in front
-does not matter: the pixel is in the mask either way. In views in which no person is near, the masks are cut to where
-the person is expected, and all of their pixels tell.
+Pixels that another person's body covers say nothing about this person: they are in the mask, no matter which of the two
+is in front. In views without other people nearby, the masks are cut to where the person is expected, and all pixels
+count.
 """
 
 from __future__ import annotations
@@ -21,17 +21,20 @@ from hypose.evidence.frame import Expected, Silhouettes
 from hypose.geometry import Array
 
 SOLVED_WIDENING, PREDICTED_WIDENING = 0.008, 0.016
-"""Share of a body's longer side in the picture by which it is widened where it hides others: when its pose has been
-solved in this frame, and when it is predicted (2 and 4 px of 250)."""
+"""Share of a body's longer side in the picture by which it is widened where it hides others: with a pose solved in this
+frame, and with a predicted pose (2 and 4 px of 250)."""
 _NEARBY, _LEAST_PX = 0.35, 32
-"""Margin around a person's box inside which masks are evidence: share of the longer side, and px at least."""
+"""Margin around a person's box inside which masks are evidence: share of its longer side, and least px."""
 _SMALLEST_PX = 50
 _NEAR_M = 0.05
 
 
 @dataclass(frozen=True)
 class BodyShape:
-    """A body's skin at vertices (V, 3) m with faces (F, 3), a closed surface, seen by pinhole cameras."""
+    """Skin of a posed body as pinhole cameras see it.
+
+    vertices: (V, 3) m; faces: (F, 3) of a closed surface; rig: the cameras.
+    """
 
     vertices: Array
     faces: NDArray[np.int32]
@@ -39,7 +42,7 @@ class BodyShape:
 
     @cached_property
     def _projected(self) -> tuple[Array, Array]:
-        """(C, 2, V) px, NaN next to and behind the camera, and (C, V) m along its axis."""
+        """Projected vertices (C, 2, V), px, NaN next to and behind the camera; their depths (C, V), m."""
         p = self.rig.projections
         x = p[:, :, :3] @ self.vertices.T + p[:, :, 3:]
         z = x[:, 2:]
@@ -50,7 +53,7 @@ class BodyShape:
 
     @cached_property
     def boxes(self) -> NDArray[np.int64]:
-        """(C, 4) px, y0, y1, x0, x1, half open, in each view's image; empty where it is not in view."""
+        """Boxes (C, 4) y0, y1, x0, x1, px, half open, in each view's image; empty where it is not in view."""
         uv, size = self._projected[0], self.rig.sizes
         low, high = np.floor(np.fmin.reduce(uv, 2)), np.ceil(np.fmax.reduce(uv, 2)) + 1
         low, high = (np.clip(np.nan_to_num(n), 0, size).astype(np.int64) for n in (low, high))
@@ -62,7 +65,7 @@ class BodyShape:
         return {}
 
     def drawn(self, view: int) -> NDArray[np.uint8]:
-        """Its silhouette in a view, 0 and 1, in its box."""
+        """Draw the silhouette, 0 and 1, inside its box in a view."""
         if view not in self._kept:
             y0, y1, x0, x1 = self.boxes[view].tolist()
             uv, z = (a[view] for a in self._projected)
@@ -74,42 +77,42 @@ class BodyShape:
 
 @dataclass(frozen=True)
 class DrawnShape:
-    """Set as masks (C, h, w) of 0 and 1."""
+    """Shape of a person given as masks (C, h, w) of 0 and 1; same interface as BodyShape."""
 
     masks: NDArray[np.uint8]
 
     @cached_property
     def boxes(self) -> NDArray[np.int64]:
-        """As of a BodyShape."""
+        """Boxes as of a BodyShape."""
         found = [cv2.boundingRect(m) for m in self.masks]
         return np.array([(y, y + h, x, x + w) for x, y, w, h in found], dtype=np.int64).reshape(-1, 4)
 
     def drawn(self, view: int) -> NDArray[np.uint8]:
-        """As of a BodyShape."""
+        """Return the silhouette inside its box in a view."""
         y0, y1, x0, x1 = self.boxes[view]
         return self.masks[view, y0:y1, x0:x1]
 
 
 StandingShape = BodyShape | DrawnShape
-"""Something that stands somewhere: a posed body, or a part of a hull."""
+"""Shape of a person: a posed body, or a part of a hull."""
 
 
 @dataclass(frozen=True)
 class Other:
-    """Another person: their shape, and by how much of its longer side it is widened."""
+    """Another person: shape, and the share of its longer side by which it is widened."""
 
     shape: StandingShape
     widened: float = PREDICTED_WIDENING
 
     def thinned(self, rig: CameraRig) -> Other:
-        """The same in every other pixel, as the cameras of such masks see it."""
+        """Copy the person for masks in which only every other pixel is kept; rig: cameras of these masks."""
         s = self.shape
         thin = BodyShape(s.vertices, s.faces, rig) if isinstance(s, BodyShape) else DrawnShape(s.masks[:, ::2, ::2])
         return Other(thin, self.widened)
 
 
 def _hide(ignored: NDArray[np.uint8], shape: StandingShape, view: int, share: float, within: Sequence[int]) -> None:
-    """Sets the widened silhouette of a shape in ignored (h, w), inside y0, y1, x0, x1, in place."""
+    """Draw the widened silhouette of a shape into ignored (h, w), inside y0, y1, x0, x1, in place."""
     y0, y1, x0, x1 = shape.boxes[view].tolist()
     px = max(1, round(share * max(y1 - y0, x1 - x0)))
     top, bottom = max(y0, within[0] - px), min(y1, within[1] + px)  # what of it reaches in there
@@ -131,8 +134,10 @@ def _disc(radius: int) -> cv2.typing.MatLike:
 
 
 def without(silhouettes: Silhouettes, others: Sequence[Other]) -> Silhouettes:
-    """The silhouettes of the person who is left: the pixels of all the others are ignored. No person is expected
-    anywhere, so these are for hulls and not for outlines."""
+    """Mark the pixels of all the other people as ignored.
+
+    No person's place is expected, so the result is for hulls and not for outlines.
+    """
     if not others:
         return silhouettes
     ignored = np.zeros_like(silhouettes.masks)
@@ -145,11 +150,14 @@ def without(silhouettes: Silhouettes, others: Sequence[Other]) -> Silhouettes:
 def own_silhouettes(
     silhouettes: Silhouettes, own: StandingShape, others: Sequence[Other], anywhere: bool = False
 ) -> Silhouettes:
-    """The evidence for one person in masks of several.
+    """Extract the evidence for one person from masks of several people.
 
-    own: where the person is expected; others: all other people. anywhere: the person has been lost, and may be in all
-    of the masks that no other person covers. Views in which no other person is near have no ignored pixels; a view in
-    which the person is not expected to be is not usable."""
+    own: shape where the person is expected.
+    others: all other people.
+    anywhere: the person was lost and may be anywhere in the masks that no other person covers.
+    Returns: silhouettes; views without other people nearby have no ignored pixels; a view in which the person is not
+        expected is not usable.
+    """
     sizes, boxes = silhouettes.rig.sizes.tolist(), own.boxes.copy()
     masks, ignored = np.zeros_like(silhouettes.masks), None
     usable, reasons = np.array(silhouettes.usable, dtype=np.bool_), list(silhouettes.reasons)

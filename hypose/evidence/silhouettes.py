@@ -1,8 +1,6 @@
-"""Masks of the person from images: difference against a background model, shadow test, clean-up, thin-rim
-refinement.
+"""Segment the person in images: difference from a background model, shadow test, clean-up, refinement of the rim.
 
-Images are BGR uint8 at working size, undistorted; masks are (h, w) uint8 with 1 = person. Lengths in px of
-that size.
+Images are BGR uint8 at working size, undistorted; masks are (h, w) uint8 with 1 = person. Lengths are px of that size.
 """
 
 from __future__ import annotations
@@ -36,40 +34,42 @@ _RANGES = {
     "keep_gap": (0.0, 1e6),
     "rim_px": (1, 100),
 }
-"""What numbers an option may have: beyond, nothing is left of a mask, or it takes minutes to make."""
+"""Allowed range of each option; beyond it nothing is left of a mask, or it takes minutes to compute."""
 _TWO_VALUED, _LABELS = 48, 32
-"""Grey level from which the brighter of two values is no noise; the most labels that a picture of labels has."""
+"""Grey level from which the brighter of two values is no noise; largest number of labels in a picture of labels."""
 
 
 class Segmenter(Protocol):
-    """Turns an image of one view into a mask."""
+    """Interface of a function that segments the person in an image of one view."""
 
     glance: Glance | None
-    """how to tell from a stored picture where there is anything at all; None: the whole image is needed"""
+    """quick test of a stored picture for any foreground; None: the whole image is needed"""
 
     def __call__(self, image: Image, band: Mask | None = None, /) -> Mask:
-        """image (h, w, 3) -> mask (h, w). band (h, w): where the person can be."""
+        """Segment an image (h, w, 3); band: (h, w) where the person can be. Returns the mask (h, w)."""
         ...
 
     def runs(self, image: Image, band: Mask | None = None, box: picture_to_mask.Box | None = None, /) -> MaskRuns:
-        """The same, packed. box: what of the image is given, and where the person is, if no band is given."""
+        """Segment an image as a packed mask; box: part of the image that is given, and where the person is without a
+        band."""
         ...
 
 
 @dataclass(frozen=True)
 class SilhouetteSettings:
-    """How masks are made. The defaults suit a person of 80-400 px height.
+    """Settings for segmenting the person. The defaults suit a person of 80-400 px height.
 
-    method: 'gaussian' (one Gaussian per pixel) or 'mog2' (OpenCV's mixture, frozen after learning the
-    background). threshold: foreground beyond this many sd. min_sd: lower bound of the sd, grey levels
-    (compression, light). shadow: take away shadows: the same colour, darker. Switch it off in grey scenes,
-    where the person is 'the same colour' too. shadow_range: brightness of a shadow relative to the lit
-    ground. shadow_chroma: largest colour distance from the darkened ground, grey levels.
-    open_px, close_px: sizes of the morphological opening and closing, 0 = off. hole_px: holes up to this
-    area are filled. keep_share: connected parts smaller than this share of the biggest one are dropped (1
-    keeps only the biggest). keep_gap: parts farther from the biggest than this share of its longer side
-    are dropped. grabcut: refine the mask in a rim of rim_px to either side of its outline by GrabCut
-    (slow: 25 ms and more per view).
+    method: 'gaussian' (one Gaussian per pixel) or 'mog2' (OpenCV's mixture, frozen after learning the background).
+    threshold: foreground is beyond this many sd; min_sd: lower bound of the sd, grey levels (compression, light).
+    shadow: remove shadows, which have the same colour, but darker. Switch it off in grey scenes, where the person has
+        the same colour too.
+    shadow_range: brightness of a shadow relative to the lit ground; shadow_chroma: its largest colour distance from the
+        darkened ground, grey levels.
+    open_px, close_px: sizes of the morphological opening and closing, 0 = off.
+    hole_px: holes up to this area are filled.
+    keep_share: connected parts smaller than this share of the largest one are removed (1 keeps only the largest).
+    keep_gap: parts further from the largest than this share of its longer side are removed.
+    grabcut: refine the mask within rim_px on either side of its outline by GrabCut (slow: 25 ms and more per view).
     """
 
     method: Literal["gaussian", "mog2"] = "gaussian"
@@ -88,12 +88,12 @@ class SilhouetteSettings:
 
     @property
     def cleaning(self) -> mask_runs.Cleaning:
-        """How masks are cleaned."""
+        """Settings of the clean-up."""
         return mask_runs.Cleaning(self.open_px, self.close_px, self.hole_px, self.keep_share, self.keep_gap)
 
     @property
     def of_all_people(self) -> SilhouetteSettings:
-        """The same for several people, who may be anywhere in the picture."""
+        """The same settings for several people, who may be anywhere in the picture."""
         return replace(self, keep_gap=_RANGES["keep_gap"][1])
 
     def __post_init__(self) -> None:
@@ -112,10 +112,10 @@ class SilhouetteSettings:
 
 
 def make_segmenter(background: BackgroundModel, options: SilhouetteSettings | None = None) -> Segmenter:
-    """The function that turns an image of this view into a mask.
+    """Build the function that segments the images of one view.
 
-    It keeps no memory of earlier images, so frames may come in any order; one segmenter must not be called
-    from two threads at once.
+    It keeps no memory of earlier images, so frames may come in any order; one segmenter must not be called from two
+    threads at once.
     """
     return _Segmenter(background, options or SilhouetteSettings())
 
@@ -158,13 +158,13 @@ class _Segmenter:
 
 
 def _room(background: BackgroundModel, options: SilhouetteSettings) -> picture_to_mask.BackgroundLevels:
-    """Single Gaussian per pixel and channel, with the brightness cone for shadows.
+    """Build the Gaussian model of each pixel and channel, with the brightness cone for shadows.
 
-    Foreground: some channel more than `threshold` sd from the mean. Shadow: the pixel's colour a seen as s
-    b + rest, b the background; darkened (s in shadow_range) with a small rest. Source: Xu, Landabaso &
-    Pardas 2005 (as used by Alcoverro 2014, section 2.4); the brightness and colour distortions are those
-    of Horprasert et al. 1999. Deviation: the colour distortion is in grey levels, not in sd: with the sd
-    of clean video a soft shadow never passes.
+    Foreground: some channel more than `threshold` sd from the mean. Shadow: the pixel's colour a is s b + rest, with
+        background
+    b, s in shadow_range, and a small rest. Source: Xu, Landabaso & Pardas 2005 (as used by Alcoverro 2014, section
+    2.4); the brightness and colour distortions are those of Horprasert et al. 1999. Deviation: the colour distortion is
+    in grey levels, not in sd, because with the small sd of clean video a soft shadow never passes.
     """
     reach = options.threshold * np.maximum(background.sd, np.float32(options.min_sd))
     mean = np.ascontiguousarray(background.mean, dtype=np.float32)
@@ -179,14 +179,14 @@ def _room(background: BackgroundModel, options: SilhouetteSettings) -> picture_t
 
 
 _Differ = Callable[[Image, picture_to_mask.Box], mask_runs.Bits]
-"""Return the foreground's bits in a box of the image."""
+"""Function that computes the foreground's bits in a box of an image."""
 
 
 def _mog2(background: BackgroundModel, options: SilhouetteSettings) -> _Differ:
-    """OpenCV's MOG2 taught with pictures of the background model (its quantiles), then frozen.
+    """Train OpenCV's MOG2 on pictures of the background model (its quantiles), then freeze it.
 
-    Deviation from its usual form: it does not go on learning, so that a person who stands still is not
-    absorbed and frames may be read in any order.
+    Deviation from its usual form: it does not go on learning, so that a person who stands still is not absorbed and
+    frames may be read in any order.
     """
     levels = np.linspace(-1.5, 1.5, 9)
     model = cv2.createBackgroundSubtractorMOG2(
@@ -208,13 +208,16 @@ def _mog2(background: BackgroundModel, options: SilhouetteSettings) -> _Differ:
 
 
 def clean_mask(mask: Mask, options: SilhouetteSettings | None = None) -> Mask:
-    """Opening, closing, small holes filled, small parts dropped."""
+    """Clean a mask: opening, closing, small holes filled, small parts removed."""
     return _cleaned(mask, (options or SilhouetteSettings()).cleaning)
 
 
 def biggest_parts(mask: Mask, keep_share: float, keep_gap: float = np.inf) -> Mask:
-    """The biggest connected part of mask (h, w), and those of at least keep_share times its area whose
-    boxes are not farther from its box than keep_gap times the longer side of that."""
+    """Keep the largest connected part of a mask (h, w), and large parts near it.
+
+    keep_share: least area relative to the largest part.
+    keep_gap: largest distance of the boxes, relative to the longer side of the largest part's box.
+    """
     return _cleaned(mask, mask_runs.Cleaning(keep_share=keep_share, keep_gap=keep_gap))
 
 
@@ -223,11 +226,11 @@ def _cleaned(mask: Mask, how: mask_runs.Cleaning) -> Mask:
 
 
 def refine_rim(image: Image, mask: Mask, rim_px: int = 3, band: Mask | None = None) -> Mask:
-    """GrabCut in a rim of rim_px inside and outside the mask's outline; the rest of the mask is taken as
-    sure.
+    """Refine a mask by GrabCut within rim_px on either side of its outline; the rest of the mask is fixed.
 
-    band (h, w): the person is nowhere else. An empty or collapsed result (GrabCut does that now and then)
-    keeps the mask as it was.
+    band: (h, w) where the person can be.
+    Returns: the refined mask; the given one where GrabCut's result is empty or has collapsed, which happens now and
+        then.
     Source: Rother, Kolmogorov & Blake 2004, as in OpenCV.
     """
     box = bounding_box(mask if band is None else mask | (band > 0), 2 * rim_px + 2)
@@ -252,11 +255,11 @@ def refine_rim(image: Image, mask: Mask, rim_px: int = 3, band: Mask | None = No
 
 
 def as_mask(image: ArrayLike, source: str = "The mask image") -> Mask:
-    """Mask (h, w) of an image from elsewhere: grey, colour (by its brightest channel) or with alpha, 8 or 16 bit.
+    """Convert an image to a mask (h, w): grey, colour (by its brightest channel) or with alpha, 8 or 16 bit.
 
-    Cut at half its range. Where nothing reaches that, zero and one other value (0/1, 0/127) are cut between them, as
-    are two values with little between (0/127 from a video); a few values are a picture of labels, an InputError unless
-    there is one.
+    The threshold is half of the range. Where nothing reaches that, images with zero and one other value (0/1, 0/127),
+    or with two values and little in between (0/127 from a video), are split between the two values.
+    Raises: InputError where it is a picture of several labels, or has another shape.
     """
     a = np.asarray(image)
     if a.ndim == 3 and a.shape[2] in (1, 3, 4):
@@ -272,7 +275,7 @@ def as_mask(image: ArrayLike, source: str = "The mask image") -> Mask:
 
 
 def _dim_level(a: NDArray[Any], top: int, half: float, source: str) -> float:
-    """Where to cut an image (h, w) with nothing above half its range."""
+    """Choose the threshold of an image (h, w) with no value above half its range."""
     levels = np.unique(a[a > 0])
     if len(levels) < 2:
         return 0.5
@@ -297,12 +300,14 @@ def flag_collapsed(
     lowest: float = 0.6,
     highest: float = 2.5,
 ) -> tuple[str, ...]:
-    """Why each view's mask cannot be trusted: C sentences, "" for a good view.
+    """Find the views whose mask cannot be trusted.
 
-    areas (C,) foreground pixels of this frame; history (C, H) of frames around or before it (H may be 0).
-    A view is left out when its mask is empty, above `highest` times its median area, below `lowest` times the second
-    smallest area of the history, or below half of `lowest` times the median. The smallest areas count, because a person
-    who turns sideways and walks away from a camera loses half the area within two seconds and has not collapsed.
+    areas: (C,) foreground pixels of this frame.
+    history: (C, H) areas in frames around or before it (H may be 0).
+    Returns: C sentences, "" for a good view. A mask is bad when it is empty, above `highest` times its median area,
+        below `lowest` times the second smallest area of the history, or below half of `lowest` times the median.
+    Why: the smallest areas count, because a person who turns sideways and walks away from a camera loses half the area
+        within two seconds, and the mask is still right.
     """
     now = np.asarray(areas, dtype=np.float64)
     past = np.asarray(history, dtype=np.float64).reshape(len(now), -1)
@@ -325,9 +330,11 @@ def flag_collapsed(
 def make_silhouettes(
     masks: Sequence[Mask | MaskRuns | None], rig: CameraRig, reasons: Sequence[str] | None = None
 ) -> Silhouettes:
-    """Silhouettes of one instant: masks (h_c, w_c) per view, packed or not, padded with 0 to the common size.
+    """Build the silhouettes of one instant from masks (h_c, w_c) per view, packed or not, padded with 0 to the common
+    size.
 
     A view without a mask, with an empty one, or with a reason is not usable.
+    Raises: InputError where a mask does not have its camera's size.
     """
     sizes = rig.sizes
     h, w = int(sizes[:, 1].max()), int(sizes[:, 0].max())
@@ -361,7 +368,7 @@ def make_silhouettes(
 
 
 CONFIRMED = 0.6
-"""Share of a limb's line that lies in the mask; of true limbs nearly all does, in front of the trunk too."""
+"""Least share of a limb's line that lies in the mask; for true limbs it is nearly 1, also in front of the trunk."""
 _MIN_CONFIDENCE = 0.3
 _LEAST_WHOLE = 3
 _LIMBS = tuple(
@@ -369,7 +376,7 @@ _LIMBS = tuple(
     for side in ("left", "right")
     for root, middle, end, reach in (("shoulder", "elbow", "wrist", 0.46), ("hip", "knee", "ankle", 0.58))
 )
-"""Root, middle and end of the limbs, and how far they reach, with hand or foot, in heights of the person."""
+"""Root, middle and end of the limbs, and how far they reach, with hand or foot, in body heights."""
 
 
 def with_doubted_limbs(
@@ -378,10 +385,11 @@ def with_doubted_limbs(
     """Widen the band (h, w) around every limb that the mask (h, w) does not confirm; None if it confirms all.
 
     band: pixels near the 2D skeleton, to which the mask was cut.
-    points (K, 3): px and confidence; names: of the points.
+    points: (K, 3) px and confidence; names: of the points.
     height: of the person, px.
-    A limb without its root point is left alone. If most complete limbs lie outside the mask, return a band of ones:
-    the skeleton is in the wrong place."""
+    A limb without its root point is left alone. If most complete limbs lie outside the mask, return a band of ones: the
+    skeleton is in the wrong place.
+    """
     p = np.asarray(points, dtype=np.float64)
     at = {n: p[k] for k, n in enumerate(names) if p[k, 2] > _MIN_CONFIDENCE}
     out = band.copy()
@@ -404,8 +412,8 @@ def with_doubted_limbs(
 
 
 def _inside(mask: NDArray[np.uint8], line: NDArray[np.float64]) -> float:
-    """Share of points along a line (N, 2) px, apart from its first tenth, that lie in the mask; what lies outside the
-    picture counts as in it."""
+    """Compute the share of points along a line (N, 2), px, without its first tenth, that lie in the mask or outside
+    the picture."""
     share = np.linspace(0.0, 1.0, 12)[1:, None]
     along = np.concatenate([a + share * (b - a) for a, b in zip(line[:-1], line[1:], strict=True)])
     u, v = np.rint(along).astype(int).T

@@ -1,4 +1,4 @@
-"""Skin by colour: probability that a pixel shows skin.
+"""Compute the probability that a pixel shows skin from its colour.
 
 Source: Jones & Rehg 1999, "Statistical color models with application to skin detection" (IJCV 46(1), 2002; tech. report
 CRL 98/11), Table 2 and Table 3: mixtures of 16 Gaussians with diagonal covariance in RGB for skin and for the rest.
@@ -58,7 +58,7 @@ _CENTRES = (np.arange(_BINS) + 0.5) * (256 / _BINS)
 
 
 def _density(table: str, rgb: Array) -> Array:
-    """Density of a mixture at colours rgb (..., 3)."""
+    """Compute the density of a mixture at colours rgb (..., 3)."""
     out = np.zeros(rgb.shape[:-1])
     for line in table.split("\n"):
         if line:
@@ -70,9 +70,11 @@ def _density(table: str, rgb: Array) -> Array:
 
 
 def skin_posterior(rgb: ArrayLike, prior: float = 0.3) -> Array:
-    """P(skin | colour) (...) of colours rgb (..., 3), 0..255; prior: share of skin among the pixels asked about.
+    """Compute P(skin | colour) (...) of colours rgb (..., 3), 0..255.
 
-    Within a person's silhouette more is skin than in the pictures of Jones & Rehg (prior 0.09 there)."""
+    prior: share of skin among the pixels. It is larger within a person's silhouette than in the pictures of Jones &
+        Rehg, where it is 0.09.
+    """
     c = np.asarray(rgb, dtype=np.float64)
     skin, other = prior * _density(_SKIN, c), (1 - prior) * _density(_OTHER, c)
     total = skin + other
@@ -85,7 +87,7 @@ ColorTable = NDArray[np.float32]
 
 @cache
 def skin_table(prior: float = 0.3) -> ColorTable:
-    """The posterior of Jones & Rehg as a table."""
+    """Compute the posterior of Jones & Rehg as a table."""
     b, g, r = np.meshgrid(_CENTRES, _CENTRES, _CENTRES, indexing="ij")
     return skin_posterior(np.stack([r, g, b], -1), prior).astype(np.float32)
 
@@ -93,12 +95,15 @@ def skin_table(prior: float = 0.3) -> ColorTable:
 def learned_table(
     ends: NDArray[np.uint8], rest: NDArray[np.uint8], prior: float = 0.3, trust: float = 30.0
 ) -> ColorTable:
-    """A person's own colours: how likely a pixel of this colour is one of the ends of the body and not of the rest.
+    """Learn a person's own colours: the probability that a pixel of this colour is of head or hands and not of the
+    rest.
 
-    ends (N, 3), rest (M, 3) uint8 BGR: pixels of head and hands, and of the clothes, from a frame whose pose is known.
-    Colours seen too seldom (fewer than about `trust` pixels near them) keep the posterior of Jones & Rehg. Compared in
-    brightness and the two colour ratios, smoothed, so that shading matters little. An addition: the published model
-    misses dark skin and skin in shade (recall of hands 0.1 to 0.5 on rendered scenes, where this one has 0.5 to 0.9).
+    ends: (N, 3), rest: (M, 3) uint8 BGR pixels of head and hands, and of the clothes, from a frame with a known pose.
+    trust: number of similar pixels at which the learnt colours get half of the weight; the rest is the posterior of
+        Jones & Rehg.
+    Colours are compared in brightness and two colour ratios, smoothed, so that shading matters little. Why: the
+    published model misses dark skin and skin in shade (recall of hands 0.1 to 0.5 on rendered scenes, where this one
+    has 0.5 to 0.9).
     """
     here = _smoothed(ends), _smoothed(rest)
     share = prior * here[0] / max(here[0].sum(), 1.0), (1 - prior) * here[1] / max(here[1].sum(), 1.0)
@@ -110,7 +115,8 @@ def learned_table(
 
 
 def _chroma_bins(bgr: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Bins of brightness (16, of a factor 1.2 to 1.5), red / green and green / blue (40 each) of colours (..., 3)."""
+    """Compute bins of brightness (16, of a factor 1.2 to 1.5), red / green and green / blue (40 each) of colours
+    (..., 3)."""
     c = np.log(np.asarray(bgr, dtype=np.float64) + 4.0)  # + 4: ratios of nearly black pixels are noise
     bright = np.clip((c.mean(-1) - 1.4) / 4.2 * 16, 0, 15)
     red = np.clip((c[..., 2] - c[..., 1] + 0.8) / 2.0 * 40, 0, 39)
@@ -127,10 +133,14 @@ def _smoothed(pixels: NDArray[np.uint8]) -> Array:
 def skin_map(
     image: NDArray[np.uint8], mask: NDArray[np.uint8] | None = None, table: ColorTable | None = None
 ) -> NDArray[np.float32]:
-    """(h, w) probability of skin of a picture (h, w, 3) uint8 BGR; 0 outside the mask (h, w) when one is given.
+    """Compute the probability of skin (h, w) in a picture (h, w, 3) uint8 BGR; 0 outside the mask (h, w) when one is
+    given.
 
-    table: of `skin_table` (default) or `learned_table`. The mean over 3 x 3 pixels within the mask less its outermost
-    pixel: masks reach a little into a floor that may well be brown. An InputError for another kind of picture."""
+    table: of `skin_table` (default) or `learned_table`.
+    It is the mean over 3 x 3 pixels within the mask without its outermost pixel, because masks include a little of the
+    floor, which may be brown.
+    Raises: InputError where the picture has another format, or picture and mask differ in size.
+    """
     if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
         raise InputError(
             f"The skin detector needs a colour picture (h, w, 3) of 8 bit, got {image.dtype} {image.shape}; grey "

@@ -1,9 +1,9 @@
-"""Evidence: a cue of one frame, prepared once for all that ask it, and the terms that solves know.
+"""Evidence: a cue of one frame, prepared once for all its uses, and the terms that solvers take.
 
-A solver takes any of them, in any number, as one tuple; a search asks what poses cost by them. A cue of one's own is a
-`PointTerm`, a `RowTerm`, or both with an energy (hypose.evidence.cues.OwnEvidence).
-Sources: two-way contour distances with a robust weight as in the silhouette trackers of Alcoverro 2014, chapter 4, and
-Gall et al. 2009.
+A solver takes any number of terms; a search computes the energy of poses. A user's own cue is a `PointTerm`, a
+`RowTerm`, or both with an energy (hypose.evidence.cues.OwnEvidence).
+Source: two-way contour distances with a robust weight as in the silhouette trackers of Alcoverro 2014, chapter 4, and
+    Gall et al. 2009.
 """
 
 from __future__ import annotations
@@ -32,23 +32,26 @@ SCALE_OF_HEIGHT = 2.5 / 260
 
 
 class Limb(NamedTuple):
-    """What differs between poses of one limb: moving (J,) bool, the joints that turn; everything else stands as in the
-    last pose; rest: its silhouettes, where they have been drawn."""
+    """The difference between poses of one limb; all else is as in the last pose.
+
+    moving: (J,) true for the joints that turn.
+    rest: silhouettes of the parts that stay, where they are drawn already.
+    """
 
     moving: NDArray[np.bool_]
     rest: Standing | None = None
 
 
 class Term:
-    """What solves take of a cue: residuals of one frame."""
+    """Base class of the residuals of one cue in one frame, for solvers."""
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """A cue of one frame, prepared once for all that ask it.
+    """A cue of one frame, prepared once for all its uses.
 
-    views: (C,) which views or sensors carry it, empty where it belongs to none.
-    terms: what solves take of it.
+    views: (C,) views or sensors that carry it; empty where it belongs to none.
+    terms: for solvers.
     """
 
     views: NDArray[np.bool_]
@@ -60,35 +63,44 @@ class Evidence:
         return bool(self.views.any())
 
     def energy(self, body: Body, poses: Array, limb: Limb | None = None) -> Array:
-        """(N,) what poses (N, D) of a body cost in a search, where it says that: low is good, the silhouettes of one
-        view cost between 0 and 2. limb: all that differs in the poses."""
+        """Compute the energies (N,) of poses (N, D) of a body for a search; low is good, the silhouettes of one view
+        cost 0 to 2.
+
+        limb: all that differs between the poses.
+        The default is 0 for cues that a search does not use.
+        """
         return np.zeros(len(poses))
 
     def same(self, body: Body, pose: Array, other: Array) -> None:
-        """What has been found out about a pose (D,) holds for another, which differs from it in its last digits."""
+        """Reuse the results of a pose (D,) for another pose that differs in its last digits."""
 
 
 class Piece(Protocol):
-    """What a frame carries of one more cue, as it was measured. The file that defines it is all that a cue needs."""
+    """Interface of one more cue that a frame carries, as it was measured; its own file defines everything it needs."""
 
     def prepared(self, body: Body) -> Evidence:
-        """Prepare it for a search and for solves of a body."""
+        """Prepare the cue for a search and for solves of a body."""
         ...
 
 
 @dataclass(frozen=True)
 class ContourTerm(Term):
-    """Silhouette contours of one frame, both ways (body outline -> mask, mask outline -> body). Built by
+    """Silhouette contours of one frame, in both directions (body outline -> mask, mask outline -> body); see
     `contour_term`.
 
-    sdf (C, h, w) float32 signed distance px, negative inside; outline (C, K, 2) float32 px points on the mask's edge;
-    usable (C,); sizes (C, 2) width, height; projections (C, 3, 4) pinhole; weight: of one row at the reference density
-    (rows 6 px apart on a person 260 px tall, 130 outline points a view); scale_px, coarse_scale_px: Geman-McClure scale
-    of the distance; row_spacing_px: distance of the forward rows along the body's outline; outline_count: K (at most
-    1000); height_px: apparent height of the person (median over the usable views); shrunk (C,): sdf, outline, sizes and
-    projections are in pixels that are so many times as large as those of all other lengths here; corners
-    (C, 2), sdf_sizes (C, 2): the part of each image that its sdf covers; outside it rows cost what they
-    cost at infinite distance."""
+    sdf: (C, h, w) float32 signed distance, px, negative inside.
+    outline: (C, K, 2) float32 points on the mask's edge, px.
+    usable: (C,); sizes: (C, 2) width, height; projections: (C, 3, 4) pinhole.
+    weight: of one row at the reference density (rows 6 px apart on a person 260 px tall, 130 outline points a view).
+    scale_px, coarse_scale_px: Geman-McClure scale of the distance.
+    row_spacing_px: distance of the forward rows along the body's outline.
+    outline_count: K (at most 1000).
+    height_px: height of the person in the picture (median over the usable views).
+    shrunk: (C,) factor of the larger pixels in which sdf, outline, sizes and projections are; all other lengths are in
+        the original pixels.
+    corners: (C, 2), sdf_sizes: (C, 2): the part of each image that its sdf covers; rows outside cost as at infinite
+        distance.
+    """
 
     sdf: NDArray[np.float32]
     outline: NDArray[np.float32]
@@ -107,7 +119,7 @@ class ContourTerm(Term):
 
     @cached_property
     def arrays(self) -> ContourArrays:
-        """What the solver takes, made once for all solves of a frame."""
+        """The solver's arrays, built once for all solves of a frame."""
         stride = 2 if self.row_spacing_px >= 2 else 1
         return ContourArrays(
             np.require(self.sdf, np.float32, ["C", "W"]),
@@ -129,11 +141,14 @@ class ContourTerm(Term):
 
 @dataclass(frozen=True)
 class KeypointTerm(Term):
-    """2D key points of one frame. Cauchy (Lorentzian) cost with scale 2 sd: 2 w log(1 + (r / 2 sd)^2).
+    """2D key points of one frame, with a Cauchy (Lorentzian) cost of scale 2 sd: 2 w log(1 + (r / 2 sd)^2).
 
-    points (C, K, 3) = u, v px, confidence (the row's weight; rows below min_confidence or not finite are left out);
-    projections (C, 3, 4) pinhole of these pixels; joint (K,), offset (K, 3) m in the joint's frame: where the key point
-    sits on the body; scale_px: 1 sd."""
+    points: (C, K, 3) u px, v px, confidence (weight w of the row); rows below min_confidence or not finite are left
+        out.
+    projections: (C, 3, 4) pinhole cameras of these pixels.
+    joint: (K,), offset: (K, 3) in the joint's frame, m: where the key point sits on the body.
+    scale_px: 1 sd.
+    """
 
     points: Array
     projections: Array
@@ -143,7 +158,7 @@ class KeypointTerm(Term):
     min_confidence: float = 0.3
 
     def arrays(self, body: Body) -> KeypointArrays:
-        """What the solver takes; rows to leave out get weight 0."""
+        """Build the solver's arrays; rows to leave out get weight 0."""
         points = np.array(self.points, dtype=np.float64)
         seen = np.isfinite(points).all(-1) & (points[..., 2] > max(self.min_confidence, 0.0))
         points[~seen] = 0
@@ -158,10 +173,14 @@ class KeypointTerm(Term):
 
 @dataclass(frozen=True)
 class PointTerm(Term):
-    """3D points of one frame. Cauchy (Lorentzian) cost with scale 2 sd, as for key points.
+    """3D points of one frame, with a Cauchy (Lorentzian) cost of scale 2 sd, as for key points.
 
-    points_world (M, 3) m, NaN where missing; weight (M,); joint (M,), offset (M, 3) m in the joint's frame; scale_m: 1
-    sd."""
+    points_world: (M, 3) m; NaN where missing.
+    weight: (M,).
+    joint: (M,), offset: (M, 3) in the joint's frame, m: where the point sits on the body.
+    scale_m: 1 sd.
+    Raises: InputError where the shapes do not fit or the scale is not positive.
+    """
 
     points_world: Array
     weight: Array
@@ -179,7 +198,7 @@ class PointTerm(Term):
             )
 
     def arrays(self, body: Body) -> PointArrays:
-        """What the solver takes; missing points get weight 0."""
+        """Build the solver's arrays; missing points get weight 0."""
         points, weight = np.array(self.points_world, dtype=np.float64), np.array(self.weight, dtype=np.float64)
         missing = ~(np.isfinite(points).all(1) & np.isfinite(weight))
         points[missing], weight[missing] = 0, 0
@@ -197,12 +216,15 @@ Residuals = Callable[[Array], tuple[ArrayLike, ArrayLike]]
 
 @dataclass(frozen=True)
 class RowTerm(Term):
-    """Residuals of points of one frame. Cauchy (Lorentzian) cost of each point's residuals together, 2 w log(1 +
-    |r|^2 / 4) with r in standard deviations, as for key points.
+    """Residuals of body points in one frame, with a Cauchy (Lorentzian) cost of each point's residuals together.
 
-    joint (P,), offset (P, 3) m in the joint's frame (default: its centre); residuals(points (P, 3) m, world) returns
-    r (P, R) in sd, and its derivative by the point (P, R, 3) in sd per m; weight (P,): factors on the points' costs, 0
-    for one that is not seen (default 1)."""
+    The cost is 2 w log(1 + |r|^2 / 4), with r in standard deviations, as for key points.
+    joint: (P,) joint of each point; offset: (P, 3) in the joint's frame, m (default: its centre).
+    residuals: function of the points (P, 3), m, in the world; returns r (P, R), in sd, and its derivative with respect
+        to the point (P, R, 3), in sd per m. NaN leaves a point out.
+    weight: (P,) factors w on the points' costs, 0 for one that is not seen (default 1).
+    Raises: InputError where the shapes do not fit.
+    """
 
     joint: NDArray[np.int64]
     residuals: Residuals
@@ -220,7 +242,7 @@ class RowTerm(Term):
 
 
 def checked_joints(term: KeypointTerm | PointTerm | RowTerm, body: Body) -> NDArray[np.int64]:
-    """The joints (P,) that a term refers to; an InputError when the body does not have one of them."""
+    """Check the joints (P,) of a term and return them; InputError where the body does not have one of them."""
     j, count = np.array(term.joint, dtype=np.int64), len(body.skeleton.parents)
     if len(j) and (j.min() < 0 or j.max() >= count):
         raise InputError(
@@ -236,13 +258,17 @@ def contour_term(
     outline_count: int = REFERENCE_OUTLINE,
     working_height: int | None = None,
 ) -> ContourTerm:
-    """The contour evidence of a frame's masks.
+    """Build the contour evidence of a frame's masks.
 
-    weight: of one row at the reference density. The Geman-McClure scale is 2.5 px for a person 260 px tall, in
-    proportion (10 px in a 1080p image), in the first iterations twice that.
-    working_height px: for tracking; views in which the person is 1.5 times as tall are worked on in shrunk pixels,
-    and distances are made around the person only. Views that are not usable, or whose mask has no outline away from the
-    image border, are left out; an EvidenceError when none is left."""
+    weight: of one row at the reference density.
+    outline_count: points per view.
+    working_height: px, for tracking: views in which the person is 1.5 times as tall are computed in larger pixels, and
+        distances only around the person.
+    Raises: EvidenceError where no view is left; views that are not usable, or have no outline away from the image
+        border, are left out.
+    The Geman-McClure scale is 2.5 px for a person 260 px tall, in proportion (10 px in a 1080p image), in the first
+    iterations twice that.
+    """
     made = outlines(silhouettes, outline_count, working_height)
     sizes = (silhouettes.rig.sizes // made.shrunk[:, None]).astype(np.int64)
     projections = np.stack(
@@ -275,6 +301,6 @@ def contour_term(
 
 
 def _median(values: NDArray[np.int64]) -> float:
-    """Of a few numbers, for which numpy's takes longer than a limb's kinematics."""
+    """Compute the median of a few numbers faster than numpy does."""
     v = sorted(values.tolist())
     return 0.5 * (v[(len(v) - 1) // 2] + v[len(v) // 2])

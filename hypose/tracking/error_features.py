@@ -59,15 +59,15 @@ def clip_features(motion: Motion, raw_joints: Array, audit: ArrayLike) -> Array:
 
     raw_joints: (T, J, 3) joints as tracked frame by frame, m; motion: the clip after smoothing.
     audit: (T, J, A) see `joint_features.AUDITED`.
-    Features ("nearby" is +-AROUND_S; most are square roots or logs of what is named):
+    Features ("nearby" is +-AROUND_S; most are square roots or logs of the quantity named here):
         log_sd: of the joint's sd; sd_around: its mean nearby.
         moved: largest distance between the tracked and the smoothed joint, nearby.
         accel: largest acceleration of the tracked joint, nearby.
         still: slowness relative to the pelvis. Why: the frames of a limb at rest have the same error and make each
         other too certain.
         bare, bare_*: area of mask that the body does not cover: near the joint (bare), beyond the usual in the clip
-            (more), in the second worst view (second), there relative to the median of the clip (beside), in the reach
-        of the limb (reach), over the whole body (body).
+            (more), in the second worst view (second), there relative to the median of the clip (bare_beside), in the
+        reach of the limb (reach), over the whole body (body).
         exposed, exposed_second: share of the joint's part that nothing else covers, smoothed; hidden: s to the nearest
             frame in which it is visible.
         outside, outside_body: share of the part, of the body, outside the masks.
