@@ -226,8 +226,10 @@ def end_colors(
 ) -> ColorTable:
     """Learn the colours of a person's head and hands against the rest, from one frame with a known pose (D,).
 
-    images: (C, h, w, 3) uint8 BGR at the masks' pixels. Pixels count where the posed body shows a part at least a pixel
-        inside the mask.
+    silhouettes: masks of the frame; images: (C, h, w, 3) uint8 BGR at the masks' pixels. Pixels count where the posed
+        body shows a part at least a pixel inside the mask.
+    prior: share of head and hands among the pixels.
+    Returns: table of probabilities, see `skin.ColorTable`.
     Raises: InputError where pictures and masks differ in shape.
     """
     if images.shape[:3] != silhouettes.masks.shape:

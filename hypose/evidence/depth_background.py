@@ -133,6 +133,7 @@ def _place(camera: Camera, own: NDArray[np.bool_], depth: DepthMap) -> NDArray[n
 def person_before(depth: DepthMap, background: DepthBackground, focal_px: float | None = None) -> Mask:
     """Segment the person in front of the empty room: the largest thing and the parts near it, with holes filled.
 
+    depth: (h, w) map, m; background: the empty room.
     focal_px: focal length; with it, parts too far to the side are left out, because they are another person.
     Returns: (h, w) 0 or 1.
     Raises: InputError where map and room differ in size.
@@ -151,7 +152,10 @@ def person_before(depth: DepthMap, background: DepthBackground, focal_px: float 
 
 
 def people_before(depth: DepthMap, background: DepthBackground) -> Mask:
-    """Segment everything in front of the empty room, without specks, with holes filled; return (h, w) 0 or 1."""
+    """Segment everything in front of the empty room in a depth map (h, w), m, without specks and with holes filled.
+
+    Returns: (h, w) 0 or 1.
+    """
     before = _calm(before_room(depth, background.depth, background.sd, _SDS, _LEAST_M))
     _, found, stats, _ = cv2.connectedComponentsWithStats(before, connectivity=8)
     keep = np.asarray(stats, dtype=np.int64)[:, cv2.CC_STAT_AREA] >= _LEAST_PX
@@ -175,7 +179,11 @@ def person_on_floor(depth: DepthMap, camera: Camera, room: DepthMap | None = Non
 
 
 def people_on_floor(depth: DepthMap, camera: Camera, room: DepthMap | None = None) -> Mask:
-    """Segment everything on the floor that may be a person, or a part of one next to another; return (h, w) 0 or 1."""
+    """Segment everything on the floor of a depth map (h, w), m, that may be a person, or a part of one next to another.
+
+    camera: of the map; room: as for `person_on_floor`.
+    Returns: (h, w) 0 or 1.
+    """
     own = _standing(_without(depth, room), camera).people()
     return holes_filled(_calm(own), depth, np.zeros(depth.shape, dtype=np.bool_))
 

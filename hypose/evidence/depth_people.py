@@ -178,8 +178,11 @@ def _nearby(of_depth: Silhouettes, of_colour: Silhouettes, colour: NDArray[np.bo
 def own_depth(
     silhouettes: Silhouettes, depth: Depth, own: StandingShape, others: Sequence[Other], anywhere: bool = False
 ) -> tuple[Silhouettes, Depth]:
-    """Extract the depth and the silhouettes of one person from maps that show several people; colour cameras become
-    unusable."""
+    """Extract the depth and the silhouettes of one person from maps that show several people.
+
+    own, others, anywhere: as for `own_silhouettes`.
+    Returns: silhouettes and depth of the person; views of colour cameras are not usable in them.
+    """
     at, points = depth.pixels
     mine_m = _away(own, at, points)
     theirs_m = np.full(len(points), np.inf)

@@ -115,7 +115,7 @@ def outline_in_box(
 
 
 def outline_of_runs(runs: MaskRuns, count: int, working_height: int) -> ViewOutline:
-    """Compute the outline of a packed mask, as `outline_in_box` does."""
+    """Compute the outline of a packed mask; count points, working_height px as for `outline_in_box`."""
     draw = partial(mask_runs.draw, runs)
     return _outline_around(draw, runs.box, runs.shape, count, working_height)
 

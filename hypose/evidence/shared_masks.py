@@ -134,9 +134,9 @@ def _disc(radius: int) -> cv2.typing.MatLike:
 
 
 def without(silhouettes: Silhouettes, others: Sequence[Other]) -> Silhouettes:
-    """Mark the pixels of all the other people as ignored.
+    """Mark the pixels of other people in the silhouettes as ignored.
 
-    No person's place is expected, so the result is for hulls and not for outlines.
+    No person's place is expected in the result, so it is for hulls and not for outlines.
     """
     if not others:
         return silhouettes

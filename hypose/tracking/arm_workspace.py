@@ -84,7 +84,7 @@ class ArmReach:
         return self.score_in(points, pose, frame.silhouettes.masks, rest, cutoff)
 
     def score_in(self, points: Array, pose: Array, masks: PreparedMasks, rest: Standing, cutoff: float) -> Array:
-        """Compute `score` against given masks."""
+        """Compute the scores of `score` against given masks instead of a frame's."""
         rotation, centre = self.body.skeleton.forward(pose)
         return reach.score_points(points, self.area, rotation[self.parent], centre[self.parent], masks, rest, cutoff)
 

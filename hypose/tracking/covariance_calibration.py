@@ -81,7 +81,7 @@ def lasting_residuals(
     apart = max(1, min(round(LASTING_S * frame_rate), len(poses) // 2))
 
     def later(values: Array) -> Array:
-        """Sum over the frames that are at least `apart` frames later."""
+        """Sum values (T, ...) over the frames that are at least `apart` frames later."""
         total = np.zeros_like(values)
         total[:-apart] = values[apart:][::-1].cumsum(0)[::-1]
         return total
@@ -100,8 +100,11 @@ def lasting_residuals(
 def systematic_covariance(
     body: Body, model: KeypointModel, keypoints: Sequence[Keypoints | None], poses: Array, frame_rate: float
 ) -> Array:
-    """Compute the systematic error (T, J, 3, 3), m^2, of the joints of a clip that was solved on key points.
+    """Compute the systematic error of the joints of a clip that was solved on key points.
 
+    model: where key points sit on the body; keypoints: T frames, None where there are none; poses: (T, D) the solved
+        clip.
+    Returns: (T, J, 3, 3) covariances, m^2.
     The error of single views is propagated through the triangulation of the views that see the point, weighted as in
     the solve. The shared error (SHARED) is the same in all directions. Joints without a key point of their own get the
     mean of all. For BlazePose, whose weight is lower when there are masks too, the result is reduced by that weight.

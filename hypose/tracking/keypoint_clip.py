@@ -69,6 +69,7 @@ def solve_keypoint_clip(
 ) -> tuple[Array, list[KeypointTerm | None]]:
     """Solve the poses of a clip from its key points alone.
 
+    model: where key points sit on the body; keypoints: T frames, None where there are none.
     start: (D,) pose in the first frame.
     Returns: poses (T, D); the key-point term of each frame, None where there is no evidence.
     """
@@ -89,8 +90,9 @@ def track_keypoint_clip(
     sure_start: bool = False,
     others: Sequence[Sequence[Term]] = (),
 ) -> Smoothed:
-    """Compute the motion of a clip from its key points alone.
+    """Compute the smoothed motion of a clip from its key points alone.
 
+    model: where key points sit on the body; keypoints: T frames, None where there are none.
     start: (D,) pose in the first frame; sure_start: it is the right way round, even where the points' names contradict
         it.
     progress: function (done, total), called after every frame of the first pass.

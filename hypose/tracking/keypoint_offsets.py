@@ -95,7 +95,11 @@ def triangulated_starts(body: Body, model: KeypointModel, keypoints: Sequence[Ke
 def solved_frames(
     body: Body, model: KeypointModel, keypoints: Sequence[Keypoints], poses: Array, weights: Array | None = None
 ) -> Array:
-    """Solve each frame alone on its key points, from its pose (T, D); weights: (K,) of the points."""
+    """Solve the poses (T, D) of frames, each alone on its key points, from its start pose.
+
+    poses: (T, D) start poses.
+    weights: (K,) factors on the points' weights (default 1).
+    """
     out, prior = poses.copy(), (anatomical_prior(body.skeleton, keypoints=True),)
     options = SolveSettings(iterations=12, coarse_iterations=0)
     for t, frame in enumerate(keypoints):
@@ -121,7 +125,10 @@ class OffsetResiduals:
 
 
 def residual_rows(body: Body, model: KeypointModel, keypoints: Sequence[Keypoints], poses: Array) -> OffsetResiduals:
-    """Compute the residuals of key points, with exchanged sides corrected, about a body in the poses (T, D)."""
+    """Compute the residuals of key points, with exchanged sides corrected, about a body in given poses.
+
+    model: where the points sit on the body; keypoints: T frames; poses: (T, D).
+    """
     rotations, centres = body.skeleton.forward(poses)
     r = rotations[:, model.joint]
     x = centres[:, model.joint] + np.einsum("tkab,kb->tka", r, model.offset)

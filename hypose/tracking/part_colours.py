@@ -191,7 +191,7 @@ class LearnColours:
     settings: ColourSettings = ColourSettings()
 
     def __call__(self, memory: Memory, pose: Array, h: Hypotheses, frame: PreparedFrame, /) -> Memory:
-        """Update the memory after a frame; see `Recipe.learn`."""
+        """Return the memory with the colours of a frame added, where its pose (D,) is certain; see `Recipe.learn`."""
         if not frame.silhouettes.seen or h.weights.max() < self.settings.surely:
             return memory
         for colours in frame.frame.of(Colours):

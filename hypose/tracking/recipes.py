@@ -288,7 +288,7 @@ class LimbSearch:
         return HeavyTail(self.long, self.longer, np.ones(len(self.own), np.bool_))
 
     def __call__(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
-        """Compute the set with the best limb."""
+        """Return the set in which all hypotheses but the solved one have the best limb found."""
         s, own = self.skeleton, self.own
         limb = h.values[:, own]
         steps = rng.standard_normal(limb.shape) * self.sigma[own]

@@ -230,7 +230,11 @@ class Tracker:
             yield state, estimate
 
     def step(self, state: TrackerState, frame: Frame) -> tuple[TrackerState, FrameEstimate]:
-        """Track one frame: predict, search, judge, and recover when lost."""
+        """Track one frame: predict, search, judge, and recover when lost.
+
+        state: after the previous frame.
+        Returns: the state after this frame; the estimate of this frame.
+        """
         recipe = self.recipe
         state, step = self._ahead(state)
         prediction = self._within(state.pose + step)
@@ -282,7 +286,7 @@ class Tracker:
         return np.linalg.norm(joints[1] - joints[0], axis=-1).astype(np.float32)
 
     def predicted(self, state: TrackerState) -> Array:
-        """Predict the pose (D,) of the next frame."""
+        """Predict the pose (D,) of the next frame from the state after the last one."""
         state, step = self._ahead(state)
         return self._within(state.pose + step)
 

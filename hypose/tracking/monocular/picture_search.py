@@ -107,7 +107,7 @@ class PictureSearch:
         return h
 
     def optimised(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
-        """Optimise every hypothesis from its prediction; return the candidates."""
+        """Optimise every hypothesis from its prediction by a Newton search; return the results as candidates."""
         settings, before, place = self.settings, h.columns["before"], self._at(checked_picture(frame.frame).camera)
         problem: MonoProblem = frame.shared["problem"]
         found = self._solved(place, problem, h.values, before, settings.coarse_iterations, settings.iterations)

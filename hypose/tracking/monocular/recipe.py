@@ -97,7 +97,7 @@ def backward_estimates(tracker: Tracker, last: TrackerState, frames: Iterable[Fr
 def together(there: Modes, back: Modes, frame_rate: float, settings: WholeClip | None = None) -> tuple[Array, Array]:
     """Average the poses of the forward and the backward pass over a clip, weighted by their costs.
 
-    back: the backward pass; its last frame is not used.
+    there: modes of the forward pass; back: of the backward pass, whose last frame is not used.
     Returns: poses (T, D); covariances (T, D, D) of the average, including the difference of the passes.
     """
     o = settings or WholeClip()
