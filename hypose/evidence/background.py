@@ -22,10 +22,10 @@ Images = NDArray[np.uint8] | Sequence[NDArray[np.uint8]]
 _PLATE_SD = 5.0  # grey levels: a photo says nothing about noise, and light differs a little between photo and video
 _SD_FLOOR = 1.0  # 8-bit video cannot be quieter
 _AGREE = 40  # grey levels: photo and video within this show the same thing (for the gain)
-_BLACK, _AGREEING_SHARE = 10, 0.05  # grey levels that tell of no gain; share of the picture that has to tell of one
+_BLACK, _AGREEING_SHARE = 10, 0.05  # grey levels too dark to measure a gain; least share of the picture that must agree
 _STATIC = 12  # grey levels: a pixel within this of its median has not changed
 _OTHER_THING = 20  # grey levels: photo and median beyond this show different things
-_STATIC_SHARE = 0.6  # a thing must be there in this share of the frames to be called part of the room
+_STATIC_SHARE = 0.6  # least share of the frames in which a thing must be present to be part of the room
 _MIN_FREE = 4  # frames in which a pixel must be free of the person, and the share of all frames
 _MIN_FREE_SHARE = 0.12
 
@@ -118,7 +118,7 @@ def match_gain(plate: BackgroundModel, reference: NDArray[np.floating]) -> Backg
 def gain_between(mean: NDArray[np.float32], reference: NDArray[np.floating]) -> NDArray[np.float32]:
     """Compute the factors (3,) that scale the channels of `mean` (h, w, 3) to the reference's brightness: see
     `match_gain`."""
-    # numpy takes ten times as long to go along an axis of three
+    # ten times as fast as numpy along an axis of three
     apart = np.maximum.reduce([np.abs(mean[..., c] - reference[..., c]) for c in range(3)])
     agree = (apart < _AGREE) & (np.minimum.reduce([mean[..., c] for c in range(3)]) > _BLACK)
     if agree.mean() < _AGREEING_SHARE:

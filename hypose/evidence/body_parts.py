@@ -149,7 +149,7 @@ def likely_clusters(
     graph = coo_matrix((np.ones(len(pairs), np.bool_), (pairs[:, 0], pairs[:, 1])), shape=(len(points), len(points)))
     _, label = connected_components(graph, directed=False)
     counts = np.bincount(label)
-    # a rim voxel stands for about its face, a slanting one for more
+    # a rim voxel stands for the area of its face, on slanting surfaces for more
     area = counts * surface.spacing**2 / scale**2
     kept = np.flatnonzero((area >= settings.low) & (area <= settings.high))
     kept = kept[np.argsort(-counts[kept], kind="stable")]

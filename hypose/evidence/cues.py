@@ -60,7 +60,7 @@ class PoseMemory(Generic[_Found]):
     """Cache of results for single poses of a body."""
 
     def __init__(self) -> None:
-        # with the bodies, so that no other one gets the identity of a body that is gone
+        # bodies are kept too, so that no new body gets the identity of a deleted one
         self._found: dict[tuple[int, bytes], tuple[Body, _Found]] = {}
 
     def get(self, body: Body, pose: Array) -> _Found | None:
@@ -169,7 +169,7 @@ class KeypointEvidence(Evidence):
         with np.errstate(divide="ignore", invalid="ignore"):
             away = np.linalg.norm(h[..., :2] / h[..., 2:] - term.points[..., :2], axis=-1)
         away = np.where(h[..., 2] > 0, np.nan_to_num(away, nan=np.inf), np.inf)
-        ratio = np.minimum(away / (2 * term.scale_px), 1e3)  # a point behind a camera is as far off as can be
+        ratio = np.minimum(away / (2 * term.scale_px), 1e3)  # a point behind a camera has the largest distance
         used = np.where(term.points[..., 2] > term.min_confidence, term.points[..., 2], 0.0)
         return 2 * (used * np.log1p(ratio**2)).sum((1, 2))
 

@@ -76,7 +76,7 @@ def _plane(points: Array, rng: np.random.Generator, least: float) -> tuple[Array
     if best is None or best[0] < least:
         return None
     _, normal, offset = best
-    for _ in range(5):  # all that lie in it
+    for _ in range(5):  # refit to all points in it
         inside = np.abs(points @ normal - offset) < _NEAR_M * (1 + points[:, 2] / 4)
         middle = points[inside].mean(0)
         own = np.linalg.svd(points[inside] - middle, full_matrices=False)[2][2]

@@ -203,7 +203,7 @@ def own_depth(
             body[:] = 0
             continue
         whole, last = depth.person[c] > 0, float(np.percentile(seen[body > 0], 98)) + _BEHIND_M
-        # what lies between both sides of an edge, and holes, are of the nearest person, as for one person alone
+        # values between both sides of an edge, and holes, belong to the nearest person, as for one person alone
         body[whole & (taken[c] == 0) & (cv2.dilate(body, _EDGE) > 0)] = 1
         near = (taken[c] > 0) & (seen < last)
         rim = cv2.dilate(near.astype(np.uint8), _EDGE) > 0

@@ -19,8 +19,8 @@ from hypose.geometry import Array, se3_inverse
 
 _FRAMES = 24
 _FINE = 0.06  # median distance from the other views' triangulation, in sizes of the person in that picture
-_DOUBTFUL = 0.025  # from which other readings are tried
-_BETTER = 0.35  # share of the plain reading's distance that another one may leave to be believed
+_DOUBTFUL = 0.025  # disagreement from which misreadings are tried
+_BETTER = 0.35  # largest share of the disagreement that a misreading may leave to be accepted
 _NO_BODY = 0.3
 # m, of an adult
 _LENGTHS = (
@@ -58,7 +58,7 @@ def misread(people: Sequence[Sequence[Array | None]], names: Sequence[str], rig:
         return None
     left, wrong = found
     if _other_cameras(points, rig) < min(_FINE, _BETTER * plain, left):
-        return None  # it is the calibration that is wrong, and the person who looks at the cameras says how
+        return None  # the calibration is wrong, which other checks report
     return wrong
 
 

@@ -23,12 +23,12 @@ from hypose.geometry import Array
 
 _LEAST_CONFIDENCE = 0.1
 _LEAST_POINTS = 4
-_PATIENCE = 1.2  # s for which a view follows a person by itself
-_PART = 0.1  # share of the clip for which a person has to be there to be looked at
-_AGREED = 0.3  # share of the frames in which two views show a person, in which rays have to agree on the person
-_FITS = 0.25  # share of a view's frames with a person, from which it sees the person where the others do
-_NEAR_M, _HITS = 0.08, 0.75  # m from the person's points, and share of a view's key points that lie so near to them
-_SAME = 0.06  # distance from the epipolar lines, in sizes of the person, up to which it may be the same one
+_PATIENCE = 1.2  # s without detections after which a view's own track ends
+_PART = 0.1  # least share of the clip in which a person must be present
+_AGREED = 0.3  # least share of the frames with a person in two views in which the rays must agree
+_FITS = 0.25  # least share of a view's frames with a person in which it is where the others see it
+_NEAR_M, _HITS = 0.08, 0.75  # m from the person's points, and least share of a view's key points within it
+_SAME = 0.06  # largest distance from the epipolar lines, in sizes of the person, of the same person
 _COMPARED = 3  # people per view that are compared by their motion
 
 
@@ -119,7 +119,7 @@ def one_person(
         if keep_misfits:
             points[:, c] = _alike(columns[c], of_view(c), np.delete(points, [*apart], 1), names, width)
             continue
-        points[:, c] = 0.0  # what fits now and then does so by chance
+        points[:, c] = 0.0  # what fits in some frames does so by chance
         if not twice:
             notes.append(
                 f"view {rig.names[c]}: its key points show nobody where the other views see the person, and are left "
@@ -274,8 +274,8 @@ def _continued(track: ViewTrack, tracks: Sequence[ViewTrack]) -> NDArray[np.int6
 # different people do not. Neither poses nor lenses have to be right for that.
 
 
-_JUMP = 0.35  # share of the person's size that its points move from frame to frame (median)
-_MOST_PAIRS = 1500  # pairs of points that a fundamental matrix is made of
+_JUMP = 0.35  # largest motion of a person's points between frames (median), in sizes of the person
+_MOST_PAIRS = 1500  # most pairs of points from which a fundamental matrix is computed
 _FEWEST_PAIRS = 60  # with fewer nothing is known
 
 

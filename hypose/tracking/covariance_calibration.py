@@ -92,7 +92,7 @@ def lasting_residuals(
     left = np.maximum(2 * views - 3, 1) / np.maximum(2 * views, 1)  # share of the errors that a fit leaves as residual
     power = np.where(pairs > 0, power / np.maximum(pairs, 1e-9), 0.0) / left
     of_view, of_point = np.maximum(power.sum(1), 0.0), np.maximum(power.sum(0), 0.0)
-    # where noise alone is left, parts of both signs cancel, and no sum of them is a divisor
+    # where only noise is left, terms of both signs cancel, so their sum cannot be the divisor
     whole = max(float(power.sum()), float(of_view.sum()), float(of_point.sum()), 1e-12)
     return np.outer(of_view, of_point) / whole, weights
 
@@ -135,7 +135,7 @@ def systematic_covariance(
 
 
 _STEP = 1e-4
-_PRIOR_INFORMATION = 0.05  # information that anatomy gives every coordinate, 1 / rad^2: nothing turns more than it can
+_PRIOR_INFORMATION = 0.05  # 1 / rad^2: information of the joint limits
 _SETS = {
     "pelvis": (("pelvis",), ("pelvis",)),
     "lumbar": (("lumbar",), ("spine", "chest")),

@@ -78,7 +78,7 @@ def found_ends(body: Body, ends: Ends, frame: PreparedFrame) -> dict[int, Array]
         unnamed = detections.part == UNNAMED
         for k in np.flatnonzero(~unnamed):
             found[int(detections.part[k])] = detections.points[k]
-        # an end that has a name already is not given away again
+        # ends with named detections are not assigned again
         free = [i for i in range(len(LIMITS)) if i not in found]
         points = detections.points[unnamed]
         now = ends.positions(body, frame.prediction[None])[0]

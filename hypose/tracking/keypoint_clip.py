@@ -50,7 +50,7 @@ _LIMBS = [
     for side in ("left", "right")
     for a, b in (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist"))
 ]
-_LOOK_EVERY = 5  # frames; looking everywhere is slow
+_LOOK_EVERY = 5  # frames between two searches of the whole space, which are slow
 LEAST_POINTS = 6
 """A frame with fewer points (in all views together) does not determine the pose by itself."""
 _QUICK = SolveSettings(iterations=6, coarse_iterations=0, tolerance=3e-3)
@@ -196,14 +196,14 @@ def _one_by_one(
             if found is None:
                 seen = None
             else:
-                expected = last = found  # the way there is no velocity
+                expected = last = found  # the jump there is no velocity
         term = None if seen is None else keypoint_term(seen, body, model, expected)
         terms.append(term)
         unseen = 0.0 if term is not None else unseen + 1
-        poses[t] = expected  # unseen: ever less of the last velocity
+        poses[t] = expected  # without evidence the last velocity decays
         if term is not None:
             found = fit_pose(body, expected, [term], priors=prior, options=_QUICK).pose
-            # beyond half a turn a shoulder would run into the corner of its limits, though the arm goes on
+            # beyond half a turn a shoulder's rotation vector would reach the corner of its limits while the arm goes on
             poses[t] = s.unwound(found)
             last += poses[t] - found  # the step stays what it was
         before, last = (last, poses[t].copy()) if t else (poses[t], poses[t].copy())

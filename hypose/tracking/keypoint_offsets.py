@@ -163,7 +163,7 @@ def _offsets(base: KeypointModel, model: KeypointModel, rows: OffsetResiduals) -
     weight = lorentzian_weight(0.25 * square, rows.confidence / sd_px**2)
     hessian = np.einsum("tck,tckia,tckib->kab", weight, rows.slope, rows.slope)
     gradient = np.einsum("tck,tckia,tcki->ka", weight, rows.slope, rows.residual)
-    # frames of a clip err alike: their number is no measure of how much they tell
+    # errors of a clip's frames are correlated, so the prior grows with their number
     prior = len(rows.residual) * (2 / limit) ** 2 * 0.1
     shift = model.offset - base.offset
     hessian += prior[:, None, None] * np.eye(3)
@@ -188,5 +188,5 @@ def _noise(rows: OffsetResiduals) -> Array:
     middle = np.array(
         [(len(d) * np.median(d) + _SHRINK * usual) / (len(d) + _SHRINK) if len(d) else usual for d in by_point]
     )
-    # half way to the usual: a point's own habits are partly taken up by its offset and the pose
+    # half way to the usual noise, because offset and pose absorb a part of the point's own
     return np.clip(TOGETHER * 1.4826 * np.sqrt(middle * usual), LEAST_SD, LARGEST_SD)

@@ -204,7 +204,7 @@ class LearnColours:
         vertices = body.skin(pose)
         doubted = self._doubted(pose, h, body)
         for side in np.flatnonzero(doubted):
-            part[arm == side] = len(PARTS)  # in front of others, but nothing to learn from
+            part[arm == side] = len(PARTS)  # it hides other parts, but its colours are not learnt
         masks = frame.silhouettes.masks
         use = masks.usable & colours.seen
         found = np.zeros((len(use), len(PARTS), COLOURS), np.float32)

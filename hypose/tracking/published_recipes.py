@@ -174,7 +174,7 @@ def _published(
     return Recipe(name, layers, particles, needs, estimate=pose_mean(skeleton))
 
 
-# what a layer of the partitioned filter places: (points of its box: joints, landmarks), parts drawn first in it
+# for each layer of the partitioned filter: joints and landmarks of its box, parts that are first drawn in it
 _SEEN_PARTS: dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]] = {
     "torso": (
         ("pelvis", "chest", "neck", "head", "left_shoulder", "right_shoulder", "left_hip", "right_hip"),

@@ -246,7 +246,7 @@ def citation_of(name: str, refine: bool = False) -> str:
 
 
 # ---- search of one limb ----
-# A search of one limb at a time: many poses of it about the one that it is in, of which the best is kept.
+# A search of one limb at a time: many poses around its current one are drawn, and the best is kept.
 
 
 @dataclass(frozen=True)

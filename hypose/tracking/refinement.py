@@ -162,7 +162,7 @@ class InTurn:
         if frame.frame.index % (self.period * times) == self.turn * times:
             return True
         pose = member(h, SOLVED)
-        key = "settled", self.unsettled, pose.tobytes()  # every limb asks the same
+        key = "settled", self.unsettled, pose.tobytes()  # the result is the same for every limb
         settled: bool | None = frame.shared.get(key)
         if settled is None:
             settled = frame.shared[key] = self._is_settled(pose, frame)
@@ -220,7 +220,7 @@ def refine(body: Body, starts: Array, frame: PreparedFrame, options: SolveSettin
 def keep_fits(frame: PreparedFrame, fits: Sequence[PoseFit], body: Body | None = None) -> None:
     """Store fits in the frame, from which the uncertainty is read later; body: where it is not the frame's."""
     body = body or frame.body
-    for fit in fits:  # poses go on clamped, by less than the last digits of a Hessian
+    for fit in fits:  # later poses are clamped, which changes them by rounding errors only
         frame.fits.keep(body, body.skeleton.clamp(fit.pose), fit)
 
 
