@@ -134,7 +134,8 @@ class _Followed:
 class Association:
     """Association of detections with people, frame by frame: call `step` for every frame, then `people`.
 
-    columns: number of columns of all candidates.
+    names: of the K key points; rig: pinhole cameras; frame_rate: Hz.
+    columns: number of columns of all candidates, at least 3 (u px, v px, confidence).
     """
 
     def __init__(

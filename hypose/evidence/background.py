@@ -186,9 +186,9 @@ def _from_median_alone(stack: Image, median: NDArray[np.float32], sd: NDArray[np
     never, doubtful = float((share == 1).mean()), float((share < _STATIC_SHARE).mean())
     note = (
         f"The background is the median of the recording itself: {100 * never:.0f} % of the picture never changes, and "
-        "whoever stands still there is taken for a part of the room"
+        "a person who stands still there becomes a part of the background"
     )
-    note += f"; {100 * doubtful:.1f} % changes in most frames and is unsure" if doubtful > 0.002 else ""
+    note += f"; {100 * doubtful:.1f} % changes in most frames and is uncertain" if doubtful > 0.002 else ""
     return BackgroundModel(
         median,
         sd,
@@ -212,8 +212,8 @@ def _cure_ghosts(
     if still.any():
         ghost &= ~still
         note = (
-            "Hardly anything moves, so the largest thing that is not in the photo is taken for the person; if it is "
-            "not, take a photo of the room as it was during the recording."
+            "Hardly anything moves, so the largest thing that is not in the photo is taken as the person; if that is "
+            "wrong, take a photo of the room as it was during the recording."
         )
     pick = ghost[..., None]
     mean, spread = np.where(pick, median, plate.mean), np.where(pick, sd, plate.sd)

@@ -35,7 +35,7 @@ def camera_on_floor(depth: NDArray[np.float32], camera: Camera) -> Array:
     found = _plane(points, rng, _LEAST_SHARE * len(points))
     if found is None:
         raise EvidenceError(
-            "The depth map shows no floor; turn the sensor so that it stands upright and sees the floor before it, or "
+            "The depth map shows no floor; turn the sensor so that it stands upright and sees the floor in front, or "
             "write a recording.toml with its place in the calibration."
         )
     normal, offset = found

@@ -199,7 +199,7 @@ def own_depth(
     for c in np.flatnonzero(usable):
         body, seen = masks[c], depth.maps[c]
         if not np.count_nonzero(body) > _LEAST_PX:
-            usable[c], reasons[c] = False, f"{depth.rig.names[int(c)]}: nothing of the person is to be seen"
+            usable[c], reasons[c] = False, f"{depth.rig.names[int(c)]}: no part of the person is visible"
             body[:] = 0
             continue
         whole, last = depth.person[c] > 0, float(np.percentile(seen[body > 0], 98)) + _BEHIND_M

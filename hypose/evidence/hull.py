@@ -90,7 +90,7 @@ def common_view_bounds(rig: CameraRig) -> Array:
         raise EvidenceError(
             f"The optical axes of the cameras {', '.join(rig.names)} (nearly) run in parallel, so the place of "
             f"the person "
-            "cannot be guessed; give the bounds of the space."
+            "cannot be estimated; give the bounds of the space."
         )
     centre = np.linalg.solve(a, np.einsum("cij,cj->i", across, rig.positions))
     reach = float(np.linalg.norm(rig.positions - centre, axis=1).max())

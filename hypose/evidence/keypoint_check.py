@@ -85,10 +85,10 @@ def _misread(points: Array, plain: float, names: Sequence[str], rig: CameraRig) 
                     return left, f"in view {name} {what}"
     world = _well_known(points, rig)
     if plain < 2 * _FINE and _disproportion(world, names) > _NO_BODY:
-        return plain, "the bones between them have lengths that no body has, so that their order must be another"
+        return plain, "the bones between them have lengths that no body has, so the points must be in another order"
     mirrored = _mirrored(world, names)
     if mirrored and plain < 2 * _FINE:
-        return plain, "the person is mirrored: their y counts upwards, or left and right are exchanged in their names"
+        return plain, "the person is mirrored: y counts upwards, or left and right are exchanged in the names"
     return None
 
 

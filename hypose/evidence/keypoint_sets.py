@@ -175,8 +175,8 @@ def set_of_points(views: Sequence[Array], stated: str | None, usual: Sequence[st
         return stated, "stated"
     if excess[better] > IMPLAUSIBLE:
         raise InputError(
-            f"there are {count} points per person, but as {better} their bones have impossible lengths, so their order "
-            "is another; export one of the sets " + ", ".join(KEYPOINT_SETS) + "."
+            f"there are {count} points per person, but as {better} their bones have impossible lengths, so they are "
+            "in another order; export one of the sets " + ", ".join(KEYPOINT_SETS) + "."
         )
     others = [excess[s] for s in fitting if s != better and excess[s] == excess[s]]
     if others and min(others) - excess[better] > 0.4 * IMPLAUSIBLE:

@@ -87,7 +87,7 @@ def one_person(
     number = choose(tracks)
     together = int((shown.sum(1) > 1).sum())
     if number is None or (tracks[number].seen.sum(1) > 1).sum() < _AGREED * together:
-        said = ("the views' key points agree on no person's place: motion alone decided who is who",)
+        said = ("the views' key points agree on no place of a person: people were matched by motion alone",)
         return _by_motion(columns, of_view, names, width, said if several and together else ())
     person = tracks[number]
     points = np.zeros((frames, views, len(names), width))
@@ -106,13 +106,13 @@ def one_person(
             for t in (person, twice[0])
         ]
         notes.append(
-            f"{sides[0]} show somebody at one place, {sides[1]} at another, and no view shows both: it may be one "
-            "person, and the key points or the calibration of two views exchanged; run hypose check"
+            f"{sides[0]} show a person at one place, {sides[1]} at another, and no view shows both: it may be one "
+            "person, and the key points or the calibration of two views may be exchanged; run hypose check"
         )
     of_all = tuple(notes)
     if others and not twice:
         notes.append(
-            f"several people ({1 + len(others)}) are seen by two views or more: followed is the one who is seen most, "
+            f"several people ({1 + len(others)}) are seen by two views or more: the one seen most is tracked, "
             f"in {int((person.seen.sum(1) > 1).sum())} of {frames} frames"
         )
     for c in apart:
@@ -122,8 +122,8 @@ def one_person(
         points[:, c] = 0.0  # what fits in some frames does so by chance
         if not twice:
             notes.append(
-                f"view {rig.names[c]}: its key points show nobody where the other views see the person, and are left "
-                "out; if it is the same person, run hypose check, which looks for what is wrong with this camera"
+                f"view {rig.names[c]}: its key points show no person where the other views see the person, and are "
+                "left out; if it is the same person, run hypose check, which finds what is wrong with this camera"
             )
     strangers = [rig.names[c] for c in range(views) if c not in apart and _stranger(columns[c], tracks, c, frames)]
     if strangers and not others:

@@ -186,7 +186,7 @@ def own_silhouettes(
             boxes[c] = part
         known = masks[at] if ignored is None else masks[at] > ignored[at]
         if not known.any():
-            usable[c], reasons[c] = False, f"{silhouettes.rig.names[c]}: nothing of the person is to be seen"
+            usable[c], reasons[c] = False, f"{silhouettes.rig.names[c]}: no part of the person is visible"
     expected = None if ignored is None else Expected(boxes, areas)
     return Silhouettes(masks, silhouettes.rig, usable, tuple(reasons), ignored, expected)
 

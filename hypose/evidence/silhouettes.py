@@ -286,7 +286,7 @@ def _dim_level(a: NDArray[Any], top: int, half: float, source: str) -> float:
     if len(levels) <= _LABELS:
         shown = ", ".join(str(v) for v in levels[:4]) + (", ..." if len(levels) > 4 else "")
         raise InputError(
-            f"{source} holds the labels {shown}, and which of them is the person is not known; write masks of the "
+            f"{source} holds the labels {shown}, but not which of them is the person; write masks of the "
             "person alone (0 and 255)."
         )
     return half  # faint grey: probably no person was found

@@ -146,7 +146,7 @@ def error_models() -> Mapping[str, ErrorModel]:
     fitted."""
     kept = json.loads(files("hypose.assets").joinpath("doubt.json").read_text(encoding="utf-8"))
     if kept["features"] != list(FEATURES) or kept["groups"] != list(GROUPS):
-        raise ValueError("assets/doubt.json belongs to other features; run scripts/train_doubt.py")
+        raise ValueError("assets/doubt.json was fitted to other features; run scripts/train_doubt.py")
     return {
         evidence: ErrorModel(*(np.array(m[k]) for k in (f.name for f in fields(ErrorModel))))
         for evidence, m in kept["models"].items()

@@ -177,8 +177,7 @@ def _one_by_one(
     frame_rate: float,
     progress: Report | None = None,
 ) -> tuple[Array, list[KeypointTerm | None]]:
-    """Solve each frame from the previous one; people whom the person cannot be, because they are too far away, are left
-    out.
+    """Solve each frame from the previous one; people too far from the expected place are left out.
 
     Returns: poses (T, D), bridged where nothing is seen; the key-point term of each frame.
     """

@@ -184,7 +184,7 @@ class Preset:
         """
         if evidence not in self.evidence:
             choices = f"{', '.join(self.evidence[:-1])} or {self.evidence[-1]}"
-            raise InputError(f"The recipe {name!r} knows no evidence {evidence!r}; choose {choices}.")
+            raise InputError(f"The recipe {name!r} has no evidence {evidence!r}; choose {choices}.")
         if evidence == "keypoints" and self.evidence == Preset.evidence and not self.whole_clip:
             raise InputError(f"The recipe {name!r} needs silhouettes; choose the evidence silhouettes or both.")
         known = inspect.signature(self.make).parameters

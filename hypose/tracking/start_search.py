@@ -102,13 +102,13 @@ def starts_in_frame(
                 found.append(Start(body, places[i], float(cost[i])))
     if not found and frame.depth.seen:
         raise EvidenceError(
-            f"Frame {frame.frame.index}: what depth cameras see of somebody is {tall:.2f} m high, and no person; look "
-            "whether sunlight, dark clothes or the distance leave holes in their maps, or choose other frames."
+            f"Frame {frame.frame.index}: what the depth cameras see is {tall:.2f} m high and no person; check "
+            "whether sunlight, dark clothes or the distance leave holes in the depth maps, or choose other frames."
         )
     if not found:
         raise EvidenceError(
-            f"Frame {frame.frame.index}: what all views have in common is {tall:.2f} m high, and no person; check the "
-            "calibration, and that every view has the camera that filmed it."
+            f"Frame {frame.frame.index}: the common volume of all views is {tall:.2f} m high and no person; check the "
+            "calibration, and that each view has its own camera."
         )
     found.sort(key=lambda s: s.cost)
     kept = _different(_solved(found[:_TRIED], frame, height, _BRIEF), _KEPT)

@@ -202,7 +202,7 @@ class Tracker:
                     "recipe."
                 )
         if "picture" in self.recipe.needs and self.own:
-            raise InputError(f"The recipe {self.recipe.name!r} looks at one picture, and not at evidence of your own.")
+            raise InputError(f"The recipe {self.recipe.name!r} uses one picture only; leave out evidence of your own.")
 
     def start(self, begin: Array | Hypotheses, memory: Memory | None = None) -> TrackerState:
         """Build the state before the first frame.
