@@ -109,7 +109,7 @@ def _count_alarms(
     watcher: _Watcher, person: int, seconds: float, rng: np.random.Generator, options: BenchOptions
 ) -> dict[str, int]:
     """Events that start while the person moves freely, by case."""
-    setting = Setting.new(make_gesture_room(rng, "furnished"), make_view(rng, 2.0))
+    setting = Setting(make_gesture_room(rng, "furnished"), make_view(rng, 2.0))
     puppet, out = Puppet(load_people()[person]), dict.fromkeys(watcher.cases, 0)
     watcher.rest()
     for k, pose in enumerate(continuous(puppet, rng, seconds, WATCHED_FPS)):

@@ -78,7 +78,7 @@ def for_gesture(frames: Sequence[GestureFrame], gesture: int) -> list[GestureFra
 
 def two_fixed_rooms(rng: np.random.Generator, distance: float = 1.8) -> Stage:
     """Training as in the thesis: two empty rooms, each with its own fixed camera, nobody else."""
-    settings = tuple(Setting.new(make_gesture_room(rng, "empty"), make_view(rng, distance)) for _ in range(2))
+    settings = tuple(Setting(make_gesture_room(rng, "empty"), make_view(rng, distance)) for _ in range(2))
     return Stage(("empty",), 0.0, settings=settings)
 
 

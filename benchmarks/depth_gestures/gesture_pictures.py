@@ -56,7 +56,7 @@ class Stage:
         """A room and a camera."""
         if self.settings:
             return self.settings[int(rng.integers(len(self.settings)))]
-        return Setting.new(
+        return Setting(
             make_gesture_room(rng, str(rng.choice(self.levels))), make_view(rng, rng.uniform(*self.distance))
         )
 

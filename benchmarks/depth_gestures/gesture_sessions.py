@@ -35,7 +35,7 @@ class _Size:
 
 def session_frames(person: int, name: str, frames: int, rng: np.random.Generator) -> Iterator[tuple[GestureFrame, str]]:
     """One session: a furnished room with a fixed camera, ROUNDS times the gesture and then other movement."""
-    setting = Setting.new(make_gesture_room(rng, "furnished"), make_view(rng, rng.uniform(1.3, 2.6)))
+    setting = Setting(make_gesture_room(rng, "furnished"), make_view(rng, rng.uniform(1.3, 2.6)))
     stage = Stage(("furnished",), 0.0, settings=(setting,))
     others = [g for g in GESTURES if g != name]
     for k in range(frames):

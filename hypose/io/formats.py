@@ -7,6 +7,8 @@ formats in the documentation and the tests are made from the tables.
 
 from __future__ import annotations
 
+import contextlib
+import importlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -47,6 +49,11 @@ class Source:
         return sorted(found, key=lambda p: natural_key(p.name))
 
 
+def _by_name_alone(source: Source) -> bool:
+    """Accept any content."""
+    return True
+
+
 @dataclass(frozen=True)
 class Format:
     """A file format.
@@ -63,7 +70,7 @@ class Format:
     name: str
     suffixes: tuple[str, ...]
     read: Callable[..., Any] | None = None
-    sniff: Callable[[Source], object] = lambda _: True
+    sniff: Callable[[Source], object] = _by_name_alone
     write: Callable[..., Any] | None = None
     limits: str = ""
     precision: float = 0.0
@@ -116,9 +123,30 @@ class FormatTable:
         if found is not None:
             return found, source
         known = f"of {', '.join(dict.fromkeys(f.name for f in fitting))}" if fitting else f"({self.listing()})"
-        raise InputError(f"{path} is not {self.kind} {known}; {self.advice}.")
+        raise InputError(f"{path} is not {self.kind} {known}{_looks_like(path)}; {self.advice}.")
 
     def listing(self) -> str:
         """List the endings of readable files."""
         endings = dict.fromkeys(s for f in self.formats if f.read is not None for s in f.suffixes if s[:1] in "./")
         return ", ".join({"/": "a folder", "": "no ending"}.get(s, s) for s in endings)
+
+
+_TABLES = (
+    "hypose.io.calibrations.calibration_formats:CALIBRATIONS",
+    "hypose.io.keypoints.keypoint_files:KEYPOINTS",
+    "hypose.io.motions.export:MOTIONS",
+    "hypose.io.sensors.skeleton_files:SKELETONS",
+)
+
+
+def _looks_like(path: Path) -> str:
+    """Name the format of another table that fits a file by its content, as part of an error message."""
+    for place in _TABLES:
+        module, _, name = place.partition(":")
+        table: FormatTable = getattr(importlib.import_module(module), name)
+        source = Source(path, table.kind, table.parse)
+        with contextlib.suppress(InputError), numbers_of(str(path)):
+            for one in table.formats:
+                if one.fits(path) and one.sniff is not _by_name_alone and one.sniff(source):
+                    return f", it looks like {table.kind} of {one.name}"
+    return ""

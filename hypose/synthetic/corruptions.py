@@ -4,6 +4,7 @@ too.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from statistics import NormalDist
 
@@ -146,6 +147,13 @@ def box_mesh(low: tuple[float, float, float], high: tuple[float, float, float]) 
     return v, np.array(f, dtype=np.int32)
 
 
+def joined_meshes(parts: Sequence[tuple[Array, NDArray[np.int32]]]) -> tuple[Array, NDArray[np.int32]]:
+    """Join meshes, each of vertices (V, 3) and faces (F, 3), into one."""
+    first = np.cumsum([0, *(len(vertices) for vertices, _ in parts[:-1])])
+    faces = np.concatenate([f + n for n, (_, f) in zip(first, parts, strict=True)])
+    return np.concatenate([v for v, _ in parts]), faces.astype(np.int32)
+
+
 def occluder_mesh(name: str) -> tuple[Array, NDArray[np.int32]] | None:
     """Make the mesh of an occluder in the world.
 
@@ -171,12 +179,8 @@ def occluder_mesh(name: str) -> tuple[Array, NDArray[np.int32]] | None:
         boxes.append(((-0.58, -0.8, 1.0), (0.58, -0.75, 1.2)))
     else:
         raise InputError(f"There is no occluder {name!r}; the occluders are table and treadmill.")
-    vertices, faces = [], []
-    for low, high in boxes:
-        v, f = box_mesh(low, high)
-        faces.append(f + 8 * len(vertices))
-        vertices.append(v)
-    return np.concatenate(vertices) @ turn.T, np.concatenate(faces).astype(np.int32)
+    vertices, faces = joined_meshes([box_mesh(low, high) for low, high in boxes])
+    return vertices @ turn.T, faces
 
 
 def disturb_rig(rig: CameraRig, relative: float, rng: np.random.Generator) -> CameraRig:

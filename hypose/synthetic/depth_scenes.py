@@ -20,7 +20,7 @@ from hypose.cameras.camera import Camera, CameraRig
 from hypose.compute.zbuffer import rasterize
 from hypose.errors import InputError
 from hypose.geometry import Array, DepthMap, so3_exp
-from hypose.synthetic.corruptions import smooth_noise
+from hypose.synthetic.corruptions import box_mesh, joined_meshes, smooth_noise
 from hypose.synthetic.performance import OfPerformance, Performance, assemble
 from hypose.synthetic.scenes import look_at
 from hypose.synthetic.subjects import SyntheticSubject
@@ -272,29 +272,19 @@ def _room(camera: Camera, things: tuple[Array, NDArray[np.int32]]) -> DepthMap:
     return np.minimum(depth.astype(np.float32), _drawn(camera, *things))
 
 
-_CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0.0, 1.0)])
-_SIDES = np.array(
-    [
-        [0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
-        [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3],
-    ],
-    np.int32,
-)  # fmt: skip
-
-
 def _things(
     rng: np.random.Generator, furniture: Sequence[tuple[float, float, float, float, float]]
 ) -> tuple[Array, NDArray[np.int32]]:
     """Make the mesh of boxes on the floor, outside the space of the people and away from the sensors of AZIMUTHS, plus
     the furniture.
     """
+    corners, sides = box_mesh((-0.5, -0.5, 0.0), (0.5, 0.5, 1.0))
     vertices = []
     for azimuth in (45, 160, 200, 285, 315):
         angle, away = np.radians(azimuth) + rng.uniform(-0.15, 0.15), rng.uniform(2.4, 2.9)
         size = rng.uniform((0.3, 0.3, 0.3), (0.8, 0.8, 1.2))
-        corners = (_CORNERS * size) @ so3_exp(np.array([0, 0, rng.uniform(0, 3)])).T
-        vertices.append(corners + [away * np.sin(angle), -away * np.cos(angle), 0])
-    vertices += [_CORNERS * [wide, deep, tall] + [x, y, 0] for x, y, wide, deep, tall in furniture]
-    flipped = np.concatenate([_SIDES + 8 * k for k in range(len(vertices))])
-    both = np.concatenate([flipped, flipped[:, ::-1]])  # seen from either side
-    return np.concatenate(vertices), both.astype(np.int32)
+        turned = (corners * size) @ so3_exp(np.array([0, 0, rng.uniform(0, 3)])).T
+        vertices.append(turned + [away * np.sin(angle), -away * np.cos(angle), 0])
+    vertices += [corners * [wide, deep, tall] + [x, y, 0] for x, y, wide, deep, tall in furniture]
+    every, faces = joined_meshes([(v, sides) for v in vertices])
+    return every, np.concatenate([faces, faces[:, ::-1]])  # seen from either side

@@ -18,7 +18,7 @@ from scipy.optimize import least_squares
 
 from hypose.body.skin_weights import vertex_normals
 from hypose.errors import InputError
-from hypose.geometry import Array
+from hypose.geometry import Array, so3_exp
 
 SIDES = ("left", "right")
 FINGERS = ("thumb", "index", "middle", "ring", "pinky")
@@ -53,10 +53,8 @@ def unit(v: ArrayLike) -> Array:
 
 
 def rotation_about(axis: ArrayLike, angle: float) -> Array:
-    """Compute the rotation (3, 3) about an axis (3,) by an angle in rad (Rodrigues' formula)."""
-    x, y, z = unit(axis)
-    k = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * k @ k
+    """Compute the rotation (3, 3) about an axis (3,) by an angle in rad."""
+    return so3_exp(angle * unit(axis))
 
 
 def _frame(a: ArrayLike, b: ArrayLike) -> Array:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,19 +16,13 @@ from hypose.compute import depth_sensor
 from hypose.compute.forests import DepthImage
 from hypose.errors import InputError
 from hypose.geometry import Array
-from hypose.gestures.depth_pictures import KINECT, DepthLens
+from hypose.gestures.depth_pictures import KINECT
+from hypose.synthetic.corruptions import box_mesh, joined_meshes
 from hypose.synthetic.gesture_people import GesturePerson, Puppet, load_people, rotation_about
 from hypose.synthetic.gesture_poses import GESTURES, Keyframe, annotated, apply, gesture, movement
 
 PICTURE_SIZE = (640, 480)
-_BOX = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
-_BOX_FACES = np.array(
-    [
-        [0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
-        [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3],
-    ],
-    np.int32,
-)  # fmt: skip
+_PINHOLE = (KINECT.fx, KINECT.fy, KINECT.cx, KINECT.cy)
 
 
 def _floor() -> tuple[Array, NDArray[np.int32]]:
@@ -73,7 +68,8 @@ def make_gesture_room(rng: np.random.Generator, level: str) -> GestureRoom:
     parts: list[tuple[Array, NDArray[np.int32]]] = []
 
     def box(centre: Sequence[float], size: Sequence[float], yaw: float) -> None:
-        parts.append((_BOX * size @ rotation_about([0, 0, 1], yaw).T + centre, _BOX_FACES))
+        vertices, faces = box_mesh((-0.5, -0.5, -0.5), (0.5, 0.5, 0.5))
+        parts.append((vertices * size @ rotation_about([0, 0, 1], yaw).T + centre, faces))
 
     wall = rng.uniform(1.6, 2.6) if level == "empty" else rng.uniform(0.5, 2.5)
     box([0, wall + 0.1, 1.5], [14, 0.2, 5], rng.uniform(-0.25, 0.25))
@@ -88,10 +84,7 @@ def make_gesture_room(rng: np.random.Generator, level: str) -> GestureRoom:
         x = rng.choice([-1, 1]) * rng.uniform(0.55, 1.8) if y < 0.45 else rng.uniform(-1.8, 1.8)
         z = size[2] / 2 if rng.random() < 0.6 else rng.uniform(0.3, 2)
         box([x, y, z], size, rng.uniform(-1.5, 1.5))
-    vertices = np.concatenate([v for v, _ in parts])
-    first = np.cumsum([0, *(len(v) for v, _ in parts[:-1])])
-    faces = np.concatenate([f + n for n, (_, f) in zip(first, parts, strict=True)]).astype(np.int32)
-    return GestureRoom(vertices, faces, float(wall))
+    return GestureRoom(*joined_meshes(parts), float(wall))
 
 
 def make_view(rng: np.random.Generator, distance: float) -> _View:
@@ -105,36 +98,23 @@ def make_view(rng: np.random.Generator, distance: float) -> _View:
     return _View(np.stack([right, np.cross(forward, right), forward]), position)
 
 
-def backdrop(room: GestureRoom, view: _View, lens: DepthLens = KINECT) -> NDArray[np.float32]:
-    """Render the inverse depth (480, 640) 1/m of a room without people.
-
-    room: mesh of the room.
-    view, lens: the camera; one backdrop is enough while it stands still.
-    """
-    inverse = np.zeros((PICTURE_SIZE[1], PICTURE_SIZE[0]), np.float32)
-    depth_sensor.draw(view.points(room.vertices), room.faces, (lens.fx, lens.fy, lens.cx, lens.cy), inverse)
-    return inverse
-
-
 def render(
     people: Sequence[tuple[GesturePerson, Array]],
     behind: NDArray[np.float32],
     view: _View,
     rng: np.random.Generator,
-    lens: DepthLens = KINECT,
 ) -> tuple[DepthImage, NDArray[np.float32]]:
     """Render people in front of a backdrop with a simulated depth sensor.
 
     people: (person, vertices in the world) of each.
-    behind: (480, 640) inverse depth of the empty room, 1/m (`backdrop`).
-    view, lens: the camera.
+    behind: (480, 640) inverse depth of the empty room, 1/m (`Setting.behind`).
+    view: the camera.
     Returns: depth (480, 640) uint16 mm as sensed, and the exact inverse depth (480, 640) 1/m.
     """
     inverse = behind.copy()
-    pinhole = (lens.fx, lens.fy, lens.cx, lens.cy)
     for person, vertices in people:
-        depth_sensor.draw(view.points(vertices), person.faces, pinhole, inverse)
-    return depth_sensor.sense(inverse, lens.fx, rng), inverse
+        depth_sensor.draw(view.points(vertices), person.faces, _PINHOLE, inverse)
+    return depth_sensor.sense(inverse, KINECT.fx, rng), inverse
 
 
 def stand_at(puppet: Puppet, yaw: float = 0.0, at: Sequence[float] = (0, 0)) -> Array:
@@ -153,17 +133,17 @@ class Setting:
 
     room: the room.
     view: the camera.
-    behind: inverse depth of the empty room.
     """
 
     room: GestureRoom
     view: _View
-    behind: NDArray[np.float32]
 
-    @staticmethod
-    def new(room: GestureRoom, view: _View) -> Setting:
-        """Make the setting of a room and a camera, with its backdrop rendered."""
-        return Setting(room, view, backdrop(room, view))
+    @cached_property
+    def behind(self) -> NDArray[np.float32]:
+        """(480, 640) inverse depth of the empty room, 1/m."""
+        inverse = np.zeros((PICTURE_SIZE[1], PICTURE_SIZE[0]), np.float32)
+        depth_sensor.draw(self.view.points(self.room.vertices), self.room.faces, _PINHOLE, inverse)
+        return inverse
 
 
 # ---- a simulated depth camera that films gestures --------------------------------------------------------------------
@@ -218,7 +198,7 @@ def live_person(number: int, name: str, rng: np.random.Generator, rate: float) -
 def _frames(
     number: int, puppet: Puppet, name: str, rng: np.random.Generator, rate: float
 ) -> Generator[SimulatedFrame, bool, None]:
-    setting = Setting.new(make_gesture_room(rng, "furnished"), make_view(rng, rng.uniform(1.5, 2.3)))
+    setting = Setting(make_gesture_room(rng, "furnished"), make_view(rng, rng.uniform(1.5, 2.3)))
     leading = handedness(number)
     others = [g for g in GESTURES if g != name]
     start = goal = movement(puppet, rng)

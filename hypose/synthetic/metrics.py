@@ -143,11 +143,6 @@ class JointErrors:
         m = self.frame_means
         return float((m[np.isfinite(m)] > LOST_M).mean())
 
-    @property
-    def per_joint(self) -> dict[str, float]:
-        """Mean over the frames, m, by joint."""
-        return dict(zip(self.names, np.nanmean(self.distances, axis=0).tolist(), strict=True))
-
 
 def joint_errors(
     estimated: ArrayLike,

@@ -36,6 +36,10 @@ _GUARD = {
 }
 
 
+_Key = tuple[float, dict[str, float]]
+"""An instant, s, and the channels of a key pose."""
+
+
 def _pose(*parts: Mapping[str, float]) -> dict[str, float]:
     """Combine key poses, later parts override earlier ones; both_X sets left_X and right_X."""
     out: dict[str, float] = {}
@@ -49,7 +53,7 @@ def _pose(*parts: Mapping[str, float]) -> dict[str, float]:
 def _keyed(
     name: str,
     t: Array,
-    keys: Sequence[tuple[float, dict[str, float]]],
+    keys: Sequence[_Key],
     take: Take,
     stance: Stance,
     smooth: float = 0.05,
@@ -64,8 +68,16 @@ def _keyed(
         y = np.array([pose.get(c, 0.0) for _, pose in keys])
         course = PchipInterpolator(at, y)(np.clip(fine, at[0], at[-1])) if len(at) > 1 else np.full_like(fine, y[0])
         values[c] = np.interp(t, fine, gaussian_filter1d(course, smooth * 200, mode="nearest"))
-    sway = {"spine_lean": 0.8, "spine_list": 0.8, "spine_turn": 1.5, "neck_turn": 3.0, "neck_lean": 1.5}
-    sway |= {"forward": 0.006, "left": 0.008, "pelvis_turn": 1.0}
+    sway = {
+        "spine_lean": 0.8,
+        "spine_list": 0.8,
+        "spine_turn": 1.5,
+        "neck_turn": 3.0,
+        "neck_lean": 1.5,
+        "forward": 0.006,
+        "left": 0.008,
+        "pelvis_turn": 1.0,
+    }
     for side in ("left", "right"):
         sway |= {
             f"{side}_shoulder_flexion": 1.5,
@@ -81,6 +93,23 @@ def _scaled(pose: Mapping[str, float], base: Mapping[str, float], amplitude: flo
     """Scale the difference of a pose from a base pose."""
     keys = set(pose) | set(base)
     return {k: base.get(k, 0.0) + amplitude * (pose.get(k, 0.0) - base.get(k, 0.0)) for k in keys}
+
+
+def _repeated(
+    course: Sequence[_Key], whole: float, take: Take, share: float, speed: float, begin: float, end: float
+) -> list[_Key]:
+    """Repeat a course of key poses from `begin` until a second after `end` (s).
+
+    course: instants within the course, s at normal speed, and key poses; the first is the pose at rest.
+    whole: duration of the course with the pause after it, s.
+    share: relative sd of the duration of each repetition.
+    """
+    keys, now = [course[0]], begin
+    while now < end + 1:
+        step = take.factor(share) / speed
+        keys += [(now + at * step, pose) for at, pose in course]
+        now += whole * step
+    return keys
 
 
 def _jab(side: str, reach: float = 1.0) -> dict[str, float]:
@@ -152,9 +181,15 @@ def punch(
         "right_elbow_flexion": 115,
         "right_shoulder_internal": 15,
         "spine_turn": -22,
+        "pelvis_turn": -12,
+        "neck_turn": 24,
+        "up": -0.06,
+        "forward": -0.05,
+        "left_elbow_flexion": 85,
+        "left_shoulder_flexion": 45,
+        "left_shoulder_internal": 35,
+        "right_shoulder_abduction": 14,
     }
-    wind |= {"pelvis_turn": -12, "neck_turn": 24, "up": -0.06, "forward": -0.05, "left_elbow_flexion": 85}
-    wind |= {"left_shoulder_flexion": 45, "left_shoulder_internal": 35, "right_shoulder_abduction": 14}
     keys, now = [(0.0, rest)], 0.3
     while now < t[-1] + 1:
         step = take.factor(0.1) / speed
@@ -179,8 +214,14 @@ def wave(
     """
     take, t = Take(rng), sample_times(duration, frame_rate)
     rest = _pose(_RELAXED)
-    up = {"right_shoulder_flexion": 30, "right_shoulder_abduction": 92, "right_shoulder_internal": -78}
-    up |= {"right_clavicle_up": 8, "spine_list": -3, "neck_list": 3}
+    up = {
+        "right_shoulder_flexion": 30,
+        "right_shoulder_abduction": 92,
+        "right_shoulder_internal": -78,
+        "right_clavicle_up": 8,
+        "spine_list": -3,
+        "neck_list": 3,
+    }
     keys, now = [(0.0, rest)], 0.2
     while now < t[-1] + 1:
         keys.append((now, rest))
@@ -217,14 +258,13 @@ def cross_arms(
         "both_elbow_flexion": 100,
         "both_clavicle_forward": 10,
         "spine_lean": -2,
+        "left_shoulder_flexion": 40,
+        "right_shoulder_flexion": 28,
+        "both_shoulder_abduction": 10,
     }
-    folded |= {"left_shoulder_flexion": 40, "right_shoulder_flexion": 28, "both_shoulder_abduction": 10}
-    keys, now = [(0.0, rest)], 0.3
-    while now < t[-1] + 1:
-        fold = _scaled(_pose(_RELAXED, folded), rest, amplitude)
-        step = take.factor(0.1) / speed
-        keys += [(now, rest), (now + 0.7 * step, fold), (now + 2.2 * step, fold), (now + 2.9 * step, rest)]
-        now += 3.6 * step
+    fold = _scaled(_pose(_RELAXED, folded), rest, amplitude)
+    course = [(0.0, rest), (0.7, fold), (2.2, fold), (2.9, rest)]
+    keys = _repeated(course, 3.6, take, 0.1, speed, 0.3, t[-1])
     return perform(_keyed("cross_arms", t, keys, take, Stance(), 0.09), subject)
 
 
@@ -242,18 +282,28 @@ def sit_down(
     """
     take, t = Take(rng), sample_times(duration, frame_rate)
     rest = _pose(_RELAXED, {"forward": 0.02})
-    half = {"up": -0.24, "forward": -0.24, "pelvis_lean": 24, "spine_lean": 22, "neck_lean": -18}
-    half |= {"both_shoulder_flexion": 42, "both_elbow_flexion": 30}
-    seat = {"up": -0.49, "forward": -0.47, "pelvis_lean": 4, "spine_lean": 6, "neck_lean": -4}
-    seat |= {"both_shoulder_flexion": 38, "both_elbow_flexion": 52, "both_shoulder_abduction": 6}
-    keys, now = [(0.0, rest)], 0.4
-    while now < t[-1] + 1:
-        step = take.factor(0.1) / speed
-        a = _scaled(_pose(_RELAXED, half), rest, amplitude)
-        b = _scaled(_pose(_RELAXED, seat), rest, amplitude)
-        keys += [(now, rest), (now + 0.6 * step, a), (now + 1.15 * step, b), (now + 2.3 * step, b)]
-        keys += [(now + 2.9 * step, a), (now + 3.6 * step, rest)]
-        now += 4.2 * step
+    half = {
+        "up": -0.24,
+        "forward": -0.24,
+        "pelvis_lean": 24,
+        "spine_lean": 22,
+        "neck_lean": -18,
+        "both_shoulder_flexion": 42,
+        "both_elbow_flexion": 30,
+    }
+    seat = {
+        "up": -0.49,
+        "forward": -0.47,
+        "pelvis_lean": 4,
+        "spine_lean": 6,
+        "neck_lean": -4,
+        "both_shoulder_flexion": 38,
+        "both_elbow_flexion": 52,
+        "both_shoulder_abduction": 6,
+    }
+    a, b = (_scaled(_pose(_RELAXED, x), rest, amplitude) for x in (half, seat))
+    course = [(0.0, rest), (0.6, a), (1.15, b), (2.3, b), (2.9, a), (3.6, rest)]
+    keys = _repeated(course, 4.2, take, 0.1, speed, 0.4, t[-1])
     return centred(perform(_keyed("sit_down", t, keys, take, Stance(0.0, 0.0, 0.17, 12.0), 0.1), subject))
 
 
@@ -278,8 +328,6 @@ def serve(
         "left_elbow_flexion": 14,
         "right_shoulder_flexion": -12,
         "right_elbow_flexion": 12,
-    }
-    drop |= {
         "right_shoulder_abduction": 22,
         "spine_turn": -20,
         "pelvis_turn": -18,
@@ -291,58 +339,59 @@ def serve(
         "left_elbow_flexion": 8,
         "left_clavicle_up": 12,
         "left_shoulder_abduction": 8,
-    }
-    trophy |= {"right_shoulder_flexion": 0, "right_shoulder_abduction": 88, "right_shoulder_internal": -75}
-    trophy |= {
+        "right_shoulder_flexion": 0,
+        "right_shoulder_abduction": 88,
+        "right_shoulder_internal": -75,
         "right_elbow_flexion": 88,
         "spine_turn": -28,
         "pelvis_turn": -24,
         "spine_lean": -14,
         "spine_list": -8,
+        "neck_lean": -22,
+        "neck_turn": 30,
+        "up": -0.13,
+        "forward": 0.05,
     }
-    trophy |= {"neck_lean": -22, "neck_turn": 30, "up": -0.13, "forward": 0.05}
-    strike = {"right_shoulder_flexion": 25, "right_shoulder_abduction": 148, "right_shoulder_internal": -20}
-    strike |= {
+    strike = {
+        "right_shoulder_flexion": 25,
+        "right_shoulder_abduction": 148,
+        "right_shoulder_internal": -20,
         "right_elbow_flexion": 8,
         "right_clavicle_up": 18,
         "left_shoulder_flexion": 38,
         "left_elbow_flexion": 80,
-    }
-    strike |= {
         "left_shoulder_internal": 45,
         "spine_turn": 14,
         "pelvis_turn": 6,
         "spine_list": -16,
         "spine_lean": 6,
+        "neck_lean": -16,
+        "neck_turn": -6,
+        "forward": 0.16,
+        "both_heel": 0.10,
+        "up": 0.0,
     }
-    strike |= {"neck_lean": -16, "neck_turn": -6, "forward": 0.16, "both_heel": 0.10, "up": 0.0}
-    follow = {"right_shoulder_flexion": 58, "right_shoulder_abduction": -16, "right_shoulder_internal": 40}
-    follow |= {
+    follow = {
+        "right_shoulder_flexion": 58,
+        "right_shoulder_abduction": -16,
+        "right_shoulder_internal": 40,
         "right_elbow_flexion": 35,
         "left_shoulder_flexion": 10,
         "left_elbow_flexion": 70,
         "spine_turn": 32,
-    }
-    follow |= {
         "left_shoulder_internal": 40,
         "pelvis_turn": 20,
         "spine_lean": 28,
         "neck_lean": -16,
         "neck_turn": -24,
+        "up": -0.07,
+        "forward": 0.20,
+        "right_heel": 0.16,
     }
-    follow |= {"up": -0.07, "forward": 0.20, "right_heel": 0.16}
-    keys, now = [(0.0, ready)], 0.3
-    while now < t[-1] + 1:
-        k = take.factor(0.06) / speed
-        poses = [_scaled(_pose(_RELAXED, x), ready, amplitude) for x in (drop, trophy, strike, follow)]
-        keys += [
-            (now, ready),
-            (now + 0.45 * k, poses[0]),
-            (now + 1.05 * k, poses[1]),
-            (now + 1.2 * k, poses[1]),
-        ]
-        keys += [(now + 1.46 * k, poses[2]), (now + 1.78 * k, poses[3]), (now + 2.6 * k, ready)]
-        now += 3.2 * k
+    poses = [_scaled(_pose(_RELAXED, x), ready, amplitude) for x in (drop, trophy, strike, follow)]
+    course = [(0.0, ready), (0.45, poses[0]), (1.05, poses[1]), (1.2, poses[1]), (1.46, poses[2])]
+    course += [(1.78, poses[3]), (2.6, ready)]
+    keys = _repeated(course, 3.2, take, 0.06, speed, 0.3, t[-1])
     return perform(_keyed("serve", t, keys, take, Stance(0.26, -0.22, 0.15, 22.0)), subject)
 
 

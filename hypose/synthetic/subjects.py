@@ -32,7 +32,6 @@ class SyntheticSubject:
     skin_index, skin_weight: (V, 4) joints that carry a vertex and their weights.
     cloth_weight: (V,) 0..1, where clothes may lie.
     clothing_m: thickness of the clothes, m.
-    Raises: InputError where shapes do not agree.
     """
 
     name: str
@@ -43,13 +42,6 @@ class SyntheticSubject:
     skin_weight: Array
     cloth_weight: Array
     clothing_m: float = 0.0
-
-    def __post_init__(self) -> None:
-        v = len(self.vertices)
-        if self.joints.shape != (len(JOINT_NAMES), 3):
-            raise InputError(f"Subject {self.name}: joints must be ({len(JOINT_NAMES)}, 3), got {self.joints.shape}.")
-        if self.skin_index.shape != (v, 4) or self.skin_weight.shape != (v, 4) or self.cloth_weight.shape != (v,):
-            raise InputError(f"Subject {self.name}: skin and cloth weights must have one row per vertex ({v}).")
 
     @property
     def stature(self) -> float:

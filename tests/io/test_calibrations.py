@@ -235,7 +235,7 @@ BAD_TOML = [
         ("a.xcp", "<a/>", "is not a calibration of Vicon"),
         ("a.doc", "{}", "is not a calibration"),
         ("a.json", "{", r"is not JSON \(.*\); give the path of a calibration"),
-        ("a.json", "{}", r"holds no cameras"),
+        ("a.json", "{}", r"is not a calibration of CMU Panoptic, XRMoCap"),
         ("a.json", '{"a": {"K": 5}}', r"camera a: K must be numbers of shape 3 x 3"),
         ("a.json", '{"a": {"K": [[1,0,1],[0,1,1],[0,0,1]], "t": [0,0,1]}}', r"camera a: rotation is missing"),
         ("a.json", '{"a": {"P": [[1,0,0,0],[1,0,0,0],[0,0,1,1]]}}', r"P is no projection matrix"),

@@ -93,7 +93,7 @@ def test_a_capture_of_record3d(tmp_path, rng, monkeypatch):
     assert frames[3].depth[0, 0] == 0
     for changed in ({"K": [1.0]}, {"w": 0}, {"dw": 1e400}, {"K": None}):
         record3d(path, depth, **changed)
-        with pytest.raises(InputError, match="does not say its lens"):
+        with pytest.raises(InputError, match="is no Record3D capture that says its lens"):
             open_depth(path)
     record3d(path, depth, K=[0.0] * 9)
     with pytest.raises(InputError, match="unusable"):

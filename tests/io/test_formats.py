@@ -177,3 +177,11 @@ def test_what_cannot_be_read_is_named_with_what_can(tmp_path, table, name):
 def test_the_documentation_lists_every_format():
     page = formats_page()
     assert all(one.name in page for table in TABLES.values() for one in table.formats)
+
+
+@pytest.mark.parametrize("table", [CALIBRATIONS, SKELETONS], ids=["calibration", "skeleton"])
+def test_a_file_of_another_kind_is_called_by_its_name(good, table):
+    with pytest.raises(
+        InputError, match="cam1.json is not .*, it looks like a file or folder of key points of MMPose;"
+    ):
+        table.read(good / "keypoints" / "mmpose-predictions" / "cam1.json")

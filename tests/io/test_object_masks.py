@@ -151,7 +151,7 @@ def test_youtube_vis_and_polygons(tmp_path):
         ('{"annotations": [{"image_id": 1, "segmentation": {"counts": [4, 2]}}]}', "how large"),
         ('{"annotations": [{"image_id": 1, "segmentation": {"size": [48, 64], "counts": [4, 2]}}]}', "run lengths"),
         ('{"annotations": [{"image_id": 1, "segmentation": {"size": [48, 64], "counts": "~~~"}}]}', "run lengths"),
-        ('{"annotations": [{"image_id": 1, "segmentation": {"size": [-1, 64], "counts": "0"}}]}', "not possible"),
+        ('{"annotations": [{"image_id": 1, "segmentation": {"size": [-1, 64], "counts": "0"}}]}', "64 x -1 px"),
     ],
 )
 def test_spoilt_annotations_end_in_a_sentence(tmp_path, content, sentence):

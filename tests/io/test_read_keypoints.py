@@ -213,7 +213,7 @@ def test_hostile_arrays(tmp_path):
     np.save(tmp_path / "b.npy", np.array([{"a": 1}], dtype=object), allow_pickle=True)
     np.save(tmp_path / "c.npy", np.zeros((3, 4)))
     for name in "abc":
-        with pytest.raises(InputError, match=r"is no array of numpy|has the shape"):
+        with pytest.raises(InputError, match=r"the array|has the shape"):
             read_keypoints(tmp_path / f"{name}.npy")
 
 

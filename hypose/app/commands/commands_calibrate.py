@@ -22,14 +22,14 @@ from hypose.calibration.from_points import PointCalibration, calibrate_from_poin
 from hypose.calibration.views import count_corners, find_sources
 from hypose.cameras.camera import CameraRig
 from hypose.errors import CalibrationError, InputError
-from hypose.io.calibrations.calibration_formats import check_format, read_any, write_any
+from hypose.io.calibrations.calibration_formats import read_any, write_any, writer_of
 from hypose.io.files import check_writable
 
 
 def calibrate(c: CalibrateCommand) -> None:
     """Calibrate cameras, or convert a calibration, and write the file (`hypose calibrate`)."""
     target = c.out or Path("calibration.toml")
-    check_format(target)
+    writer_of(target)
     given = [bool(c.sources), c.points is not None, c.convert is not None]
     if sum(given) != 1 or (c.from_person and len(c.sources) != 1):
         raise InputError(

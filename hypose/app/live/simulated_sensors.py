@@ -15,9 +15,11 @@ from scipy.ndimage import gaussian_filter1d
 
 from hypose.evidence.frame import TRACKED, SensorReport
 from hypose.fusion import joints as jt
-from hypose.geometry import Array, se3, so3_exp, transform
+from hypose.geometry import Array, so3_exp, transform
 from hypose.io.sensors.skeleton_streams import format_line
+from hypose.synthetic.depth_scenes import FOCAL_PX, KINECT_SIZE
 from hypose.synthetic.motions import act
+from hypose.synthetic.scenes import look_at
 from hypose.synthetic.subjects import load_subjects
 
 FRAME_RATE = 30.0
@@ -106,16 +108,9 @@ def ring_sensors(angles_deg: ArrayLike, distance: float = 2.5, height: float = 1
     distance, height: m.
     Returns: camera_from_world (K, 4, 4).
     """
-    out = []
-    for a in np.radians(np.atleast_1d(np.asarray(angles_deg, dtype=np.float64))):
-        eye = np.array([np.sin(a) * distance, -np.cos(a) * distance, height])
-        z = np.array([0, 0, 1.0]) - eye
-        z /= np.linalg.norm(z)
-        x = np.cross(z, [0, 0, 1.0])
-        x /= np.linalg.norm(x)
-        r = np.stack([x, np.cross(z, x), z])
-        out.append(se3(r, -r @ eye))
-    return np.array(out)
+    at = np.radians(np.asarray(angles_deg, dtype=np.float64))
+    eyes = np.stack([np.sin(at) * distance, -np.cos(at) * distance, np.full(len(at), height)], 1)
+    return np.stack([look_at("", eye, (0, 0, 1.0), FOCAL_PX, KINECT_SIZE).camera_from_world for eye in eyes])
 
 
 def builtin_joints(name: str, seconds: float, rng: np.random.Generator) -> Array:

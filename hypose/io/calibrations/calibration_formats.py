@@ -35,6 +35,7 @@ from hypose.io.calibrations.calibration_text import (
     write_caliscope,
     write_easymocap,
 )
+from hypose.io.calibrations.camera_tables import tables_of
 from hypose.io.file_names import natural_key
 from hypose.io.formats import Format, FormatTable, Source
 
@@ -85,7 +86,12 @@ CALIBRATIONS = FormatTable(
             _PLAIN_LENSES,
             1e-9,
         ),
-        Format("CMU Panoptic, XRMoCap, 3 x 4 projections", (".json",), read_tables),
+        Format(
+            "CMU Panoptic, XRMoCap, 3 x 4 projections",
+            (".json",),
+            read_tables,
+            lambda source: tables_of(source.document, source.path.stem),
+        ),
         Format(
             "Qualisys",
             (".qca.txt", ".qca", ".xml"),
@@ -126,16 +132,12 @@ def read_any(path: str | Path, unit: str = "auto") -> tuple[CameraRig, tuple[str
         raise CalibrationError(str(error)) from None
 
 
-def _writer(path: Path) -> Callable[[CameraRig, Path], list[Path]]:
+def writer_of(path: Path) -> Callable[[CameraRig, Path], list[Path]]:
+    """Find the writer for a file's name; InputError where there is none."""
     write = next((f.write for f in CALIBRATIONS.formats if f.write is not None and f.fits(path)), None)
     if write is None:
         raise InputError(f"{path} cannot be written: name the calibration .toml, .yml or .pickle.")
     return write
-
-
-def check_format(path: Path) -> None:
-    """Check that the ending of a file's name gives a format that can be written; InputError otherwise."""
-    _writer(path)
 
 
 def write_any(rig: CameraRig, path: str | Path) -> list[Path]:
@@ -143,7 +145,7 @@ def write_any(rig: CameraRig, path: str | Path) -> list[Path]:
 
     Files of EasyMocap and OpenCap are written to the folder of the given name.
     """
-    return _writer(Path(path))(rig, Path(path))
+    return writer_of(Path(path))(rig, Path(path))
 
 
 def find_calibration(folder: Path) -> Path | None:

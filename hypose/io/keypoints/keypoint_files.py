@@ -588,12 +588,9 @@ def _row_reader(count: int, per_point: int) -> Callable[[Path], Array]:
 
 def _freemocap(source: Source) -> dict[str, KeypointTable]:
     path = source.path
-    try:
-        with open_file(path, source.kind, MAX_BYTES) as stream:
-            data = parse_array("it", stream, os.fstat(stream.fileno()).st_size)
-        kind, shape = data.dtype.kind, data.shape
-    except (ValueError, OSError, MemoryError) as problem:
-        raise InputError(f"{path} is no array of numpy ({str(problem)[:80]}); export it again.") from None
+    with open_file(path, source.kind, MAX_BYTES) as stream:
+        data = parse_array("the array", stream, os.fstat(stream.fileno()).st_size)
+    kind, shape = data.dtype.kind, data.shape
     if kind not in "fiu" or data.ndim != 4 or shape[3] not in (2, 3) or not 17 <= shape[2] <= MAX_POINTS:
         raise InputError(
             f"{path} has the shape {shape}, FreeMoCap's is (cameras, frames, points, 2 or 3); name its "

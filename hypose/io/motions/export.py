@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -92,30 +92,32 @@ def rerun_module() -> Any:  # noqa: ANN401 (a module)
     return extra("rerun", "A Rerun recording", "rerun", "rerun-sdk")
 
 
-def _trc(motion: Motion, body: Body, folder: Path) -> list[Path]:
-    path, start = folder / "motion.trc", float(motion.times[0])
+def _in_one_file(name: str, write: Callable[[Path, Motion, Body], None]) -> Callable[[Motion, Body, Path], list[Path]]:
+    """Make the writer of a format with one file of this name."""
+
+    def written(motion: Motion, body: Body, folder: Path) -> list[Path]:
+        write(folder / name, motion, body)
+        return [folder / name]
+
+    return written
+
+
+def _trc(path: Path, motion: Motion, body: Body) -> None:
+    start = float(motion.times[0])
     write_trc(path, motion.skeleton.joint_names, motion.joints, motion.frame_rate, start_time=start)
-    return [path]
 
 
-def _c3d(motion: Motion, body: Body, folder: Path) -> list[Path]:
+def _c3d(path: Path, motion: Motion, body: Body) -> None:
     computed = (motion.lost | motion.extrapolated).astype(bool)
     # a standard deviation of exactly 0 is still a measurement, so keep it off the mark for computed points
     residuals = np.where(computed[:, None], 0.0, np.maximum(motion.joint_sd * 1000, 1e-3))
-    write_c3d(folder / "motion.c3d", motion.skeleton.joint_names, motion.joints, motion.frame_rate, residuals)
-    return [folder / "motion.c3d"]
+    write_c3d(path, motion.skeleton.joint_names, motion.joints, motion.frame_rate, residuals)
 
 
-def _bvh(motion: Motion, body: Body, folder: Path) -> list[Path]:
-    write_bvh(folder / "motion.bvh", motion)
-    return [folder / "motion.bvh"]
-
-
-def _glb(motion: Motion, body: Body, folder: Path) -> list[Path]:
+def _glb(path: Path, motion: Motion, body: Body) -> None:
     from hypose.io.motions.gltf import write_glb  # takes long to import
 
-    write_glb(folder / "motion.glb", motion, body)
-    return [folder / "motion.glb"]
+    write_glb(path, motion, body)
 
 
 def _csv(motion: Motion, body: Body, folder: Path) -> list[Path]:
@@ -148,33 +150,39 @@ def _osim(motion: Motion, body: Body, folder: Path) -> list[Path]:
     return [model, markers, setup]
 
 
-def _rrd(motion: Motion, body: Body, folder: Path) -> list[Path]:
-    write_rrd(folder / "motion.rrd", motion, body)
-    return [folder / "motion.rrd"]
-
-
 _POSES = "needs poses: joint positions alone are not enough"
 MOTION_FILES = FormatTable(
     "a motion",
     "give results of hypose, .c3d, .trc, .mot or .sto",
     (
-        Format("trc", (".trc",), lambda source: read_trc(source.path), write=_trc, precision=1e-7),
+        Format(
+            "trc",
+            (".trc",),
+            lambda source: read_trc(source.path),
+            write=_in_one_file("motion.trc", _trc),
+            precision=1e-7,
+        ),
         Format(
             "c3d",
             (".c3d",),
             lambda source: read_c3d(source.path),
-            write=_c3d,
+            write=_in_one_file("motion.c3d", _c3d),
             limits="32-bit floats of millimetres; at most 65 535 frames",
             precision=1e-6,
         ),
-        Format("bvh", (".bvh",), write=_bvh, limits=_POSES),
-        Format("glb", (".glb",), write=_glb, limits=_POSES),
+        Format(
+            "bvh",
+            (".bvh",),
+            write=_in_one_file("motion.bvh", lambda path, motion, _: write_bvh(path, motion)),
+            limits=_POSES,
+        ),
+        Format("glb", (".glb",), write=_in_one_file("motion.glb", _glb), limits=_POSES),
         Format("csv", (".csv",), write=_csv, limits="six digits"),
         Format(
             "mot", (".mot", ".sto"), lambda source: read_mot(source.path), write=_mot, limits=_POSES, precision=1e-8
         ),
         Format("osim", (".osim",), write=_osim, limits=_POSES),
-        Format("rrd", (".rrd",), write=_rrd, limits="needs the extra [rerun]"),
+        Format("rrd", (".rrd",), write=_in_one_file("motion.rrd", write_rrd), limits="needs the extra [rerun]"),
         Format("npz", (".npz", "/"), lambda source: load_result(source.path)),
     ),
 )

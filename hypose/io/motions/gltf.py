@@ -222,8 +222,6 @@ def read_skin(data: bytes, where: str) -> Skinned | None:
         if blob is None:
             raise ValueError("it has no binary part")
         return _skin(gltf, blob)
-    except InputError:
-        raise
     except Exception as error:  # noqa: BLE001 - a damaged file may fail in any step of the reader
         reason = str(error).split("\n")[0][:120] or type(error).__name__
         raise InputError(

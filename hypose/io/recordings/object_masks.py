@@ -26,7 +26,7 @@ from hypose.errors import InputError
 from hypose.evidence.silhouettes import as_mask
 from hypose.geometry import Mask
 from hypose.io.file_names import last_number, natural_key
-from hypose.io.files import MAX_TEXT_BYTES, read_json
+from hypose.io.files import MAX_TEXT_BYTES, numbers_of, read_json
 from hypose.io.videos.video import (
     PNG_SIGNATURE,
     VideoReader,
@@ -292,20 +292,16 @@ def _of_coco(path: Path) -> ObjectMasks:
 
 def _coco_size(path: Path, images: list[Any], frames: Mapping[int, list[tuple[str, Any]]]) -> tuple[int, int]:
     piece = next(p for found in frames.values() for _, p in found)
-    if isinstance(piece, Mapping) and isinstance(piece.get("size"), list) and len(piece["size"]) == 2:
-        h, w = piece["size"]
-    elif images and "width" in images[0] and "height" in images[0]:
-        w, h = images[0]["width"], images[0]["height"]
-    else:
-        raise InputError(f"{path} does not say how large its pictures are (size, or width and height).")
-    if not (isinstance(w, int) and isinstance(h, int) and 0 < w < 20_000 and 0 < h < 20_000):
-        raise InputError(f"{path}: pictures of {w} x {h} px are not possible; export the masks again.")
+    with numbers_of(f"{path}: the entry of how large its pictures are"):
+        h, w = piece["size"] if isinstance(piece, Mapping) else (images[0]["height"], images[0]["width"])
+        if not (isinstance(w, int) and isinstance(h, int) and 0 < w < 20_000 and 0 < h < 20_000):
+            raise ValueError(f"{w} x {h} px")
     return w, h
 
 
 def _coco_mask(path: Path, piece: Any, size: tuple[int, int]) -> Mask:
     w, h = size
-    try:
+    with numbers_of(f"{path}: a mask"):
         if isinstance(piece, list):
             mask = np.zeros((h, w), dtype=np.uint8)
             corners = [np.rint(np.array(p, dtype=np.float64).reshape(-1, 2)).astype(np.int32) for p in piece]
@@ -313,10 +309,8 @@ def _coco_mask(path: Path, piece: Any, size: tuple[int, int]) -> Mask:
         counts = piece["counts"]
         runs = np.array(_run_lengths(counts) if isinstance(counts, str) else counts, dtype=np.int64)
         if list(piece["size"]) != [h, w] or runs.sum() != w * h or (runs < 0).any():
-            raise ValueError
+            raise ValueError("its run lengths do not fill its picture")
         return np.repeat(np.arange(len(runs)) % 2, runs).astype(np.uint8).reshape(w, h).T.copy()
-    except (KeyError, TypeError, ValueError, IndexError):
-        raise InputError(f"{path} holds a mask whose run lengths do not fill its picture; export it again.") from None
 
 
 def _run_lengths(text: str) -> list[int]:

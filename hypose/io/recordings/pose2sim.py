@@ -174,10 +174,8 @@ def _merged_config(folder: Path) -> dict[str, Any]:
             continue
         document = read_toml(path)
         for table, values in document.items():
-            if isinstance(values, dict) and isinstance(merged.get(table), dict):
-                merged[table] = merged[table] | values
-            else:
-                merged[table] = values
+            both = isinstance(values, dict) and isinstance(merged.get(table), dict)
+            merged[table] = merged[table] | values if both else values
     return merged
 
 

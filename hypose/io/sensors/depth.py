@@ -28,7 +28,7 @@ from hypose.errors import HyposeError, InputError, extra
 from hypose.geometry import Array, DepthMap
 from hypose.io.calibrations.calibration_formats import read_any
 from hypose.io.file_names import utf8_path
-from hypose.io.files import open_file, read_bytes, readable_size, unreadable, write_bytes
+from hypose.io.files import numbers_of, open_file, read_bytes, readable_size, write_bytes
 from hypose.io.videos.camera_sources import CameraImage, CameraSource, Played, StreamEnded
 from hypose.io.videos.video import PNG_SIGNATURE, is_cut_png, list_images
 from hypose.json_text import parse_json
@@ -453,11 +453,9 @@ def azure_camera(name: str, calibration: Mapping[str, Any], size: tuple[int, int
             f"{where}: the lens of maps of {size[0]} x {size[1]} px is not known; record in a mode of the sensor "
             f"({', '.join(f'{w} x {h}' for w, h in _MODES)})."
         )
-    try:
+    with numbers_of(f"{where}: its calibration of the depth camera"):
         p = [float(v) for v in own[0]["Intrinsics"]["ModelParameters"]]
         cx, cy, fx, fy, k1, k2, k3, k4, k5, k6, _, _, p2, p1 = p[:14]
-    except (KeyError, TypeError, ValueError):
-        raise InputError(f"{where}: its calibration has no lens of the depth camera; record again.") from None
     side, left, top = _MODES[size]
     lens = fx * side, fy * side, cx * side - left - 0.5, cy * side - top - 0.5
     return _pinhole(name, lens, size, np.array([k1, k2, p1, p2, k3, k4, k5, k6]))
@@ -475,12 +473,12 @@ def _record3d(path: Path) -> DepthFile:
         sx, sy = width / int(about["w"]), height / int(about["h"])
         lens = k[0] * sx, k[4] * sy, (k[6] + 0.5) * sx - 0.5, (k[7] + 0.5) * sy - 0.5
         rate = float(about.get("fps", 60))
-    except OSError as error:
-        raise unreadable(path, error) from None
-    except _DAMAGED:
-        raise InputError(f"{path} is no Record3D capture, or is cut off; share it from the app again.") from None
-    except (LookupError, ValueError, TypeError, ArithmeticError, AttributeError, RecursionError):
-        raise InputError(f"{path} does not say its lens and size; share it again with a newer Record3D.") from None
+    except (OSError, *_DAMAGED, LookupError, ValueError, TypeError, ArithmeticError, AttributeError) as error:
+        reason = str(error)[:100]
+        raise InputError(
+            f"{path} is no Record3D capture that says its lens and size, or is cut off ({reason}); share it again with "
+            "a newer Record3D."
+        ) from None
     usable = 1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE and 1 <= rate <= 1000
     if not (usable and np.isfinite(lens).all() and min(lens[:2]) > 0):
         raise InputError(

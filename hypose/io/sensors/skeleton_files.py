@@ -297,7 +297,6 @@ KINECT_V2 = tuple(
 )
 """The 25 joints of Kinect v2 in the order of its SDK and of NTU files."""
 NTU_RATE = 30.0
-_MAX_FRAMES = 1_000_000
 
 
 def read_kinect_csv(source: Source) -> SkeletonRecording:
@@ -378,45 +377,30 @@ def read_ntu(source: Source) -> SkeletonRecording:
 
 
 def _ntu_rows(path: Path, name: str) -> StreamRows:
-    rows = StreamRows(name, KINECT_V2)
-    lines = enumerate((ln.split() for ln in bounded_lines(path, "an NTU RGB+D .skeleton file")), start=1)
-    ids: dict[str, int] = {}
+    rows, ids = StreamRows(name, KINECT_V2), dict[str, int]()
+    lines = (line.split() for line in bounded_lines(path, "an NTU RGB+D .skeleton file"))
 
-    def read(what: str, cells: int) -> tuple[int, list[str]]:
-        number, found = next(lines, (0, []))
-        if not number:
-            raise InputError(f"{path} ends where {what} should follow; the file is cut off, fetch it again.")
-        if len(found) != cells:
-            raise InputError(f"{path}: line {number} has {len(found)} values, {what} has {cells}.")
-        return number, found
+    def cells(count: int) -> list[str]:
+        found = next(lines, [])
+        if len(found) != count:
+            raise ValueError(f"a line has {len(found)} values in place of {count}")
+        return found
 
-    def count(what: str, most: int) -> int:
-        number, (cell,) = read(what, 1)
-        if not cell.isdecimal() or len(cell) > 9 or int(cell) > most:
-            raise InputError(
-                f"{path}: line {number} should be {what} (0 to {most}), as in an NTU RGB+D .skeleton file."
-            )
-        return int(cell)
-
-    for frame in range(count("the number of frames", _MAX_FRAMES)):
-        bodies = count("the number of bodies", 64)
-        for _ in range(bodies):
-            _, head = read("a body", 10)
-            joints = count("the number of joints", MAX_JOINTS)
-            if joints != len(KINECT_V2):
-                raise InputError(
-                    f"{path}: a body in frame {frame} has {joints} joints, Kinect v2 has {len(KINECT_V2)}."
-                )
-            values = np.empty((joints, 12))
-            for j in range(joints):
-                number, cells = read("a joint", 12)
-                with numbers_of(f"{path}: line {number}"):
-                    values[j] = [float(c) for c in cells]
-            xyz, state = values[:, :3], values[:, 11]
-            state = np.where(np.isin(state, (0, 1, 2)), state, 0).astype(np.uint8)
-            state[(xyz == 0).all(1)] = 0
-            if state.any():
-                rows.add(frame / NTU_RATE, ids.setdefault(head[0], len(ids)), xyz, state)
+    with numbers_of(str(path)):
+        frames = int(cells(1)[0])
+    for frame in range(frames):
+        with numbers_of(f"{path}, frame {frame}"):
+            bodies = int(cells(1)[0])
+            for _ in range(bodies):
+                person, joints = cells(10)[0], int(cells(1)[0])
+                if joints != len(KINECT_V2):
+                    raise ValueError(f"a body has {joints} joints, Kinect v2 has {len(KINECT_V2)}")
+                values = np.array([cells(12) for _ in KINECT_V2], dtype=np.float64)
+                xyz, state = values[:, :3], values[:, 11]
+                state = np.where(np.isin(state, (0, 1, 2)), state, 0).astype(np.uint8)
+                state[(xyz == 0).all(1)] = 0
+                if state.any():
+                    rows.add(frame / NTU_RATE, ids.setdefault(person, len(ids)), xyz, state)
         if not bodies:
             rows.empty.append(frame / NTU_RATE)
     return rows
@@ -481,7 +465,12 @@ SKELETONS = FormatTable(
             read_azure,
             lambda source: any("joint_names" in _json(file) for file in source.files(".json")[:1]),
         ),
-        Format("KinectMultiTrack", (".csv", ".csv.gz"), read_kinect_csv),
+        Format(
+            "KinectMultiTrack",
+            (".csv", ".csv.gz"),
+            read_kinect_csv,
+            lambda source: any("Kinect" in c for c in source.header),
+        ),
         Format("lines of hypose", (".jsonl", ".ndjson", ".jsonl.gz", ".ndjson.gz"), read_lines),
     ),
 )

@@ -187,8 +187,13 @@ class LiveRecorder:
         for pose in seen.poses:
             m = pose.motion
             assert m.poses is not None
-            row = {"id": pose.person, "lost": pose.lost, "pose": m.poses[0].round(6).tolist()}
-            row |= {"joints": pose.joints.round(5).tolist(), "sd": m.joint_sd[0].astype(float).round(5).tolist()}
+            row = {
+                "id": pose.person,
+                "lost": pose.lost,
+                "pose": m.poses[0].round(6).tolist(),
+                "joints": pose.joints.round(5).tolist(),
+                "sd": m.joint_sd[0].astype(float).round(5).tolist(),
+            }
             people.append(row)
         instant = {"n": number, "time": round(seen.frame.time, 6), "people": people}
         line = json.dumps(instant, separators=(",", ":")) + "\n"
