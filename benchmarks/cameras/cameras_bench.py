@@ -33,7 +33,7 @@ from hypose.geometry import Array
 from hypose.pipeline.run import track_source
 from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.track_options import TrackOptions
-from hypose.synthetic.metrics import carriers, population_offsets, with_offsets
+from hypose.synthetic.metrics import CARRIERS, population_offsets, with_offsets
 
 RATE, SECONDS = 60.0, 2.0
 ACTIONS = {"walk": ("02_01", 0.4), "run": ("02_03", 0.0), "box": ("02_05", 2.5), "vicon-run": ("", 0.0)}
@@ -155,7 +155,7 @@ def _offsets_off(motion: Motion, captured: Captured) -> tuple[Array, Array]:
     """(T, 12, 3) m from the estimate to the truth less what is constant in the carrying segment, and that (12, 3)."""
     assert motion.poses is not None
     rotations, _ = motion.skeleton.forward(motion.poses)
-    carried = rotations[:, carriers()[[motion.skeleton.joint(n) for n in LIMBS]]]
+    carried = rotations[:, CARRIERS[[motion.skeleton.joint(n) for n in LIMBS]]]
     local = np.einsum("tjba,tjb->tja", carried, _truth(captured) - _estimated(motion))
     offsets = local.mean(0)
     return local - offsets, offsets

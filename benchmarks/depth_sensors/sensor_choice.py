@@ -186,7 +186,6 @@ def departure_settings() -> dict[str, SwarmSettings]:
         "pressure=4": replace(PUBLISHED, pressure=4.0),
         "immigrants=7": replace(PUBLISHED, immigrants=7),
         "power=2": replace(PUBLISHED, power=2.0),
-        "jitter=5mm": replace(PUBLISHED, jitter_m=0.005),
         "universal": replace(PUBLISHED, universal=True),
         "depth: thickness, hold, floor": _cured(),
         "without F": inputs(PUBLISHED, use_f=False),
@@ -217,10 +216,10 @@ def departures(options: BenchOptions) -> BenchReport:
     return BenchReport(tuple(rows), scene_settings(options, seeds))
 
 
-def register_per_frame(positions: ArrayLike, reference: int = 0) -> Array:
+def register_per_frame(positions: ArrayLike) -> Array:
     """Positions (T, K, 15, 3) m of a clip in the common frame, every frame registered by itself (`by_triangles`)."""
     s = np.asarray(positions, dtype=np.float64)
-    found, out = alone(s.shape[1], reference), np.empty_like(s)
+    found, out = alone(s.shape[1]), np.empty_like(s)
     for t in range(len(s)):
         found = by_triangles(found, s[t])
         out[t] = found.apply(s[t])

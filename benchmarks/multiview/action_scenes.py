@@ -15,7 +15,7 @@ from hypose.body.body import Body
 from hypose.body.default_body import human
 from hypose.evidence.frame import Frame
 from hypose.pipeline.first_frame import TrackedSubject as TrackedSubject
-from hypose.synthetic.metrics import EVALUATED, JointErrors, carriers, joint_errors, population_offsets
+from hypose.synthetic.metrics import CARRIERS, EVALUATED, JointErrors, joint_errors, population_offsets
 from hypose.synthetic.scenes import Scene, make_scene
 from hypose.synthetic.subjects import SyntheticSubject, load_subjects
 from hypose.tracking.recipes import recipe
@@ -84,7 +84,7 @@ def known_subject(scene: Scene, body: Body | None = None) -> TrackedSubject:
     body = scaled_to_height(human(), stature) if body is None else body
     offsets = population_offsets(human()) * stature
     # an offset is fixed in the segment that carries it, seen from that segment's own joint
-    rest, carrier = body.skeleton.rest_joints, carriers()
+    rest, carrier = body.skeleton.rest_joints, CARRIERS
     place = rest + offsets - rest[carrier]
     start = start_from_keypoints(body, scene.joints[0][EVALUATED], carrier[EVALUATED], place[EVALUATED])
     return TrackedSubject(body, None, start.pose, ("height and start pose are given",))

@@ -23,7 +23,7 @@ from hypose.body.default_body import JOINT_NAMES, human
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.evidence.keypoints import BODY_25
 from hypose.geometry import Array, Image
-from hypose.synthetic.metrics import carriers, population_offsets
+from hypose.synthetic.metrics import CARRIERS, population_offsets
 from hypose.synthetic.performance import Performance, heading
 from hypose.synthetic.render_rgb import (
     Backdrop,
@@ -185,7 +185,7 @@ def _measured(subject: SyntheticSubject, seed: int) -> Body:
 def _mark(body: Body, subject: SyntheticSubject, name: str) -> Mark:
     joint = JOINT_NAMES.index(name)
     definition = population_offsets(human())[joint] * subject.stature
-    return Mark(name, joint, np.zeros(3), int(carriers()[joint]), definition)
+    return Mark(name, joint, np.zeros(3), int(CARRIERS[joint]), definition)
 
 
 def _scene(

@@ -191,23 +191,24 @@ class Body:
     def segment_lengths(self) -> dict[str, float]:
         """Return the lengths of the segments by name, from joint to joint, m; left and right are separate."""
         j, s = self.skeleton.rest_joints, self.skeleton
-        pairs = {"torso": ("pelvis", "neck"), "neck": ("neck", "head")}
-        for side in ("left", "right"):
-            pairs[f"{side}_upper_arm"] = (f"{side}_shoulder", f"{side}_elbow")
-            pairs[f"{side}_forearm"] = (f"{side}_elbow", f"{side}_wrist")
-            pairs[f"{side}_thigh"] = (f"{side}_hip", f"{side}_knee")
-            pairs[f"{side}_shank"] = (f"{side}_knee", f"{side}_ankle")
-        pairs["shoulder_width"] = ("left_shoulder", "right_shoulder")
-        pairs["hip_width"] = ("left_hip", "right_hip")
-        return {k: float(np.linalg.norm(j[s.joint(a)] - j[s.joint(b)])) for k, (a, b) in pairs.items()}
+        return {k: float(np.linalg.norm(j[s.joint(a)] - j[s.joint(b)])) for k, (a, b) in _SEGMENTS.items()}
 
 
-# the child that ends each limb bone: the bone's axis in radial and length deformation
-BONE_END = {
-    f"{side}_{a}": f"{side}_{b}"
-    for side in ("left", "right")
-    for a, b in (("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"))
+_LIMBS = {
+    "upper_arm": ("shoulder", "elbow"),
+    "forearm": ("elbow", "wrist"),
+    "thigh": ("hip", "knee"),
+    "shank": ("knee", "ankle"),
 }
+_SEGMENTS = {
+    "torso": ("pelvis", "neck"),
+    "neck": ("neck", "head"),
+    **{f"{s}_{name}": (f"{s}_{a}", f"{s}_{b}") for s in ("left", "right") for name, (a, b) in _LIMBS.items()},
+    "shoulder_width": ("left_shoulder", "right_shoulder"),
+    "hip_width": ("left_hip", "right_hip"),
+}
+# the child that ends each limb bone: the bone's axis in radial and length deformation
+BONE_END = {f"{side}_{a}": f"{side}_{b}" for side in ("left", "right") for a, b in _LIMBS.values()}
 
 
 def deform(body: Body, shape: Shape, name: str | None = None) -> Body:

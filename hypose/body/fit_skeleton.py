@@ -11,7 +11,6 @@ Sources: alternating nearest points (Besl & McKay 1992) and point-to-plane rows 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -301,9 +300,7 @@ _FREE = {"shoulder": 0.5, "elbow": 0.4, "hip": 0.3, "knee": 0.2, "ankle": 0.25, 
 _STIFF = 0.12  # 1 sd of the other joints from the start pose, rad
 
 
-@lru_cache(maxsize=4)
-def _corners() -> Array:
-    return np.array([(4, 1, 1), (1, 4, 1), (1, 1, 4)]) / 6
+_CORNERS = np.array([(4, 1, 1), (1, 4, 1), (1, 1, 4)]) / 6
 
 
 class _Search:
@@ -378,7 +375,7 @@ class _Search:
         """
         from scipy.spatial import KDTree  # takes long to import
 
-        corner, faces, s = _corners(), self.faces, self.surface
+        corner, faces, s = _CORNERS, self.faces, self.surface
         points = np.einsum("sc,fcd->fsd", corner, v[faces]).reshape(-1, 3)
         normals = np.cross(v[faces[:, 1]] - v[faces[:, 0]], v[faces[:, 2]] - v[faces[:, 0]])
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)

@@ -305,27 +305,38 @@ def late_views(rig: CameraRig, pixels: Array, o: Limits) -> tuple[Array, Array]:
         was estimated.
     """
     n, frames = pixels.shape[:2]
-    late, sd = np.zeros(n), np.zeros(n)
     if n < 2 or frames < _LEAST_FRAMES:
-        return late, sd
+        return np.zeros(n), np.zeros(n)
     uv, confidence = undistorted(rig, pixels)
     scatter = point_sd(uv, confidence)
 
     def curves(largest: float) -> Curves:
         return keypoint_curves(rig, uv, confidence, largest, scatter, step=0.5)
 
+    late, sd = certain_delays(curves, n, o, o.late, o.late_gain)
+    if late.any():
+        late = np.where(_contradicted(rig, uv, confidence, scatter, late, o), 0.0, late)
+    return late, sd
+
+
+def certain_delays(
+    curves: Callable[[float], Curves], n_views: int, o: Limits, least: float, gain: float
+) -> tuple[Array, Array]:
+    """Estimate the delay of each view against the others, where it is certain.
+
+    curves: function of the largest offset (frames) that gives the curves of disagreement.
+    o: limits of the test.
+    least: smallest delay, frames.
+    gain: least decrease of the disagreement, in half log likelihoods.
+    Returns: as of `late_views`.
+    """
     try:
-        offsets, reach = solve_widely(curves, n, o.largest_lag)
+        offsets, reach = solve_widely(curves, n_views, o.largest_lag)
     except EvidenceError:
-        return late, sd
-    if offsets.gain < o.late_gain:
-        return late, sd
+        return np.zeros(n_views), np.zeros(n_views)
     found = _by_first_of_two(offsets.frames)
-    certain = (np.abs(found) >= o.late) & (np.abs(found) >= o.late_sd * offsets.sd)
-    if certain.any():
-        certain &= ~_contradicted(rig, uv, confidence, scatter, found, o)
-    later = certain & farther(offsets, found, reach)
-    return np.where(certain, found, 0.0), np.where(later, np.inf, offsets.sd)
+    certain = (offsets.gain >= gain) & (np.abs(found) >= np.maximum(least, o.late_sd * offsets.sd))
+    return np.where(certain, found, 0.0), np.where(farther(offsets, found, reach), np.inf, offsets.sd)
 
 
 def _contradicted(

@@ -11,6 +11,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -30,6 +31,7 @@ from hypose.calibration.diagnose_points import (
     FAR_M,
     Extrinsics,
     best_trial,
+    certain_delays,
     disagreement,
     geometric_trials,
     gross_finding,
@@ -40,7 +42,7 @@ from hypose.calibration.diagnose_points import (
 )
 from hypose.calibration.findings import REVIEW, Finding, Limits, Trial, ViewFile, depth_findings
 from hypose.calibration.refine_points import apply_parameters, changes, left_out_residual, point_residual
-from hypose.calibration.sync_motion import MaskTrack, farther, mask_tracks, silhouette_curves, solve_widely
+from hypose.calibration.sync_motion import MaskTrack, mask_tracks, silhouette_curves
 from hypose.calibration.synchronisation import points_at, sizes
 from hypose.cameras.camera import CameraRig
 from hypose.errors import EvidenceError
@@ -196,20 +198,12 @@ def _delayed(track: MaskTrack, late: float) -> MaskTrack:
 def _timing(
     rig: CameraRig, small: CameraRig, tracks: list[MaskTrack], size: Array, findings: list[Finding], o: Limits
 ) -> Array:
-    n, late = len(rig), np.zeros(len(rig))
     if len(tracks[0].area) < 24:
-        return late
-    try:
-        scale = max(float(np.median(size)) / 130, 0.5)
-        offsets, reach = solve_widely(lambda x: silhouette_curves(small, tracks, x, scale), n, o.largest_lag)
-    except EvidenceError:
-        return late
-    if offsets.gain < 2 * o.late_gain:
-        return late
-    frames = offsets.frames - (offsets.frames[0] if n == 2 else 0.0)
-    certain = (np.abs(frames) >= max(o.late, 0.6)) & (np.abs(frames) >= o.late_sd * offsets.sd)
-    late = np.where(certain, frames, 0.0)
-    findings += timing_findings(rig, late, np.where(farther(offsets, frames, reach), np.inf, offsets.sd))
+        return np.zeros(len(rig))
+    scale = max(float(np.median(size)) / 130, 0.5)
+    curves = partial(silhouette_curves, small, tracks, scale_px=scale)
+    late, sd = certain_delays(curves, len(rig), o, max(o.late, 0.6), 2 * o.late_gain)
+    findings += timing_findings(rig, late, sd)
     return late
 
 

@@ -457,8 +457,10 @@ def _refined(
             break
         # each camera by itself fits its boards, together they do not: the instants differ
         if moving or float(np.nanmedian(error)) > max(1.5 * float(np.median(alone)), NOISE_PX):
+            # pictures taken for the lens (below 0) have no common time
             together = {f: p for f, p in boards.items() if f >= 0}
-            moving = motion_noise(cameras, together, {c: _filmed(v) for c, v in seen.items()}, board)
+            filmed = {c: {f: s for f, s in v.items() if f >= 0} for c, v in seen.items()}
+            moving = motion_noise(cameras, together, filmed, board)
     assert result is not None
     error, count = _by_view(obs, result.residuals, *start_shape)
     per_camera = np.sqrt(np.nansum(error**2 * count, 1) / np.maximum(count.sum(1), 1))
@@ -494,11 +496,6 @@ def _refined(
 def _in_front(camera: Camera, world_from_board: Array, board: Board) -> bool:
     """Test whether the whole board lies in front of the camera."""
     return bool((transform(camera.camera_from_world @ world_from_board, board.points)[:, 2] > 0.01).all())
-
-
-def _filmed(seen: Mapping[int, BoardDetection]) -> dict[int, BoardDetection]:
-    """Remove the pictures taken for the lens, which have no common time."""
-    return {f: s for f, s in seen.items() if f >= 0}
 
 
 def _by_view(obs: Observations, residuals: Array, c: int, f: int) -> tuple[Array, IntArray]:

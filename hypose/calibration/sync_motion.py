@@ -109,7 +109,7 @@ def keypoint_curves(
     lags = _lags(largest, frames, step)
     margin = int(np.ceil(lags[-1])) + 1
     seen = confidence > 0.3
-    smooth = np.stack([_smoothed(p, s, _SMOOTH_POINTS) for p, s in zip(pixels, seen, strict=True)])
+    smooth = np.stack([_smoothed(p, s[..., None], _SMOOTH_POINTS) for p, s in zip(pixels, seen, strict=True)])
     splines = [_spline(s) for s in smooth]
     counts = _independent(smooth, scale_px)
     pairs = tuple(itertools.combinations(range(n), 2))
@@ -441,21 +441,17 @@ def _lags(largest: float, frames: int, step: float = _STEP) -> Array:
 
 
 def _smoothed(values: Array, seen: NDArray[np.bool_], sd: float) -> Array:
-    """Smooth values (T, K, d) or (T, d) over time; gaps are interpolated, and points that are never seen are 0."""
+    """Smooth values (T, ...) over time where seen (of as many axes); gaps are interpolated, and values that are never
+    seen are 0."""
     t = np.arange(len(values))
     flat = np.array(values, dtype=np.float64).reshape(len(values), -1)
-    known = np.broadcast_to(np.asarray(seen).reshape(len(values), -1, 1), (*_two(values), values.shape[-1]))
-    known = known.reshape(len(values), -1) & np.isfinite(flat)
+    known = np.broadcast_to(seen, values.shape).reshape(len(values), -1) & np.isfinite(flat)
     for k in range(flat.shape[1]):
         if known[:, k].any():
             flat[:, k] = np.interp(t, t[known[:, k]], flat[known[:, k], k])
         else:
             flat[:, k] = 0.0
     return np.asarray(gaussian_filter1d(flat, sd, axis=0), dtype=np.float64).reshape(values.shape)
-
-
-def _two(values: Array) -> tuple[int, int]:
-    return (len(values), values.shape[1] if values.ndim == 3 else 1)
 
 
 def _spline(values: Array) -> CubicSpline:

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hypose.errors import InputError
 from hypose.evidence.frame import FARTHEST_M, INFERRED, MISSING_MARK, SensorReport
-from hypose.fusion.clocks import ClockSettings, SensorClock
+from hypose.fusion.clocks import AGREE_S, WINDOW_S, SensorClock
 from hypose.fusion.joints import joint_set
 from hypose.geometry import Array
 
@@ -34,7 +34,6 @@ class AlignSettings:
     latency: s by sensor name, a known constant delay between exposure and sending.
     most_sensors: number of sensors beyond which new ones are refused.
     most_people: number of people per sensor beyond which new ones are refused.
-    clock: settings of the clock estimation.
     Raises: InputError for a rate, wait, timeout or hold outside its range.
     """
 
@@ -47,7 +46,6 @@ class AlignSettings:
     latency: Mapping[str, float] = field(default_factory=dict)
     most_sensors: int = 16
     most_people: int = 16
-    clock: ClockSettings = field(default_factory=ClockSettings)
 
     def __post_init__(self) -> None:
         if not 1 <= self.rate <= 1000:
@@ -63,13 +61,11 @@ class SensorBody:
     person: the sensor's number of the person.
     positions: (15, 3) m in the sensor's frame, NaN where missing.
     state: (15,) of each joint: 0 missing, 1 inferred, 2 tracked.
-    age: s since the sensor's last report before the instant; 0 where reports lie on both sides.
     """
 
     person: int
     positions: Array
     state: NDArray[np.uint8]
-    age: float
 
 
 @dataclass(frozen=True)
@@ -139,8 +135,7 @@ class _Track:
 
     def __init__(self) -> None:
         self.times: list[float] = []
-        self.positions = np.full((_KEPT + 1, 15, 3), np.nan)
-        self.state = np.zeros((_KEPT + 1, 15), dtype=np.uint8)
+        self.reports: list[tuple[Array, NDArray[np.uint8]]] = []  # positions and state
 
     def add(self, time: float, positions: Array, state: NDArray[np.uint8]) -> bool:
         n = len(self.times)
@@ -150,48 +145,43 @@ class _Track:
         if at == 0 and n >= _KEPT:
             return False
         self.times.insert(at, time)
-        self.positions[at + 1 : n + 1] = self.positions[at:n].copy()
-        self.state[at + 1 : n + 1] = self.state[at:n].copy()
-        self.positions[at], self.state[at] = positions, state
+        self.reports.insert(at, (positions, state))
         if n == _KEPT:
-            del self.times[0]
-            self.positions[:-1], self.state[:-1] = self.positions[1:].copy(), self.state[1:].copy()
+            del self.times[0], self.reports[0]
         return True
 
-    def at(self, time: float, period: float, s: AlignSettings) -> tuple[Array, NDArray[np.uint8], float] | None:
-        """Interpolate or extrapolate positions, state and age at a time; None where no report is near."""
+    def at(self, time: float, period: float, s: AlignSettings) -> tuple[Array, NDArray[np.uint8]] | None:
+        """Interpolate or extrapolate positions and state at a time; None where no report is near."""
         times = self.times
         k = bisect_left(times, time)
         if k == 0:
-            near = times[0] - time <= 0.5 * period
-            return (self.positions[0].copy(), self.state[0].copy(), 0.0) if near else None
+            return self.reports[0] if times[0] - time <= 0.5 * period else None
         if k < len(times) and times[k] - times[k - 1] <= s.hold + period:
             w = (time - times[k - 1]) / (times[k] - times[k - 1])
-            return *self._between(k, w), 0.0
+            return self._between(k, w)
         age = time - times[k - 1]
         if k < len(times) and times[k] - time < age:
-            near = times[k] - time <= 0.5 * period
-            return (self.positions[k].copy(), self.state[k].copy(), 0.0) if near else None
+            return self.reports[k] if times[k] - time <= 0.5 * period else None
         if age > s.hold:
             return None
-        return *self._ahead(k, time, period, s), age
+        return self._ahead(k, time, period, s)
 
     def _between(self, k: int, w: float) -> tuple[Array, NDArray[np.uint8]]:
-        a, b = self.positions[k - 1], self.positions[k]
+        (a, before), (b, after) = self.reports[k - 1], self.reports[k]
         both = a + w * (b - a)
-        state = np.minimum(self.state[k - 1], self.state[k])
+        state = np.minimum(before, after)
         if state.all():
             return both, state
-        nearer = k - 1 if w < 0.5 else k
+        nearer, known = self.reports[k - 1 if w < 0.5 else k]
         alone = state == 0
-        return np.where(alone[:, None], self.positions[nearer], both), np.where(alone, self.state[nearer], state)
+        return np.where(alone[:, None], nearer, both), np.where(alone, known, state)
 
     def _ahead(self, k: int, time: float, period: float, s: AlignSettings) -> tuple[Array, NDArray[np.uint8]]:
         """Extrapolate along a straight line fitted to the last reports, at most `horizon` ahead.
 
         Why: a line through two reports alone would double the noise, and holding the last report lags by its age.
         """
-        last, state = self.positions[k - 1].copy(), self.state[k - 1].copy()
+        last, state = self.reports[k - 1]
         age = time - self.times[k - 1]
         if age > 1.6 * period:
             state = np.minimum(state, np.uint8(INFERRED))
@@ -209,8 +199,9 @@ class _Track:
         # never further than they reach back: reports a few ms apart give no speed, only noise
         ahead = t[-1] + min(age, s.horizon, float(t[-1] - t[0]))
         weights = 1 / n + ahead * t / spread
-        line = (weights @ self.positions[first:k].reshape(n, 45)).reshape(15, 3)
-        if self.state[first:k].all():
+        positions, states = (np.stack(part) for part in zip(*self.reports[first:k], strict=True))
+        line = (weights @ positions.reshape(n, 45)).reshape(15, 3)
+        if states.all():
             return line, state
         return np.where(np.isfinite(line), line, last), state
 
@@ -226,7 +217,7 @@ class _Sensor:
         self.name = name
         self.latency = s.latency.get(name, 0.0)
         self.until, self.since = -math.inf, -math.inf
-        self.clock = SensorClock(s.clock)
+        self.clock = SensorClock()
         self.tracks: dict[int, _Track] = {}
         self.arrival = -math.inf
         self.newest = -math.inf
@@ -251,11 +242,11 @@ class _Sensor:
         ended; then nothing is reset.
         """
         ahead = time + self.clock.offset - now  # NaN for a new sensor
-        same_clock = self.newest < time and ahead <= s.clock.agree and now - self.arrival < s.clock.window
+        same_clock = self.newest < time and ahead <= AGREE_S and now - self.arrival < WINDOW_S
         if same_clock and time - self.newest <= s.timeout:
             return
         if not same_clock:  # else the delay of a late line would become the clock's offset
-            self.clock, self.newest, self.jumps = SensorClock(s.clock), -math.inf, 0
+            self.clock, self.newest, self.jumps = SensorClock(), -math.inf, 0
             self.until = self.since = -math.inf
         self.tracks.clear()
         self.steps.clear()

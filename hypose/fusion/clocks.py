@@ -6,30 +6,19 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from hypose.geometry import Array, procrustes, transform
 
-
-@dataclass(frozen=True)
-class ClockSettings:
-    """Settings of the clock estimation.
-
-    window: s; the offset is the smallest one of this period (a drift of 100 ppm makes 1 ms in 10 s).
-    jump: s; a message whose offset differs by more is suspicious.
-    agree: s by which successive suspicious messages may differ and still agree.
-    confirm: number of agreeing suspicious messages that make a jump of the clock.
-    give_in: number of suspicious messages in a row that are accepted even where they do not agree.
-    """
-
-    window: float = 10.0
-    jump: float = 0.25
-    agree: float = 0.025
-    confirm: int = 3
-    give_in: int = 30
+WINDOW_S = 10.0
+"""Period of which the smallest difference is the offset, s (a drift of 100 ppm makes 1 ms in 10 s)."""
+_JUMP_S, AGREE_S = 0.25, 0.025
+"""s. _JUMP_S: difference from the offset above which a message is suspected. AGREE_S: largest difference between
+neighbouring suspected messages that show the same jump."""
+_CONFIRM, _GIVE_IN = 3, 30
+"""Numbers of suspected messages in a row after which a jump is accepted: where they agree, and in any case."""
 
 
 class SensorClock:
@@ -41,8 +30,7 @@ class SensorClock:
     several messages in a row that are off by the same amount; a late message or a wrong time stamp does not.
     """
 
-    def __init__(self, settings: ClockSettings | None = None) -> None:
-        self._settings = settings or ClockSettings()
+    def __init__(self) -> None:
         self._smallest: deque[tuple[float, float]] = deque()
         self._suspects: list[float] = []
         self._suspect_time = math.nan
@@ -60,15 +48,16 @@ class SensorClock:
         arrival: s on the host's clock.
         Returns: s on the host's clock, never after the arrival; None while the message's time is implausible.
         """
-        s, difference = self._settings, arrival - sensor_time
-        if self._smallest and abs(difference - self.offset) > s.jump:
+        difference = arrival - sensor_time
+        if self._smallest and abs(difference - self.offset) > _JUMP_S:
             # all persons of one frame count once: a backlog of late frames must not look like a jump
             if sensor_time == self._suspect_time and self._suspects:
                 return None
             self._suspect_time = sensor_time
             self._suspects.append(difference)
-            agreeing = len(self._suspects) >= s.confirm and self._alike()
-            if not agreeing and len(self._suspects) < s.give_in:
+            last = self._suspects[-_CONFIRM:]
+            agreeing = len(last) == _CONFIRM and np.abs(np.diff(last)).max() <= AGREE_S
+            if not agreeing and len(self._suspects) < _GIVE_IN:
                 return None
             self.jumps += 1
             self._smallest.clear()
@@ -76,13 +65,9 @@ class SensorClock:
         while self._smallest and self._smallest[-1][1] >= difference:
             self._smallest.pop()
         self._smallest.append((arrival, difference))
-        while self._smallest[0][0] < arrival - s.window:
+        while self._smallest[0][0] < arrival - WINDOW_S:
             self._smallest.popleft()
         return sensor_time + self.offset
-
-    def _alike(self) -> bool:
-        last = self._suspects[-self._settings.confirm :]
-        return all(abs(b - a) <= self._settings.agree for a, b in zip(last, last[1:], strict=False))
 
 
 def _body_speed(times: ArrayLike, positions: ArrayLike, at: ArrayLike) -> Array:

@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hypose.evidence.frame import TRACKED
 from hypose.fusion import joints as jt
+from hypose.fusion.fit import adapt_lengths
 from hypose.geometry import Array
 
 THICKNESS_M = np.array([90, 60, 65, 48, 42, 65, 48, 42, 125, 95, 68, 52, 95, 68, 52]) / 1000
@@ -77,8 +78,8 @@ class ConfidenceState:
     activations: (window, K, 15) m/s, ring buffer of the sums of the speeds.
     frames: number of frames so far.
     held: (K, 15) m, last depth errors, to use over holes.
-    lengths: (15,) m, usual length of the bone to each limb joint.
-    samples: (15,) number of samples of each length.
+    lengths: (8,) m, usual length of the bone to each limb joint.
+    samples: (8,) number of samples of each length.
     """
 
     last: Array
@@ -101,8 +102,8 @@ def start_confidence(sensors: int, settings: ConfidenceSettings) -> ConfidenceSt
         np.zeros(shape),
         0,
         np.zeros((sensors, 15)),
-        np.zeros(15),
-        np.zeros(15),
+        np.zeros(len(_LIMB)),
+        np.zeros(len(_LIMB)),
     )
 
 
@@ -206,7 +207,7 @@ def _improbable(angle: Array) -> Array:
 
 
 _LIMB = np.array([3, 4, 6, 7, 10, 11, 13, 14])
-_LIMB_PARENT = jt.PARENT[_LIMB]
+_LIMB_BONES = np.stack([_LIMB, jt.PARENT[_LIMB]], 1)
 _END = np.array([4, 7, 11, 14])
 
 
@@ -215,23 +216,11 @@ def _bone_deviation(
 ) -> tuple[Array, Array, Array]:
     """Update the usual lengths of the limbs' bones, and compute how far each sensor's bones deviate from them.
 
-    Returns: lengths (15,) m, numbers of samples (15,), deviations (K, 15) m. A length moves by a limited step towards
-        each tracked sample (a slow median).
+    Returns: lengths (8,) m, numbers of samples (8,), deviations (K, 15) m.
     """
-    bone = positions[:, _LIMB] - positions[:, _LIMB_PARENT]
-    length = np.sqrt(np.einsum("...i,...i", bone, bone))
-    tracked = state == TRACKED
-    good = tracked[:, _LIMB] & tracked[:, _LIMB_PARENT]
-    usual, count = lengths.copy(), samples.copy()
-    seen = good.sum(0)
-    if not count[_LIMB].all():
-        for i in np.flatnonzero((count[_LIMB] == 0) & (seen > 0)):
-            usual[_LIMB[i]] = np.median(length[good[:, i], i])
-    step = np.where(good, np.clip(length - usual[_LIMB], -0.03, 0.03), 0.0).sum(0)
-    count[_LIMB] += seen
-    usual[_LIMB] += step / np.clip(count[_LIMB], 1.0, 300.0)
+    usual, count, length = adapt_lengths(positions, state, lengths, samples, _LIMB_BONES, 300)
     deviation = np.zeros(state.shape)
-    off = np.where(usual[_LIMB] > 0, np.abs(length - usual[_LIMB]), 0.0)
+    off = np.where(usual > 0, np.abs(length - usual), 0.0)
     deviation[:, _LIMB] = np.where(np.isfinite(off), off, 0.3)
     deviation[:, _END] = np.maximum(deviation[:, _END], 0.5 * deviation[:, jt.PARENT[_END]])
     return usual, count, deviation
@@ -300,10 +289,7 @@ class NoiseRules:
         """
         strength = self.firing(f, d, a)
         sets = self._consequents[1]
-        rest = 1 - strength[0][..., None] * sets[0]
-        for w, s in zip(strength[1:], sets[1:], strict=True):
-            rest *= 1 - w[..., None] * s
-        return 1 - rest
+        return 1 - np.prod([1 - w[..., None] * s for w, s in zip(strength, sets, strict=True)], axis=0)
 
     def noise(self, f: ArrayLike, d: ArrayLike, a: ArrayLike) -> Array:
         """Compute the noise lambda in (0, 1): the centroid of the aggregated output set, 0.5 where no rule fires.

@@ -262,7 +262,7 @@ def fit_step(
         positions, states, side, swapped = unswap(positions, states, state.side)
     lengths, samples = state.lengths, state.samples
     if not state.fixed:
-        lengths, samples = adapt_lengths(positions, states, lengths, samples)
+        lengths, samples, _ = adapt_lengths(positions, states, lengths, samples)
     weights = np.where(states == TRACKED, 1.0, np.where(states > 0, settings.inferred, 0.0))
     points, evidence = np.where(states[..., None] > 0, positions, 0.0), (weights > 0).any(0)
     dt = 1 / 30 if not np.isfinite(state.time) else max(time - state.time, 1e-3)
@@ -330,19 +330,28 @@ def unswap(
     return positions, states, 0.8 * side + 0.2 * total if side.any() else total, swapped
 
 
-def adapt_lengths(positions: Array, states: NDArray[np.uint8], lengths: Array, samples: Array) -> tuple[Array, Array]:
+def adapt_lengths(
+    positions: Array,
+    states: NDArray[np.uint8],
+    lengths: Array,
+    samples: Array,
+    bones: NDArray[np.int64] = jt.SKELETON_BONES,
+    most: int = 600,
+) -> tuple[Array, Array, Array]:
     """Update bone lengths causally by one frame.
 
     positions: (K, 15, 3) m.
     states: (K, 15) joint states.
-    lengths, samples: (18,) lengths in m of joints.SKELETON_BONES and number of samples of each.
-    Returns: new lengths and numbers of samples. A length moves by a limited step towards each tracked sample, smaller
-        with more samples: a slow median that one bad episode does not move.
+    lengths, samples: (B,) lengths in m and number of samples of each bone.
+    bones: (B, 2) pairs of joints.
+    most: number of samples from which the steps do not become smaller.
+    Returns: new lengths, numbers of samples, and the lengths (K, B) m that the sensors see. A length moves by a limited
+        step towards each tracked sample, smaller with more samples: a slow median that one bad episode does not move.
     """
-    d = positions[:, jt.SKELETON_BONES[:, 0]] - positions[:, jt.SKELETON_BONES[:, 1]]
+    d = positions[:, bones[:, 0]] - positions[:, bones[:, 1]]
     measured = np.sqrt((d * d).sum(-1))
     tracked = states == TRACKED
-    good = tracked[:, jt.SKELETON_BONES[:, 0]] & tracked[:, jt.SKELETON_BONES[:, 1]]
+    good = tracked[:, bones[:, 0]] & tracked[:, bones[:, 1]]
     n = good.sum(0)
     fresh = (samples == 0) & (n > 0)
     if fresh.any():
@@ -351,7 +360,7 @@ def adapt_lengths(positions: Array, states: NDArray[np.uint8], lengths: Array, s
             lengths[b] = np.median(measured[good[:, b], b])
     count = samples + n
     step = np.where(good, np.clip(np.where(good, measured, 0.0) - lengths, -0.03, 0.03), 0.0).sum(0)
-    return lengths + step / np.clip(count, 1, 600), count
+    return lengths + step / np.clip(count, 1, most), count, measured
 
 
 def clip_lengths(positions: ArrayLike, states: ArrayLike) -> Array:

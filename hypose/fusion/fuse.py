@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -57,7 +56,6 @@ class FusionSettings:
     method: one of FUSION_METHODS. "fit" is the articulated fit. "swarm" is the improved swarm. "published" is
         Asteriadis et al. 2013 with their registration, by the triangle of every frame. "published-window" is the same
         swarm, registered like the other methods.
-    reference: index of the sensor whose frame is the common one.
     registered: whether positions are in a common frame already.
     window_s: s of the last frames that the registration of a stream uses.
     refit_s: s between two refits of that registration.
@@ -71,7 +69,6 @@ class FusionSettings:
     """
 
     method: str = FIT
-    reference: int = 0
     registered: bool = False
     window_s: float = 5.0
     refit_s: float = 1.0
@@ -112,7 +109,6 @@ class FusedFrame:
     lost: whether there was no evidence for too long.
     n_sensors: number of sensors with evidence.
     swapped: (K,) whether the sides of each sensor were exchanged.
-    restarted: whether the swarm was initialised again.
     """
 
     time: float
@@ -126,7 +122,6 @@ class FusedFrame:
     lost: bool
     n_sensors: int
     swapped: NDArray[np.bool_]
-    restarted: bool
 
 
 @dataclass(frozen=True)
@@ -178,7 +173,6 @@ class Fused:
     registration: of the sensors; with "published" that of the last frame.
     lengths: (18,) m of joints.SKELETON_BONES.
     swapped: (T, K) whether the sides of a sensor were exchanged.
-    restarts: (T,) whether the swarm was initialised again.
     sensor_names: names of the K sensors.
     """
 
@@ -188,7 +182,6 @@ class Fused:
     registration: Registration
     lengths: Array
     swapped: NDArray[np.bool_]
-    restarts: NDArray[np.bool_]
     sensor_names: tuple[str, ...]
 
 
@@ -203,18 +196,16 @@ def start(
     first: a frame that defines the sensors and the joint set of the stream; it is not fused.
     registration: a known one, which is then kept (but "published" registers every frame again).
     lengths: (18,) m of joints.SKELETON_BONES, known ones, which are then kept.
-    Raises: InputError where the reference is not one of the sensors, or the joints are of no known set.
+    Raises: InputError where the joints are of no known set.
     """
     s = settings or FusionSettings()
     sensors = len(first.sensor_names)
-    if not 0 <= s.reference < sensors:
-        raise InputError(f"There are {sensors} sensors, the reference cannot be number {s.reference}.")
     swarms = s.method != FIT or s.diagnose
     known_set = jt.joint_set(first.joint_names)
     rest = np.setdiff1d(np.arange(len(first.joint_names)), known_set.common)
     known = None if s.per_frame else registration
     if known is None:
-        known = identity_registration(sensors, s.reference) if s.registered else alone(sensors, s.reference)
+        known = identity_registration(sensors) if s.registered else alone(sensors)
     return FusionState(
         s,
         first.sensor_names,
@@ -249,11 +240,11 @@ def fuse_frame(state: FusionState, frame: SensorJoints) -> tuple[FusionState, Fu
     state = _refit(state, raw, time)
     world = state.registration.apply(raw.positions)
     state, noise, heading = _noise(state, raw, world)
-    choice, restarted, estimate = None, False, None
+    choice, estimate = None, None
     swarm = state.swarm
     if swarm is not None and noise is not None:
         swarm, estimate = swarm_step(swarm, world, noise, heading, s.swarm_settings, s.seed)
-        choice, restarted = estimate.shares, estimate.restarted
+        choice = estimate.shares
     n_sensors = int(np.isfinite(world[..., 0]).any(1).sum())
     # sensors that report in a common frame may stand anywhere
     eyes = np.full((len(world), 3), np.nan) if s.registered else state.registration.common_from_sensor[:, :3, 3]
@@ -274,7 +265,7 @@ def fuse_frame(state: FusionState, frame: SensorJoints) -> tuple[FusionState, Fu
     joints, sd, systematic, wrong = _with_rest(state, frame, joints, (sd, systematic, wrong), shares)
     fused = FusedFrame(
         *(time, state.joint_names, joints, sd, systematic, wrong, shares, choice),
-        *(bool(lost), n_sensors, swapped, restarted),
+        *(bool(lost), n_sensors, swapped),
     )
     return replace(state, fit=fit, swarm=swarm), fused
 
@@ -307,12 +298,7 @@ def fuse_clip(
     if not np.isfinite(positions).any():
         raise InputError("No sensor reports any joint in the whole clip; check that a person was tracked.")
     if registration is None:
-        sensors = positions.shape[1]
-        registration = (
-            identity_registration(sensors, s.reference)
-            if s.registered
-            else register(positions, states, reference=s.reference)
-        )
+        registration = identity_registration(positions.shape[1]) if s.registered else register(positions, states)
         if s.check:
             check_same_person(positions, registration, joints[0].sensor_names)
     lengths = clip_lengths(positions, states)
@@ -337,7 +323,6 @@ def fuse_clip(
         state.registration,
         lengths,
         np.stack([f.swapped for f in frames]),
-        np.array([f.restarted for f in frames]),
         joints[0].sensor_names,
     )
 
@@ -384,7 +369,7 @@ def _refit(state: FusionState, raw: SensorJoints, time: float) -> FusionState:
     if time < state.next_refit:
         return replace(state, window=window)
     positions, states = np.stack([w[0] for w in window]), np.stack([w[1] for w in window])
-    new = register(positions, states, reference=s.reference, start=state.registration, iterations=8)
+    new = register(positions, states, start=state.registration, iterations=8)
     pause = s.refit_s if new.registered.all() and len(window) > 30 else min(0.2, s.refit_s)
     return replace(state, window=window, registration=new, next_refit=time + pause)
 
@@ -401,7 +386,7 @@ def _noise(state: FusionState, raw: SensorJoints, world: Array) -> tuple[FusionS
     )
     noise = s.rules.noise(*normalised(inputs, s.confidence))
     up = state.up if state.up is not None else upward(world)
-    x, y = _axes(*up.tolist())
+    x, y = horizontal_axes(up)
     side = world[:, jt.LEFT_SHOULDER] - world[:, jt.RIGHT_SHOULDER]
     side = side[np.isfinite(side).all(1)]
     heading = state.heading
@@ -411,11 +396,6 @@ def _noise(state: FusionState, raw: SensorJoints, world: Array) -> tuple[FusionS
         # raw headings of single frames cross the threshold by chance
         heading = angle if heading is None else heading + 0.2 * float(np.angle(np.exp(1j * (angle - heading))))
     return replace(state, confidence=memory, up=up, heading=heading), noise, heading or 0.0
-
-
-@lru_cache(maxsize=16)
-def _axes(x: float, y: float, z: float) -> tuple[Array, Array]:
-    return horizontal_axes((x, y, z))
 
 
 def _with_rest(

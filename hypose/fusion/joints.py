@@ -66,14 +66,12 @@ class JointSet:
     joint_names: (J,) as the SDK writes them.
     common: (15,) index of each common joint in the set.
     parent: (J,) index of the parent, -1 for the root.
-    mirror: (J,) index of the same joint on the other side.
     """
 
     name: str
     joint_names: tuple[str, ...]
     common: NDArray[np.int64]
     parent: NDArray[np.int64]
-    mirror: NDArray[np.int64]
 
 
 _KINECT_2 = (
@@ -123,7 +121,7 @@ def joint_sets() -> tuple[JointSet, ...]:
 def joint_set(names: Sequence[str]) -> JointSet:
     """Find the joint set that these joint names form, in any order.
 
-    Returns: the set; its common, parent and mirror are indices into `names`.
+    Returns: the set; its common and parent are indices into `names`.
     Raises: InputError that names the missing joints where the names form no known set.
     """
     given = [plain_name(n) for n in names]
@@ -136,7 +134,7 @@ def joint_set(names: Sequence[str]) -> JointSet:
             order = np.array([at[w] for w in wanted])
             back = np.argsort(order)
             parent = np.where(known.parent[back] >= 0, order[known.parent[back]], -1)
-            return JointSet(known.name, tuple(names), order[known.common], parent, order[known.mirror[back]])
+            return JointSet(known.name, tuple(names), order[known.common], parent)
         best = min(best, (len(missing) + abs(len(given) - len(wanted)), f"{known.name} lacks {', '.join(missing)}"))
     raise InputError(
         f"{len(names)} joints ({', '.join(names[:4])}, ...) are none of the known sets (OpenNI 15, Kinect v2 25, Azure "
@@ -146,19 +144,9 @@ def joint_set(names: Sequence[str]) -> JointSet:
 
 def _set(name: str, names: Sequence[str], parent: Sequence[int], common: Sequence[str]) -> JointSet:
     at = {plain_name(n): i for i, n in enumerate(names)}
-    other = {"left": "right", "right": "left"}
-
-    def mirror(n: str) -> int:
-        p = plain_name(n)
-        for side, opposite in other.items():
-            if p.startswith(side):
-                return at[opposite + p[len(side) :]]
-        return at[p]
-
     return JointSet(
         name,
         tuple(names),
         np.array([at[plain_name(n)] for n in common]),
         np.array(parent),
-        np.array([mirror(n) for n in names]),
     )

@@ -13,13 +13,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from hypose.compute.losses import lorentzian_weight
-from hypose.evidence.frame import SensorJoints
 from hypose.fusion.align import Instant, SensorBody
-from hypose.fusion.joints import COMMON, MIRROR, TRUNK_JOINTS
+from hypose.fusion.joints import MIRROR, TRUNK_JOINTS
 from hypose.fusion.register import register
 from hypose.geometry import Array, procrustes
 
@@ -80,23 +78,6 @@ class SeenPerson:
     def seen(self) -> bool:
         """Whether a sensor sees the person now."""
         return bool(self.bodies)
-
-    def joints(self, sensors: Sequence[str], time: float, common: bool = False) -> SensorJoints:
-        """Return the skeletons of K sensors as one frame of joints.
-
-        sensors: their names; a sensor that does not see the person gets NaN.
-        time: s of the frame.
-        common: whether positions are in the common frame; else each is in its sensor's frame.
-        """
-        positions = np.full((len(sensors), 15, 3), np.nan)
-        state: NDArray[np.uint8] = np.zeros((len(sensors), 15), dtype=np.uint8)
-        times = np.full(len(sensors), np.nan)
-        for k, name in enumerate(sensors):
-            body = self.bodies.get(name)
-            if body is not None:
-                positions[k], state[k] = self.placed[name] if common else body.positions, body.state
-                times[k] = time
-        return SensorJoints(positions, state, times, COMMON, tuple(sensors))
 
 
 @dataclass

@@ -20,7 +20,7 @@ from hypose.compute.losses import lorentzian_weight
 from hypose.errors import InputError
 from hypose.evidence.frame import INFERRED, TRACKED, SensorJoints
 from hypose.fusion import joints as jt
-from hypose.geometry import Array, procrustes, se3, transform
+from hypose.geometry import Array, procrustes, transform
 
 LARGEST_RESIDUAL_M = 0.25
 """m, median distance after registration beyond which two sensors cannot see the same person."""
@@ -30,23 +30,23 @@ person.
 """
 FEWEST_PAIRS = 12
 """Least number of joints that two sensors must see in common to be registered."""
+_SCALE_M = 0.04
+"""Scale of the Cauchy weights, m."""
 
 
 @dataclass(frozen=True)
 class Registration:
-    """Rigid transforms of K sensors to the common frame, which is that of the reference sensor.
+    """Rigid transforms of K sensors to the common frame, which is that of the first sensor.
 
     common_from_sensor: (K, 4, 4).
-    residual: (K,) m, median distance to the joints of the reference (or of the sensor that it was registered to), NaN
-        where not registered.
+    residual: (K,) m, median distance to the joints of the first sensor (or of the sensor that it was
+        registered to), NaN where not registered.
     registered: (K,) bool.
-    reference: index of the reference sensor.
     """
 
     common_from_sensor: Array
     residual: Array
     registered: NDArray[np.bool_]
-    reference: int
 
     def apply(self, positions: ArrayLike) -> Array:
         """Transform positions (..., K, J, 3) m from the sensors' frames to the common frame; NaN for unregistered
@@ -108,31 +108,28 @@ def triangle_transform(reference: ArrayLike, moving: ArrayLike) -> Array:
 
 
 def by_triangles(last: Registration, positions: ArrayLike) -> Registration:
-    """Register one frame as published: align every sensor to the reference by the triangle of shoulders and torso.
+    """Register one frame as published: align every sensor to the first by the triangle of shoulders and torso.
 
     last: registration of the frame before.
     positions: (K, 15, 3) m in the sensors' frames.
     Deviation: a sensor whose triangle is incomplete keeps its last transform, and stays unregistered before its first
-    one (all sensors do where the triangle of the reference is incomplete); the paper gives no rule.
+    one (all sensors do where the triangle of the first is incomplete); the paper gives no rule.
     """
     triangles = np.asarray(positions, dtype=np.float64)[:, list(jt.TRIANGLE)]
     complete = np.asarray(np.isfinite(triangles).all(axis=(1, 2)))
     transforms, residual = last.common_from_sensor.copy(), last.residual.copy()
-    target = triangles[last.reference]
-    new = complete & complete[last.reference] & (np.arange(len(triangles)) != last.reference)
+    target = triangles[0]
+    new = complete & complete[0] & (np.arange(len(triangles)) > 0)
     for k in np.flatnonzero(new):
         transforms[k] = triangle_transform(target, triangles[k])
         residual[k] = np.median(np.linalg.norm(transform(transforms[k], triangles[k]) - target, axis=1))
-    return Registration(transforms, residual, last.registered | new, last.reference)
+    return Registration(transforms, residual, last.registered | new)
 
 
 def register(
     positions: ArrayLike,
     state: ArrayLike | None = None,
     *,
-    reference: int = 0,
-    joints: Sequence[int] = tuple(range(15)),
-    scale_m: float = 0.04,
     iterations: int = 15,
     start: Registration | None = None,
 ) -> Registration:
@@ -140,33 +137,27 @@ def register(
 
     positions: (T, K, J, 3) m in the sensors' frames, NaN where missing.
     state: (T, K, J) joint states, which weigh the joints: tracked 1, inferred 1/2; None: all weigh 1.
-    reference: index of the reference sensor.
-    joints: indices of the joints to use.
-    scale_m: scale of the Cauchy weights, m.
     iterations: largest number of iterations of the weighted Procrustes solve.
     start: registration from which to start, or None.
-    Returns: the registration. A sensor that shares too few joints with the reference is registered to a sensor already
+    Returns: the registration. A sensor that shares too few joints with the first is registered to a sensor already
         registered; one that shares too few with all keeps the transform of `start`, or stays unregistered.
-    Raises: InputError where the reference is not one of the sensors.
     """
-    s = np.asarray(positions, dtype=np.float64)[:, :, list(joints)]
+    s = np.asarray(positions, dtype=np.float64)
     sensors = s.shape[1]
-    if not 0 <= reference < sensors:
-        raise InputError(f"There are {sensors} sensors, the reference cannot be number {reference}.")
     weight = np.asarray(np.isfinite(s).all(-1), dtype=np.float64)
     if state is not None:
-        weight *= np.asarray(state)[:, :, list(joints)] / TRACKED
+        weight *= np.asarray(state) / TRACKED
     transforms = np.tile(np.eye(4), (sensors, 1, 1)) if start is None else start.common_from_sensor.copy()
     residual, done = np.full(sensors, np.nan), np.zeros(sensors, dtype=np.bool_)
-    done[reference], residual[reference] = True, 0.0
-    transforms[reference] = np.eye(4)
-    waiting = [k for k in range(sensors) if k != reference]
+    done[0], residual[0] = True, 0.0
+    transforms[0] = np.eye(4)
+    waiting = list(range(1, sensors))
     while waiting:
         shared = [
             (int(((weight[:, a] > 0) & (weight[:, k] > 0)).sum()), a, k) for k in waiting for a in np.flatnonzero(done)
         ]
-        # the reference itself first: a chain adds errors
-        direct = [x for x in shared if x[1] == reference and x[0] >= FEWEST_PAIRS]
+        # the first sensor itself before others: a chain adds errors
+        direct = [x for x in shared if x[1] == 0 and x[0] >= FEWEST_PAIRS]
         count, anchor, k = max(direct or shared)
         if count < FEWEST_PAIRS:
             break
@@ -174,16 +165,16 @@ def register(
         use = both > 0
         a = transform(transforms[anchor], s[:, anchor][use])
         before = transforms[k] if start is not None and start.registered[k] else None
-        transforms[k], residual[k] = _robust(s[:, k][use], a, both[use], scale_m, iterations, before)
+        transforms[k], residual[k] = _robust(s[:, k][use], a, both[use], iterations, before)
         done[k] = True
         waiting.remove(k)
     if start is not None:
         done |= start.registered
-    return Registration(transforms, residual, done, reference)
+    return Registration(transforms, residual, done)
 
 
 def _robust(
-    moving: Array, target: Array, weight: Array, scale: float, iterations: int, start: Array | None = None
+    moving: Array, target: Array, weight: Array, iterations: int, start: Array | None = None
 ) -> tuple[Array, float]:
     """Solve for one rigid transform with Cauchy weights, starting from plain least squares or from the known motion
     `start`.
@@ -194,28 +185,25 @@ def _robust(
     motion = np.eye(4)
     if start is not None:
         off = np.linalg.norm(transform(start, moving) - target, axis=1)
-        if np.median(off) < 3 * scale:  # else the sensor was moved
-            w, motion = lorentzian_weight((off / scale) ** 2, weight), start
+        if np.median(off) < 3 * _SCALE_M:  # else the sensor was moved
+            w, motion = lorentzian_weight((off / _SCALE_M) ** 2, weight), start
     for _ in range(iterations):
         before = motion
         motion = procrustes(moving, target, w)[0]
         distance = np.linalg.norm(transform(motion, moving) - target, axis=1)
-        w = lorentzian_weight((distance / scale) ** 2, weight)
+        w = lorentzian_weight((distance / _SCALE_M) ** 2, weight)
         if np.abs(motion - before).max() < 1e-5:
             break
     return motion, float(np.median(distance))
 
 
-def check_same_person(
-    positions: ArrayLike, registration: Registration, names: Sequence[str], residual_m: float = LARGEST_RESIDUAL_M
-) -> None:
+def check_same_person(positions: ArrayLike, registration: Registration, names: Sequence[str]) -> None:
     """Raise InputError where two sensors cannot have seen the same person at the same time, or a sensor reports only a
     point.
 
     positions: (T, K, 15, 3) m in the sensors' frames.
     registration: of the sensors.
     names: of the sensors, for the message.
-    residual_m: largest median distance of the joints after registration, m; the lengths of the limbs must agree too.
     """
     s = np.asarray(positions, dtype=np.float64)
     a, b = jt.SKELETON_BONES[:, 0], jt.SKELETON_BONES[:, 1]
@@ -228,13 +216,12 @@ def check_same_person(
             raise InputError(
                 f"The sensor {names[k]!r} reports all joints at one point; record it again, or leave the sensor out."
             )
-    r = registration.reference
-    for k in range(s.shape[1]):
-        both = known[k] & known[r]
-        if k == r or not both.any():
+    for k in range(1, s.shape[1]):
+        both = known[k] & known[0]
+        if not both.any():
             continue
-        ratio = float(np.median(typical[k][both] / np.maximum(typical[r][both], 1e-6)))
-        far = registration.residual[k] > residual_m
+        ratio = float(np.median(typical[k][both] / np.maximum(typical[0][both], 1e-6)))
+        far = registration.residual[k] > LARGEST_RESIDUAL_M
         if far or max(ratio, 1 / max(ratio, 1e-6)) > LARGEST_LENGTH_RATIO:
             reason = (
                 f"their joints stay {100 * registration.residual[k]:.0f} cm apart after registration"
@@ -242,7 +229,7 @@ def check_same_person(
                 else f"the limbs differ by {100 * abs(ratio - 1):.0f} %"
             )
             raise InputError(
-                f"Sensors {names[r]!r} and {names[k]!r} do not seem to see the same person at the same time: {reason}; "
+                f"Sensors {names[0]!r} and {names[k]!r} do not seem to see the same person at the same time: {reason}; "
                 "choose the recordings of one person, or check that both clocks agree."
             )
 
@@ -286,21 +273,12 @@ def upright_axes(up: Array) -> Array:
     return np.stack([np.cross(y, up), y, up]).astype(np.float64)
 
 
-def alone(sensors: int, reference: int = 0) -> Registration:
-    """Make the registration before any person was seen: only the reference is registered."""
-    return Registration(
-        np.tile(np.eye(4), (sensors, 1, 1)),
-        np.where(np.arange(sensors) == reference, 0.0, np.nan),
-        np.arange(sensors) == reference,
-        reference,
-    )
+def alone(sensors: int) -> Registration:
+    """Make the registration before any person was seen: only the first sensor is registered."""
+    first = np.arange(sensors) == 0
+    return Registration(np.tile(np.eye(4), (sensors, 1, 1)), np.where(first, 0.0, np.nan), first)
 
 
-def identity_registration(sensors: int, reference: int = 0) -> Registration:
+def identity_registration(sensors: int) -> Registration:
     """Make the registration of sensors that report in a common frame already: identity transforms."""
-    return Registration(
-        np.tile(se3(np.eye(3), np.zeros(3)), (sensors, 1, 1)),
-        np.zeros(sensors),
-        np.ones(sensors, dtype=np.bool_),
-        reference,
-    )
+    return Registration(np.tile(np.eye(4), (sensors, 1, 1)), np.zeros(sensors), np.ones(sensors, dtype=np.bool_))

@@ -9,10 +9,9 @@ Source: Asteriadis et al. 2013, sections 2.2, 2.5 and 2.6. One layer of the comm
 
 Deviations, each a setting that PUBLISHED sets as in the paper: the length scale h of eq. 7, which is printed without
 one (in millimetres only the nearest few of 2100 candidates would have weight); the power of the noise; immigrants,
-because a sensor that misses one frame would otherwise lose all its candidates for ever; Baker's universal sampling;
-jitter, because roulette alone creates no new positions; the estimate read before the wheel, weighted by energy. The
-swarm chooses sensors well; it estimates positions less well, because it ends on one sensor and keeps that sensor's
-bias.
+because a sensor that misses one frame would otherwise lose all its candidates for ever; Baker's universal sampling; the
+estimate read before the wheel, weighted by energy. The swarm chooses sensors well; it estimates positions less well,
+because it ends on one sensor and keeps that sensor's bias.
 """
 
 from __future__ import annotations
@@ -49,7 +48,6 @@ class SwarmSettings:
     power: the weights of the energy are lambda^-power, with the noise lambda of a joint.
     pressure: the shares of the wheel are E^pressure, with the energy E (fitness scaling).
     immigrants: number of new candidates per sensor and frame (within count).
-    jitter_m: sd of a random step per frame, m.
     universal: whether to use Baker's universal sampling instead of independent draws.
     weighted: whether the joint is the mean weighted by energy before the wheel adds its noise; else it is the plain
         mean of the candidates after the wheel.
@@ -65,7 +63,6 @@ class SwarmSettings:
     power: float = 1.0
     pressure: float = 1.0
     immigrants: int = 0
-    jitter_m: float = 0.0
     universal: bool = False
     weighted: bool = False
     restart_every: int = 50
@@ -112,12 +109,9 @@ def ride(h: Hypotheses, frame: SwarmFrame, rng: np.random.Generator, /) -> Hypot
     sees the joint.
     """
     s = frame.settings
-    old_values, log_weights, origin = h.values, h.log_weights, h.origin
-    if s.jitter_m > 0:
-        old_values, log_weights, origin = _singly(h.values, h.log_weights, h.origin, s.count)
-        old_values = old_values + rng.normal(0, s.jitter_m, old_values.shape)
+    log_weights, origin = h.log_weights, h.origin
     joints = np.arange(len(origin))
-    values = old_values + frame.moved[np.maximum(origin, 0), joints[:, None]]
+    values = h.values + frame.moved[np.maximum(origin, 0), joints[:, None]]
     if s.immigrants:
         extra, every = s.immigrants * len(frame.positions), np.ones(len(joints), dtype=np.bool_)
         fresh = _placed(frame.positions, frame.weights > 0, every, extra, s.radius_m, rng)
@@ -332,17 +326,3 @@ def _placed(
         ways *= (radius * np.cbrt(rng.random(count)) / np.linalg.norm(ways, axis=1))[:, None]
         values[j] = base[origin[j], j] + ways
     return values, log_weights, origin
-
-
-def _singly(values: Array, log_weights: Array, origin: NDArray[np.int32], count: int) -> tuple[Array, Array, NDArray]:
-    """Write merged candidates out one by one again, so that each can take its own step."""
-    copies = np.rint(np.exp(log_weights) * count).astype(np.int64)
-    width = int(copies.sum(1).max())
-    index = np.zeros((len(values), width), dtype=np.intp)
-    used = np.zeros((len(values), width), dtype=np.bool_)
-    for j, c in enumerate(copies):
-        each = np.repeat(np.arange(len(c)), c)
-        index[j, : len(each)], used[j, : len(each)] = each, True
-    flat = np.take_along_axis(values, index[..., None], 1)
-    origin = np.where(used, np.take_along_axis(origin, index, 1), -1).astype(np.int32)
-    return flat, np.where(used, -np.log(count), -np.inf), origin

@@ -6,16 +6,15 @@ Screens and command lines call it; it draws and writes nothing itself.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import copy
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hypose.compute.forests import DepthImage
 from hypose.gestures.depth_pictures import DepthLens
-from hypose.gestures.forest import GrowingForest
 from hypose.gestures.localise import Localisation, LocaliseSettings, localise
 from hypose.gestures.online import Learner, Taught
 from hypose.gestures.session import Command, Instruction, Session, SessionSettings, advance, update_maximum
@@ -62,24 +61,13 @@ _KEPT = 16
 """Number of frames with the gesture that are kept to compute the final threshold."""
 
 
-@dataclass(frozen=True)
-class _Snapshot:
-    arrays: tuple[NDArray[Any], ...]
-    random: Mapping[str, Any]
-    strength: dict[int, float]
-    kept: list[tuple[DepthImage, DepthLens]]
-    movement: list[float]
-    shown: int
-    keep: Mapping[str, Any]
-
-
 class Trainer:
     """Trainer of one gesture. It keeps the forest before the last segment, so that the segment can be undone."""
 
     def __init__(self, learner: Learner, settings: SessionSettings | None = None) -> None:
         self.learner, self.settings = learner, settings or SessionSettings()
         self.session = Session()
-        self._before: _Snapshot | None = None
+        self._before: tuple[Any, ...] | None = None
         self._segment = 0
         # frames that show the gesture, each kept with the same probability; the generator is not that of the pixels
         self._keep, self._shown = np.random.default_rng(0), 0
@@ -182,18 +170,14 @@ class Trainer:
         elif (place := int(self._keep.integers(self._shown))) < _KEPT:
             self._kept[place] = depth, lens
 
-    def _snapshot(self) -> _Snapshot:
+    def _snapshot(self) -> tuple[Any, ...]:
+        """Copy what a segment changes: the learner and the data of the threshold."""
         a = self.learner
-        arrays = tuple(x.copy() for x in a.forest.arrays)
-        keep = self._keep.bit_generator.state
-        kept, movement = self._kept.copy(), self._movement.copy()
-        return _Snapshot(arrays, a.rng.bit_generator.state, dict(a.strength), kept, movement, self._shown, keep)
+        changing = copy.deepcopy((a.forest, a.rng, a.strength, self._keep))
+        return changing, self._kept.copy(), self._movement.copy(), self._shown  # pictures do not change
 
-    def _restore(self, s: _Snapshot) -> None:
-        forest = self.learner.forest
-        arrays = type(forest.arrays)(*(x.copy() for x in s.arrays))
-        self.learner.forest = GrowingForest(forest.settings, arrays)
-        self.learner.rng.bit_generator.state = s.random
-        self.learner.strength = dict(s.strength)
-        self._kept, self._movement, self._shown = s.kept.copy(), s.movement.copy(), s.shown
-        self._keep.bit_generator.state = s.keep
+    def _restore(self, saved: tuple[Any, ...]) -> None:
+        changing, kept, movement, self._shown = saved
+        a = self.learner
+        a.forest, a.rng, a.strength, self._keep = copy.deepcopy(changing)
+        self._kept, self._movement = kept.copy(), movement.copy()

@@ -30,7 +30,7 @@ from hypose.io.motions.marker_files import Markers
 from hypose.io.motions.results import load_archive
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.track_options import CompareOptions
-from hypose.synthetic.metrics import carriers, coverage, joint_errors, population_offsets
+from hypose.synthetic.metrics import CARRIERS, coverage, joint_errors, population_offsets
 
 # ---- compared files ------------------------------------------------------------------------------------------------
 # Read motions of other programs: results of hypose, C3D, TRC, and MOT or STO of OpenSim, as points and angles with
@@ -493,7 +493,7 @@ def _segment_axes(ours: Motion, index: list[int]) -> Array:
     finite = np.asarray(np.isfinite(ours.poses).all(1))
     axes = np.full((len(ours), len(JOINT_NAMES), 3, 3), np.nan)
     axes[finite] = skeleton.forward(ours.poses[finite])[0]
-    return axes[:, carriers()[index]]
+    return axes[:, CARRIERS[index]]
 
 
 def _covered(ours: Motion, index: list[int], mine: Array, theirs: Array) -> tuple[Array, ...]:

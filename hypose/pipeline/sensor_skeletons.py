@@ -254,12 +254,12 @@ def assess_fused(
     registration: of the sensors.
     names: of the sensors.
     """
-    late = [Finding("clock", (), t) for t in _of_clocks(motion.times, clip, registration.reference, names)]
+    late = [Finding("clock", (), t) for t in _of_clocks(motion.times, clip, names)]
     found = [*(Finding("unit", (), text) for text in _of_size(motion)), *late]
     for name, apart in zip(names, registration.residual.tolist(), strict=True):
         if apart > SETTINGS.sensor_apart_look_m and not late:
             text = (
-                f"{name} and {names[registration.reference]} see the joints {1e3 * apart:.0f} mm apart (median), more "
+                f"{name} and {names[0]} see the joints {1e3 * apart:.0f} mm apart (median), more "
                 "than two sensors of one person do: look whether both are in metres, name left and right alike, are "
                 "not mirrored, and saw the same movement"
             )
@@ -295,19 +295,19 @@ def _length(joints: Array, a: int, b: int) -> Array:
     return np.linalg.norm(joints[:, a] - joints[:, b], axis=-1)
 
 
-def _of_clocks(times: Array, clip: Sequence[SensorJoints], reference: int, names: Sequence[str]) -> Iterator[str]:
+def _of_clocks(times: Array, clip: Sequence[SensorJoints], names: Sequence[str]) -> Iterator[str]:
     seen, rate = np.stack([common_joints(f).positions for f in clip]), 1 / float(np.median(np.diff(times)))
     for k, name in enumerate(names):
-        if k == reference or not np.isfinite(seen[:, k]).any() or not np.isfinite(seen[:, reference]).any():
+        if k == 0 or not np.isfinite(seen[:, k]).any() or not np.isfinite(seen[:, 0]).any():
             continue
-        late, likeness = offset_by_movement(times, seen[:, reference], times, seen[:, k])
+        late, likeness = offset_by_movement(times, seen[:, 0], times, seen[:, k])
         if likeness < SETTINGS.sensor_like or abs(late) < SETTINGS.sensor_late_s:
             continue
-        there, then = _apart(seen[:, [reference, k]], 0), _apart(seen[:, [reference, k]], round(late * rate))
+        there, then = _apart(seen[:, [0, k]], 0), _apart(seen[:, [0, k]], round(late * rate))
         if then < min(SETTINGS.sensor_apart_look_m, SETTINGS.sensor_nearer * there):
             when = f"{abs(late):.2f} s {'early' if late > 0 else 'late'}"
             yield (
-                f"{name} reports the movements of {names[reference]} {when}, so their clocks differ: correct its "
+                f"{name} reports the movements of {names[0]} {when}, so their clocks differ: correct its "
                 'times, or say "clock": "own" in a session.json'
             )
 

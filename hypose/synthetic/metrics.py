@@ -34,12 +34,8 @@ LOST_M = 0.120
 """m; a frame whose mean error is larger counts as lost."""
 # The segment whose frame carries a joint's offset: the one that ends in the joint (an elbow is fixed to
 # the upper arm), the joint's own for the root. The head joint is carried by the head.
-_CARRIER = np.array([j if JOINT_NAMES[j] in ("pelvis", "head") else int(PARENTS[j]) for j in range(len(JOINT_NAMES))])
-
-
-def carriers() -> NDArray[np.int64]:
-    """Return for each of the 19 joints the joint whose frame carries its definition offset."""
-    return _CARRIER.copy()
+CARRIERS = np.array([j if JOINT_NAMES[j] in ("pelvis", "head") else int(PARENTS[j]) for j in range(len(JOINT_NAMES))])
+"""(19,) the joint whose frame carries the definition offset of each joint."""
 
 
 def definition_offsets(
@@ -96,7 +92,7 @@ def with_offsets(estimated: ArrayLike, rotations: ArrayLike, offsets: ArrayLike)
     Returns: (T, 19, 3) m.
     """
     e, r, o = (np.asarray(x, dtype=np.float64) for x in (estimated, rotations, offsets))
-    return e + np.einsum("tjab,jb->tja", r[:, _CARRIER], o)
+    return e + np.einsum("tjab,jb->tja", r[:, CARRIERS], o)
 
 
 @dataclass(frozen=True)

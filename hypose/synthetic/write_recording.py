@@ -35,10 +35,6 @@ _Progress = Callable[[int, int], None]
 """Function that is called with the numbers of steps done and in total."""
 
 
-def _silent(done: int, total: int) -> None:
-    """Report nothing."""
-
-
 def check_folder(folder: Path) -> None:
     """Raise InputError where a recording cannot be written to the folder because something else is there.
 
@@ -74,7 +70,7 @@ def write_scene(
     background_frames: int = 25,
     keypoints: bool = False,
     keypoint_noise_px: float = 4.0,
-    progress: _Progress = _silent,
+    progress: _Progress = lambda done, total: None,
 ) -> Path:
     """Write a scene to a folder as a recording.
 
@@ -169,7 +165,7 @@ def walking_scene(
     return depth_scene(turning(performance, body, heading), body, depth_rig(sensors), seed=seed)
 
 
-def write_depth_scene(scene: DepthScene, folder: str | Path, progress: _Progress = _silent) -> Path:
+def write_depth_scene(scene: DepthScene, folder: str | Path, progress: _Progress = lambda done, total: None) -> Path:
     """Write a scene of depth sensors to a folder as a recording.
 
     folder: gets depth/NAME/ and background/NAME/ with 16-bit PNG in millimetres, calibration.toml, recording.toml and
@@ -284,7 +280,7 @@ places.
 """
 
 
-def write_session(scene: Scene, folder: str | Path, *, progress: _Progress = _silent) -> Path:
+def write_session(scene: Scene, folder: str | Path, *, progress: _Progress = lambda done, total: None) -> Path:
     """Write the videos of a film session: a carried board, the empty room, and the person.
 
     scene: the scene.

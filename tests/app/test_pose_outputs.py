@@ -125,7 +125,7 @@ def test_the_receiver_of_the_documentation(followed, tmp_path, capsys):
     (tmp_path / "receiver.py").write_text(program.replace("9872", str(out.listeners.port)))
     receiver = threading.Thread(target=runpy.run_path, args=(tmp_path / "receiver.py",))
     receiver.start()
-    while not out.listeners.wanted("/out"):
+    while not out.listeners.outbox.queues:
         assert receiver.is_alive()
         time.sleep(0.01)
     reported(out, followed[:5])
@@ -156,14 +156,14 @@ def test_who_does_not_read_costs_nobody_a_pose(followed):
             with connect(f"ws://127.0.0.1:{out.listeners.port}/out") as reading:
                 reading.recv(HANG_S)
                 for _ in range(150):  # what the system keeps for who does not read is full
-                    out.listeners.post("x" * 100_000, "/out")
+                    out.listeners.post("x" * 100_000)
                     assert len(reading.recv(HANG_S)) == 100_000
-                assert out.listeners.dropped > 50
-                dropped = out.listeners.dropped
+                assert out.listeners.outbox.dropped > 50
+                dropped = out.listeners.outbox.dropped
                 for frame, pose in followed:
                     out.seen(seen(frame, pose))
                     assert read(reading.recv(HANG_S))["n"] == pose.frame
-                assert out.listeners.dropped == dropped + len(followed)
+                assert out.listeners.outbox.dropped == dropped + len(followed)
     finally:
         out.close()
 

@@ -123,7 +123,7 @@ def test_lengths_are_learned_causally_and_one_bad_episode_does_not_move_them(rng
         world = truth[t] + rng.normal(0, 0.01, (2, 15, 3))
         if 300 <= t < 330:
             world[0, jt.LEFT_HAND] += 0.4
-        lengths, samples = adapt_lengths(world, np.full((2, 15), 2, np.uint8), lengths, samples)
+        lengths, samples, _ = adapt_lengths(world, np.full((2, 15), 2, np.uint8), lengths, samples)
     np.testing.assert_allclose(lengths, TRUE_LENGTHS, atol=0.008)
     assert samples.tolist() == [800] * 18
     clip = truth[:, None] + rng.normal(0, 0.005, (400, 2, 15, 3))

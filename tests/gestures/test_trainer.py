@@ -51,7 +51,7 @@ def test_a_session_teaches_and_finds_a_threshold():
 def test_undo_brings_the_forest_back_to_where_the_segment_began():
     trainer = new_trainer()
     drive(trainer, 10)  # within the first positive segment
-    before = [a.copy() for a in trainer._before.arrays]  # type: ignore[union-attr]
+    before = [a.copy() for a in trainer._before[0][0].arrays]  # type: ignore[index]
     assert trainer.learner.forest.arrays.seen.sum() > 0
     e = toy_examples(1, 0)[0]
     feedback = trainer.frame(1.0, e.depth, LENS, (e.x, e.y), ["undo"])

@@ -284,7 +284,7 @@ def _instant(synced: Sequence[SensorStream], picks: Sequence[NDArray[np.int64]],
     views = []
     for s, pick in zip(synced, picks, strict=True):
         columns = np.flatnonzero((s.person_ids[n] >= 0) & (s.state[n] > 0).any(1))
-        bodies = tuple(SensorBody(int(c), s.positions[n, c, pick], s.state[n, c, pick], 0.0) for c in columns)
+        bodies = tuple(SensorBody(int(c), s.positions[n, c, pick], s.state[n, c, pick]) for c in columns)
         views.append(SensorView(s.name, True, 0, bodies))
     return Instant(n, time, tuple(views))
 
@@ -296,7 +296,7 @@ def _registration(people: Sequence[Sequence[SensorJoints]], names: Sequence[str]
     states = np.concatenate([np.stack([f.state for f in clip]) for clip in clips])
     if not np.isfinite(positions).any():
         raise InputError("No sensor reports any joint in the whole recording; check that a person was tracked.")
-    found = register(positions, states, reference=0)
+    found = register(positions, states)
     check_same_person(positions, found, names)
     return found
 
@@ -331,7 +331,7 @@ def _write(
     settings = {
         "method": c.method,
         "rate": fused.motion.frame_rate,
-        "reference": fused.sensor_names[fused.registration.reference],
+        "reference": fused.sensor_names[0],
         "sensors": list(fused.sensor_names),
         "up": c.up,
         "world_from_reference": world,

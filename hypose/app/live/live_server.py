@@ -248,7 +248,7 @@ class LiveServer:
         self._timer = loop.call_later(max(0.0, due - now), self.tick) if due < math.inf else None
         if now - self._status_at >= _STATUS_S:
             self._status_at = now
-            if self.outbox:
+            if self.outbox.queues:
                 self.outbox.post(self._status(now))
             self._record(lambda writer: writer.flush())
 
@@ -257,7 +257,7 @@ class LiveServer:
         self.frames += 1
         self.latencies.append(latency)
         self.people = len(frame.people)
-        if self.outbox:
+        if self.outbox.queues:
             self.outbox.post(frame_json(frame, latency))
         if self._osc is not None:
             people = [(p.id, COMMON, p.joints, p.sd) for p in frame.people]

@@ -8,12 +8,11 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from hypose.app.live.osc import OscTarget, people_osc
+from hypose.app.live.osc import OscTarget, osc_bundles, people_osc
 from hypose.app.live.servers import SocketListeners
 from hypose.app.live.vmc import vmc_messages
 from hypose.body.default_body import JOINT_NAMES
 from hypose.errors import InputError
-from hypose.geometry import Array
 from hypose.pipeline.live.engine import LiveResult, LiveStatus
 from hypose.pipeline.live.live_people import LivePose
 
@@ -40,61 +39,11 @@ def pose_json(pose: LivePose, latency: float, cameras: tuple[str, ...]) -> str:
         "cameras": [c for c, seen in zip(cameras, pose.views, strict=True) if seen],
         "joints": pose.joints.round(5).tolist(),
         "sd": m.joint_sd[0].astype(np.float64).round(5).tolist(),
-        "covariance": [[float(f"{v:.3g}") for v in row] for row in _covariance(pose).tolist()],
+        "covariance": [[float(f"{v:.3g}") for v in row] for row in m.joint_covariance[0][:, *_UPPER].tolist()],
         "wrong": m.error_probability[0].astype(np.float64).round(3).tolist(),
         "low_confidence": names[m.low_confidence_joints[0]].tolist(),
     }
     return json.dumps(value, separators=(",", ":"))
-
-
-def _covariance(pose: LivePose) -> Array:
-    """Return the upper triangle of each joint's covariance, (J, 6) m^2."""
-    return np.asarray(pose.motion.joint_covariance[0][:, *_UPPER], np.float64)
-
-
-class _Vmc:
-    """Output of one avatar's pose by VMC: that of the first person."""
-
-    def __init__(self, target: OscTarget) -> None:
-        self._target = target
-        self._begin: float | None = None
-
-    def send(self, poses: Sequence[LivePose], latency: float) -> None:
-        pose = poses[0]
-        self._begin = pose.time if self._begin is None else self._begin
-        assert pose.motion.poses is not None
-        self._target.send(vmc_messages(pose.body, pose.motion.poses[0], pose.time - self._begin, not pose.lost))
-
-    def close(self) -> None:
-        self._target.close()
-
-
-class _Osc:
-    def __init__(self, target: OscTarget) -> None:
-        self._target = target
-
-    def send(self, poses: Sequence[LivePose], latency: float) -> None:
-        names = poses[0].motion.skeleton.joint_names
-        people = [(p.person, names, p.joints, p.motion.joint_sd[0]) for p in poses]
-        there = sum(not p.lost for p in poses)
-        self._target.send(people_osc(poses[0].frame, poses[0].time, latency, people, there))
-
-    def close(self) -> None:
-        self._target.close()
-
-
-class _Lines:
-    """Output of a JSON line per pose by UDP."""
-
-    def __init__(self, target: OscTarget, cameras: tuple[str, ...]) -> None:
-        self._target, self._cameras = target, cameras
-
-    def send(self, poses: Sequence[LivePose], latency: float) -> None:
-        for pose in poses:
-            self._target.put(pose_json(pose, latency, self._cameras).encode() + b"\n")
-
-    def close(self) -> None:
-        self._target.close()
 
 
 class PoseOutputs:
@@ -120,15 +69,13 @@ class PoseOutputs:
         clock: Callable[[], float],
     ) -> None:
         self._cameras, self._clock, self._rate = cameras, clock, rate
-        self._outs: list[_Vmc | _Osc | _Lines] = []
+        self._outs: list[tuple[OscTarget, Callable[[Sequence[LivePose], float], list[bytes]]]] = []
+        self._begin: float | None = None
         self.listeners: SocketListeners | None = None
         try:
-            if udp is not None:
-                self._outs.append(_Lines(OscTarget(udp, "--udp"), cameras))
-            if osc is not None:
-                self._outs.append(_Osc(OscTarget(osc)))
-            if vmc is not None:
-                self._outs.append(_Vmc(OscTarget(vmc, "--vmc")))
+            for address, option, made in ((udp, "--udp", self._lines), (osc, "--osc", _osc), (vmc, "--vmc", self._vmc)):
+                if address is not None:
+                    self._outs.append((OscTarget(address, option), made))
             self.listeners = None if ws is None else SocketListeners(ws, _WAITING, self._hello)
         except InputError:
             self.close()
@@ -140,29 +87,48 @@ class PoseOutputs:
         hello = {"type": "hello", "version": 1, "joints": JOINT_NAMES, "cameras": self._cameras, "rate": self._rate}
         return json.dumps(hello)
 
+    def _lines(self, poses: Sequence[LivePose], latency: float) -> list[bytes]:
+        """Encode each pose as a line of JSON."""
+        return [pose_json(pose, latency, self._cameras).encode() + b"\n" for pose in poses]
+
+    def _vmc(self, poses: Sequence[LivePose], latency: float) -> list[bytes]:
+        """Encode the pose of the first person for an avatar."""
+        pose = poses[0]
+        self._begin = pose.time if self._begin is None else self._begin
+        assert pose.motion.poses is not None
+        return osc_bundles(vmc_messages(pose.body, pose.motion.poses[0], pose.time - self._begin, not pose.lost))
+
     def seen(self, seen: LiveResult) -> None:
         """Send the poses of an instant to all outputs."""
         if not seen.poses:
             return
         latency = self._clock() - seen.sight.arrival
-        for out in self._outs:
-            out.send(seen.poses, latency)
-        if self.listeners is not None:
+        for target, made in self._outs:
+            for datagram in made(seen.poses, latency):
+                target.put(datagram)
+        if self.listeners is not None and self.listeners.outbox.queues:
             for pose in seen.poses:
-                if self.listeners.wanted("/out"):
-                    self.listeners.post(pose_json(pose, latency, self._cameras), "/out")
+                self.listeners.post(pose_json(pose, latency, self._cameras))
 
     def status(self, status: LiveStatus) -> None:
         """Send the state of the run to WebSocket listeners."""
         if self.listeners is not None:
-            self.listeners.post(status_json(status), "/out")
+            self.listeners.post(status_json(status))
 
     def close(self) -> None:
         """Close all outputs."""
-        for out in self._outs:
-            out.close()
+        for target, _ in self._outs:
+            target.close()
         if self.listeners is not None:
             self.listeners.close()
+
+
+def _osc(poses: Sequence[LivePose], latency: float) -> list[bytes]:
+    """Encode the poses of a frame as OSC bundles."""
+    names = poses[0].motion.skeleton.joint_names
+    people = [(p.person, names, p.joints, p.motion.joint_sd[0]) for p in poses]
+    there = sum(not p.lost for p in poses)
+    return osc_bundles(people_osc(poses[0].frame, poses[0].time, latency, people, there))
 
 
 def status_json(status: LiveStatus) -> str:

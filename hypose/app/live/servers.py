@@ -75,45 +75,29 @@ def put_newest(queue: asyncio.Queue, what: object) -> bool:
 class Outbox:
     """Queues of listeners; a listener that is too slow loses its oldest items. Used in one event loop.
 
+    queues: of the listeners.
     dropped: number of lost items.
     """
 
     def __init__(self) -> None:
         self.dropped = 0
-        self._queues = dict[asyncio.Queue, str]()
+        self.queues = set[asyncio.Queue]()
 
-    def __len__(self) -> int:
-        """Return the number of listeners."""
-        return len(self._queues)
+    def post(self, what: Post | None) -> None:
+        """Send an item to all listeners; None marks the end."""
+        for queue in self.queues:
+            self.dropped += put_newest(queue, what)
 
-    def wanted(self, path: str) -> bool:
-        """Return whether a path has listeners."""
-        return path in self._queues.values()
-
-    def join(self, queue: asyncio.Queue, path: str = "") -> None:
-        """Add a queue as a listener of a path."""
-        self._queues[queue] = path
-
-    def leave(self, queue: asyncio.Queue) -> None:
-        """Remove a queue."""
-        self._queues.pop(queue, None)
-
-    def post(self, what: Post | None, path: str | None = None) -> None:
-        """Send an item to all listeners, or to those of a path; None marks the end."""
-        for queue, own in self._queues.items():
-            if path is None or own == path:
-                self.dropped += put_newest(queue, what)
-
-    async def serve(self, connection: ServerConnection, queue: Queue, path: str = "") -> None:
+    async def serve(self, connection: ServerConnection, queue: Queue) -> None:
         """Send queued and new items to a connection until the end mark, or until the listener leaves."""
-        self.join(queue, path)
+        self.queues.add(queue)
         reading = asyncio.ensure_future(_until_gone(connection, queue))
         try:
             with suppress(ConnectionClosed):
                 while (what := await queue.get()) is not None:
                     await connection.send(what)
         finally:
-            self.leave(queue)
+            self.queues.discard(queue)
             reading.cancel()
 
 
@@ -139,7 +123,7 @@ class SocketListeners:
     """
 
     def __init__(self, port: int, waiting: int, hello: Callable[[str], Post | None] = lambda path: "") -> None:
-        self._outbox = Outbox()
+        self.outbox = Outbox()
         self._waiting, self._hello = waiting, hello
         self._loop = asyncio.new_event_loop()
         quiet_logs()
@@ -154,26 +138,17 @@ class SocketListeners:
             ) from None
 
     @property
-    def dropped(self) -> int:
-        """Number of items that slow listeners lost."""
-        return self._outbox.dropped
-
-    @property
     def port(self) -> int:
         """The port of the server."""
         return int(next(iter(self._server.sockets)).getsockname()[1])
 
-    def wanted(self, path: str) -> bool:
-        """Return whether a path has listeners."""
-        return self._outbox.wanted(path)
-
-    def post(self, what: Post, path: str | None = None) -> None:
-        """Send an item to all listeners, or to those of a path."""
-        self._loop.call_soon_threadsafe(self._outbox.post, what, path)
+    def post(self, what: Post) -> None:
+        """Send an item to all listeners."""
+        self._loop.call_soon_threadsafe(self.outbox.post, what)
 
     def close(self) -> None:
         """Send what was posted, and stop."""
-        self._loop.call_soon_threadsafe(self._outbox.post, None)
+        self._loop.call_soon_threadsafe(self.outbox.post, None)
         self._in_loop(self._close())
         self._end_loop()
 
@@ -201,7 +176,7 @@ class SocketListeners:
 
     async def _close(self) -> None:
         for _ in range(100):  # give listeners time to receive the queued items
-            if not self._outbox:
+            if not self.outbox.queues:
                 break
             await asyncio.sleep(0.02)
         self._server.close()
@@ -210,14 +185,14 @@ class SocketListeners:
     async def _listen(self, connection: ServerConnection) -> None:
         path = connection.request.path.partition("?")[0] if connection.request is not None else "/"
         hello = self._hello(path)
-        if len(self._outbox) >= _MAX_PENDING or hello is None:
+        if len(self.outbox.queues) >= _MAX_PENDING or hello is None:
             full = hello is not None
             await connection.close(1013 if full else 1008, "too many listeners" if full else "there is no such path")
             return
         queue: Queue = asyncio.Queue(self._waiting)
         if hello:
             queue.put_nowait(hello)
-        await self._outbox.serve(connection, queue, path)
+        await self.outbox.serve(connection, queue)
 
 
 def listen_error(error: OSError | OverflowError) -> str:

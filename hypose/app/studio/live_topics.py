@@ -170,7 +170,7 @@ class FuseTopic(LiveTopic):
     async def _tell(self, server: LiveServer) -> None:
         """Forward the messages of the fusion server to the pages."""
         queue: asyncio.Queue[str] = asyncio.Queue(_WAITING)
-        server.outbox.join(queue)
+        server.outbox.queues.add(queue)
         while True:
             line = await queue.get()
             self._hub.post(self.name, line.replace('"type":', '"t":', 1), key=line.partition(",")[0])

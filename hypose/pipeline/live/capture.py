@@ -72,14 +72,12 @@ class CaptureOptions:
     rate: of the cameras, Hz; requested from devices, and assumed for files without a rate.
     countdown: before the empty room is learned, s.
     silhouettes: how masks are made.
-    adapt: update backgrounds to slow changes.
     network: most people that a network finds where the background is not known; 0: the background is learned.
     """
 
     rate: float = 30.0
     countdown: float = 5.0
     silhouettes: SilhouetteSettings = field(default_factory=SilhouetteSettings)
-    adapt: bool = True
     network: int = 0
 
 
@@ -167,13 +165,11 @@ class Capture:
         self._moved: tuple[str, ...] = ()
         self._empty: tuple[list[NDArray[Any]], ...] = ()
         self._to_follow: list[tuple[ViewBackground, int, NDArray[Any], float, CaptureRequest]] = []
-        opened: list[CameraFeed] = []
         try:
             for feed in self._feeds:
                 feed.start()
-                opened.append(feed)
         except InputError:
-            for feed in opened:
+            for feed in self._feeds:
                 feed.stop()
             raise
         if any(r.background is None for r in self._rooms):
@@ -274,7 +270,7 @@ class Capture:
             return None
         mask, outline = room.mask(image)
         turn = int(at * len(self._rooms)) % len(self._rooms) == view  # not all views in one instant
-        wanted = self._options.adapt and turn and (question.bodies or not question.following)
+        wanted = turn and (question.bodies or not question.following)
         if wanted and isinstance(room, ViewBackground) and room.due(at):
             self._to_follow.append((room, view, image, at, question))
         return np.packbits(mask, axis=1), outline
