@@ -22,8 +22,8 @@ from hypose.evidence.ray_matching import NOT_COMPARABLE_M, Views, between_rays, 
 from hypose.geometry import Array
 
 _MEASURED, _REMEMBERED = 10, 50  # frames after which a bone's length is known, and over which it is averaged
-_WRUNG = -0.5  # cosine of the angle between the lines of the shoulders and of the hips that no trunk reaches
-_LEAST_POINTS = 4  # key points that a candidate needs to be a person, fewer are parts that can complete one
+_WRUNG = -0.5  # cosine of an angle between the lines of shoulders and hips that no trunk reaches
+_LEAST_POINTS = 4  # least key points of a candidate that is a person; fewer are parts that can complete one
 _GROUPS = (
     ("shoulder", "elbow", "wrist"),
     ("hip", "knee", "ankle", "big_toe", "small_toe", "heel"),
@@ -104,7 +104,7 @@ def people_of(
     return at.people()
 
 
-@dataclass(eq=False)  # two of the same frame are two
+@dataclass(eq=False)  # compared by identity
 class _Followed:
     """State of a person who is being tracked.
 
@@ -134,7 +134,8 @@ class _Followed:
 class Association:
     """Association of detections with people, frame by frame: call `step` for every frame, then `people`.
 
-    columns: number of columns of all candidates.
+    names: of the K key points; rig: pinhole cameras; frame_rate: Hz.
+    columns: number of columns of all candidates, at least 3 (u px, v px, confidence).
     """
 
     def __init__(
@@ -187,7 +188,7 @@ class Association:
             seen, which = np.concatenate([seen, again], 1), np.concatenate([which, chosen], 1)
         if self._alive:
             self._complete(seen, found, free, free & ~is_person, which, expected)
-            if new:  # labels of those born are repaired by what most views say
+            if new:  # correct left and right of new people by most views
                 first = len(self._alive) - len(new)
                 seen[:, first:] = self._repaired_births(seen[:, first:], which[:, first:], expected[first:])
             world, used = meet(self._views, seen, self.settings.near, expected)
@@ -310,9 +311,9 @@ class Association:
             whole = bool(says[0] and says[1])
             t.reversed += whole
             for g in range(len(_GROUPS)):
-                if g < 2 and self._wrung(t):  # as many views as say the opposite are enough
+                if g < 2 and self._wrung(t):  # as many views as contradict are enough
                     most = exchange[of, g].sum() >= max(1, kept[of, g].sum())
-                else:  # shoulders without hips, or hips without shoulders, would wring the trunk
+                else:  # exchanging only shoulders or only hips would twist the trunk
                     most = says[g] and (g > 1 or self._girdles is None or says[1 - g])
                 t.otherwise[g] = t.otherwise[g] + 1 if most else 0
                 if t.otherwise[g] > self._trial and not whole:
@@ -354,7 +355,7 @@ class Association:
         of = self._group == group
         t.points[of], t.motion[of] = t.points[self._twin][of], t.motion[self._twin][of]
         t.stale[of] = t.stale[self._twin][of]
-        known = int(t.otherwise[group])  # the frame of birth cannot say
+        known = int(t.otherwise[group])  # unknown in the first frame
         for back in range(1, known if known < len(t.seen) else len(t.seen) + 1):
             t.seen[-back][:, of] = t.seen[-back][:, self._twin][:, of]
             t.world[-back][of] = t.world[-back][self._twin][of]
@@ -519,7 +520,7 @@ def clusters(apart: Array, birth: float) -> list[list[int]]:
     a, b = np.nonzero(np.triu(apart <= birth, 1))
     for k in np.argsort(apart[a, b], kind="stable"):
         i, j = of[a[k]], of[b[k]]
-        if i == j or apart[np.ix_(group[i], group[j])].max() > 1.5 * birth:  # of one view: FAR
+        if i == j or apart[np.ix_(group[i], group[j])].max() > 1.5 * birth:  # NOT_COMPARABLE_M within one view
             continue
         group[i] = group[i] + group[j]
         for member in group[j]:
@@ -528,7 +529,7 @@ def clusters(apart: Array, birth: float) -> list[list[int]]:
     return sorted((g for g in group if len(g) > 1), key=len, reverse=True)
 
 
-_TOGETHER = 0.35  # m, mean distance of rays up to which two views' objects are one person: outlines are no points
+_TOGETHER = 0.35  # m, largest mean distance of the rays of one person's objects; large, because outlines are no points
 _LIMIT, _LEAST_COMMON = 1.0, 6
 
 

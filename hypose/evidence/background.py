@@ -22,10 +22,10 @@ Images = NDArray[np.uint8] | Sequence[NDArray[np.uint8]]
 _PLATE_SD = 5.0  # grey levels: a photo says nothing about noise, and light differs a little between photo and video
 _SD_FLOOR = 1.0  # 8-bit video cannot be quieter
 _AGREE = 40  # grey levels: photo and video within this show the same thing (for the gain)
-_BLACK, _AGREEING_SHARE = 10, 0.05  # grey levels that tell of no gain; share of the picture that has to tell of one
+_BLACK, _AGREEING_SHARE = 10, 0.05  # grey levels too dark to measure a gain; least share of the picture that must agree
 _STATIC = 12  # grey levels: a pixel within this of its median has not changed
 _OTHER_THING = 20  # grey levels: photo and median beyond this show different things
-_STATIC_SHARE = 0.6  # a thing must be there in this share of the frames to be called part of the room
+_STATIC_SHARE = 0.6  # least share of the frames in which a thing must be present to be part of the room
 _MIN_FREE = 4  # frames in which a pixel must be free of the person, and the share of all frames
 _MIN_FREE_SHARE = 0.12
 
@@ -118,7 +118,7 @@ def match_gain(plate: BackgroundModel, reference: NDArray[np.floating]) -> Backg
 def gain_between(mean: NDArray[np.float32], reference: NDArray[np.floating]) -> NDArray[np.float32]:
     """Compute the factors (3,) that scale the channels of `mean` (h, w, 3) to the reference's brightness: see
     `match_gain`."""
-    # numpy takes ten times as long to go along an axis of three
+    # ten times as fast as numpy along an axis of three
     apart = np.maximum.reduce([np.abs(mean[..., c] - reference[..., c]) for c in range(3)])
     agree = (apart < _AGREE) & (np.minimum.reduce([mean[..., c] for c in range(3)]) > _BLACK)
     if agree.mean() < _AGREEING_SHARE:
@@ -186,9 +186,9 @@ def _from_median_alone(stack: Image, median: NDArray[np.float32], sd: NDArray[np
     never, doubtful = float((share == 1).mean()), float((share < _STATIC_SHARE).mean())
     note = (
         f"The background is the median of the recording itself: {100 * never:.0f} % of the picture never changes, and "
-        "whoever stands still there is taken for a part of the room"
+        "a person who stands still there becomes a part of the background"
     )
-    note += f"; {100 * doubtful:.1f} % changes in most frames and is unsure" if doubtful > 0.002 else ""
+    note += f"; {100 * doubtful:.1f} % changes in most frames and is uncertain" if doubtful > 0.002 else ""
     return BackgroundModel(
         median,
         sd,
@@ -212,8 +212,8 @@ def _cure_ghosts(
     if still.any():
         ghost &= ~still
         note = (
-            "Hardly anything moves, so the largest thing that is not in the photo is taken for the person; if it is "
-            "not, take a photo of the room as it was during the recording."
+            "Hardly anything moves, so the largest thing that is not in the photo is taken as the person; if that is "
+            "wrong, take a photo of the room as it was during the recording."
         )
     pick = ghost[..., None]
     mean, spread = np.where(pick, median, plate.mean), np.where(pick, sd, plate.sd)

@@ -149,7 +149,7 @@ def likely_clusters(
     graph = coo_matrix((np.ones(len(pairs), np.bool_), (pairs[:, 0], pairs[:, 1])), shape=(len(points), len(points)))
     _, label = connected_components(graph, directed=False)
     counts = np.bincount(label)
-    # a rim voxel stands for about its face, a slanting one for more
+    # a rim voxel stands for the area of its face, on slanting surfaces for more
     area = counts * surface.spacing**2 / scale**2
     kept = np.flatnonzero((area >= settings.low) & (area <= settings.high))
     kept = kept[np.argsort(-counts[kept], kind="stable")]
@@ -226,8 +226,10 @@ def end_colors(
 ) -> ColorTable:
     """Learn the colours of a person's head and hands against the rest, from one frame with a known pose (D,).
 
-    images: (C, h, w, 3) uint8 BGR at the masks' pixels. Pixels count where the posed body shows a part at least a pixel
-        inside the mask.
+    silhouettes: masks of the frame; images: (C, h, w, 3) uint8 BGR at the masks' pixels. Pixels count where the posed
+        body shows a part at least a pixel inside the mask.
+    prior: share of head and hands among the pixels.
+    Returns: table of probabilities, see `skin.ColorTable`.
     Raises: InputError where pictures and masks differ in shape.
     """
     if images.shape[:3] != silhouettes.masks.shape:

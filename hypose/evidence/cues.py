@@ -60,7 +60,7 @@ class PoseMemory(Generic[_Found]):
     """Cache of results for single poses of a body."""
 
     def __init__(self) -> None:
-        # with the bodies, so that no other one gets the identity of a body that is gone
+        # bodies are kept too, so that no new body gets the identity of a deleted one
         self._found: dict[tuple[int, bytes], tuple[Body, _Found]] = {}
 
     def get(self, body: Body, pose: Array) -> _Found | None:
@@ -108,12 +108,16 @@ class SilhouetteEvidence(Evidence):
     _overlaps: PoseMemory[Array] = field(default_factory=PoseMemory, compare=False, repr=False)
 
     def energy(self, body: Body, poses: Array, limb: Limb | None = None) -> Array:
-        """Compute the energies (N,) of eq. 2.8."""
+        """Compute the silhouette energies (N,) of poses (N, D), eq. 2.8; limb: what alone differs between the poses."""
         use = self.masks.usable
         return (self.counts(body, poses, limb)[:, use, 0] / self.masks.norm[use]).sum(1)
 
     def counts(self, body: Body, poses: Array, limb: Limb | None = None) -> NDArray[np.int64]:
-        """Count the pixels (N, C, 3) of each pose and view: XOR, model, intersection."""
+        """Count the pixels of poses (N, D) against the masks of the views.
+
+        limb: what alone differs between the poses.
+        Returns: (N, C, 3) pixels of XOR, of the drawn body, and of the intersection.
+        """
         if not len(self.masks.usable):
             return np.zeros((len(poses), 0, 3), np.int64)
         given = body.skeleton.tree, body.coarse.arrays, self.masks
@@ -165,7 +169,7 @@ class KeypointEvidence(Evidence):
         with np.errstate(divide="ignore", invalid="ignore"):
             away = np.linalg.norm(h[..., :2] / h[..., 2:] - term.points[..., :2], axis=-1)
         away = np.where(h[..., 2] > 0, np.nan_to_num(away, nan=np.inf), np.inf)
-        ratio = np.minimum(away / (2 * term.scale_px), 1e3)  # a point behind a camera is as far off as can be
+        ratio = np.minimum(away / (2 * term.scale_px), 1e3)  # a point behind a camera has the largest distance
         used = np.where(term.points[..., 2] > term.min_confidence, term.points[..., 2], 0.0)
         return 2 * (used * np.log1p(ratio**2)).sum((1, 2))
 
@@ -181,10 +185,10 @@ class DepthEvidence(Evidence):
         return body.skeleton.tree, body.coarse.arrays, self.maps, MOST_M
 
     def energy(self, body: Body, poses: Array, limb: Limb | None = None) -> Array:
-        """Compute the mean depth difference (N,) over the person's pixels that the body covers, summed over the
-        sensors.
+        """Compute the depth energies (N,) of poses (N, D): mean depth difference over the person's pixels that the body
+        covers.
 
-        Pixels that the body does not cover are counted by the silhouettes.
+        It is the sum over the sensors. Pixels that the body does not cover are counted by the silhouettes.
         """
         if not self.seen:
             return np.zeros(len(poses))
@@ -330,12 +334,12 @@ class OwnCue(Evidence):
     frame: Frame
 
     def energy(self, body: Body, poses: Array, limb: Limb | None = None) -> Array:
-        """Compute the energies (N,) by the user's function."""
+        """Compute the energies (N,) of poses (N, D) by the user's function."""
         return np.asarray(self.source.energy(body, poses, self.frame))
 
 
 def own_evidence(sources: Sequence[OwnEvidence], body: Body, frame: Frame) -> list[Evidence]:
-    """Prepare the user's own evidence of a frame for a body."""
+    """Prepare the user's own sources of evidence in a frame, for a body."""
     rows = [one.rows(body, frame) for one in sources]
     terms = [() if term is None else (term,) for term in rows]
     return [OwnCue(_NO_VIEWS, own, one, frame) for one, own in zip(sources, terms, strict=True)]

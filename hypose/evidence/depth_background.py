@@ -119,7 +119,7 @@ def with_still_things(room: DepthBackground, maps: Sequence[DepthMap], camera: C
             area += float((middle[own] ** 2).sum() / (camera.K[0, 0] * camera.K[1, 1]))
     if not area:
         return room, 0.0
-    near = cv2.erode(things, np.ones((5, 5), np.uint8))  # at its edges values lie before the background
+    near = cv2.erode(things, np.ones((5, 5), np.uint8))  # values at its edges lie in front of the background
     depth = np.where(np.isfinite(things), things, np.minimum(near, np.where(room.depth > 0, room.depth, np.inf)))
     return DepthBackground(np.where(np.isfinite(depth), depth, 0.0).astype(np.float32), spread), area
 
@@ -133,6 +133,7 @@ def _place(camera: Camera, own: NDArray[np.bool_], depth: DepthMap) -> NDArray[n
 def person_before(depth: DepthMap, background: DepthBackground, focal_px: float | None = None) -> Mask:
     """Segment the person in front of the empty room: the largest thing and the parts near it, with holes filled.
 
+    depth: (h, w) map, m; background: the empty room.
     focal_px: focal length; with it, parts too far to the side are left out, because they are another person.
     Returns: (h, w) 0 or 1.
     Raises: InputError where map and room differ in size.
@@ -151,7 +152,10 @@ def person_before(depth: DepthMap, background: DepthBackground, focal_px: float 
 
 
 def people_before(depth: DepthMap, background: DepthBackground) -> Mask:
-    """Segment everything in front of the empty room, without specks, with holes filled; return (h, w) 0 or 1."""
+    """Segment everything in front of the empty room in a depth map (h, w), m, without specks and with holes filled.
+
+    Returns: (h, w) 0 or 1.
+    """
     before = _calm(before_room(depth, background.depth, background.sd, _SDS, _LEAST_M))
     _, found, stats, _ = cv2.connectedComponentsWithStats(before, connectivity=8)
     keep = np.asarray(stats, dtype=np.int64)[:, cv2.CC_STAT_AREA] >= _LEAST_PX
@@ -175,7 +179,11 @@ def person_on_floor(depth: DepthMap, camera: Camera, room: DepthMap | None = Non
 
 
 def people_on_floor(depth: DepthMap, camera: Camera, room: DepthMap | None = None) -> Mask:
-    """Segment everything on the floor that may be a person, or a part of one next to another; return (h, w) 0 or 1."""
+    """Segment everything on the floor of a depth map (h, w), m, that may be a person, or a part of one next to another.
+
+    camera: of the map; room: as for `person_on_floor`.
+    Returns: (h, w) 0 or 1.
+    """
     own = _standing(_without(depth, room), camera).people()
     return holes_filled(_calm(own), depth, np.zeros(depth.shape, dtype=np.bool_))
 
@@ -194,12 +202,12 @@ def unlike_people(maps: Sequence[DepthMap], camera: Camera) -> DepthMap:
     middle = np.asarray(np.nanmedian(values, axis=0), dtype=np.float32)
     apart = _tolerance(middle)
     still = known & (1.4826 * np.nanmedian(np.abs(values - middle), axis=0) < apart)
-    still &= (values > middle + apart).mean(0) < _FARTHER_SHARE  # else a person stood there, and went
+    still &= (values > middle + apart).mean(0) < _FARTHER_SHARE  # else a person stood there and left
     found = _standing(middle, camera)
     no_person = found.above & (found.people(_HEAD_M) == 0)
     count = int(found.labels.max()) + 1
     share = np.bincount(found.labels[still], minlength=count) / np.maximum(np.bincount(found.labels.ravel()), 1)
-    whole = (share > _WHOLE)[found.labels] & (found.labels > 0)  # not the middle of where a person passed
+    whole = (share > _WHOLE)[found.labels] & (found.labels > 0)  # not the middle of a place where a person passed
     rim = cv2.dilate(whole.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
     return np.where(still & no_person & rim, middle, 0).astype(np.float32)
 
@@ -260,7 +268,7 @@ class _Standing:
             return p.wide < 1 and any(np.linalg.norm(p.middle - m) < _REACH_M for m in middles)
 
         own = np.isin(self.labels, [*people, *(k for k, p in among.items() if nearby(p))]).astype(np.uint8)
-        rim = cv2.dilate(own, np.ones((3, 3), np.uint8)) > 0  # which no piece has
+        rim = cv2.dilate(own, np.ones((3, 3), np.uint8)) > 0  # rim pixels belong to no piece
         return (rim & self.above).astype(np.uint8)
 
 
@@ -279,7 +287,7 @@ def _standing(depth: DepthMap, camera: Camera) -> _Standing:
         wide = float(np.linalg.norm(np.ptp(np.percentile(points[:, :2], (2, 98), axis=0), axis=0)))
         tall, like = float(high - low), 0.0
         if _SMALL_M < tall < _TALL_M and wide <= _WIDE_M and not own[0].any():
-            area = float(sizes.sum())  # m^2; a person shows some 0.4 to 0.8
+            area = float(sizes.sum())  # m^2; a person shows about 0.4 to 0.8
             like = float(np.exp(-(np.log(area / _AREA_M2) ** 2)) * min(tall / 1.2, 1.0))
         head = float(sizes[points[:, 2] > high - _TOP_M].sum()) / _TOP_M
         pieces[int(k)] = _Piece(np.median(points[:, :2], axis=0), wide, float(high), head, like)
@@ -332,7 +340,7 @@ def _pieces(mask: NDArray[np.bool_], depth: DepthMap) -> tuple[NDArray[np.int32]
     near = np.where(mask, depth, 1e3).astype(np.float32)
     calm = mask & (cv2.dilate(far, kernel) - cv2.erode(near, kernel) < 2 * JUMP_M)
     labels, n = _labelled(calm)
-    # edge pixels go to the piece next to them
+    # edge pixels are added to the piece next to them
     grown = cv2.dilate(labels.astype(np.float32), kernel).astype(np.int32)
     return np.where(mask & (labels == 0), grown, labels).astype(np.int32), n
 
@@ -362,13 +370,13 @@ def _one_thing(before: Mask, depth: DepthMap, solid: NDArray[np.bool_], focal_px
     areas[0] = 0
     main = int(areas.argmax())
     usual = middle_of_piece(labels, main, depth)
-    if np.isnan(usual):  # a speck of holes
+    if np.isnan(usual):  # a speck without any measured pixel
         return np.zeros(depth.shape, np.uint8)
     nearby = _APART_M / usual * (np.inf if focal_px is None else focal_px)
     keep = np.zeros(n, dtype=np.uint8)
-    for k in np.flatnonzero(areas >= max(12, 0.01 * areas[main])):  # specks are many, and each costs a look
+    for k in np.flatnonzero(areas >= max(12, 0.01 * areas[main])):  # skip the many specks to save time
         if left[k] - right[main] > nearby or left[main] - right[k] > nearby:
             continue
-        keep[k] = k == main or abs(middle_of_piece(labels, int(k), depth) - usual) < 0.8  # never where all are holes
+        keep[k] = k == main or abs(middle_of_piece(labels, int(k), depth) - usual) < 0.8  # False where all are holes
     keep[main] = 1
     return holes_filled(keep.take(labels), depth, solid)

@@ -35,7 +35,7 @@ def camera_on_floor(depth: NDArray[np.float32], camera: Camera) -> Array:
     found = _plane(points, rng, _LEAST_SHARE * len(points))
     if found is None:
         raise EvidenceError(
-            "The depth map shows no floor; turn the sensor so that it stands upright and sees the floor before it, or "
+            "The depth map shows no floor; turn the sensor so that it stands upright and sees the floor in front, or "
             "write a recording.toml with its place in the calibration."
         )
     normal, offset = found
@@ -76,7 +76,7 @@ def _plane(points: Array, rng: np.random.Generator, least: float) -> tuple[Array
     if best is None or best[0] < least:
         return None
     _, normal, offset = best
-    for _ in range(5):  # all that lie in it
+    for _ in range(5):  # refit to all points in it
         inside = np.abs(points @ normal - offset) < _NEAR_M * (1 + points[:, 2] / 4)
         middle = points[inside].mean(0)
         own = np.linalg.svd(points[inside] - middle, full_matrices=False)[2][2]

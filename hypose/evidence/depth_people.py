@@ -178,8 +178,11 @@ def _nearby(of_depth: Silhouettes, of_colour: Silhouettes, colour: NDArray[np.bo
 def own_depth(
     silhouettes: Silhouettes, depth: Depth, own: StandingShape, others: Sequence[Other], anywhere: bool = False
 ) -> tuple[Silhouettes, Depth]:
-    """Extract the depth and the silhouettes of one person from maps that show several people; colour cameras become
-    unusable."""
+    """Extract the depth and the silhouettes of one person from maps that show several people.
+
+    own, others, anywhere: as for `own_silhouettes`.
+    Returns: silhouettes and depth of the person; views of colour cameras are not usable in them.
+    """
     at, points = depth.pixels
     mine_m = _away(own, at, points)
     theirs_m = np.full(len(points), np.inf)
@@ -196,11 +199,11 @@ def own_depth(
     for c in np.flatnonzero(usable):
         body, seen = masks[c], depth.maps[c]
         if not np.count_nonzero(body) > _LEAST_PX:
-            usable[c], reasons[c] = False, f"{depth.rig.names[int(c)]}: nothing of the person is to be seen"
+            usable[c], reasons[c] = False, f"{depth.rig.names[int(c)]}: no part of the person is visible"
             body[:] = 0
             continue
         whole, last = depth.person[c] > 0, float(np.percentile(seen[body > 0], 98)) + _BEHIND_M
-        # what lies between both sides of an edge, and holes, are of the nearest person, as for one person alone
+        # values between both sides of an edge, and holes, belong to the nearest person, as for one person alone
         body[whole & (taken[c] == 0) & (cv2.dilate(body, _EDGE) > 0)] = 1
         near = (taken[c] > 0) & (seen < last)
         rim = cv2.dilate(near.astype(np.uint8), _EDGE) > 0

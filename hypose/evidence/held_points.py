@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from hypose.geometry import Array
 
-_HELD = 3  # frames with the same place from which on it is held; the first of them is a detection
-_MOVING = 0.7  # share of the people's points in a frame that have to move on
-_COARSE = 0.1  # share of a view's places that repeat from which on they are rounded too far, or too still, to tell
-_LEAST_POINTS = 6  # points of a frame that tell whether the others move
+_HELD = 3  # frames with the same place from which a point is held; the first of them is a detection
+_MOVING = 0.7  # least share of the people's points in a frame that move
+_COARSE = 0.1  # share of repeated places in a view from which they are rounded too much, or too still, to decide
+_LEAST_POINTS = 6  # least points of a frame that show whether the others move
 
 
 def without_held(column: Sequence[Array | None], first: int = 0) -> tuple[list[Array | None], int]:
@@ -47,7 +47,7 @@ def without_held(column: Sequence[Array | None], first: int = 0) -> tuple[list[A
             held = there & (age >= _HELD) & moving
             people[held, 2], count = 0.0, count + int(held.sum())
             last = out[t - 1]
-            just = same & (held & (age == _HELD))[:, None]  # so was the frame before
+            just = same & (held & (age == _HELD))[:, None]  # the previous frame was held too
             if last is not None and just.any():
                 last[just.any(0), 2], count = 0.0, count + int(just.any(0).sum())
         before = np.where(there[..., None], place, np.nan), age

@@ -90,7 +90,7 @@ def common_view_bounds(rig: CameraRig) -> Array:
         raise EvidenceError(
             f"The optical axes of the cameras {', '.join(rig.names)} (nearly) run in parallel, so the place of "
             f"the person "
-            "cannot be guessed; give the bounds of the space."
+            "cannot be estimated; give the bounds of the space."
         )
     centre = np.linalg.solve(a, np.einsum("cij,cj->i", across, rig.positions))
     reach = float(np.linalg.norm(rig.positions - centre, axis=1).max())
@@ -161,7 +161,7 @@ def visual_hull(
             hits += hit
             if sure and not level:
                 plain += _free_cells(camera, given[c], sums[int(c)], centres, 0.0)[1]
-            # voxels that are out already are not looked at again
+            # voxels that are already excluded are not tested again
             left = len(views) - 1 - k
             open_ = (free <= miss) & (hits + left >= min_views) & (plain + left >= sure if not level else True)
             index, centres = index[open_], centres[open_]

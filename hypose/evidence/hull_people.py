@@ -130,7 +130,7 @@ def people_in_hull(
     try:
         bounds = common_view_bounds(silhouettes.rig)
         bounds = np.array([[*bounds[0, :2], floor - 0.3], [*bounds[1, :2], floor + 2.6]])
-        # no person known: all views that see the place; a person known: what they cover may be in the mask or not
+        # where people are known, the pixels that they cover may or may not be in the mask
         hull = visual_hull(left, bounds, VOXEL, min_views=least, largest=False, surely=least)
     except EvidenceError:
         return []
@@ -163,7 +163,7 @@ def _axes(hull: Hull, floor: float, most: int, surface: float) -> list[tuple[Arr
         if not free[i + beyond, j + beyond]:
             continue
         taken = small
-        # most places have too little around them for anybody
+        # most places have too little hull around them
         if _within(filled, i, j, disc) * litre > (surface or CHILD_LITRES):
             axis = hull.origin[:2] + (np.array([i, j]) - _RIM) * hull.voxel
             away = np.linalg.norm(points[:, :2] - axis, axis=1)
@@ -174,7 +174,7 @@ def _axes(hull: Hull, floor: float, most: int, surface: float) -> list[tuple[Arr
         free[i + beyond - r : i + beyond + r + 1, j + beyond - r : j + beyond + r + 1] &= ~taken
     if not axes:
         return []
-    # judged again by the nearest voxels of each: knees and arms before a trunk are no person
+    # tested again with the nearest voxels of each: knees and arms in front of a trunk are no person
     while True:
         away = np.linalg.norm(points[:, None, :2] - np.array(axes), axis=2)
         nearest = away.argmin(1)

@@ -19,8 +19,8 @@ from hypose.geometry import Array, se3_inverse
 
 _FRAMES = 24
 _FINE = 0.06  # median distance from the other views' triangulation, in sizes of the person in that picture
-_DOUBTFUL = 0.025  # from which other readings are tried
-_BETTER = 0.35  # share of the plain reading's distance that another one may leave to be believed
+_DOUBTFUL = 0.025  # disagreement from which misreadings are tried
+_BETTER = 0.35  # largest share of the disagreement that a misreading may leave to be accepted
 _NO_BODY = 0.3
 # m, of an adult
 _LENGTHS = (
@@ -58,7 +58,7 @@ def misread(people: Sequence[Sequence[Array | None]], names: Sequence[str], rig:
         return None
     left, wrong = found
     if _other_cameras(points, rig) < min(_FINE, _BETTER * plain, left):
-        return None  # it is the calibration that is wrong, and the person who looks at the cameras says how
+        return None  # the calibration is wrong, which other checks report
     return wrong
 
 
@@ -85,10 +85,10 @@ def _misread(points: Array, plain: float, names: Sequence[str], rig: CameraRig) 
                     return left, f"in view {name} {what}"
     world = _well_known(points, rig)
     if plain < 2 * _FINE and _disproportion(world, names) > _NO_BODY:
-        return plain, "the bones between them have lengths that no body has, so that their order must be another"
+        return plain, "the bones between them have lengths that no body has, so the points must be in another order"
     mirrored = _mirrored(world, names)
     if mirrored and plain < 2 * _FINE:
-        return plain, "the person is mirrored: their y counts upwards, or left and right are exchanged in their names"
+        return plain, "the person is mirrored: y counts upwards, or left and right are exchanged in the names"
     return None
 
 

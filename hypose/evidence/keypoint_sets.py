@@ -56,7 +56,7 @@ _BONES: tuple[tuple[str, str, float], ...] = (
 )
 IMPLAUSIBLE = 0.25
 """Mean excess of bones over their longest usual length, in units of it, from which a set is impossible."""
-_SCATTER = 1.3  # of the bones' ratios to their longest around the usual one, by posture and perspective
+_SCATTER = 1.3  # scatter of the ratios due to posture and perspective
 _ENOUGH = 30  # seen bones that the judgement needs
 
 
@@ -139,7 +139,7 @@ def bone_excess(points: ArrayLike, keypoint_set: str) -> float:
         ratios.append(float(np.median(share)) / longest)
     if bones < _ENOUGH or len(ratios) < 5:
         return float("nan")
-    # where only a part of the person is in the picture all bones are long alike
+    # where only a part of the person is in the picture, all bones are too long by the same factor
     alike = max(1.0, float(np.median(ratios)))
     return float(np.mean(np.clip(np.array(ratios) / alike - _SCATTER, 0.0, 3.0)))
 
@@ -175,8 +175,8 @@ def set_of_points(views: Sequence[Array], stated: str | None, usual: Sequence[st
         return stated, "stated"
     if excess[better] > IMPLAUSIBLE:
         raise InputError(
-            f"there are {count} points per person, but as {better} their bones have impossible lengths, so their order "
-            "is another; export one of the sets " + ", ".join(KEYPOINT_SETS) + "."
+            f"there are {count} points per person, but as {better} their bones have impossible lengths, so they are "
+            "in another order; export one of the sets " + ", ".join(KEYPOINT_SETS) + "."
         )
     others = [excess[s] for s in fitting if s != better and excess[s] == excess[s]]
     if others and min(others) - excess[better] > 0.4 * IMPLAUSIBLE:

@@ -143,7 +143,7 @@ def parse_openpose(
         except (ValueError, RecursionError) as problem:
             raise InputError(f"{source} is not JSON ({problem}); export it from the detector again.") from None
     found = document.get("people") if isinstance(document, Mapping) else None
-    found = [] if found == {} else found  # what some writers make of an empty list
+    found = [] if found == {} else found  # some writers write an empty list so
     if not isinstance(found, list):
         raise InputError(
             f'{source} is not an OpenPose-style file: it needs a list "people"; export key points in the '
@@ -367,7 +367,7 @@ def thick_skeleton(
     if len(torso) == 4:
         cv2.fillConvexPoly(mask, cv2.convexHull(np.array(torso, dtype=np.int32)), 1)
     thighs = [n for side in ("left", "right") for n in (f"{side}_hip", f"{side}_knee")]
-    if all(n in at for n in thighs):  # between the thighs: shorts, and what the hip points, set too high, leave out
+    if all(n in at for n in thighs):  # between the thighs: shorts, and the part that hip points set too high leave out
         hips = np.array([at[n] for n in thighs], dtype=np.float64).reshape(2, 2, 2)
         middle = 0.6 * hips[:, 0] + 0.4 * hips[:, 1]
         cv2.fillConvexPoly(mask, cv2.convexHull(np.rint([*hips[:, 0], *middle]).astype(np.int32)), 1)

@@ -23,12 +23,12 @@ from hypose.geometry import Array
 
 _LEAST_CONFIDENCE = 0.1
 _LEAST_POINTS = 4
-_PATIENCE = 1.2  # s for which a view follows a person by itself
-_PART = 0.1  # share of the clip for which a person has to be there to be looked at
-_AGREED = 0.3  # share of the frames in which two views show a person, in which rays have to agree on the person
-_FITS = 0.25  # share of a view's frames with a person, from which it sees the person where the others do
-_NEAR_M, _HITS = 0.08, 0.75  # m from the person's points, and share of a view's key points that lie so near to them
-_SAME = 0.06  # distance from the epipolar lines, in sizes of the person, up to which it may be the same one
+_PATIENCE = 1.2  # s without detections after which a view's own track ends
+_PART = 0.1  # least share of the clip in which a person must be present
+_AGREED = 0.3  # least share of the frames with a person in two views in which the rays must agree
+_FITS = 0.25  # least share of a view's frames with a person in which it is where the others see it
+_NEAR_M, _HITS = 0.08, 0.75  # m from the person's points, and least share of a view's key points within it
+_SAME = 0.06  # largest distance from the epipolar lines, in sizes of the person, of the same person
 _COMPARED = 3  # people per view that are compared by their motion
 
 
@@ -87,7 +87,7 @@ def one_person(
     number = choose(tracks)
     together = int((shown.sum(1) > 1).sum())
     if number is None or (tracks[number].seen.sum(1) > 1).sum() < _AGREED * together:
-        said = ("the views' key points agree on no person's place: motion alone decided who is who",)
+        said = ("the views' key points agree on no place of a person: people were matched by motion alone",)
         return _by_motion(columns, of_view, names, width, said if several and together else ())
     person = tracks[number]
     points = np.zeros((frames, views, len(names), width))
@@ -106,24 +106,24 @@ def one_person(
             for t in (person, twice[0])
         ]
         notes.append(
-            f"{sides[0]} show somebody at one place, {sides[1]} at another, and no view shows both: it may be one "
-            "person, and the key points or the calibration of two views exchanged; run hypose check"
+            f"{sides[0]} show a person at one place, {sides[1]} at another, and no view shows both: it may be one "
+            "person, and the key points or the calibration of two views may be exchanged; run hypose check"
         )
     of_all = tuple(notes)
     if others and not twice:
         notes.append(
-            f"several people ({1 + len(others)}) are seen by two views or more: followed is the one who is seen most, "
+            f"several people ({1 + len(others)}) are seen by two views or more: the one seen most is tracked, "
             f"in {int((person.seen.sum(1) > 1).sum())} of {frames} frames"
         )
     for c in apart:
         if keep_misfits:
             points[:, c] = _alike(columns[c], of_view(c), np.delete(points, [*apart], 1), names, width)
             continue
-        points[:, c] = 0.0  # what fits now and then does so by chance
+        points[:, c] = 0.0  # what fits in some frames does so by chance
         if not twice:
             notes.append(
-                f"view {rig.names[c]}: its key points show nobody where the other views see the person, and are left "
-                "out; if it is the same person, run hypose check, which looks for what is wrong with this camera"
+                f"view {rig.names[c]}: its key points show no person where the other views see the person, and are "
+                "left out; if it is the same person, run hypose check, which finds what is wrong with this camera"
             )
     strangers = [rig.names[c] for c in range(views) if c not in apart and _stranger(columns[c], tracks, c, frames)]
     if strangers and not others:
@@ -274,8 +274,8 @@ def _continued(track: ViewTrack, tracks: Sequence[ViewTrack]) -> NDArray[np.int6
 # different people do not. Neither poses nor lenses have to be right for that.
 
 
-_JUMP = 0.35  # share of the person's size that its points move from frame to frame (median)
-_MOST_PAIRS = 1500  # pairs of points that a fundamental matrix is made of
+_JUMP = 0.35  # largest motion of a person's points between frames (median), in sizes of the person
+_MOST_PAIRS = 1500  # most pairs of points from which a fundamental matrix is computed
 _FEWEST_PAIRS = 60  # with fewer nothing is known
 
 

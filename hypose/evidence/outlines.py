@@ -115,7 +115,7 @@ def outline_in_box(
 
 
 def outline_of_runs(runs: MaskRuns, count: int, working_height: int) -> ViewOutline:
-    """Compute the outline of a packed mask, as `outline_in_box` does."""
+    """Compute the outline of a packed mask; count points, working_height px as for `outline_in_box`."""
     draw = partial(mask_runs.draw, runs)
     return _outline_around(draw, runs.box, runs.shape, count, working_height)
 
@@ -132,7 +132,7 @@ def _outline_around(
     extent = max(box[1] - box[0], box[3] - box[2])
     halves = _halves(extent, working_height)
     y0, y1, x0, x1 = _around(box, shape, halves)
-    if extent <= SMALLEST or box[0] >= y1 or box[2] >= x1:  # a sliver in rows or columns that are left over
+    if extent <= SMALLEST or box[0] >= y1 or box[2] >= x1:  # only in rows or columns outside whole blocks
         return _no_outline((2, 2), count, extent, working_height)
     mask = np.zeros((y1 - y0, x1 - x0), np.uint8)
     put(mask, (y0, x0))
@@ -194,11 +194,11 @@ def shared_outline(
         return nothing
     open_pixels = most - least
     corner = (2 * left // halves, 2 * top // halves)
-    if not cv2.countNonZero(open_pixels):  # no person is ignored so near to the person
+    if not cv2.countNonZero(open_pixels):  # no ignored pixels are near the person
         points += np.array(corner, np.float32)
         return ViewOutline(low, points, found, extent, halves / 2, corner, working_height)
     high = signed_distance(most[None], np.array([size]), reach)[0]
-    distance = np.where(low - high > KNOWN_PX, np.float32(NOT_KNOWN), low)  # as it is in all open pixels
+    distance = np.where(low - high > KNOWN_PX, np.float32(NOT_KNOWN), low)  # true in all open pixels
     nearby = cv2.dilate(open_pixels, _NEARBY)
     at = np.clip(np.rint(points), 0, np.array(size) - 1).astype(int)
     own = nearby[at[:, 1], at[:, 0]] == 0

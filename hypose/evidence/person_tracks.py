@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 
 from hypose.geometry import Array
 
-_SEEN_POINTS = 4  # key points in a view from which it sees the person
+_SEEN_POINTS = 4  # least key points in a view that sees the person
 _BONES = tuple(
     (f"{side}_{a}", f"{side}_{b}")
     for side in ("left", "right")
     for a, b in (("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"), ("shoulder", "hip"))
 )
-_WALK, _NEAR_M = 2.5, 0.5  # m/s and m that a person is away after not having been seen
-_ALIKE = 0.12  # mean difference of the logarithms of bones' lengths up to which it may be the same body
+_WALK, _NEAR_M = 2.5, 0.5  # m/s and m: largest distance of a person after a gap
+_ALIKE = 0.12  # largest mean difference of the logarithms of bones' lengths of the same body
 
 
 @dataclass(frozen=True)

@@ -45,7 +45,7 @@ _NOTHING = _Made()
 
 
 def _keep(silhouettes: Silhouettes, made: _Made) -> None:
-    object.__setattr__(silhouettes, "ahead", made)  # a value with a memory, as with a cached property
+    object.__setattr__(silhouettes, "ahead", made)  # a frozen value with a cache, like a cached property
 
 
 def make_ahead(silhouettes: Silhouettes, views: _Views) -> None:
@@ -64,7 +64,7 @@ def look_ahead(frames: Iterable[Frame], count: int = 2) -> Generator[Frame, None
     An exception raised while reading a frame is raised at that frame's turn.
     """
     source = iter(frames)
-    context = copy_context()  # which back end to use is said there
+    context = copy_context()  # it holds the choice of the back end
     pool = ThreadPoolExecutor(1, thread_name_prefix="ahead")
     try:
         waiting: deque[Future[Frame | None]] = deque(pool.submit(context.run, _next, source) for _ in range(count))

@@ -17,9 +17,9 @@ from hypose.geometry import Array
 NOT_COMPARABLE_M = 9.0
 """m: distance that stands for pairs that cannot be compared."""
 _LEAST_CONFIDENCE = 0.1  # least confidence of a point that counts
-_NEAREST = 0.3  # m before a camera
-_PARALLEL = 0.05  # sine of the angle between two rays below which their distance says nothing
-_PRIOR = 0.7  # how many views a prediction counts for
+_NEAREST = 0.3  # m, least distance in front of a camera
+_PARALLEL = 0.05  # least sine of the angle between two rays whose distance is used
+_PRIOR = 0.7  # weight of a prediction, in views
 _PRIOR_M = 0.35
 
 

@@ -69,7 +69,7 @@ class BodyShape:
         if view not in self._kept:
             y0, y1, x0, x1 = self.boxes[view].tolist()
             uv, z = (a[view] for a in self._projected)
-            closed = bool(z.min() > _NEAR_M)  # else a part lies behind the camera, and the rest has a hole
+            closed = bool(z.min() > _NEAR_M)  # else a part lies behind the camera and the surface has a hole
             shape = max(y1 - y0, 0), max(x1 - x0, 0)
             self._kept[view] = covered(uv.T - (x0, y0), z, self.faces, shape, closed)
         return self._kept[view]
@@ -115,7 +115,7 @@ def _hide(ignored: NDArray[np.uint8], shape: StandingShape, view: int, share: fl
     """Draw the widened silhouette of a shape into ignored (h, w), inside y0, y1, x0, x1, in place."""
     y0, y1, x0, x1 = shape.boxes[view].tolist()
     px = max(1, round(share * max(y1 - y0, x1 - x0)))
-    top, bottom = max(y0, within[0] - px), min(y1, within[1] + px)  # what of it reaches in there
+    top, bottom = max(y0, within[0] - px), min(y1, within[1] + px)  # the part that reaches into the region
     left, right = max(x0, within[2] - px), min(x1, within[3] + px)
     if top >= bottom or left >= right:
         return
@@ -134,9 +134,9 @@ def _disc(radius: int) -> cv2.typing.MatLike:
 
 
 def without(silhouettes: Silhouettes, others: Sequence[Other]) -> Silhouettes:
-    """Mark the pixels of all the other people as ignored.
+    """Mark the pixels of other people in the silhouettes as ignored.
 
-    No person's place is expected, so the result is for hulls and not for outlines.
+    No person's place is expected in the result, so it is for hulls and not for outlines.
     """
     if not others:
         return silhouettes
@@ -186,7 +186,7 @@ def own_silhouettes(
             boxes[c] = part
         known = masks[at] if ignored is None else masks[at] > ignored[at]
         if not known.any():
-            usable[c], reasons[c] = False, f"{silhouettes.rig.names[c]}: nothing of the person is to be seen"
+            usable[c], reasons[c] = False, f"{silhouettes.rig.names[c]}: no part of the person is visible"
     expected = None if ignored is None else Expected(boxes, areas)
     return Silhouettes(masks, silhouettes.rig, usable, tuple(reasons), ignored, expected)
 

@@ -144,7 +144,7 @@ class _Segmenter:
             return mask_runs.clean(mask_runs.no_bits(h, w), (h, w), mask_runs.Cleaning())
         bits = self._differ(image, box)
         allowed = None if band is None else mask_runs.bits_of(band)
-        if self._unseen is not None:  # the room is unknown there: the person if anything says so, else nothing
+        if self._unseen is not None:  # the room is unknown there: the person where the band allows it, else nothing
             bits &= ~self._unseen
             if allowed is not None:
                 bits |= self._unseen & allowed
@@ -286,10 +286,10 @@ def _dim_level(a: NDArray[Any], top: int, half: float, source: str) -> float:
     if len(levels) <= _LABELS:
         shown = ", ".join(str(v) for v in levels[:4]) + (", ..." if len(levels) > 4 else "")
         raise InputError(
-            f"{source} holds the labels {shown}, and which of them is the person is not known; write masks of the "
+            f"{source} holds the labels {shown}, but not which of them is the person; write masks of the "
             "person alone (0 and 255)."
         )
-    return half  # faint grey, as of a picture in which no person was found
+    return half  # faint grey: probably no person was found
 
 
 def flag_collapsed(

@@ -87,7 +87,7 @@ ColorTable = NDArray[np.float32]
 
 @cache
 def skin_table(prior: float = 0.3) -> ColorTable:
-    """Compute the posterior of Jones & Rehg as a table."""
+    """Compute the posterior of Jones & Rehg, P(skin | colour), as a table; prior: share of skin among the pixels."""
     b, g, r = np.meshgrid(_CENTRES, _CENTRES, _CENTRES, indexing="ij")
     return skin_posterior(np.stack([r, g, b], -1), prior).astype(np.float32)
 
@@ -99,8 +99,10 @@ def learned_table(
     rest.
 
     ends: (N, 3), rest: (M, 3) uint8 BGR pixels of head and hands, and of the clothes, from a frame with a known pose.
+    prior: share of head and hands among the pixels.
     trust: number of similar pixels at which the learnt colours get half of the weight; the rest is the posterior of
         Jones & Rehg.
+    Returns: table of probabilities, see `ColorTable`.
     Colours are compared in brightness and two colour ratios, smoothed, so that shading matters little. Why: the
     published model misses dark skin and skin in shade (recall of hands 0.1 to 0.5 on rendered scenes, where this one
     has 0.5 to 0.9).
@@ -127,7 +129,7 @@ def _chroma_bins(bgr: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.int64], 
 def _smoothed(pixels: NDArray[np.uint8]) -> Array:
     counts = np.zeros((16, 40, 40))
     np.add.at(counts, _chroma_bins(pixels), 1.0)
-    return np.asarray(ndimage.gaussian_filter(counts, (1.5, 1.2, 1.2), truncate=3.0)) * 20.0  # about the pixels near by
+    return np.asarray(ndimage.gaussian_filter(counts, (1.5, 1.2, 1.2), truncate=3.0)) * 20.0  # nearby pixels
 
 
 def skin_map(

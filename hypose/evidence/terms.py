@@ -59,7 +59,7 @@ class Evidence:
 
     @property
     def seen(self) -> bool:
-        """Whether any view carries it."""
+        """Whether any view or sensor carries this cue."""
         return bool(self.views.any())
 
     def energy(self, body: Body, poses: Array, limb: Limb | None = None) -> Array:
@@ -76,7 +76,8 @@ class Evidence:
 
 
 class Piece(Protocol):
-    """Interface of one more cue that a frame carries, as it was measured; its own file defines everything it needs."""
+    """Interface of a further cue that a frame carries, as it was measured; the file of a cue defines all that it
+    needs."""
 
     def prepared(self, body: Body) -> Evidence:
         """Prepare the cue for a search and for solves of a body."""

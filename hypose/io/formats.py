@@ -134,7 +134,7 @@ class FormatTable:
 _TABLES = (
     "hypose.io.calibrations.calibration_formats:CALIBRATIONS",
     "hypose.io.keypoints.keypoint_files:KEYPOINTS",
-    "hypose.io.motions.export:MOTIONS",
+    "hypose.io.motions.export:MOTION_FILES",
     "hypose.io.sensors.skeleton_files:SKELETONS",
 )
 

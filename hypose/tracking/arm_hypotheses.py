@@ -107,7 +107,7 @@ class RefineRivals:
         """Compute the hypotheses that are kept, best first."""
         s, c = frame.body.skeleton, self.contest
         winner, alive, last = member(h, SOLVED), *_best_first(frame)
-        if not frame.silhouettes.seen:  # nothing to compare them by
+        if not frame.silhouettes.seen:  # without masks hypotheses cannot be compared
             return _roles(Hypotheses(s.clamp(winner[None]), np.zeros(1), columns={BEFORE: last[:1]}))
         old = s.on_branch(alive.values[1:], frame.prediction)
         composite = self._composite(h, winner, frame)
@@ -135,7 +135,7 @@ class RefineRivals:
             found = found.marked(role, np.arange(row, row + len(of)))
             row += len(of)
         living = self._living(scores, costs, at.reshape(len(poses), -1, 3), frame)
-        for one in frame.evidence:  # the estimate, which is clamped, is asked about again
+        for one in frame.evidence:  # the clamped estimate is evaluated again later
             one.same(frame.body, poses[living[0]], found.values[living[0]])
         return _roles(found.take(living))
 
@@ -171,7 +171,7 @@ class RefineRivals:
         """
         costs = mismatch(poses, frame, expected=expected)
         said = self.colours.weight * colour_scores(poses, frame, self.colours)
-        # key points know better where hands are
+        # key points are more accurate on hands
         given = frame.keypoints.seen or any(isinstance(term, PointTerm) for term in frame.terms)
         if given or known_colours(frame, self.colours) is None:
             return poses, costs, said
@@ -293,7 +293,7 @@ def rival_arms(
     if not len(good):
         return []
     poses = np.repeat(pose[None], len(good) + 1, 0)
-    poses[1:, arm.own] = arm.poses[good]  # the first one stands
+    poses[1:, arm.own] = arm.poses[good]  # the first one stays unchanged
     energy = limb_energy(poses, frame, arm.moving, rest, look.ratio, standing)
     at, chosen = arm.ends[good], list[int]()
     for n in np.argsort(energy[1:], kind="stable"):

@@ -84,7 +84,7 @@ class ArmReach:
         return self.score_in(points, pose, frame.silhouettes.masks, rest, cutoff)
 
     def score_in(self, points: Array, pose: Array, masks: PreparedMasks, rest: Standing, cutoff: float) -> Array:
-        """Compute `score` against given masks."""
+        """Compute the scores of `score` against given masks instead of a frame's."""
         rotation, centre = self.body.skeleton.forward(pose)
         return reach.score_points(points, self.area, rotation[self.parent], centre[self.parent], masks, rest, cutoff)
 
@@ -115,7 +115,7 @@ def arm_ends(arms: Sequence[ArmReach], poses: Array) -> Array:
     rotations, centres = arms[0].body.skeleton.forward(poses)
     parents = [arm.parent for arm in arms]
     wrists = [arm.chain[2] for arm in arms]
-    at = centres[:, [arm.chain[1:] + arm.chain[2:] for arm in arms]]  # elbow, wrist, and from there on the hand
+    at = centres[:, [arm.chain[1:] + arm.chain[2:] for arm in arms]]  # elbow, wrist, hand (from the wrist)
     at[:, :, 2] += _ALONG[2][1] * np.einsum("naij,aj->nai", rotations[:, wrists], np.stack([a.tip for a in arms]))
     return np.einsum("naji,nakj->naki", rotations[:, parents], at - centres[:, parents, None])
 

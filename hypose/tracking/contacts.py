@@ -118,7 +118,7 @@ def find_contacts(
 
 
 def contact_terms(contacts: Contacts, soles: Soles, settings: ContactSettings | None = None) -> list[list[PointTerm]]:
-    """Build the terms that hold the soles in every frame, one list per frame."""
+    """Build the solver terms that hold the soles at their contacts, one list per frame."""
     o = settings or ContactSettings()
     return [
         [PointTerm(place[on], np.ones(int(on.sum())), soles.joint[on], soles.offset[on], o.hold)]

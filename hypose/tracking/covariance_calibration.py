@@ -81,7 +81,7 @@ def lasting_residuals(
     apart = max(1, min(round(LASTING_S * frame_rate), len(poses) // 2))
 
     def later(values: Array) -> Array:
-        """Sum over the frames that are at least `apart` frames later."""
+        """Sum values (T, ...) over the frames that are at least `apart` frames later."""
         total = np.zeros_like(values)
         total[:-apart] = values[apart:][::-1].cumsum(0)[::-1]
         return total
@@ -92,7 +92,7 @@ def lasting_residuals(
     left = np.maximum(2 * views - 3, 1) / np.maximum(2 * views, 1)  # share of the errors that a fit leaves as residual
     power = np.where(pairs > 0, power / np.maximum(pairs, 1e-9), 0.0) / left
     of_view, of_point = np.maximum(power.sum(1), 0.0), np.maximum(power.sum(0), 0.0)
-    # where noise alone is left, parts of both signs cancel, and no sum of them is a divisor
+    # where only noise is left, terms of both signs cancel, so their sum cannot be the divisor
     whole = max(float(power.sum()), float(of_view.sum()), float(of_point.sum()), 1e-12)
     return np.outer(of_view, of_point) / whole, weights
 
@@ -100,8 +100,11 @@ def lasting_residuals(
 def systematic_covariance(
     body: Body, model: KeypointModel, keypoints: Sequence[Keypoints | None], poses: Array, frame_rate: float
 ) -> Array:
-    """Compute the systematic error (T, J, 3, 3), m^2, of the joints of a clip that was solved on key points.
+    """Compute the systematic error of the joints of a clip that was solved on key points.
 
+    model: where key points sit on the body; keypoints: T frames, None where there are none; poses: (T, D) the solved
+        clip.
+    Returns: (T, J, 3, 3) covariances, m^2.
     The error of single views is propagated through the triangulation of the views that see the point, weighted as in
     the solve. The shared error (SHARED) is the same in all directions. Joints without a key point of their own get the
     mean of all. For BlazePose, whose weight is lower when there are masks too, the result is reduced by that weight.
@@ -132,7 +135,7 @@ def systematic_covariance(
 
 
 _STEP = 1e-4
-_PRIOR_INFORMATION = 0.05  # information that anatomy gives every coordinate, 1 / rad^2: nothing turns more than it can
+_PRIOR_INFORMATION = 0.05  # 1 / rad^2: information of the joint limits
 _SETS = {
     "pelvis": (("pelvis",), ("pelvis",)),
     "lumbar": (("lumbar",), ("spine", "chest")),

@@ -74,10 +74,10 @@ def weigh_against_masks(body: Body, model: KeypointModel, frames: Sequence[Frame
         if not tell.any():
             continue
         noise = max(float(usual * np.median(scatter[tell])) / left, 1e-8)
-        # half of the views are right, or the outlines are not
+        # assume that at least half of the views are right
         alike = tell & (away <= _CLEARLY**2 * max(float(np.sort(away[tell])[(tell.sum() - 1) // 2]), noise))
         off = tell & ~alike
-        if off.any():  # the body that is solved for by the points has come between them
+        if off.any():  # the body solved on the points lies between the right and the wrong points
             noise = min(noise, float(np.median(away[alike])))
         wrong = max(float(np.median(away[alike])) - noise - lasting, 0.0)
         theirs = np.where(off, np.fmax(away - wrong, noise), noise) + lasting
@@ -85,7 +85,7 @@ def weigh_against_masks(body: Body, model: KeypointModel, frames: Sequence[Frame
         apart = np.max(scatter[tell]) > _APART * usual
         cue_weight[:, members] = np.clip(weight, np.where(off & apart, 0.0, LEAST_POINT_WEIGHT), 1.0)[:, None]
     known = np.isfinite(cue_weight).any(0)
-    # limbs of which too little is seen to tell are no better known than the others
+    # limbs of which too little is seen get the median weight of the others
     cue_weight[:, ~known] = np.median(cue_weight[:, known], axis=1, keepdims=True) if known.any() else 1.0
     return replace(model, cue_weight=cue_weight)
 

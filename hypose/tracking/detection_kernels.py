@@ -78,7 +78,7 @@ def found_ends(body: Body, ends: Ends, frame: PreparedFrame) -> dict[int, Array]
         unnamed = detections.part == UNNAMED
         for k in np.flatnonzero(~unnamed):
             found[int(detections.part[k])] = detections.points[k]
-        # an end that has a name already is not given away again
+        # ends with named detections are not assigned again
         free = [i for i in range(len(LIMITS)) if i not in found]
         points = detections.points[unnamed]
         now = ends.positions(body, frame.prediction[None])[0]
@@ -210,7 +210,7 @@ class DetectorDriven:
     least: float = 0.25
 
     def __call__(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
-        """Move the set; the roles store the kinds."""
+        """Return the moved set: a part posed on the detection, the rest diffused; the roles store which is which."""
         moved = self.base(h, frame, rng)
         found = found_ends(self.body, self.ends, frame)
         end = next((i for i in self.end if i in found), None)
@@ -288,7 +288,7 @@ class DetectionCost:
     kappa: float
 
     def __call__(self, h: Hypotheses, frame: PreparedFrame, /) -> Array:
-        """Compute the energies (N,)."""
+        """Compute the energies (N,) of the hypotheses."""
         found = found_ends(self.body, self.ends, frame)
         if not found:
             return np.zeros(h.count)

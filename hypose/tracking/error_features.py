@@ -18,10 +18,10 @@ _CLEAR = 0.05
 """IoU by which the body turned around, or with exchanged legs, is worse where there is no doubt"""
 _SLOW, _USUAL_PACE = 0.05, 0.35
 """m/s relative to the pelvis: slower limbs are at rest; pace assumed for limbs of which only one frame is known"""
-_USUAL_LOOSE_M = 0.01  # of arms that were not looked at
-_LITTLE = 3e-4  # m^2 of bare mask
-_OF_BODIES_M2 = 0.0022  # m^2 of it about a joint in a view, median over a clip, that bodies alone in usual masks have
-_EXPOSED_SHARE = 0.25  # share of a part that is exposed in two views at least
+_USUAL_LOOSE_M = 0.01  # for arms that were not searched
+_LITTLE = 3e-4  # m^2 of uncovered mask
+_OF_BODIES_M2 = 0.0022  # m^2 of uncovered mask per joint and view, median over a clip, without clothes or bags
+_EXPOSED_SHARE = 0.25  # least share of a part that is visible in two views
 OF_CLIP = ("cost", "outside_body", "bare_body", "log_sd", "loose", "outside", "bare_second", "rival")
 """Features whose mean over a clip is a feature too: it says what kind of clip it is. The same area of uncovered mask
 means much in a clip that fits well, and little where the person wears a coat."""
@@ -100,7 +100,7 @@ def clip_features(motion: Motion, raw_joints: Array, audit: ArrayLike) -> Array:
     cost = np.nan_to_num(motion.cost)[:, None] * np.ones(count)
     seen = np.where(masks, a["exposed_second"] > _EXPOSED_SHARE, False)
     two = a["points_views"] >= 2
-    # a frame that shows no point of a joint has no distance to it; nearby frames have
+    # frames without a point of the joint get the distance from nearby frames
     gone = (a["points_views"] == 0) & points & (seconds_away(a["points_views"] > 0, rate) <= AROUND_S)
     for n in ("points_median", "points_worst"):
         a[n] = np.where(gone, _carried(np.where(a["points_views"] > 0, a[n], np.nan)), a[n])

@@ -146,7 +146,7 @@ def error_models() -> Mapping[str, ErrorModel]:
     fitted."""
     kept = json.loads(files("hypose.assets").joinpath("doubt.json").read_text(encoding="utf-8"))
     if kept["features"] != list(FEATURES) or kept["groups"] != list(GROUPS):
-        raise ValueError("assets/doubt.json belongs to other features; run scripts/train_doubt.py")
+        raise ValueError("assets/doubt.json was fitted to other features; run scripts/train_doubt.py")
     return {
         evidence: ErrorModel(*(np.array(m[k]) for k in (f.name for f in fields(ErrorModel))))
         for evidence, m in kept["models"].items()
@@ -236,7 +236,7 @@ the good frames reach it (16 % have a doubtful joint), and 91 % of those with a 
 
 
 def probability(odds: Array) -> Array:
-    """Convert log-odds to probabilities."""
+    """Convert log-odds to probabilities, 1 / (1 + exp(-odds))."""
     return 1 / (1 + np.exp(-np.clip(odds, -30.0, 30.0)))
 
 
@@ -283,7 +283,7 @@ def as_mixture(motion: Motion) -> Motion:
 
 
 def without_mixture(motion: Motion) -> Motion:
-    """Undo `as_mixture`, for fitting again."""
+    """Undo `as_mixture`: remove its widening from the motion's covariances, for fitting again."""
     return _with_other_case(motion, -1.0)
 
 

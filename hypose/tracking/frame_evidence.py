@@ -118,10 +118,16 @@ def prepare(
     own: Sequence[OwnEvidence] = (),
     done: int = 0,
 ) -> PreparedFrame:
-    """Prepare a frame for `body`; see PreparedFrame for the arguments.
+    """Prepare a frame's evidence for the search of `body`.
 
-    A frame with the picture of one camera is not prepared; only unwanted cues are left out.
+    prediction: (D,) predicted pose.
+    use_silhouettes, use_keypoints: cues that are wanted; depth and further cues are used where they exist.
+    contour_weight: of a contour row; keypoint_scale_px: noise of key points where it is not measured.
+    keypoints_on_body: where key points sit on the body (default: at its landmarks).
+    own: evidence of the user's own.
+    prediction_weight, usual_iou, done: see PreparedFrame.
     Raises: EvidenceError where the frame has none of the wanted cues, or its key points are not those of the subject.
+    A frame with the picture of one camera is not prepared; only unwanted cues are left out.
     """
     if frame.picture is not None:
         picture = frame.picture if use_silhouettes else replace(frame.picture, mask=None)
@@ -153,7 +159,7 @@ def prepare(
 
 
 def view_count(prepared: PreparedFrame) -> int:
-    """Count the views that carry evidence."""
+    """Count the views of a prepared frame that carry evidence."""
     if prepared.frame.picture is not None:
         return 1
     pictures = [one.views for one in (prepared.silhouettes, prepared.keypoints) if one.seen]

@@ -58,11 +58,11 @@ def shift_of_mask(
     x, y = x[inside], y[inside]
     if len(x) < _LEAST_POINTS:
         return np.full(2, np.nan)
-    # what lies further from the outline than this has no weight
+    # pixels further from the outline than this have no weight
     margin = int(2 * 3 * _SCALE_M * metre) + 2
     low, high = np.maximum((x.min() - margin, y.min() - margin), 0), (x.max() + margin + 1, y.max() + margin + 1)
     mask = np.ascontiguousarray(mask[low[1] : high[1], low[0] : high[0]])
-    if not mask.any() or mask.all():  # no edge is anywhere near
+    if not mask.any() or mask.all():  # there is no edge nearby
         return np.full(2, np.nan)
     distance = cv2.distanceTransform(1 - mask, cv2.DIST_L2, 5) - cv2.distanceTransform(mask, cv2.DIST_L2, 5)
     distance += mask - np.float32(0.5)  # the edge lies between the pixels
@@ -76,7 +76,7 @@ def shift_of_mask(
     found, limit = np.zeros(2), 3 * _SCALE_M * metre
     for _ in range(_ROUNDS):
         weight = np.maximum(1 - ((residual + across @ found) / limit) ** 2, 0.0) ** 2
-        for k in range(2):  # numpy goes along rows of two one by one
+        for k in range(2):  # faster than numpy on rows of two
             np.multiply(across[:, k], weight, out=weighted[:, k])
         last, found = found, -np.linalg.solve(weighted.T @ across + 1e-3 * np.eye(2), weighted.T @ residual)
         if np.abs(found - last).max() < _SETTLED_PX:
@@ -137,7 +137,7 @@ _ROOTS = (("left_shoulder", 0.75), ("right_shoulder", 0.75), ("left_hip", 1.0), 
 _NEARBY_M = 0.4
 _AGREE_M = 0.06
 """m: a key point nearer to its joint agrees with it; one more than twice as far contradicts it"""
-_FAR_M = 0.5  # key points further away are no worse
+_FAR_M = 0.5  # m, larger distances are cut off
 
 
 @lru_cache(8)
@@ -243,7 +243,7 @@ def _masks(
         per_metre = float(silhouettes.rig[c].K[0, 0]) / max(depth, 0.1)
         step = max(1, int(1.7 * per_metre / _TALL))
         uv, z, (across, down) = projected(points, p)
-        # what lies further from the body says nothing of its joints
+        # pixels further from the body are not used
         (x0, x1), (y0, y1) = _span(across, _NEARBY_M * per_metre, w), _span(down, _NEARBY_M * per_metre, h)
         if x0 >= x1 or y0 >= y1:
             continue
@@ -273,7 +273,7 @@ def _masks(
 def _span(reach: Array, nearby: float, most: int) -> tuple[int, int]:
     """Compute the pixel range from 0 to `most` that covers the interval `reach` (2,) with a margin; (0, 0) where it
     is empty."""
-    first, last = reach.tolist()  # plain numbers take a tenth of the time
+    first, last = reach.tolist()  # plain numbers are ten times as fast
     low, high = first - nearby, last + nearby
     return (int(min(max(low, 0.0), most)), int(min(max(high, 0.0), most))) if low <= high else (0, 0)
 
@@ -298,7 +298,7 @@ def _loose(body: Body, pose: Array, masks: PreparedMasks, index: int) -> Array:
         if (index - 2 * k) % _EVERY:
             out[list(arm.chain)] = np.nan
             continue
-        poses = np.repeat(pose[None], _TURNS + 1, 0)  # the last one stands
+        poses = np.repeat(pose[None], _TURNS + 1, 0)  # the last one stays unchanged
         poses[:-1, arm.own] += _turns(len(arm.own))
         poses = s.clamp(poses)
         at = ends(arm.here(poses))  # elbow, wrist, hand
@@ -346,7 +346,7 @@ def _elsewhere(body: Body, pose: Array, masks: PreparedMasks, index: int) -> Arr
             continue
         few = np.argsort(score[good], kind="stable")[:_POOL]
         poses = np.repeat(pose[None], len(few) + 1, 0)
-        poses[:-1, arm.own] = arm.poses[good[few]]  # the last one stands
+        poses[:-1, arm.own] = arm.poses[good[few]]  # the last one stays unchanged
         counts = silhouette_xor(poses, s.tree, mesh, masks, moving=arm.moving, rest=rest)
         energy = (counts[:, masks.usable, 0] / masks.norm[masks.usable]).sum(1)
         ratio = energy[:-1] / max(float(energy[-1]), 1e-6) - 1

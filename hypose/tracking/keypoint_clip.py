@@ -50,7 +50,7 @@ _LIMBS = [
     for side in ("left", "right")
     for a, b in (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist"))
 ]
-_LOOK_EVERY = 5  # frames; looking everywhere is slow
+_LOOK_EVERY = 5  # frames between two searches of the whole space, which are slow
 LEAST_POINTS = 6
 """A frame with fewer points (in all views together) does not determine the pose by itself."""
 _QUICK = SolveSettings(iterations=6, coarse_iterations=0, tolerance=3e-3)
@@ -69,6 +69,7 @@ def solve_keypoint_clip(
 ) -> tuple[Array, list[KeypointTerm | None]]:
     """Solve the poses of a clip from its key points alone.
 
+    model: where key points sit on the body; keypoints: T frames, None where there are none.
     start: (D,) pose in the first frame.
     Returns: poses (T, D); the key-point term of each frame, None where there is no evidence.
     """
@@ -89,8 +90,9 @@ def track_keypoint_clip(
     sure_start: bool = False,
     others: Sequence[Sequence[Term]] = (),
 ) -> Smoothed:
-    """Compute the motion of a clip from its key points alone.
+    """Compute the smoothed motion of a clip from its key points alone.
 
+    model: where key points sit on the body; keypoints: T frames, None where there are none.
     start: (D,) pose in the first frame; sure_start: it is the right way round, even where the points' names contradict
         it.
     progress: function (done, total), called after every frame of the first pass.
@@ -175,8 +177,7 @@ def _one_by_one(
     frame_rate: float,
     progress: Report | None = None,
 ) -> tuple[Array, list[KeypointTerm | None]]:
-    """Solve each frame from the previous one; people whom the person cannot be, because they are too far away, are left
-    out.
+    """Solve each frame from the previous one; people too far from the expected place are left out.
 
     Returns: poses (T, D), bridged where nothing is seen; the key-point term of each frame.
     """
@@ -194,14 +195,14 @@ def _one_by_one(
             if found is None:
                 seen = None
             else:
-                expected = last = found  # the way there is no velocity
+                expected = last = found  # the jump there is no velocity
         term = None if seen is None else keypoint_term(seen, body, model, expected)
         terms.append(term)
         unseen = 0.0 if term is not None else unseen + 1
-        poses[t] = expected  # unseen: ever less of the last velocity
+        poses[t] = expected  # without evidence the last velocity decays
         if term is not None:
             found = fit_pose(body, expected, [term], priors=prior, options=_QUICK).pose
-            # beyond half a turn a shoulder would run into the corner of its limits, though the arm goes on
+            # beyond half a turn a shoulder's rotation vector would reach the corner of its limits while the arm goes on
             poses[t] = s.unwound(found)
             last += poses[t] - found  # the step stays what it was
         before, last = (last, poses[t].copy()) if t else (poses[t], poses[t].copy())

@@ -193,7 +193,7 @@ def check_sides_and_views(
                 for part in chain
                 if f"left_{part}" in column and f"right_{part}" in column
             ]
-            if far[view, list(sum(pairs, ()))].any():  # the mean can only be as far if one of them is
+            if far[view, list(sum(pairs, ()))].any():  # the mean is only large where one of them is
                 _exchange(out[view], expected[view], pairs, float(size[view]))
     return out
 

@@ -95,7 +95,11 @@ def triangulated_starts(body: Body, model: KeypointModel, keypoints: Sequence[Ke
 def solved_frames(
     body: Body, model: KeypointModel, keypoints: Sequence[Keypoints], poses: Array, weights: Array | None = None
 ) -> Array:
-    """Solve each frame alone on its key points, from its pose (T, D); weights: (K,) of the points."""
+    """Solve the poses (T, D) of frames, each alone on its key points, from its start pose.
+
+    poses: (T, D) start poses.
+    weights: (K,) factors on the points' weights (default 1).
+    """
     out, prior = poses.copy(), (anatomical_prior(body.skeleton, keypoints=True),)
     options = SolveSettings(iterations=12, coarse_iterations=0)
     for t, frame in enumerate(keypoints):
@@ -121,7 +125,10 @@ class OffsetResiduals:
 
 
 def residual_rows(body: Body, model: KeypointModel, keypoints: Sequence[Keypoints], poses: Array) -> OffsetResiduals:
-    """Compute the residuals of key points, with exchanged sides corrected, about a body in the poses (T, D)."""
+    """Compute the residuals of key points, with exchanged sides corrected, about a body in given poses.
+
+    model: where the points sit on the body; keypoints: T frames; poses: (T, D).
+    """
     rotations, centres = body.skeleton.forward(poses)
     r = rotations[:, model.joint]
     x = centres[:, model.joint] + np.einsum("tkab,kb->tka", r, model.offset)
@@ -156,7 +163,7 @@ def _offsets(base: KeypointModel, model: KeypointModel, rows: OffsetResiduals) -
     weight = lorentzian_weight(0.25 * square, rows.confidence / sd_px**2)
     hessian = np.einsum("tck,tckia,tckib->kab", weight, rows.slope, rows.slope)
     gradient = np.einsum("tck,tckia,tcki->ka", weight, rows.slope, rows.residual)
-    # frames of a clip err alike: their number is no measure of how much they tell
+    # errors of a clip's frames are correlated, so the prior grows with their number
     prior = len(rows.residual) * (2 / limit) ** 2 * 0.1
     shift = model.offset - base.offset
     hessian += prior[:, None, None] * np.eye(3)
@@ -181,5 +188,5 @@ def _noise(rows: OffsetResiduals) -> Array:
     middle = np.array(
         [(len(d) * np.median(d) + _SHRINK * usual) / (len(d) + _SHRINK) if len(d) else usual for d in by_point]
     )
-    # half way to the usual: a point's own habits are partly taken up by its offset and the pose
+    # half way to the usual noise, because offset and pose absorb a part of the point's own
     return np.clip(TOGETHER * 1.4826 * np.sqrt(middle * usual), LEAST_SD, LARGEST_SD)

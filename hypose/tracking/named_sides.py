@@ -19,7 +19,7 @@ from hypose.geometry import Array
 from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, SWAPPED_M, KeypointModel, pixels_per_metre
 
 LIMBS = {"legs": ("knee", "ankle", "big_toe", "small_toe", "heel"), "arms": ("elbow", "wrist")}
-_FAR_M = 0.5  # points further away are no worse
+_FAR_M = 0.5  # m, larger distances are cut off
 _MEETING, _APART, _APART_M = 8.0, 24.0, 0.5
 """views: cost of an exchange where two limbs touch, and the extra cost where they are _APART_M apart. Half a second in
 which, by chance, one view more has the other side's names than not is worth 12, and has two ends."""
@@ -46,7 +46,7 @@ def exchanged_by_names(
         return np.zeros(len(poses), np.bool_), 0.0
     places = model.positions(body, poses)
     apart = np.linalg.norm(places[:, pairs[:, 0]] - places[:, pairs[:, 1]], axis=-1).mean(1)
-    won = np.zeros(len(poses))  # views that call them by the other side's names, less those that do not
+    won = np.zeros(len(poses))  # views with the other side's names minus views with the own side's
     for t, seen in enumerate(keypoints):
         if seen is not None and seen.names == model.names:
             uv = np.stack([camera.project_pinhole(places[t]) for camera in seen.rig])

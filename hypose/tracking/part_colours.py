@@ -191,7 +191,7 @@ class LearnColours:
     settings: ColourSettings = ColourSettings()
 
     def __call__(self, memory: Memory, pose: Array, h: Hypotheses, frame: PreparedFrame, /) -> Memory:
-        """Update the memory after a frame; see `Recipe.learn`."""
+        """Return the memory with the colours of a frame added, where its pose (D,) is certain; see `Recipe.learn`."""
         if not frame.silhouettes.seen or h.weights.max() < self.settings.surely:
             return memory
         for colours in frame.frame.of(Colours):
@@ -204,7 +204,7 @@ class LearnColours:
         vertices = body.skin(pose)
         doubted = self._doubted(pose, h, body)
         for side in np.flatnonzero(doubted):
-            part[arm == side] = len(PARTS)  # in front of others, but nothing to learn from
+            part[arm == side] = len(PARTS)  # it hides other parts, but its colours are not learnt
         masks = frame.silhouettes.masks
         use = masks.usable & colours.seen
         found = np.zeros((len(use), len(PARTS), COLOURS), np.float32)

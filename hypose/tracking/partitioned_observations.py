@@ -45,7 +45,10 @@ class BallStep:
 
 
 def ball_step(skeleton: Skeleton, joint: str, child: str, swing: float, twist: float) -> BallStep:
-    """Build the BallStep of a named joint whose bone ends at the joint `child`."""
+    """Build the BallStep of a named joint whose bone ends at the joint `child`.
+
+    swing, twist: sd of the rotation across and about the bone, rad.
+    """
     bone = skeleton.rest_offsets[skeleton.joint(child)]
     return BallStep(int(skeleton.dofs_of(joint)[0]), bone / np.linalg.norm(bone), swing, twist)
 
@@ -66,7 +69,7 @@ class LimbDiffusion:
     tail: HeavyTail | None = None
 
     def __call__(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
-        """Move the set."""
+        """Return the set with random steps added to all hypotheses."""
         s = self.skeleton
         gain = np.ones((h.count, s.dof)) if self.tail is None else self.tail.gain(h.count, s.dof)
         step = rng.standard_normal(h.values.shape) * self.sigma * gain
@@ -133,7 +136,11 @@ def chain_region(body: Body, joints: tuple[str, ...], ends: tuple[str, ...] = ()
 
 
 def bounding_region(body: Body, joints: tuple[str, ...], ends: tuple[str, ...] = (), *, margin: float) -> Region:
-    """Build the box that bounds a limb's points as posed, with a margin (m at a stature of 1.75 m) on every side."""
+    """Build the region that bounds a limb's points as posed.
+
+    joints, ends: names of joints and landmarks.
+    margin: added on every side, m at a stature of 1.75 m.
+    """
     index = np.array([body.skeleton.joint(n) for n in joints])
     marks = np.array([body.landmarks.index(n) for n in ends], dtype=np.int64)
     return Region(index, marks, None, margin * body.stature / 1.75)

@@ -150,8 +150,10 @@ def uncertainty_of_set(pose: Array, h: Hypotheses, frame: PreparedFrame, /) -> P
 
 
 def nothing_known(joint_covariance: NDArray[np.float32], dof: int) -> PoseUncertainty:
-    """Build the uncertainty of a frame without evidence: joint_covariance (J, 3, 3) from the frames before, no
-    information."""
+    """Build the uncertainty of a frame without evidence.
+
+    joint_covariance: (J, 3, 3) m^2, from the frames before; the information on the pose (D = dof) is zero.
+    """
     return PoseUncertainty(joint_covariance, packed(np.zeros((dof, dof))))
 
 

@@ -67,7 +67,7 @@ def partitions_of(skeleton: Skeleton, layers: Sequence[tuple[str, tuple[str, ...
 def sir(body: Body, particles: int = 4000, survival: float = 0.15, frame_rate: float = 25.0) -> Recipe:
     """Build the plain particle filter: one layer over all coordinates.
 
-    survival: survival rate of the layer.
+    survival: survival rate of the layer; frame_rate: Hz.
     Source: Isard & Blake 1998 (Alcoverro 2014, Alg. 1).
     """
     s = body.skeleton
@@ -132,6 +132,7 @@ def hpf(
 
     Coordinates are first filtered in their own layer with full steps; in later layers their steps shrink by `nu`
     (Algorithm 3). Only coordinates filtered so far are resampled (Algorithm 4).
+    survival: survival rate of every layer; frame_rate: Hz.
     betas: fixed exponents, one per layer, as in the thesis; None: the survival rate sets them.
     Source: Alcoverro 2014, sections 2.2.4 and 2.4.
     """
@@ -173,7 +174,7 @@ def _published(
     return Recipe(name, layers, particles, needs, estimate=pose_mean(skeleton))
 
 
-# what a layer of the partitioned filter places: (points of its box: joints, landmarks), parts drawn first in it
+# for each layer of the partitioned filter: joints and landmarks of its box, parts that are first drawn in it
 _SEEN_PARTS: dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]] = {
     "torso": (
         ("pelvis", "chest", "neck", "head", "left_shoulder", "right_shoulder", "left_hip", "right_hip"),

@@ -184,7 +184,7 @@ class Preset:
         """
         if evidence not in self.evidence:
             choices = f"{', '.join(self.evidence[:-1])} or {self.evidence[-1]}"
-            raise InputError(f"The recipe {name!r} knows no evidence {evidence!r}; choose {choices}.")
+            raise InputError(f"The recipe {name!r} has no evidence {evidence!r}; choose {choices}.")
         if evidence == "keypoints" and self.evidence == Preset.evidence and not self.whole_clip:
             raise InputError(f"The recipe {name!r} needs silhouettes; choose the evidence silhouettes or both.")
         known = inspect.signature(self.make).parameters
@@ -246,7 +246,7 @@ def citation_of(name: str, refine: bool = False) -> str:
 
 
 # ---- search of one limb ----
-# A search of one limb at a time: many poses of it about the one that it is in, of which the best is kept.
+# A search of one limb at a time: many poses around its current one are drawn, and the best is kept.
 
 
 @dataclass(frozen=True)
@@ -288,7 +288,7 @@ class LimbSearch:
         return HeavyTail(self.long, self.longer, np.ones(len(self.own), np.bool_))
 
     def __call__(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
-        """Compute the set with the best limb."""
+        """Return the set in which all hypotheses but the solved one have the best limb found."""
         s, own = self.skeleton, self.own
         limb = h.values[:, own]
         steps = rng.standard_normal(limb.shape) * self.sigma[own]

@@ -67,7 +67,7 @@ def _anatomical_weights(dof_names: tuple[str, ...]) -> Array:
 
 
 def prediction_prior(prediction: Array, weight: float) -> Quadratic:
-    """Build the pull to the predicted pose (D,), so that parts that no view sees keep moving as before.
+    """Build the pull to the predicted pose (D,) with a weight (1 / rad^2), so that parts that no view sees keep moving.
 
     It must stay weak: at 3 per rad^2 and 25 fps it held back arms that particles had found half a radian away, whose
     contour rows together are worth about one unit of cost.
@@ -92,7 +92,7 @@ class ContourRefinement:
     options: SolveSettings = SolveSettings()
 
     def __call__(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
-        """Refine and move the set."""
+        """Return the refined and shifted set."""
         s = frame.body.skeleton
         mean = pose_mean(s)(h)
         best = h.values[frame_energy(h.values, frame).argmin()]
@@ -107,11 +107,12 @@ class LaterLayer(Protocol):
     """Interface of a layer that can start parts of its work before its turn, in parallel with other layers."""
 
     def before_solve(self, frame: PreparedFrame, /) -> None:
-        """Start the work that depends only on the last frame."""
+        """Start, in the background, the work that depends only on the last frame."""
         ...
 
     def before_search(self, h: Hypotheses, frame: PreparedFrame, /) -> None:
-        """Start the work that depends on the hypothesis with the role SOLVED, but not on the search of limbs."""
+        """Start, in the background, the work that depends on the hypothesis with the role SOLVED, not on the search
+        of limbs."""
         ...
 
 
@@ -127,7 +128,7 @@ class SolvePrediction:
     later: LaterLayer | None = None
 
     def __call__(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
-        """Solve, and put all hypotheses at the solution."""
+        """Return the set with all hypotheses at the solved pose."""
         if self.later is not None:
             self.later.before_solve(frame)
         pose = refine(frame.body, frame.prediction[None], frame, self.options)[0].pose
@@ -161,7 +162,7 @@ class InTurn:
         if frame.frame.index % (self.period * times) == self.turn * times:
             return True
         pose = member(h, SOLVED)
-        key = "settled", self.unsettled, pose.tobytes()  # every limb asks the same
+        key = "settled", self.unsettled, pose.tobytes()  # the result is the same for every limb
         settled: bool | None = frame.shared.get(key)
         if settled is None:
             settled = frame.shared[key] = self._is_settled(pose, frame)
@@ -219,12 +220,12 @@ def refine(body: Body, starts: Array, frame: PreparedFrame, options: SolveSettin
 def keep_fits(frame: PreparedFrame, fits: Sequence[PoseFit], body: Body | None = None) -> None:
     """Store fits in the frame, from which the uncertainty is read later; body: where it is not the frame's."""
     body = body or frame.body
-    for fit in fits:  # poses go on clamped, by less than the last digits of a Hessian
+    for fit in fits:  # later poses are clamped, which changes them by rounding errors only
         frame.fits.keep(body, body.skeleton.clamp(fit.pose), fit)
 
 
 def solve_poses(body: Body, starts: Array, frame: PreparedFrame, options: SolveSettings) -> list[PoseFit]:
-    """Solve as `refine` does, without storing the fits."""
+    """Solve from the starts (N, D) as `refine` does, without storing the fits."""
     trunk = anatomical_prior(body.skeleton, frame.keypoints.seen)
     priors = (trunk, prediction_prior(frame.prediction, frame.prediction_weight))
     if frame.depth.seen:

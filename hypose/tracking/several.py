@@ -83,7 +83,7 @@ def step_together(
             ]
             lost = m.state.lost or m.state.blind > BLIND
             own = own_frame(own, shapes[i], [*others, *nearby], anywhere=lost)
-            pack_once(own.the(Silhouettes))  # the tracker wants them, and the code that judges the result
+            pack_once(own.the(Silhouettes))  # the tracker and the later audit both use them
         state, estimate = m.tracker.step(m.state, own)
         after[i], estimates[i], seen[i], done[i] = replace(m, state=state), estimate, own, True
         for rig in () if done.all() else rigs:

@@ -122,7 +122,7 @@ def refine_shape(
     options, known = options or ShapeSettings(), known or Known()
     ratio = body.stature / float(np.ptp(body.coarse.vertices[:, 2]))  # decimation cuts the crown
     cues = [[_cue(one, options) for one in of] for of in evidence]
-    # in the same balance with the contours as in the pose solver, whose rows weigh 0.05
+    # the same balance with the contours as in the pose solver, whose rows have weight 0.05
     usual = Quadratic(
         np.zeros(body.skeleton.dof), anatomical_prior(body.skeleton).weight * options.weight / CONTOUR_WEIGHT
     )

@@ -79,7 +79,7 @@ class Smoothed:
         bridged = int((self.motion.extrapolated | self.motion.lost).sum())
         if bridged:
             said.append(
-                f"{bridged} frames without the person are bridged from their neighbours, flagged, with larger sd"
+                f"{bridged} frames without the person are interpolated from their neighbours, marked, with larger sd"
             )
         return tuple(said)
 

@@ -65,8 +65,10 @@ def usual_pace(skeleton: Skeleton, settings: ClipSettings) -> tuple[Array, Array
 
 
 def pace_weights(pace: tuple[Array, Array], frame_rate: float) -> tuple[Array, Array]:
-    """Compute the weights of squared second and first differences at a frame rate (Hz) from accelerations and
-    speeds."""
+    """Compute the weights of squared second and first differences between frames.
+
+    pace: usual accelerations and speeds, per s^2 and per s; frame_rate: Hz.
+    """
     acceleration, speed = pace
     return (frame_rate**2 / acceleration) ** 2, (frame_rate / speed) ** 2
 
@@ -182,7 +184,7 @@ def gap_covariance(
 
 
 def bridged(poses: Array, known: NDArray[np.bool_]) -> Array:
-    """Interpolate poses linearly across frames that are not known."""
+    """Interpolate poses (T, D) linearly across frames that are not known (T,)."""
     out = poses.copy()
     if not known.any():
         return out

@@ -102,13 +102,13 @@ def starts_in_frame(
                 found.append(Start(body, places[i], float(cost[i])))
     if not found and frame.depth.seen:
         raise EvidenceError(
-            f"Frame {frame.frame.index}: what depth cameras see of somebody is {tall:.2f} m high, and no person; look "
-            "whether sunlight, dark clothes or the distance leave holes in their maps, or choose other frames."
+            f"Frame {frame.frame.index}: what the depth cameras see is {tall:.2f} m high and no person; check "
+            "whether sunlight, dark clothes or the distance leave holes in the depth maps, or choose other frames."
         )
     if not found:
         raise EvidenceError(
-            f"Frame {frame.frame.index}: what all views have in common is {tall:.2f} m high, and no person; check the "
-            "calibration, and that every view has the camera that filmed it."
+            f"Frame {frame.frame.index}: the common volume of all views is {tall:.2f} m high and no person; check the "
+            "calibration, and that each view has its own camera."
         )
     found.sort(key=lambda s: s.cost)
     kept = _different(_solved(found[:_TRIED], frame, height, _BRIEF), _KEPT)
@@ -117,7 +117,7 @@ def starts_in_frame(
         low = float(hull.points[:, 2].min())
         others = [o for s in _different(kept, _SIZED) for o in _sized(template, s, low)]
         kept = [*kept, *_solved(others, frame, height, SETTLING)]
-    # who faces the other way has nearly the same outline, limb by limb, and no posture of the list as its limbs are
+    # a person facing the other way has nearly the same outline, but no posture in the list with these limbs
     kept = _different(kept, _KEPT)
     around = [replace(s, pose=turned_around(s.body, s.pose)) for s in kept[:_TURNED]]
     return _different([*kept, *_solved(around, frame, height, SETTLING)], _KEPT)
@@ -193,7 +193,7 @@ def by_their_ways(starts: Sequence[Start], ways: Sequence[Array], costs: Array) 
     joints = np.stack([starts[k].body.joints(ways[k]) for k in order])
     away = np.linalg.norm(joints - joints[0], axis=-1)
     arm = np.array([n.endswith(("elbow", "wrist")) for n in starts[0].body.skeleton.joint_names])
-    other = away[..., ~arm].mean((1, 2)) > _APART_M  # arms that alone differ are found by the tracker
+    other = away[..., ~arm].mean((1, 2)) > _APART_M  # differences of the arms alone are found by the tracker
     far = weights[:, None] * (away > _FAR_M).mean(1) * other[:, None]
     left, right = (starts[0].body.skeleton.joint(f"{side}_hip") for side in ("left", "right"))
     across = joints[:, :, right] - joints[:, :, left]

@@ -116,7 +116,7 @@ def shape_from_keypoints(body: Body, points_world: Array, names: tuple[str, ...]
         middle = float(np.nanmedian(d))
         scatter = _SD_OF_MAD * float(np.nanmedian(np.abs(d - middle)))
         changes = scatter / max(middle, 1e-9)
-        # points scatter across a bone as they do along it, which its length tells, and make it longer by that
+        # scatter across a bone, as large as that along it, makes the measured length longer
         middle = np.sqrt(max(middle**2 - ACROSS * scatter**2, (_SHORTEST * middle) ** 2))
         return middle / float(np.linalg.norm(rest[column[a]] - rest[column[b]])), changes
 

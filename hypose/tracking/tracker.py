@@ -202,7 +202,7 @@ class Tracker:
                     "recipe."
                 )
         if "picture" in self.recipe.needs and self.own:
-            raise InputError(f"The recipe {self.recipe.name!r} looks at one picture, and not at evidence of your own.")
+            raise InputError(f"The recipe {self.recipe.name!r} uses one picture only; leave out evidence of your own.")
 
     def start(self, begin: Array | Hypotheses, memory: Memory | None = None) -> TrackerState:
         """Build the state before the first frame.
@@ -230,7 +230,11 @@ class Tracker:
             yield state, estimate
 
     def step(self, state: TrackerState, frame: Frame) -> tuple[TrackerState, FrameEstimate]:
-        """Track one frame: predict, search, judge, and recover when lost."""
+        """Track one frame: predict, search, judge, and recover when lost.
+
+        state: after the previous frame.
+        Returns: the state after this frame; the estimate of this frame.
+        """
         recipe = self.recipe
         state, step = self._ahead(state)
         prediction = self._within(state.pose + step)
@@ -241,7 +245,7 @@ class Tracker:
             prepared, state = self._begin(prepared, state)
             step = np.zeros_like(step)
         h = self._expected(state, step)
-        if recipe.rivals:  # particles are drawn about the best of them
+        if recipe.rivals:  # particles are drawn around the best of them
             best = h.take(np.repeat(h.relative_log_weights.argmax(), recipe.particles)).equal()
             h, prepared = replace(best, columns={}), replace(prepared, rivals=h)
         result = search(h, recipe, prepared, partial(stream, self.settings.seed, frame.index))
@@ -282,7 +286,7 @@ class Tracker:
         return np.linalg.norm(joints[1] - joints[0], axis=-1).astype(np.float32)
 
     def predicted(self, state: TrackerState) -> Array:
-        """Predict the pose (D,) of the next frame."""
+        """Predict the pose (D,) of the next frame from the state after the last one."""
         state, step = self._ahead(state)
         return self._within(state.pose + step)
 
@@ -290,7 +294,7 @@ class Tracker:
         """Put the state on its pose's branch, and predict the next step (D,)."""
         state = self._on_canonical_branch(state)
         last_step = state.pose - self.body.skeleton.on_branch(state.previous, state.pose)
-        # after a loss the last step is none of the person's
+        # after a loss the last step is not a motion of the person
         alone = np.zeros_like(last_step)
         predict = self.recipe.predict
         return state, alone if predict is None else predict(alone if state.lost else last_step, state.blind)
@@ -310,13 +314,13 @@ class Tracker:
         if known or loose:
             found = how.find(pose, state.pose, prepared)
             found_iou = agreement(self.body, found, prepared)
-            # from nowhere only to a whole person: the rim of another person's hull is no find
+            # where the masks show no person, accept only a whole person: not the rim of another person's hull
             cut_off = self._no_person(iou, state.usual_iou) and self._is_lost(found_iou, state.usual_iou)
             if found_iou > iou + (0.02 if known else FOUND) and not cut_off:
                 pose, iou, gain = found, found_iou, found_iou - iou
                 selected = self._around(pose, 1.0, stream(self.settings.seed, prepared.frame.index, RECOVERY))
                 lost = self._is_lost(iou, state.usual_iou)
-                state = replace(state, pose=pose)  # the step back is no velocity
+                state = replace(state, pose=pose)  # the jump back is no velocity
         if lost and self._no_person(iou, state.usual_iou):
             # stay where the person was last seen: a solve would drift to whatever else is in the masks
             pose, selected = state.pose, state.hypotheses
@@ -366,7 +370,7 @@ class Tracker:
         if not self.recipe.rivals:
             return replace(h, values=self._within(h.values + step))
         before = h.columns.get(BEFORE)
-        if before is None:  # scattered about the pose, which is all there is
+        if before is None:  # the set is scattered around the only pose
             h, before = Hypotheses(state.pose[None], np.zeros(1)), state.previous[None]
         steps = np.zeros_like(before) if state.lost else h.values - s.on_branch(before, h.values)
         ahead = h.values + (self.recipe.predict or stand_still)(steps, state.blind)
@@ -432,7 +436,7 @@ class Tracker:
     ) -> tuple[TrackerState, FrameEstimate]:
         s = self.body.skeleton
         blind = state.blind + 1
-        # what moved on unseen may have moved by its usual step: the variance of a random walk
+        # without evidence the covariance grows like that of a random walk with the usual steps
         growth = s.joint_covariances(prediction, np.diag(s.step_sigma(self.settings.frame_rate) ** 2))
         covariance = (np.nan_to_num(state.joint_covariance, nan=0.0) + growth).astype(np.float32)
         lost = state.lost or blind > self.settings.extrapolate * self.settings.frame_rate

@@ -67,7 +67,7 @@ def _components(
     factor, size = np.ones(views), np.ones((views, seen[0].size))
     named, shown = uv, (seen & active[:, None, None]).reshape(views, -1)
     for _ in range(_ROUNDS):
-        world, _ = triangulate(rig, named.reshape(views, -1, 2), shown / (factor[:, None] * size))  # multiplies rows
+        world, _ = triangulate(rig, named.reshape(views, -1, 2), shown / (factor[:, None] * size))  # weights of rows
         residual, slope, size = _rows(world, named.reshape(views, -1, 2), rig.projections, shown)
         weight = shown / (factor[:, None] * size) ** 2
         normal = np.einsum("cn,cnia,cnib->nab", weight, slope, slope)

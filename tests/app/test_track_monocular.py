@@ -131,7 +131,7 @@ def test_without_smoothing_the_motion_is_the_best_mode(tiny, clicks, tracked, tm
         (("--floor", "0"), "The recipe 'default' has no option 'floor'; leave it out, or choose the recipe monocular"),
         (
             ("--evidence", "edges"),
-            "knows no evidence 'edges'; choose silhouettes, keypoints or both",
+            "has no evidence 'edges'; choose silhouettes, keypoints or both",
         ),
         (MONO, "has no key points and no clicks were given"),
         ((*MONO, "--start", "t"), "--start t is no file of clicked joints"),

@@ -181,7 +181,5 @@ def test_the_documentation_lists_every_format():
 
 @pytest.mark.parametrize("table", [CALIBRATIONS, SKELETONS], ids=["calibration", "skeleton"])
 def test_a_file_of_another_kind_is_called_by_its_name(good, table):
-    with pytest.raises(
-        InputError, match="cam1.json is not .*, it looks like a file or folder of key points of MMPose;"
-    ):
+    with pytest.raises(InputError, match="cam1.json is not .*, it looks like .* key points of MMPose;"):
         table.read(good / "keypoints" / "mmpose-predictions" / "cam1.json")

@@ -194,7 +194,7 @@ def test_misread_positions_are_refused(tmp_path, change, message):
 def test_another_order_of_points_is_refused(tmp_path):
     order = np.random.default_rng(3).permutation(17)
     folder, _ = written(tmp_path, "coco-results", detections("COCO_17", RIG, FRAMES)[:, :, order])
-    with pytest.raises(InputError, match=r"as COCO_17 their bones have impossible lengths, so their order is another"):
+    with pytest.raises(InputError, match=r"as COCO_17 their bones have impossible lengths, so they are in another"):
         load_recording(folder)
 
 

@@ -8,7 +8,6 @@ import zlib
 import numpy as np
 import pytest
 
-from benchmarks.synthetic.skeleton_folders import write_folder
 from hypose.errors import InputError
 from hypose.evidence.frame import SensorReport
 from hypose.io.files import bounded_lines
@@ -16,7 +15,6 @@ from hypose.io.sensors.depth import read_azure_mkv, read_depth_png, write_depth_
 from hypose.io.sensors.skeleton_files import KINECT_V2, FolderWriter, read_skeletons
 from hypose.io.sensors.skeleton_streams import (
     MAX_SKELETON_LINE,
-    SkeletonRecording,
     StreamRows,
     build_stream,
     common_times,
@@ -35,18 +33,6 @@ def stream(times, positions=None, ids=None, joints=JOINTS, name="a", state=None)
         p = np.full((len(joints), 3), float(n)) if positions is None else positions[n]
         rows.add(t, 0 if ids is None else ids[n], p, np.full(len(joints), 2) if state is None else state[n])
     return build_stream(rows, "rec")
-
-
-def recording(rng, people=1):
-    streams = []
-    for k in range(2):
-        rows = StreamRows(f"s{k}", JOINTS)
-        for n in range(12):
-            for p in range(people):
-                if (k, n, p) != (1, 4, 0):
-                    rows.add(n / 30 + 0.004 * k, 7 * p, rng.normal(size=(3, 3)), rng.integers(1, 3, 3))
-        streams.append(build_stream(rows, "rec")[0])
-    return SkeletonRecording("rec", tuple(streams), "s0", {})
 
 
 # ---- streams ----
@@ -125,20 +111,6 @@ def test_impossible_rates_and_spans_are_refused():
 
 
 # ---- folders ----
-
-
-@pytest.mark.parametrize("people", [1, 2])
-def test_a_folder_keeps_everything(tmp_path, rng, people):
-    made = recording(rng, people)
-    write_folder(made, tmp_path / "rec")
-    back = read_skeletons(tmp_path / "rec")
-    assert back.common_clock and not back.notes
-    for a, b in zip(made.streams, back.streams, strict=True):
-        np.testing.assert_allclose(b.times, a.times, atol=1e-6)
-        np.testing.assert_allclose(b.positions, a.positions, atol=1e-5)
-        np.testing.assert_array_equal(b.state, a.state)
-        np.testing.assert_array_equal(b.person_ids, a.person_ids)
-        assert (a.name, a.joint_names) == (b.name, b.joint_names)
 
 
 def test_a_recording_can_be_read_while_it_is_written(tmp_path):
@@ -398,24 +370,16 @@ def test_a_file_of_lines(tmp_path, rng):
     made = read_skeletons(tmp_path / "s.jsonl.gz")
     assert [s.name for s in made.streams] == ["a", "b"]
     np.testing.assert_array_equal(made.streams[0].positions, made.streams[1].positions)
-    (tmp_path / "t.jsonl").write_text("\n".join([*lines[:3], "oops"]))
-    with pytest.raises(InputError, match="line 4: the line is no JSON"):
-        read_skeletons(tmp_path / "t.jsonl")
     (tmp_path / "t.jsonl").write_text("\n".join([*lines[:3], lines[0].replace("head", "tail")]))
     with pytest.raises(InputError, match="line 4: the sensor a reports"):
         read_skeletons(tmp_path / "t.jsonl")
 
 
-def test_offline_processor_of_azure_kinect(shared_data, tmp_path):
+def test_offline_processor_of_azure_kinect(shared_data):
     made = read_skeletons(shared_data("outside_cases") / "offline.json")
     (stream,) = made.streams
     assert len(stream.times) == 60 and stream.rate == pytest.approx(25) and "WRIST_LEFT" in stream.joint_names
     assert 2 < np.nanmedian(stream.positions[..., 2]) < 4  # metres
-    document = json.loads((shared_data("outside_cases") / "offline.json").read_text())
-    for damage in ({"frames": 3}, {"frames": [{}]}, {"frames": [{"timestamp_usec": 0, "bodies": [{"body_id": 1}]}]}):
-        (tmp_path / "a.json").write_text(json.dumps(document | damage))
-        with pytest.raises(InputError, match=r"a\.json"):
-            read_skeletons(tmp_path / "a.json")
 
 
 def test_depth_that_was_not_measured_is_a_hole(tmp_path):

@@ -208,7 +208,7 @@ def test_bad_input_is_refused_in_a_sentence(clip):
     backwards = tracker_of(body, active=np.array([3, 2]))
     with pytest.raises(InputError, match="ascending indices"):
         backwards.step(backwards.start(at(poses[0])), frame_of(view, pictures, 0))
-    with pytest.raises(InputError, match="looks at one picture, and not at evidence of your own"):
+    with pytest.raises(InputError, match="uses one picture only; leave out evidence of your own"):
         replace(tracker, own=(None,))
     with pytest.raises(InputError, match="no joint 'tail'"):
         clicked_joints(body, {"tail": (1.0, 2.0)})

@@ -34,7 +34,7 @@ def test_options_of_one_method_are_the_parameters_of_its_preset(body):
         RECIPES["hpf"].check("hpf", "silhouettes", {"floor": 0.0})
     with pytest.raises(InputError, match="'hpf' has no option 'tail'"):
         RECIPES["hpf"].check("hpf", "silhouettes", {"tail": 1})
-    with pytest.raises(InputError, match="'hpf' knows no evidence 'edges'"):
+    with pytest.raises(InputError, match="'hpf' has no evidence 'edges'"):
         RECIPES["hpf"].check("hpf", "edges", ())
     RECIPES["monocular"].check("monocular", "edges", {"floor": 0.0})
 

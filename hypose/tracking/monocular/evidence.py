@@ -30,7 +30,7 @@ def checked_picture(frame: Frame) -> Picture:
     """
     picture = frame.picture
     if picture is None:
-        raise InputError(f"Frame {frame.index} has no picture, and one camera alone needs it; give its video.")
+        raise InputError(f"Frame {frame.index} has no picture, which tracking with one camera needs; give its video.")
     (w, h), image, mask = picture.camera.size, picture.image, picture.mask
     if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
         raise InputError(

@@ -114,7 +114,7 @@ def initialise(
     search = PictureSearch(body, settings, chosen, floor=floor)
     found = search.optimise(poses, frame, points_on(body))
     if not fixed_body:
-        # lengths that suit many pictures are not for the contours of one to change
+        # lengths fitted to many pictures are not changed by the contours of one
         last = VOLUMETRIC if later else np.arange(len(factors))
         for which, rounds in ((VOLUMETRIC, 2), (last, 1)):
             cost = _contour_cost(template, search, points_on, frame, found.values[0])
@@ -174,7 +174,7 @@ def _placed(body: Body, camera: Camera, points: MonoPoints, yaw: float, name: st
     middle = rays.mean(0)
     spread = rays[:, :2] - middle[:2]
     share = float((spread * flat[:, :2]).sum() / max((flat[:, :2] ** 2).sum(), 1e-9))
-    # an unlike posture makes the figure look far away; its extent bounds the distance
+    # a different posture makes the figure seem far away; its extent bounds the distance
     extent = float(np.linalg.norm(np.ptp(spread, axis=0)) / max(np.linalg.norm(np.ptp(flat[:, :2], axis=0)), 1e-9))
     depth = 1 / max(share, 0.7 * extent, 1e-3)
     centre = (middle * depth - camera.camera_from_world[:3, 3]) @ rotation

@@ -107,11 +107,11 @@ class PictureSearch:
         return h
 
     def optimised(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
-        """Optimise every hypothesis from its prediction; return the candidates."""
+        """Optimise every hypothesis from its prediction by a Newton search; return the results as candidates."""
         settings, before, place = self.settings, h.columns["before"], self._at(checked_picture(frame.frame).camera)
         problem: MonoProblem = frame.shared["problem"]
         found = self._solved(place, problem, h.values, before, settings.coarse_iterations, settings.iterations)
-        # where a start or a sample settles is no motion: it keeps the velocity it was born with
+        # the way of a start or a sample to its optimum is no motion: it keeps its first velocity
         moved = np.stack([s.pose for s in found]) - before
         velocities = np.where(h.has(OPTIMISED)[:, None], moved, h.columns["velocity"])
         history = settings.search.memory * h.columns["evidence"]
@@ -183,7 +183,7 @@ class PictureSearch:
             np.sqrt(np.maximum(depth, 0.0))[None],
             np.array([found.count]),
         )
-        # the modes say more than one matrix could
+        # the modes hold more information than one matrix could
         return PoseUncertainty(around.astype(np.float32), packed(np.zeros((s.dof, s.dof))), modes)
 
     def lost(self, pose: Array, h: Hypotheses, frame: PreparedFrame, /) -> bool:

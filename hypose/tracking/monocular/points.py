@@ -59,8 +59,9 @@ def points_from_keypoints(
 
 
 def clicked_joints(body: Body, clicks: Mapping[str, tuple[float, float]], scale_px: float = 4.0) -> MonoPoints:
-    """Convert clicked joints, joint name -> (u, v) px, to points with confidence 1.
+    """Convert clicked joints of a picture to points with confidence 1.
 
+    clicks: joint name -> (u, v) px; scale_px: standard deviation of a click, px.
     Raises: InputError, listing the joints, where a name is not a joint of the body.
     """
     joint = np.array([body.skeleton.joint(name) for name in clicks], dtype=np.int64)

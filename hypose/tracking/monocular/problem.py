@@ -185,7 +185,7 @@ def frame_problem(
     edge = settings.edge
     a = len(fixed.model.active)
     posture = np.zeros(a)
-    angles = fixed.model.active >= 6  # where the body is and which way it faces has no usual value
+    angles = fixed.model.active >= 6  # place and heading of the body have no usual value
     posture[angles] = (settings.motion_scale / (settings.posture_scale * fixed.spread[angles])) ** 2
     priors = MonoPriors(
         np.zeros((2, a)),

@@ -63,7 +63,7 @@ def proportions(template: Body, height: float | None) -> Proportions:
 
 
 def shaped(template: Body, factors: ArrayLike) -> Body:
-    """Deform the template by the proportions (K,)."""
+    """Deform the template by the logarithms of the proportions (K,)."""
     return deform(template, shape_from_factors(factors), template.name)
 
 

@@ -71,7 +71,7 @@ def solve_clip(clip: Clip, active: NDArray[np.int64]) -> tuple[Motion, tuple[str
             found.append(estimate)
         the_way = modes_of([*reversed(found), clip.estimates[-1]])
         assert the_way is not None
-        # the way there saw the first picture without flow, so its costs are of another kind
+        # the forward pass had no flow in the first picture, so its costs cannot be compared
         the_way.costs[0] = modes.costs[0, 0]
         back = the_way
         clip.progress(total - 1, total - 1)
@@ -97,7 +97,7 @@ def backward_estimates(tracker: Tracker, last: TrackerState, frames: Iterable[Fr
 def together(there: Modes, back: Modes, frame_rate: float, settings: WholeClip | None = None) -> tuple[Array, Array]:
     """Average the poses of the forward and the backward pass over a clip, weighted by their costs.
 
-    back: the backward pass; its last frame is not used.
+    there: modes of the forward pass; back: of the backward pass, whose last frame is not used.
     Returns: poses (T, D); covariances (T, D, D) of the average, including the difference of the passes.
     """
     o = settings or WholeClip()
@@ -128,7 +128,7 @@ def summed_up(modes: Modes, near: Array | None = None) -> tuple[Array, Array]:
     poses[..., 3:6] = nearest_branch(poses[..., 3:6], np.repeat(reference[:, None, 3:6], poses.shape[1], axis=1))
     mean = np.einsum("tk,tkd->td", weights, poses)
     whole = np.zeros((*mean.shape, mean.shape[1]))
-    for k in range(poses.shape[1]):  # mode by mode: all at once would take gigabytes for a long clip
+    for k in range(poses.shape[1]):  # mode by mode, because all at once would need gigabytes for a long clip
         off = _by_turn(poses[:, k] - mean, mean)
         own = np.where(seen[:, k, None, None], modes.covariances[:, k], 0.0)
         whole += weights[:, k, None, None] * (own + off[:, :, None] * off[:, None, :])
