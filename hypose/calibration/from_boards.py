@@ -219,7 +219,8 @@ _TWO_SIDED = "a board printed on both sides, of which cameras see different ones
 class CalibrateOptions:
     """Options of a calibration with boards.
 
-    lenses: cameras whose K and distortion are known, by name; they are kept.
+    lenses: cameras whose K and distortion are known, by name; they are kept unless refine_lenses.
+    refine_lenses: refine the known lenses.
     fisheye: all other lenses are fisheye lenses.
     floor: frame in which the board lies on the floor.
     max_frames: largest number of pictures per camera.
@@ -227,6 +228,7 @@ class CalibrateOptions:
     """
 
     lenses: CameraRig | None = None
+    refine_lenses: bool = False
     fisheye: bool = False
     floor: int | None = None
     max_frames: int = 120
@@ -352,7 +354,7 @@ def _lens(
         assert given is not None
         camera = replace(_scaled(given, view, "the given lens"), camera_from_world=np.eye(4))
         errors = [board_poses(camera, s, board.points)[0][1] for s in view.sightings.values()]
-        return CalibratedLens(camera, float(np.median(errors)), True)
+        return CalibratedLens(camera, float(np.median(errors)), not o.refine_lenses)
     seen = lens_views[i].sightings if lens_views else view.sightings
     size = lens_views[i].size if lens_views else view.size
     lens = calibrate_lens(view.name, seen, board, size, fisheye=o.fisheye)
