@@ -170,7 +170,7 @@ def test_what_cannot_be_used_is_named(tmp_path, monkeypatch):
         import_depth(["e.bag"], tmp_path / "rec")
     nobody = own, times, [seen_in_room(own, person=False)] * 3
     recorded(monkeypatch, {"c.bag": nobody, "f.bag": nobody})
-    with pytest.raises(EvidenceError, match="c shows nobody"):
+    with pytest.raises(EvidenceError, match="c shows no person"):
         import_depth(["c.bag", "f.bag"], tmp_path / "rec", empty=["c.bag", "f.bag"])
     monkeypatch.undo()
     tiny = folder(tmp_path / "tiny", camera(), [seen_in_room(camera()) / 1000])
