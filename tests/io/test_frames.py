@@ -246,7 +246,7 @@ def test_background_from_the_tracked_model_alone(film):
     with with_model as stream:
         got = [iou(m, truth[c, 4]) for c, m in enumerate(stream.frame(4).silhouettes.masks)]
     assert min(got) > 0.85
-    assert "whoever stands still" in build_backgrounds(replace(recording, views=views), OPTIONS)[0].note
+    assert "who stands still" in build_backgrounds(replace(recording, views=views), OPTIONS)[0].note
 
 
 # ---- real recordings -----------------------------------------------------------------------------------------

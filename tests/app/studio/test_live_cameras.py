@@ -202,7 +202,7 @@ def test_nothing_is_recorded_outside_of_the_served_folder(own_studio, tmp_path):
     assert not list((tmp_path / "elsewhere").iterdir())
 
 
-def test_the_page_follows_a_person(served_live, followed, tmp_path, monkeypatch):
+def test_the_page_follows_a_person(served_live, page, followed, tmp_path, monkeypatch):
     # so long that the page shows it, however busy the computer is
     monkeypatch.setattr(live_topics, "CaptureOptions", lambda rate, _, masks: CaptureOptions(rate, 600.0, masks))
     go(WEB / "tests" / "live_cameras.walk.mjs", served_live.address, served_live.studio.catalog.root, tmp_path)

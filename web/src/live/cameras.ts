@@ -112,7 +112,7 @@ export function camerasLive(root: HTMLElement): Screen {
       h("p", { class: "dim" }, "Where each camera is: the number of one of this computer (0), or the address of a stream. With none, the recording's videos are played again and again; with some, only these cameras are used."),
       where,
       h("div", { class: "live-row" }, h("span", { class: "field-name" }, "People"), most),
-      h("details", {}, h("summary", { class: "dim" }, "Where poses are sent"), h("div", { class: "live-row" }, h("span", { class: "field-name" }, "OSC to"), osc), h("div", { class: "live-row" }, h("span", { class: "field-name" }, "Avatar at"), vmc)),
+      h("details", { open: osc.value !== "" || vmc.value !== "" }, h("summary", { class: "dim" }, "Where poses are sent"), h("div", { class: "live-row" }, h("span", { class: "field-name" }, "OSC to"), osc), h("div", { class: "live-row" }, h("span", { class: "field-name" }, "Avatar at"), vmc)),
       h("div", { class: "live-row" }, h("span", { class: "field-name" }, "Record"), h("label", {}, record, "pictures, masks and poses")),
       h("div", { class: "row" }, start, setup),
     );

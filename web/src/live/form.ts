@@ -38,7 +38,7 @@ export function liveForm(send: (message: Record<string, unknown>) => void): {
       "div",
       { class: "live-form" },
       row("Seen by", source),
-      h("details", {}, h("summary", { class: "dim" }, "Ports, and where poses are sent"), h("div", { class: "live-row" }, h("label", {}, "UDP", udp), h("label", {}, "WebSocket", ws)), row("OSC to", osc)),
+      h("details", { open: osc.value !== "" }, h("summary", { class: "dim" }, "Ports, and where poses are sent"), h("div", { class: "live-row" }, h("label", {}, "UDP", udp), h("label", {}, "WebSocket", ws)), row("OSC to", osc)),
       row("Record", h("label", {}, record, "all that the sensors send")),
       h("div", { class: "row" }, start, stop),
     ),
