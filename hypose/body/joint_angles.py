@@ -271,7 +271,12 @@ def _zxy(r: Array) -> tuple[Array, Array, Array]:
 
 
 def _continuous(zxy: Sequence[Array] | Array, prior_axis: int = 2) -> tuple[Array, Array, Array]:
-    """Make z, x, y (T, ...) of `_zxy` continuous in time, as `continuous_euler_zxy` returns them."""
+    """Make three angles continuous in time.
+
+    zxy: (3, T, ...) rotations about z, x and y, rad; y is NaN in gimbal lock, where it is held at its last value.
+    prior_axis: which of z, x, y (0, 1, 2) decides between the two equivalent triples of angles; it stays near 0.
+    Returns: z, x, y (T, ...) without jumps of whole turns.
+    """
     z, x, y = zxy
     locked = np.isnan(y)
     if locked.any():

@@ -64,12 +64,12 @@ def apply_parameters(camera: Camera, x: Array) -> Camera:
 
 
 def by_camera(points_camera: Array, gradient_camera: Array, unknowns: int = 6) -> Array:
-    """Compute the derivative (R, unknowns) of rows with respect to the parameters of a camera at zero
-    (`apply_parameters`).
+    """Compute the derivatives of residuals with respect to a small change of a camera.
 
     points_camera: (R, 3) in the camera's frame, m.
     gradient_camera: (R, 3) derivative of each row with respect to its point, in the camera's frame.
     unknowns: 6, or 7 with the focal length.
+    Returns: (R, unknowns), columns: rotation (rad), translation (m), log of the focal length (`apply_parameters`).
     """
     parts = [np.cross(points_camera, gradient_camera), gradient_camera]
     if unknowns > 6:  # u - c = f x / z: scaling f scales x and y

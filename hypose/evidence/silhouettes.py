@@ -50,8 +50,11 @@ class Segmenter(Protocol):
         ...
 
     def runs(self, image: Image, band: Mask | None = None, box: picture_to_mask.Box | None = None, /) -> MaskRuns:
-        """Segment an image as a packed mask; box: part of the image that is given, and where the person is without a
-        band."""
+        """Segment the person in an image; return a packed mask.
+
+        band: pixels in which the person may be; None: all in the box.
+        box: rows and columns in which the person is searched when there is no band; None: the whole image.
+        """
         ...
 
 

@@ -336,7 +336,7 @@ class FrameProblem(Problem[Array, Evaluation]):
         self.evaluation, self.lower, self.upper, self.coarse = evaluation, lower, upper, False
 
     def evaluate(self, state: Array) -> tuple[float, Callable[[], Evaluation]]:
-        """Compute cost and equations together."""
+        """Compute the cost of a pose, and a function that returns its gradient and Hessian (here already computed)."""
         e = self.evaluation(state, self.coarse)
         return e.cost, lambda: e
 

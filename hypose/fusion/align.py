@@ -151,7 +151,12 @@ class _Track:
         return True
 
     def at(self, time: float, period: float, s: AlignSettings) -> tuple[Array, NDArray[np.uint8]] | None:
-        """Interpolate or extrapolate positions and state at a time; None where no report is near."""
+        """Interpolate, or extrapolate for a short time, what a sensor reported.
+
+        time: s.
+        period: time between two frames of the common clock, s.
+        Returns: positions and states of the joints (0 missing, 1 inferred, 2 tracked); None where no report is near.
+        """
         times = self.times
         k = bisect_left(times, time)
         if k == 0:

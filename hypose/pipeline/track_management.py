@@ -205,8 +205,11 @@ def candidate_evidence(
 
 
 def found_again(p: Followed, own: Frame) -> tuple[PreparedFrame, Array]:
-    """Fit the pose (D,) of a known person at the hull; return the prepared evidence and the pose.
+    """Fit the pose of a person, whose body is known, to new evidence, starting from its visual hull.
 
+    p: the person.
+    own: frame as evidence for one person in the hull, see `candidate_evidence`.
+    Returns: the prepared evidence, and the pose (D,).
     Raises: EvidenceError where the evidence shows no person.
     """
     body = p.subject.body

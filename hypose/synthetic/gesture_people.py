@@ -333,7 +333,10 @@ def _thumb_of(person: GesturePerson, side: str, x: Array) -> Array:
 
 
 def _chain_end(person: GesturePerson, side: str, finger: int, rotations: Sequence[Array]) -> Array:
-    """Compute the tip (3,) of a finger whose joints have these rotations, with the hand at rest."""
+    """Compute the position (3,) of a finger's tip, m, with the hand at rest.
+
+    rotations: of the finger's three segments, each relative to the hand (not to the segment before).
+    """
     at = [person.joint(f"{side}_{FINGERS[finger]}_{k}") for k in (1, 2, 3)]
     at.append(person.ends[SIDES.index(side), finger])
     out = at[0]

@@ -173,8 +173,7 @@ def judged(
     known: "depth" for depth cameras, which the audit does not show; None: the evidence is found from the audit.
     Returns: (T, J) probabilities of an error above WRONG_M; (T, J) true for doubtful joints.
     With key points no joint is more certain than its covariance says. With key points alone, joints for which the set
-    has
-        no point are never doubtful. In frames without the person the probability is at least 0.5 and all joints are
+        has no point are never doubtful. In frames without the person the probability is at least 0.5 and all joints are
         doubtful.
     """
     names = motion.skeleton.joint_names

@@ -92,7 +92,8 @@ def track_keypoint_clip(
 ) -> Smoothed:
     """Compute the smoothed motion of a clip from its key points alone.
 
-    model: where key points sit on the body; keypoints: T frames, None where there are none.
+    model: joint and offset of each key point on the body.
+    keypoints: of the T frames; None where there are none.
     start: (D,) pose in the first frame; sure_start: it is the right way round, even where the points' names contradict
         it.
     progress: function (done, total), called after every frame of the first pass.

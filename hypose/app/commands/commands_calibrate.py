@@ -52,7 +52,7 @@ def calibrate(c: CalibrateCommand) -> None:
 
 
 def _board_of(c: CalibrateCommand) -> Board:
-    """Make the board from the options.
+    """Make the board from the options; with --square alone, count the corners of a chessboard in the pictures.
 
     Raises: InputError names the option that is missing or malformed.
     """

@@ -276,9 +276,12 @@ def _by_motion(
 def _by_motion_within(
     recording: Recording, largest: float, frames: int, progress: ProgressCall
 ) -> tuple[list[float], list[str], bool]:
-    """Find how late each view is, within `largest` frames, from motion.
+    """Find how late each view is from the motion of the person.
 
-    Returns: frames, a text on each, and whether all are clearly inside the range.
+    largest: largest delay that is searched, frames.
+    frames: number of frames that are used, at least.
+    Returns: delay of each view in frames, a text on each, and whether all delays are clearly smaller than `largest`.
+    Raises: EvidenceError where the motion does not determine the delays.
     """
     seen = observe_recording(recording, max(frames, math.ceil(4 * largest)), progress)
     points = None if seen.keypoints is None else undistorted(seen.rig, seen.keypoints)

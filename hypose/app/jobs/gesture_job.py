@@ -512,7 +512,10 @@ class CommandOut:
         self._running: list[subprocess.Popen[bytes]] = []
 
     def send(self, watched: Watched) -> None:
-        """Run the command for the events of one frame."""
+        """Run the command for the starts in one frame, and for the ends if it has {event}.
+
+        While MOST_COMMANDS of them run, further events are left out.
+        """
         self._running = [p for p in self._running if p.poll() is None]
         for e in watched.events:
             if (e.kind == "start" or self._ends) and len(self._running) < MOST_COMMANDS:
