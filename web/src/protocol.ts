@@ -27,6 +27,11 @@ export interface State {
   skeletons: SkeletonsEntry[]; jobs: Job[];
 }
 
+/** An option of a job, as its command declares it; choices: empty where any value of its kind is taken. */
+export interface JobOption { name: string; kind: string; default: unknown; help: string; choices: string[] }
+/** The options of each kind of job that a page may set. */
+export type JobForms = Record<string, JobOption[]>;
+
 export interface CameraInfo {
   name: string; K: number[][]; camera_from_world: number[][]; size: [number, number]; pictures: boolean;
 }

@@ -1,6 +1,6 @@
 import { get } from "../api";
 import type { Counters } from "../counters";
-import type { Job, Recording, State } from "../protocol";
+import type { Job, JobForms, Recording, State } from "../protocol";
 import { button } from "../ui/buttons";
 import { h, plain } from "../ui/dom";
 import { calibrateStep, usualBoard } from "./calibrate";
@@ -40,6 +40,7 @@ export class RecordingPage {
   constructor(
     private recording: Recording,
     private state: State,
+    private readonly forms: JobForms,
     private readonly feed: JobFeed,
     private readonly counters: Counters,
   ) {
@@ -149,7 +150,7 @@ export class RecordingPage {
       : this.step === "check" ? checkStep(recording)
       : this.step === "masks" ? this.masks!.element
       : this.step === "person" ? personStep(recording)
-      : trackStep(recording, (id) => names.get(id) ?? id),
+      : trackStep(recording, this.forms["track"] ?? [], (id) => names.get(id) ?? id),
       ...this.onward(),
     );
   }

@@ -1,6 +1,6 @@
 import { get, post } from "../api";
 import { count } from "../counters";
-import type { Job, Recording, State } from "../protocol";
+import type { Job, JobForms, Recording, State } from "../protocol";
 import type { OpenScreen } from "../router";
 import { button } from "../ui/buttons";
 import { h } from "../ui/dom";
@@ -42,7 +42,8 @@ export const setup: OpenScreen = (root, rest) => {
     const id = rest[0];
     const state = await get<State>("/api/state", signal);
     if (id) {
-      page = new RecordingPage(await get<Recording>(`/api/recordings/${id}`, signal), state, feed, counters);
+      const [recording, forms] = await Promise.all([get<Recording>(`/api/recordings/${id}`, signal), get<JobForms>("/api/job-forms", signal)]);
+      page = new RecordingPage(recording, state, forms, feed, counters);
       box.replaceChildren(offline, page.element);
     } else {
       home = new Home(state, feed);
