@@ -54,7 +54,7 @@ def test_a_camera_that_stands_elsewhere_is_found_and_put_right(change):
     degrees, metres = place_error(places[0].camera_from_world[1], elsewhere()[1].camera_from_world, HERE)
     assert degrees < 0.5 and metres < SETTINGS.moved_off_m / 2
     assert np.array_equal(places[0].camera_from_world[0], RIG[0].camera_from_world)
-    assert len(said) == 1 and said[0].startswith("d1 stood") and ("from frame" in said[0]) == (change > 0)
+    assert len(said) == 1 and said[0].text.startswith("d1 stood") and ("from frame" in said[0].text) == (change > 0)
     right = PlacedSource(source, places)
     last = right.frame(23)
     assert last.depth is not None and last.silhouettes is not None
