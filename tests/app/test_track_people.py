@@ -89,7 +89,8 @@ def test_who_else_is_seen_is_said_at_the_end(hypose, two, tmp_path):
     code, out, err = hypose("track", recording, "--evidence", "keypoints", "--out", tmp_path / "out", *LIGHT)
     assert code in (0, 3), out + err
     said = json.loads((tmp_path / "out" / "assessment.json").read_text(encoding="utf-8"))
-    assert "another person is in the" in said["remarks"][0] and "--people all tracks everybody" in said["remarks"][0]
+    (other,) = [f["text"] for f in said["findings"] if f["kind"] == "other people"]
+    assert "another person is in the" in other and "--people all tracks everybody" in other
     assert "another person is in the key points" in out + err
 
 
