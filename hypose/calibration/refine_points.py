@@ -413,7 +413,7 @@ def left_out_residual(rig: CameraRig, pixels: Array, confidence: Array) -> Array
 
     pixels: (C, N, 2) undistorted px.
     confidence: (C, N).
-    Returns: (C, N) px; NaN where there is none.
+    Returns: (C, N) px; NaN where the own confidence is at most .5, or fewer than two other cameras have more than .3.
     """
     out = np.full(confidence.shape, np.nan)
     used = np.where(confidence > 0.3, confidence, 0.0)

@@ -54,7 +54,7 @@ class AssociationSettings:
         have 1.5 times as much.
     near: m, largest distance of a ray that counts for a point.
     complete: m, largest distance at which a single free point completes a person.
-    limit: m, at which distances are cut off.
+    limit: m; larger distances count as this.
     merge: m, two people nearer than this are one; apart: m, no new person starts nearer than this to another.
     patience: s without two views after which a track ends.
     stale: s for which a point that is not seen is predicted with the others.
@@ -227,9 +227,14 @@ class Association:
     def _taken(
         self, found: Array, is_person: NDArray[np.bool_], free: NDArray[np.bool_], expected: Array
     ) -> tuple[Array, NDArray[np.int64]]:
-        """Assign candidates to the tracked people; assigned ones are removed from `free`.
+        """Assign detected people to the tracked people, at most one to one in each view and within `settings.gate`.
 
-        Returns: points (C, N, K, columns); candidates (C, N), -1 for none.
+        found: (C, P, K, columns) points of the P detected people of each view.
+        is_person: (C, P) whether a detection has enough points for a person.
+        free: (C, P) whether a detection is not assigned yet; assigned ones are set to False.
+        expected: (N, K, 3) predicted points of the tracked people, m.
+        Returns: points (C, N, K, columns), with left and right exchanged where that fits better; number of the
+            detection (C, N), -1 for none.
         """
         from scipy.optimize import linear_sum_assignment  # takes long to import
 

@@ -177,7 +177,7 @@ def _too_doubtful(
     bad = np.array([j for j in found if names[j] not in _ALONE], dtype=np.int64)
     if len(bad):
         which = ", ".join(names[j].replace("_", " ") for j in bad)
-        text = f"{which} cannot be told from the evidence in {100 * often[bad].max():.0f} % of the frames"
+        text = f"{which} cannot be determined from the evidence in {100 * often[bad].max():.0f} % of the frames"
         return [Finding("wrong limb", (), text, size=float(often[bad].max()))]
     return []
 

@@ -177,9 +177,11 @@ def run_pass(step: Pass, clip: ClipState) -> ClipState:
 
     Only passes that have a row in `REASONS` move joints; nothing is recorded for the others.
     """
+    if (reason := REASONS.get(step.__name__)) is None:
+        return step(clip)
     before, after = clip.joints, step(clip)
-    now, reason = after.joints, REASONS.get(step.__name__)
-    if reason is None or before is None or now is None or len(before) != len(now):
+    now = after.joints
+    if before is None or now is None or len(before) != len(now):
         return after
     names, moved = after.who.body.skeleton.joint_names, np.linalg.norm(now - before, axis=-1)
     return replace(after, trace=(*after.trace, *list_changes(step.__name__, names, moved, reason)))
@@ -285,7 +287,7 @@ def track_clip(clip: ClipState) -> ClipState:
         raise type(done.error)(
             f"{done.error} The {len(done.estimates)} frames before are kept in {results.path}; see --resume."
         ) from done.error
-    return replace(clip, trace=(*clip.trace, *_changes_within_frames(clip, done)))
+    return clip
 
 
 def _track(clip: ClipState, keep: Keep | None = None, before: Tracked | None = None) -> ClipState:
@@ -294,16 +296,6 @@ def _track(clip: ClipState, keep: Keep | None = None, before: Tracked | None = N
     begin = tracker.start(subject.start if subject.rivals is None else subject.rivals)
     kept = {"keep": keep, "before": before, "progress": clip.progress}
     return replace(clip, tracked=track_frames(clip.source, tracker, begin, subject, **kept))
-
-
-def _changes_within_frames(clip: ClipState, done: Tracked) -> tuple[Change, ...]:
-    """List where a frame's search put joints elsewhere than the solve from the predicted pose."""
-    if not done.estimates or any(not len(e.moved) for e in done.estimates):
-        return ()
-    names, moved = clip.who.body.skeleton.joint_names, np.stack([e.moved for e in done.estimates]).astype(np.float64)
-    origins = np.array([e.origin for e in done.estimates])
-    found = [list_changes("track_clip", names, moved, why, origins == o) for o, why in SEARCHES.items()]
-    return tuple(change for each in found for change in each)
 
 
 def _solve_keypoints(clip: ClipState) -> ClipState:
@@ -402,6 +394,17 @@ def check_height(clip: ClipState) -> ClipState:
 # ---- after tracking ----------------------------------------------------------------------------------------
 
 
+def trace_searches(clip: ClipState) -> ClipState:
+    """Record where a frame's search put joints elsewhere than the solve from the predicted pose."""
+    estimates = () if clip.tracked is None else clip.tracked.estimates
+    if not estimates or any(not len(e.moved) for e in estimates):
+        return clip
+    names, moved = clip.who.body.skeleton.joint_names, np.stack([e.moved for e in estimates]).astype(np.float64)
+    origins = np.array([e.origin for e in estimates])
+    found = [list_changes("track_clip", names, moved, why, origins == o) for o, why in SEARCHES.items()]
+    return replace(clip, trace=(*clip.trace, *(change for each in found for change in each)))
+
+
 def correct_sides(clip: ClipState) -> ClipState:
     """Find stretches in which left and right were exchanged or the body was lost, and track them again."""
     done = clip.tracked
@@ -479,8 +482,11 @@ def mark_anomalies(clip: ClipState) -> ClipState:
 
 
 def judge_joints(clip: ClipState) -> ClipState:
-    """Estimate the probability and size of the error of each joint, and find what speaks against the
-    clip as a whole.
+    """Estimate the errors of the joints, and add findings on the clip as a whole.
+
+    The motion gets the error probability and covariance of each joint, the sd of the angles, and its frames of low
+    confidence; of one camera, whose uncertainty is in its modes, the frames of low confidence alone. Without a motion
+    nothing is done.
     """
     if clip.motion is None:
         return clip
@@ -567,6 +573,7 @@ def keep_motion(clip: ClipState) -> ClipState:
 BEFORE_TRACKING: tuple[Pass, ...] = (check_evidence, find_person)
 TRACKING: tuple[Pass, ...] = (track_clip, place_sensors, check_height)
 AFTER_TRACKING: tuple[Pass, ...] = (
+    trace_searches,
     correct_sides,
     correct_beginning,
     track_backwards,

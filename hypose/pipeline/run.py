@@ -160,11 +160,21 @@ def track_source(
     """
     if len(source) == 0:
         raise InputError("The recording has no frame to track; check the frame range and the videos.")
-    chosen = {"body": body, "method": method, "own": own, "find_places": find_places}
-    kept = {"results": results, "record": record or {}, "resume": resume}
-    report = progress or (lambda stage, done, total: None)
-    given = subject is not None
-    clip = ClipState(source, frame_rate, options, **chosen, **kept, progress=report, subject=subject, given=given)
+    clip = ClipState(
+        source,
+        frame_rate,
+        options,
+        body=body,
+        method=method,
+        own=own,
+        results=results,
+        record=record or {},
+        resume=resume,
+        find_places=find_places,
+        progress=progress or (lambda stage, done, total: None),
+        subject=subject,
+        given=subject is not None,
+    )
     return run_passes(clip, PASSES)
 
 

@@ -217,8 +217,8 @@ def start_from_hull(body: Body, frame: PreparedFrame, poses: Sequence[str] = KNO
 def _followed(start: Start, frames: Sequence[PreparedFrame]) -> tuple[Array, Array]:
     """Track a start through the next frames; return the poses (F, D) and costs (F,).
 
-    The last step is predicted again. Why: without that the true start of a walking person loses its legs, and a body
-    that is too small wins.
+    The last displacement of the root is predicted again. Why: without that the true start of a walking person loses its
+    legs, and a body that is too small wins.
     """
     poses, costs, pose, moved = [], [], start.pose, np.zeros(3)
     for frame in frames:

@@ -270,14 +270,20 @@ class Tracker:
         following = TrackerState(state.frames + 1, selected, pose, last, known.joint_covariance, usual, 0, lost, memory)
         cost = 1 - iou if np.isfinite(iou) else float("nan")
         overlap = prepared.silhouettes.overlap(self.body, pose)
+        recovered, held = bool(np.isfinite(gain)), lost and pose is not searched
         if not lost and np.isnan(gain):
             gain = self._rival_gain(state, pose, prepared)
         rivals, weights = self._rivals(None if lost else selected)
         views = view_count(prepared)
-        from_lost = pose is not searched
-        origin = RECOVERED if from_lost else selected.found_by(int(selected.relative_log_weights.argmax()))
-        moved = self._moved(searched if from_lost else result.first, pose) if recipe.rivals else np.zeros(0, np.float32)
-        known_of = {"rivals": rivals, "rival_weights": weights, "origin": origin, "moved": moved}
+        # a person who is not there keeps the last pose, with the hypotheses of before
+        by = "" if held else selected.found_by(int(selected.relative_log_weights.argmax()))
+        moved = self._moved(searched if recovered else result.first, pose) if recipe.rivals else np.zeros(0, np.float32)
+        known_of = {
+            "rivals": rivals,
+            "rival_weights": weights,
+            "origin": RECOVERED if recovered else by,
+            "moved": moved,
+        }
         return following, FrameEstimate(pose, known, cost, lost, False, views, overlap, gain, **known_of)
 
     def _moved(self, before: Array, pose: Array) -> NDArray[np.float32]:

@@ -6,6 +6,7 @@ import pytest
 from hypose.body.body import Body, Landmarks, Mesh
 from hypose.body.default_body import JOINT_NAMES, PARENTS, human_skeleton
 from hypose.body.motion import Motion, isotropic
+from scripts.fuzz_targets import write_good
 from tests import missing
 
 # joint centres of a standing adult, arms 45 degrees out, elbows a little bent; x left, y backward, z up
@@ -107,3 +108,11 @@ def opensim():
     module = missing.module("opensim", "agreement with OpenSim", "pip install opensim")
     module.Logger.setLevelString("Error")
     return module
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory):
+    """A folder with a good file of every reader."""
+    folder = tmp_path_factory.mktemp("good")
+    write_good(folder)
+    return folder

@@ -9,7 +9,7 @@ import pytest
 from hypose.errors import HyposeError
 from scripts.fuzz import input_of, judge
 from scripts.fuzz_mutations import mutate
-from scripts.fuzz_targets import targets, write_good
+from scripts.fuzz_targets import targets
 from tests.conftest import ROOT
 
 CORPUS = sorted((ROOT / "tests" / "io" / "corpus").iterdir())
@@ -20,13 +20,6 @@ FOREIGN = (b"", bytes(600), b"hello world\n", b"{}", b"\xff" * 2000, b"PK\3\4" +
 def formats():
     """Readers of files: not of lines, nor of what a server, a file name or the cache brings."""
     return [t for t in targets().values() if not t.lines and t.name.split("-")[0] not in ("server", "name", "cache")]
-
-
-@pytest.fixture(scope="module")
-def good(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("good")
-    write_good(folder)
-    return folder
 
 
 def test_good_inputs_are_read(good):

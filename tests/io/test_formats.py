@@ -15,7 +15,7 @@ from hypose.io.motions.export import MOTION_FILES, export_motion
 from hypose.io.sensors.skeleton_files import SKELETONS, read_skeletons
 from hypose.pipeline.comparison import read_other
 from scripts.formats_page import formats_page
-from scripts.fuzz_targets import targets, write_good
+from scripts.fuzz_targets import targets
 
 TABLES = {"calibration": CALIBRATIONS, "keypoints": KEYPOINTS, "motion": MOTION_FILES, "skeleton": SKELETONS}
 SAMPLES = [t for t in targets().values() if t.name.split("-")[0] in TABLES and t.name != "calibration-points"]
@@ -24,13 +24,6 @@ NOT_SAMPLED = {"OpenPose (one frame)"}
 BOTH_WAYS = [
     (table, f) for table in TABLES.values() for f in table.formats if f.read is not None and f.write is not None
 ]
-
-
-@pytest.fixture(scope="module")
-def good(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("good")
-    write_good(folder)
-    return folder
 
 
 def table_of(target):

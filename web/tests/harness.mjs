@@ -143,6 +143,19 @@ export const barriers = async (page) => {
 let source;
 const axe = async () => (source ??= await readFile(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf-8"));
 
+/** Asserts that nothing is cut off and nothing is a barrier, in light and dark, at these sizes of the window. */
+export const fits = async (page, sizes = [[1024, 700], [1280, 720], [1440, 900]]) => {
+  for (const colorScheme of ["light", "dark"]) {
+    await page.emulateMedia({ colorScheme, reducedMotion: "reduce" }); // no colours on their way
+    for (const [width, height] of sizes) {
+      await page.setViewportSize({ width, height });
+      assert.deepEqual(await staysCutOff(page), []);
+    }
+    assert.deepEqual(await barriers(page), []);
+  }
+  await page.emulateMedia({ colorScheme: "light" });
+};
+
 /** A screenshot as soon as two in a row are the same. */
 export const resting = async (take) => {
   for (let before = await take(), tries = 0; ; tries++) {

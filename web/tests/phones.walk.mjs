@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { existsSync, readFileSync } from "node:fs";
 import { join } from "node:path";
-import { barriers, staysCutOff, walk } from "./harness.mjs";
+import { fits, walk } from "./harness.mjs";
 
 await walk(
   async ({ page, folder, picture }) => {
@@ -13,18 +13,6 @@ await walk(
       clicks++;
     };
     const button = (name) => page.getByRole("button", { name, exact: true });
-    const everybody = async () => {
-      for (const colorScheme of ["light", "dark"]) {
-        await page.emulateMedia({ colorScheme, reducedMotion: "reduce" });
-        for (const [width, height] of [[1024, 700], [1280, 720], [1440, 900]]) {
-          await page.setViewportSize({ width, height });
-          assert.deepEqual(await staysCutOff(page), []);
-        }
-        assert.deepEqual(await barriers(page), []);
-      }
-      await page.emulateMedia({ colorScheme: "light" });
-    };
-
     // nothing is missing: the recording is made and kept
     await page.getByRole("heading", { name: "Set up a recording" }).waitFor();
     await click(button("phones"));
@@ -34,7 +22,7 @@ await walk(
     await click(button("Make the recording"));
     await button("Find the cameras and track").waitFor();
     await picture("phones-made");
-    await everybody();
+    await fits(page);
 
     // a board to print, for later
     const board = page.getByRole("link", { name: "A board to print, A4" });
@@ -64,7 +52,7 @@ await walk(
     for (const name of ["motion.osim", "motion.mot", "motion_markers.trc", "motion_ik.xml"]) assert.ok(packed.includes(name), name);
     console.log(JSON.stringify({ clicks }));
     assert.ok(existsSync(join(folder, "phones", "calibration.toml")), "the cameras are kept with the videos");
-    await everybody();
+    await fits(page);
 
     // the videos are there to look at, on the common clock
     await page.getByRole("link", { name: "Open in View" }).first().click();

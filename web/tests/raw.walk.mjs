@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { existsSync, readFileSync } from "node:fs";
 import { join } from "node:path";
-import { barriers, staysCutOff, walk } from "./harness.mjs";
+import { fits, staysCutOff, walk } from "./harness.mjs";
 
 await walk(
   async ({ page, folder, picture }) => {
@@ -19,18 +19,6 @@ await walk(
       return all.length > 0 && all.every((i) => i.complete && i.naturalWidth > 0);
     }, selector);
 
-    const everybody = async (sizes) => {
-      for (const colorScheme of ["light", "dark"]) {
-        await page.emulateMedia({ colorScheme, reducedMotion: "reduce" }); // no colours on their way
-        for (const [width, height] of sizes) {
-          await page.setViewportSize({ width, height });
-          assert.deepEqual(await staysCutOff(page), []);
-        }
-        assert.deepEqual(await barriers(page), []);
-      }
-      await page.emulateMedia({ colorScheme: "light" });
-    };
-
     // a folder with all that was filmed; every file finds its use and its camera
     await page.getByRole("heading", { name: "Set up a recording" }).waitFor();
     await click(button("session"));
@@ -44,7 +32,7 @@ await walk(
     }
     await shown(".file-picture img");
     await picture("raw-folder");
-    await everybody([]); // its form stays in sight, above the rest of the list
+    await fits(page, []); // its form stays in sight, above the rest of the list
     await page.getByLabel("Name of the recording").fill("mine");
     await click(button("Make the recording"));
 
@@ -61,7 +49,7 @@ await walk(
     await shown(".contact-sheet img");
     await page.getByText("4 cameras · 30 frames").waitFor();
     await picture("raw-calibrated");
-    await everybody([[390, 844], [1024, 700], [1280, 720], [1440, 900]]);
+    await fits(page, [[390, 844], [1024, 700], [1280, 720], [1440, 900]]);
 
     // in step: side by side, moved by hand and back
     await click(button("Next: Synchronise"));

@@ -114,9 +114,9 @@ _MAX_PENDING = 16
 
 
 class SocketListeners:
-    """WebSocket server on ws://127.0.0.1:PORT (0: any free one) for programs and pages of this computer; items are sent
-    to the listeners of a path.
+    """WebSocket server on ws://127.0.0.1:PORT (0: any free one) for programs and pages of this computer.
 
+    Every item is sent to all listeners, whatever path they asked for.
     waiting: items kept for a slow listener, which loses the oldest ones.
     hello: gives the first item for a path; None: there is no such path.
     Raises: InputError where the port cannot be used.

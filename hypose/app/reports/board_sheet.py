@@ -12,7 +12,7 @@ _POINTS = 72 / 25.4
 _HOW = (
     "1. Print page 1 in its actual size (100 %), on the largest paper you have. Glue it to something flat and stiff.",
     "2. Measure the side of a square with a ruler: hypose asks for it. It should be {side} mm.",
-    "3. Leave the cameras where they are, from the board to the last video: nobody touches them, nor their zoom.",
+    "3. Leave the cameras where they are, from the board to the last video: do not touch them or their zoom.",
     "4. Start all cameras. Carry the board slowly through the place where the person moves, for about a minute:",
     "    turned and tilted to all sides, near and far, high and low, and still for a moment in many places.",
     "    Two cameras at least should see it at a time, and each camera in all corners of its picture.",

@@ -274,7 +274,10 @@ def read_found(folder: Path, name: str) -> dict[str, Any] | None:
 
 
 def board_files(folder: Path) -> list[Path]:
-    """List the clips or photo folders of the board, one per camera, that a recording.toml names."""
+    """List the clips or photo folders of the board, one per camera, that folder/recording.toml names.
+
+    Returns: paths, made absolute from the folder; empty where recording.toml is missing, invalid, or names none.
+    """
     with contextlib.suppress(HyposeError):
         views = read_toml(folder / "recording.toml").get("view", [])
         return [folder / v["board"] for v in views if isinstance(v, dict) and isinstance(v.get("board"), str)]

@@ -185,7 +185,12 @@ def _placed(body: Body, camera: Camera, points: MonoPoints, yaw: float, name: st
 def _solved(
     body: Body, camera: Camera, points: MonoPoints, starts: Array, active: NDArray[np.int64]
 ) -> tuple[Array, Array]:
-    """Fit poses to the points from the starts (M, D); return poses (M, D) and costs (M,)."""
+    """Fit poses to 2D points, from several starts.
+
+    starts: (M, D) start poses.
+    active: coordinates of the pose that may change; the others are held at their start.
+    Returns: poses (M, D), costs (M,).
+    """
     scale = float(np.median(points.scale_px))
     confidence = points.confidence * (scale / points.scale_px) ** 2
     term = KeypointTerm(
