@@ -102,6 +102,7 @@ def test_a_person_who_is_not_there_was_found_by_no_search(frames, subject):
     *_, (state, _) = tracker.follow(tracker.start(subject.start), frames[:4])
     s = frames[4].silhouettes
     elsewhere = replace(s, masks=np.roll(s.masks, s.masks.shape[-1] // 2, axis=-1))
+    state = replace(state, hypotheses=state.hypotheses.marked("by arm table", np.arange(state.hypotheses.count)))
     estimate = tracker.step(state, replace(frames[4], silhouettes=elsewhere, keypoints=None))[1]
     assert estimate.lost and estimate.origin == ""
 
