@@ -50,6 +50,7 @@ _PLACES = {
     "Layer": "hypose.inference.layer",
     "Hypotheses": "hypose.inference.hypotheses",
     "search": "hypose.inference.layer",
+    "follow": "hypose.inference.layer",
     "stream": "hypose.inference.layer",
     "kernels": "hypose.inference",
     "resampling": "hypose.inference",

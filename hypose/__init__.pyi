@@ -23,6 +23,7 @@ from hypose.inference.annealing import SurvivalRate as SurvivalRate
 from hypose.inference.hypotheses import Hypotheses as Hypotheses
 from hypose.inference.layer import Layer as Layer
 from hypose.inference.layer import Recipe as Recipe
+from hypose.inference.layer import follow as follow
 from hypose.inference.layer import search as search
 from hypose.inference.layer import stream as stream
 from hypose.io.calibrations.calibration_formats import read_any as _read_calibration

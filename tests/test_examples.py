@@ -72,6 +72,12 @@ def test_bearings_only():
     assert len(off) == 90 and off[0] > 1000 > 250 > max(off[-10:]) and lines <= 30
 
 
+def test_layered_filter_on_a_toy(tmp_path):
+    said = run(ROOT / "examples/python/layered_filter_on_a_toy.py", tmp_path / "tip.svg")
+    layered, plain = (float(x) for x in re.findall(r": (\d+) mm", said))
+    assert layered < 0.8 * plain and layered < 25 and (tmp_path / "tip.svg").read_text().count("<polyline") == 3
+
+
 @pytest.mark.slow
 def test_live_fusion(tmp_path, rng):
     path, lines = example("live_fusion.py")

@@ -90,16 +90,20 @@ def known_subject(scene: Scene, body: Body | None = None) -> TrackedSubject:
     return TrackedSubject(body, None, start.pose, ("height and start pose are given",))
 
 
-def track_scene(scene: Scene, frames: list[Frame], preset: str, seed: int, body: Body | None = None) -> Outcome:
-    """One preset on one scene from the given subject and start; body as for `known_subject`."""
+def track_scene(
+    scene: Scene, frames: list[Frame], preset: str, seed: int, body: Body | None = None, *, every: int = 1, **own: Any
+) -> Outcome:
+    """One preset on one scene from the given subject and start; body as for `known_subject`; every: one frame of so
+    many is judged; own: options of the recipe."""
     subject = known_subject(scene, body)
-    made = recipe(preset, subject.body, frame_rate=scene.frame_rate)
+    made = recipe(preset, subject.body, frame_rate=scene.frame_rate, **own)
     tracker = Tracker(subject.body, made, TrackerSettings(seed=seed, frame_rate=scene.frame_rate))
     begin = time.perf_counter()
     estimates = [estimate for _, estimate in tracker.follow(tracker.start(subject.start), frames)]
     seconds = (time.perf_counter() - begin) / len(frames)
     motion = motion_of(subject.body, scene.times[: len(frames)], estimates)
     assert motion.poses is not None
-    rotations, _ = subject.body.skeleton.forward(motion.poses)
+    judged = slice(0, len(frames), every)
+    rotations, _ = subject.body.skeleton.forward(motion.poses[judged])
     offsets = population_offsets(human()) * scene.subject.stature
-    return Outcome(joint_errors(motion.joints, scene.joints[: len(frames)], offsets, rotations), seconds)
+    return Outcome(joint_errors(motion.joints[judged], scene.joints[judged], offsets, rotations), seconds)

@@ -22,7 +22,7 @@ from hypose.synthetic.metrics import LOST_M
 from hypose.synthetic.performance import Performance
 from hypose.synthetic.scenes import Scene, make_scene
 
-PRESETS = ("apf", "hpf", "hpf-apo", "hpf-apo+", "hpf+", "default")
+PRESETS = ("apf", "hpf", "hpf-apo", "hpf+", "default")
 DISTURBED = Corruptions(boundary_px=0.7, blobs=1.0, desync=(0, 1, 0, 2))
 AWAY = (0.6, 1.2)
 """s: from when to when the person is out of every view in the clip with an absence."""

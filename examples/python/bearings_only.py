@@ -2,11 +2,9 @@
 
 A state is x, y (m), vx, vy (m/s). The listener zigzags: from a straight course the distance would stay unknown."""
 
-from functools import partial
-
 import numpy as np
 
-from hypose import Hypotheses, Layer, Recipe, kernels, resampling, search, stream
+from hypose import Hypotheses, Layer, Recipe, follow, kernels, resampling
 
 STEP, NOISE, N = 10.0, np.radians(0.5), 5000  # s between two bearings, rad, hypotheses
 rng, drift = np.random.default_rng(1), np.eye(4) + STEP * np.eye(4, k=2)
@@ -23,8 +21,7 @@ recipe = Recipe("bearings", [Layer(moves, weigh, resampling.systematic)])
 
 away, at = rng.uniform(1000, 15000, N), heard[0] + NOISE * rng.normal(size=N)
 start = np.stack([away * np.cos(at), away * np.sin(at), *rng.normal(0, 4, (2, N))], 1) + [*listener[0], 0, 0]
-h = Hypotheses.uniform(start)
-for t in range(len(times)):
-    result = search(h, recipe, (listener[t], heard[t]), partial(stream, 0, t))
-    h = result.resampled
-    print(f"{t} bearings: {np.linalg.norm(result.estimate[:2] - ship[t]):.0f} m off, sd {h.spread()[:2].max():.0f} m")
+found = follow(recipe, Hypotheses.uniform(start), zip(listener, heard, strict=True))
+for t, result in enumerate(found):
+    sd = result.resampled.spread()[:2].max()
+    print(f"{t} bearings: {np.linalg.norm(result.estimate[:2] - ship[t]):.0f} m off, sd {sd:.0f} m")

@@ -69,12 +69,6 @@ class HeavyTail:
         if not 0 <= self.share <= 1 or not self.factor >= 0:
             raise ValueError(f"a heavy tail needs a share in [0, 1] and a factor >= 0, got {self.share}, {self.factor}")
 
-    def gain(self, count: int, dimension: int) -> FloatArray:
-        """Return the factors (N, D) of the steps, for N = count hypotheses and D = dimension coordinates."""
-        gain = np.ones((count, dimension))
-        gain[np.ix_(every(self.share, count), _mask(self.coordinates, dimension))] = self.factor
-        return gain
-
     def stretch(self, steps: FloatArray, own: NDArray[np.intp], dimension: int) -> None:
         """Multiply steps by their factors, in place.
 
@@ -130,14 +124,16 @@ class AdaptiveDiffusion:
 
     scale: factor of the standard deviation, finite and not negative (else ValueError).
     lower, upper: (D,) bounds, applied by `reflect`.
+    largest: (D,) largest standard deviation of a step; None: no limit.
     Source: Deutscher & Reid 2005, adaptive diffusion.
     Why: coordinates that the layers have already determined are moved little, so that no schedule of step sizes is
-    needed.
+    needed. A limit keeps coordinates finite that no evidence selects: their spread would grow with every layer.
     """
 
     scale: float
     lower: FloatArray | None = None
     upper: FloatArray | None = None
+    largest: FloatArray | None = None
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.scale) and self.scale >= 0):
@@ -146,29 +142,11 @@ class AdaptiveDiffusion:
     def __call__(self, h: Hypotheses, frame: Any, rng: np.random.Generator, /) -> Hypotheses:
         """Move every hypothesis by one step drawn from the covariance of the set."""
         factor = semidefinite_cholesky(self.scale**2 * h.scatter())
+        if self.largest is not None:
+            sd = np.linalg.norm(factor, axis=-1)
+            factor *= np.minimum(1.0, self.largest / np.maximum(sd, 1e-12))[..., None]
         step = np.einsum("...nk,...dk->...nd", rng.standard_normal(h.values.shape), factor)
         return replace(h, values=reflect(h.values + step, self.lower, self.upper))
-
-
-@dataclass(frozen=True)
-class ConstantVelocity:
-    """Kernel that adds the same step gain * velocity to every hypothesis: the motion between two frames.
-
-    velocity: (D,) per frame. Take it from refined estimates: the mean of an unrefined set adds mostly noise.
-    gain: 0 gives a constant position.
-    lower, upper: (D,) bounds, applied by `reflect`.
-    """
-
-    velocity: FloatArray
-    gain: float = 1.0
-    lower: FloatArray | None = None
-    upper: FloatArray | None = None
-
-    def __call__(self, h: Hypotheses, frame: Any, rng: np.random.Generator, /) -> Hypotheses:
-        """Move every hypothesis by the same step."""
-        step = self.gain * np.asarray(self.velocity, np.float64)
-        moved = reflect(h.values + step, self.lower, self.upper)
-        return replace(h, values=np.where(step != 0, moved, h.values))
 
 
 @dataclass(frozen=True)

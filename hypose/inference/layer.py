@@ -8,9 +8,9 @@ Source: Alcoverro 2014, Algorithms 1, 2 and 5.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -213,6 +213,21 @@ def search(h: Hypotheses, recipe: Recipe, frame: Any, rng_of_layer: RngOfLayer) 
             first = recipe.estimate(weighted)
     estimate = recipe.estimate(weighted)
     return SearchResult(estimate, weighted, h, estimate if first is None else first)
+
+
+def follow(recipe: Recipe, particles: Hypotheses, frames: Iterable[Any], seed: int = 0) -> Iterator[SearchResult]:
+    """Run a recipe's layers on one frame after the other: a whole particle filter, without tracking of people.
+
+    particles: set before the first frame.
+    frames: evidence of each frame, passed on to the layers.
+    Returns: the result of each frame, which begins with the set that the frame before has resampled.
+    Source: Alcoverro 2014, Algorithms 1, 2 and 5 over time. `Tracker` predicts, judges and recovers between two
+        searches, which this does not.
+    """
+    for index, frame in enumerate(frames):
+        result = search(particles, recipe, frame, partial(stream, seed, index))
+        particles = result.resampled
+        yield result
 
 
 _WORD = 2**64

@@ -15,7 +15,7 @@ if TYPE_CHECKING:  # options import nothing that computes
     from hypose.tracking.recipes import Preset
 
 RECIPE_NAMES = (
-    *("default", "sir", "apf", "partitioned", "hpf", "hpf+", "hpf-apo", "hpf-apo+"),
+    *("default", "sir", "apf", "partitioned", "hpf", "hpf+", "hpf-apo"),
     *("dd-hpf", "dd-hpf+", "dd-hpf+5", "dd-hpf+rivals", "monocular"),
 )
 """Names of hypose.tracking.recipes.RECIPES."""

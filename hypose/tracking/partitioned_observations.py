@@ -1,91 +1,25 @@
-"""Weigh layers on partitioned observations (APO), and step limbs in their own directions; both for layered filters.
+"""Weigh layers of a layered filter on partitioned observations (APO).
 
-Partitioned observations weigh a layer only where its body parts are likely to be seen: the silhouette cost is counted
-inside a box around the joints of the layer (at the mean of the set), projected into every view; parts of later layers
-are not drawn. Source: Alcoverro 2014, section 2.4.1, eq. 2.15.
-
-Steps in a limb's own directions separate the swing of a ball joint from its twist about the bone. The twist of a
-shoulder is not visible before the forearm is drawn, so a layered filter searches the swing with the upper arm and the
-twist with the forearm.
+A layer is weighed only where its body parts are likely to be seen: the silhouette cost is counted inside a box around
+the joints of the layer (at the mean of the set), projected into every view; parts of later layers are not drawn.
+Source: Alcoverro 2014, section 2.4.1, eq. 2.15.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.body import Body
-from hypose.body.skeleton import Skeleton
 from hypose.cameras.camera import CameraRig
 from hypose.compute.scorer import silhouette_xor
 from hypose.evidence.frame import Silhouettes
-from hypose.geometry import Array, nearest_branch, so3_exp, so3_log
+from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
-from hypose.inference.kernels import HeavyTail, reflect
 from hypose.tracking.costs import evidence_energy
 from hypose.tracking.frame_evidence import PreparedFrame
-
-
-@dataclass(frozen=True)
-class BallStep:
-    """Step of a ball joint, as swing and twist.
-
-    start: first coordinate of the ball.
-    axis: (3,) unit direction of the bone that follows it, in the model frame at rest.
-    swing: sd of each rotation across the bone, rad.
-    twist: sd of the rotation about the bone, rad.
-    """
-
-    start: int
-    axis: Array
-    swing: float
-    twist: float
-
-
-def ball_step(skeleton: Skeleton, joint: str, child: str, swing: float, twist: float) -> BallStep:
-    """Build the BallStep of a named joint whose bone ends at the joint `child`.
-
-    swing, twist: sd of the rotation across and about the bone, rad.
-    """
-    bone = skeleton.rest_offsets[skeleton.joint(child)]
-    return BallStep(int(skeleton.dofs_of(joint)[0]), bone / np.linalg.norm(bone), swing, twist)
-
-
-@dataclass(frozen=True)
-class LimbDiffusion:
-    """Kernel of Gaussian steps, with sigma (D,) per coordinate, and swing and twist for some balls (whose sigma must be
-    0).
-
-    A ball moves by R -> R exp(w), w = swing (g - (g.a) a) + twist (t a) with normal g (3,), t. Moved coordinates are
-    kept in their limits by `reflect`.
-    tail: longer steps for a share of the set, on the coordinates it names.
-    """
-
-    skeleton: Skeleton
-    sigma: Array
-    balls: tuple[BallStep, ...] = ()
-    tail: HeavyTail | None = None
-
-    def __call__(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
-        """Return the set with random steps added to all hypotheses."""
-        s = self.skeleton
-        gain = np.ones((h.count, s.dof)) if self.tail is None else self.tail.gain(h.count, s.dof)
-        step = rng.standard_normal(h.values.shape) * self.sigma * gain
-        moved = np.array(self.sigma > 0)
-        values = h.values + step
-        for ball in self.balls:
-            columns = slice(ball.start, ball.start + 3)
-            g, t = rng.standard_normal((h.count, 3)), rng.standard_normal(h.count)
-            across = g - np.einsum("na,a->n", g, ball.axis)[:, None] * ball.axis
-            turn = gain[:, columns] * (ball.swing * across + ball.twist * t[:, None] * ball.axis)
-            before = h.values[:, columns]
-            after = so3_log(so3_exp(before) @ so3_exp(turn))
-            values[:, columns] = nearest_branch(after, before)
-            moved[columns] = True
-        return replace(h, values=np.where(moved, reflect(values, s.lower, s.upper), h.values))
-
 
 _NEAREST = 0.05
 """m; a box that reaches nearer to a camera's plane fills its image."""

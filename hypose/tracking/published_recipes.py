@@ -1,9 +1,10 @@
-"""Build the published particle filters as recipes of the one search, and presets that improve them.
+"""Build the published particle filters as recipes of the one search.
 
 Every recipe is a function of the body and a few numbers. The published recipes start from the given pose, neither
-predict nor recover, and report the spread of their set as uncertainty. The layer settings are the printed ones. Step
-sizes are half of a first guess: when they are too large, limbs jump, which is worse than steps that are too small. Beta
-is solved for a survival rate, because a fixed exponent <= 1 hardly selects on the flat energies of eq. 2.8.
+predict nor recover, and report the spread of their set as uncertainty. The layer settings are the printed ones. What
+the thesis does not print is the same for all of them: Sigma_0, the steps of the kernel K_t between two frames and of
+the layers, is the motion of captured people (`CAPTURED_MOTION`); beta is solved for a survival rate, because a fixed
+exponent <= 1 hardly selects on the flat energies of eq. 2.8.
 """
 
 from __future__ import annotations
@@ -20,21 +21,18 @@ from hypose.inference.annealing import AnnealingRate, FixedAnnealingRate, Smooth
 from hypose.inference.kernels import (
     AdaptiveDiffusion,
     GaussianDiffusion,
-    HeavyTail,
+    annealed_sigma,
     filtered_mask,
     layered_sigma,
     stay,
 )
 from hypose.inference.layer import Kernel, Layer, Recipe
-from hypose.inference.resampling import LayeredResampling, systematic
+from hypose.inference.resampling import LayeredResampling, keep, systematic
 from hypose.tracking.costs import SilhouetteXor
 from hypose.tracking.detection_kernels import DetectionCost, DetectorDriven, ends_of
 from hypose.tracking.partitioned_observations import (
-    BallStep,
-    LimbDiffusion,
     PartitionedXor,
     Region,
-    ball_step,
     bounding_region,
     chain_region,
     faces_of_parts,
@@ -64,14 +62,44 @@ def partitions_of(skeleton: Skeleton, layers: Sequence[tuple[str, tuple[str, ...
     return [skeleton.dofs_of(*joints) for _, joints in layers]
 
 
-def sir(body: Body, particles: int = 4000, survival: float = 0.15, frame_rate: float = 25.0) -> Recipe:
+CAPTURED_MOTION: dict[str, float | tuple[float, ...]] = {
+    "pelvis": (0.051, 0.051, 0.014, *np.radians((1.2, 1.2, 2.3))),
+    "spine": np.radians(1.7),
+    "neck": np.radians(1.8),
+    "clavicle": np.radians(0.6),
+    "shoulder": np.radians(3.9),
+    "elbow": np.radians(4.5),
+    "hip": np.radians(3.2),
+    "knee": np.radians(8.2),
+    "ankle": (np.radians(4.6), np.radians(0.65)),
+}
+"""Root mean square of the change of each coordinate between two frames at 25 fps, m and rad (Sigma_0 of the published
+filters), by joint: one number for all axes of a joint, or one per axis.
+
+Source: a walk, a run and a boxer (CMU 02_01, 02_03, 02_05), in equal parts; table in docs/presets.md. The clavicles,
+which do not move in these captures, have the value of the default body.
+"""
+
+
+def frame_sigma(skeleton: Skeleton, frame_rate: float) -> Array:
+    """Return the usual change between two frames (D,) at a frame rate (Hz), m and rad: `CAPTURED_MOTION`, scaled by the
+    duration of a frame within 0.4 to 2."""
+    sigma = np.zeros(skeleton.dof)
+    for joint in skeleton.joint_names:
+        kind = joint.split("_")[-1]
+        if kind in CAPTURED_MOTION:
+            sigma[skeleton.dofs_of(joint)] = CAPTURED_MOTION[kind]
+    return sigma * float(np.clip(25.0 / frame_rate, 0.4, 2.0))
+
+
+def sir(body: Body, particles: int = 4000, survival: float = 0.05, frame_rate: float = 25.0) -> Recipe:
     """Build the plain particle filter: one layer over all coordinates.
 
     survival: survival rate of the layer; frame_rate: Hz.
     Source: Isard & Blake 1998 (Alcoverro 2014, Alg. 1).
     """
     s = body.skeleton
-    layer = Layer(diffusion(s, s.step_sigma(frame_rate)), _weigh(SurvivalRate(survival)), systematic, "all")
+    layer = Layer(diffusion(s, frame_sigma(s, frame_rate)), _weigh(SurvivalRate(survival)), systematic, "all")
     return _published("sir", (layer,), s, particles)
 
 
@@ -79,31 +107,35 @@ def apf(
     body: Body,
     particles: int = 240,
     layers: int = 15,
-    survival: float = 0.30,
+    survival: float = 0.50,
     scale: float = 0.5,
     frame_rate: float = 25.0,
+    betas: Sequence[float] | None = None,
+    decay: float = 0.64,
 ) -> Recipe:
-    """Build the annealed particle filter with adaptive diffusion.
+    """Build the annealed particle filter.
 
-    The first layer moves all coordinates by the usual motion of a frame; every further layer by `scale` times the
-    spread of the set that the previous layer left.
+    The first layer moves all coordinates by the usual motion of a frame (K_t). Every further layer moves them by
+    `scale` times the spread of the set that the previous layer left (adaptive diffusion, at most Sigma_0), or,
+    with `betas`, by Sigma_0 decayed.
     survival: survival rate of every layer.
-    Source: Deutscher & Reid 2005; 15 layers x 240 particles with adaptive diffusion as in Alcoverro 2014, section 2.4,
-        who gives neither the scale nor the survival rate.
+    betas: fixed exponents, one per layer, with the steps of eq. 2.10 (the listing as printed); None: adaptive diffusion
+        and the survival rate.
+    decay: decay of the variance from layer to layer, alpha of eq. 2.10, where betas are given.
+    Source: Deutscher & Reid 2005; 15 layers x 240 particles with adaptive diffusion as in Alcoverro 2014, section 2.4.
+        The thesis prints neither scale, survival rate, betas nor alpha. With betas: Algorithm 2, eqs. 2.9 and 2.10.
     """
     s = body.skeleton
-    between_frames, between_layers = (
-        diffusion(s, s.step_sigma(frame_rate)),
-        AdaptiveDiffusion(scale, lower=s.lower, upper=s.upper),
-    )
-    rows = [
-        Layer(between_layers if n else between_frames, _weigh(SurvivalRate(survival)), systematic, f"annealing {n}")
-        for n in range(layers)
-    ]
+    sigma = frame_sigma(s, frame_rate)
+    between_layers = AdaptiveDiffusion(scale, s.lower, s.upper, sigma)
+    rows = []
+    for n in range(layers if betas is None else len(betas)):
+        step = between_layers if n and betas is None else diffusion(s, annealed_sigma(sigma, n * (decay,), n))
+        rows.append(Layer(step, _weigh(annealing_rate_of(n, betas, survival)), systematic, f"annealing {n}"))
     return _published("apf", rows, s, particles)
 
 
-def partitioned(body: Body, particles: int = 572, survival: float = 0.15, frame_rate: float = 25.0) -> Recipe:
+def partitioned(body: Body, particles: int = 572, survival: float = 0.05, frame_rate: float = 25.0) -> Recipe:
     """Build the partitioned sampling filter: each layer moves only its own coordinates and resamples whole states.
 
     survival: survival rate of every layer.
@@ -111,8 +143,8 @@ def partitioned(body: Body, particles: int = 572, survival: float = 0.15, frame_
     Source: MacCormick & Isard 2000 (Alcoverro 2014, section 2.2.3).
     """
     s = body.skeleton
-    sigma = s.step_sigma(frame_rate)
-    rows = []
+    sigma = frame_sigma(s, frame_rate)
+    rows = [_between_frames(s, sigma)]
     for (name, _), psi in zip(HPF_LAYERS, partitions_of(s, HPF_LAYERS), strict=True):
         own = np.zeros(s.dof)
         own[psi] = sigma[psi]
@@ -123,7 +155,7 @@ def partitioned(body: Body, particles: int = 572, survival: float = 0.15, frame_
 def hpf(
     body: Body,
     particles: int = 572,
-    survival: float = 0.10,
+    survival: float = 0.05,
     nu: float = 0.8,
     frame_rate: float = 25.0,
     betas: Sequence[float] | None = None,
@@ -137,9 +169,9 @@ def hpf(
     Source: Alcoverro 2014, sections 2.2.4 and 2.4.
     """
     s = body.skeleton
-    sigma = s.step_sigma(frame_rate)
+    sigma = frame_sigma(s, frame_rate)
     psi = partitions_of(s, HPF_LAYERS)
-    rows = []
+    rows = [_between_frames(s, sigma)]
     for n, (name, _) in enumerate(HPF_LAYERS):
         rate = annealing_rate_of(n, betas, survival)
         rows.append(
@@ -153,9 +185,15 @@ def hpf(
     return _published("hpf", rows, s, particles)
 
 
-def diffusion(skeleton: Skeleton, sigma: Array, tail: HeavyTail | None = None) -> GaussianDiffusion:
+def _between_frames(skeleton: Skeleton, sigma: Array) -> Layer:
+    """Build the layer that moves all coordinates between two frames by sigma (D,), without weighing (kernel K_t of
+    Algorithms 1, 2 and 5)."""
+    return Layer(diffusion(skeleton, sigma), None, keep, "between frames")
+
+
+def diffusion(skeleton: Skeleton, sigma: Array) -> GaussianDiffusion:
     """Build a kernel of Gaussian steps with standard deviations sigma (D,), inside the joint limits."""
-    return GaussianDiffusion(sigma, skeleton.lower, skeleton.upper, tail)
+    return GaussianDiffusion(sigma, skeleton.lower, skeleton.upper)
 
 
 def annealing_rate_of(layer: int, betas: Sequence[float] | None, survival: float) -> AnnealingRate:
@@ -196,25 +234,18 @@ for _side in ("left", "right"):
     )
 
 
-def layer_regions(body: Body, *, bounding: bool, margin: float = 0.18) -> list[tuple[Region, NDArray[np.bool_]]]:
+def layer_regions(body: Body) -> list[tuple[Region, NDArray[np.bool_]]]:
     """List, for each layer of HPF_LAYERS and then for the whole body, the region and the faces that are compared there.
 
-    bounding: use boxes around the posed limb instead of fixed ones.
-    margin: of these boxes, m.
     Returns: pairs (region, (F,) true for faces of the layer's own parts and of those of the previous layers).
     """
-    s, out, drawn = body.skeleton, [], []
+    out, drawn = [], []
     for name, _ in HPF_LAYERS:
         joints, ends, parts = _SEEN_PARTS[name]
         drawn += parts
-        if bounding:
-            region = bounding_region(body, joints, ends, margin=margin)
-        elif name == "torso":
-            region = _torso_region(body, joints, ends)
-        else:
-            region = chain_region(body, joints, ends)
-        out.append((region, faces_of_parts(body, tuple(drawn))))
-    whole = bounding_region(body, s.joint_names, (), margin=0.25)
+        build = _torso_region if name == "torso" else chain_region
+        out.append((build(body, joints, ends), faces_of_parts(body, tuple(drawn))))
+    whole = bounding_region(body, body.skeleton.joint_names, (), margin=0.25)
     return [*out, (whole, np.ones(len(body.coarse.faces), dtype=bool))]
 
 
@@ -230,76 +261,31 @@ def _torso_region(body: Body, joints: tuple[str, ...], ends: tuple[str, ...]) ->
 def hpf_apo(
     body: Body,
     particles: int = 500,
-    survival: float = 0.15,
+    survival: float = 0.10,
     nu: float = 0.8,
     frame_rate: float = 25.0,
     betas: Sequence[float] | None = None,
-    *,
-    improved: bool = False,
-    name: str = "hpf-apo",
 ) -> Recipe:
     """Build the hierarchical filter with approximate partitioned observations (APO): 7 + 1 layers x 500 particles.
 
-    As published: the layers and steps of `hpf`, weights by eq. 2.15 inside fixed boxes, and a last layer that weighs
-    the set again in a box of the whole body.
+    The layers and steps of `hpf`, weights by eq. 2.15 inside fixed boxes, and a last layer that weighs the set again in
+    a box of the whole body.
     betas: fixed exponents, one per layer (8); None: the survival rate sets them.
-    improved: differs from the publication: boxes around the posed limb; a limb's layer moves only its own coordinates
-        and the torso's (the forearm's layer also the upper arm's), because the legs are not seen in the boxes of the
-        arms and further steps would only scatter them; the twist of the shoulder is searched with the forearm; 15 % of
-        a limb's steps are four times as long.
     Source: Alcoverro 2014, section 2.4.
     """
     s = body.skeleton
-    sigma = s.step_sigma(frame_rate)
+    sigma = frame_sigma(s, frame_rate)
     psi = partitions_of(s, HPF_LAYERS)
-    regions = layer_regions(body, bounding=improved)
-    rows = []
-    for n in range(len(HPF_LAYERS) + 1):
-        rate = annealing_rate_of(n, betas, survival)
-        region, faces = regions[n]
+    rows = [_between_frames(s, sigma)]
+    for n, (region, faces) in enumerate(layer_regions(body)):
         last = n == len(HPF_LAYERS)
-        kernel: Kernel = stay
-        if not last:
-            step = layered_sigma(sigma, psi, nu, n)
-            kernel = _steps(body, sigma, step, psi, n) if improved else LimbDiffusion(s, step)
-        rows.append(
-            Layer(
-                kernel,
-                SmoothedWeight(PartitionedXor(body, region, None if last else faces), rate),
-                LayeredResampling(filtered_mask(psi, s.dof, n)),
-                "whole body" if last else HPF_LAYERS[n][0],
-            )
+        kernel: Kernel = stay if last else diffusion(s, layered_sigma(sigma, psi, nu, n))
+        weigh = SmoothedWeight(
+            PartitionedXor(body, region, None if last else faces), annealing_rate_of(n, betas, survival)
         )
-    return _published(name, rows, s, particles)
-
-
-def _steps(body: Body, full: Array, step: Array, psi: list[NDArray[np.int64]], n: int) -> LimbDiffusion:
-    """Build the kernel of layer n of the improved partitioned filter from the steps of Algorithm 3."""
-    s, name = body.skeleton, HPF_LAYERS[n][0]
-    side = name.split("_")[0]
-    limb, keep = np.zeros(s.dof, dtype=bool), np.zeros(s.dof, dtype=bool)
-    limb[psi[n]] = name != "torso"
-    keep[psi[0]] = True
-    keep[psi[n]] = True
-    if name.endswith("elbow"):
-        keep[s.dofs_of(f"{side}_clavicle", f"{side}_shoulder")] = True
-    sigma = np.where(keep, step, 0.0)
-    balls: tuple[BallStep, ...] = ()
-    if name.endswith(("shoulder", "elbow")):
-        start = int(s.dofs_of(f"{side}_shoulder")[0])
-        swing = float(sigma[start])
-        # with the forearm the twist moves by its whole step, for the first time
-        turning = float(full[start]) if name.endswith("elbow") else 0.0
-        balls = (ball_step(s, f"{side}_shoulder", f"{side}_elbow", swing, turning),)
-        sigma[start : start + 3] = 0
-        if turning:
-            limb[start : start + 3] = True
-    return LimbDiffusion(s, sigma, balls, HeavyTail(0.15, 4.0, limb) if limb.any() else None)
-
-
-def hpf_apo_plus(body: Body, particles: int = 500, frame_rate: float = 25.0) -> Recipe:
-    """Build the improved form of `hpf_apo`, with the same number of evaluations."""
-    return hpf_apo(body, particles, frame_rate=frame_rate, improved=True, name="hpf-apo+")
+        name = "whole body" if last else HPF_LAYERS[n][0]
+        rows.append(Layer(kernel, weigh, LayeredResampling(filtered_mask(psi, s.dof, n)), name))
+    return _published("hpf-apo", rows, s, particles)
 
 
 # one layer per limb instead of two per arm: the (5+1) form
@@ -311,7 +297,7 @@ _DRIVEN = {"torso": (2,), "left": (0, 3), "right": (1, 4), "left_leg": (5,), "ri
 def dd_hpf(
     body: Body,
     particles: int = 500,
-    survival: float = 0.15,
+    survival: float = 0.05,
     nu: float = 0.8,
     frame_rate: float = 25.0,
     betas: Sequence[float] | None = None,
@@ -334,15 +320,15 @@ def dd_hpf(
     Source: Alcoverro 2014, section 2.5.2.
     """
     s = body.skeleton
-    ends, sigma, psi = ends_of(body), s.step_sigma(frame_rate), partitions_of(s, layers)
-    rows = []
+    ends, sigma, psi = ends_of(body), frame_sigma(s, frame_rate), partitions_of(s, layers)
+    rows = [_between_frames(s, sigma)]
     for n, (layer, _) in enumerate(layers):
         rate = annealing_rate_of(n, betas, survival)
         step = layered_sigma(sigma, psi, nu, n)
         limb = layer if layer in _DRIVEN else layer.split("_")[0]
         own = np.zeros(s.dof)
         own[psi[n]] = sigma[psi[n]]
-        kernel = DetectorDriven(body, ends, LimbDiffusion(s, step), _DRIVEN[limb], own, limb)
+        kernel = DetectorDriven(body, ends, diffusion(s, step), _DRIVEN[limb], own, limb)
         filtered = filtered_mask(psi, s.dof, n)
         if layer.endswith("shoulder"):
             filtered = filtered.copy()

@@ -205,7 +205,6 @@ RECIPES: dict[str, Preset] = {
     "hpf": Preset(published.hpf, THESIS),
     "hpf+": Preset(hpf_plus, f"{THESIS} {CONTOURS}"),
     "hpf-apo": Preset(published.hpf_apo, THESIS),
-    "hpf-apo+": Preset(published.hpf_apo_plus, THESIS),
     "dd-hpf": Preset(published.dd_hpf, THESIS),
     "dd-hpf+": Preset(published.dd_hpf_plus, THESIS),
     "dd-hpf+5": Preset(published.dd_hpf_plus_5, THESIS),

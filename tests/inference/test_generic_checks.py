@@ -36,12 +36,8 @@ KERNELS = {
         kernels.AdaptiveDiffusion(0.5, lower=LOWER, upper=UPPER),
         kernels.AdaptiveDiffusion(0.0),
     ],
-    "ConstantVelocity": [
-        kernels.ConstantVelocity(np.array([0.1, -5.0, 0.0, 9.0]), 0.7, LOWER, UPPER),
-        kernels.ConstantVelocity(np.ones(D), 0.0),
-    ],
     "Compose": [
-        kernels.Compose((kernels.ConstantVelocity(np.ones(D), 1.0, LOWER, UPPER), gaussian())),
+        kernels.Compose((kernels.AdaptiveDiffusion(0.5), gaussian())),
         kernels.Compose(()),
     ],
     "RejectionSampling": [
@@ -52,7 +48,6 @@ KERNELS = {
 }
 SELECTORS = {
     "systematic": [resampling.systematic],
-    "roulette": [resampling.roulette],
     "keep": [resampling.keep],
     "LayeredResampling": [resampling.LayeredResampling(SOME), resampling.LayeredResampling(np.zeros(D, bool))],
 }

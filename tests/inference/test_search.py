@@ -9,7 +9,6 @@ from hypose.inference.annealing import FixedAnnealingRate, SmoothedWeight, Survi
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.kernels import (
     Compose,
-    ConstantVelocity,
     GaussianDiffusion,
     annealed_sigma,
     filtered_mask,
@@ -188,7 +187,7 @@ def test_same_seed_is_bit_identical_and_a_resumed_run_too():
 def test_batched_populations_run_side_by_side():
     shifted = np.stack([START, START + 1.0])
     layer = Layer(
-        Compose((ConstantVelocity(np.ones(D) * 0.1), GaussianDiffusion(SIGMA))),
+        GaussianDiffusion(SIGMA),
         SmoothedWeight(lambda h, z: np.square(h.values - z[:, None, :]).sum(-1), SurvivalRate(0.2)),
         systematic,
     )

@@ -20,7 +20,7 @@ from hypose.tracking.refinement import pose_mean, refine
 from hypose.tracking.tracker import Tracker, TrackerSettings
 from tests.tracking.measures import joint_error
 
-PUBLISHED = ("sir", "apf", "partitioned", "hpf", "hpf-apo", "hpf-apo+", "dd-hpf", "dd-hpf+", "dd-hpf+5")
+PUBLISHED = ("sir", "apf", "partitioned", "hpf", "hpf-apo", "dd-hpf", "dd-hpf+", "dd-hpf+5")
 SOLVING = ("default", "hpf+", "dd-hpf+rivals")
 
 

@@ -106,7 +106,7 @@ FORESTS = Paper(
     (("booktitle", "ICCV Workshops"), ("pages", "1393-1400")),
 )
 
-_THESIS_RECIPES = ("hpf", "hpf+", "hpf-apo", "hpf-apo+", "dd-hpf", "dd-hpf+", "dd-hpf+5", "dd-hpf+rivals")
+_THESIS_RECIPES = ("hpf", "hpf+", "hpf-apo", "dd-hpf", "dd-hpf+", "dd-hpf+5", "dd-hpf+rivals")
 PAPERS: dict[str, tuple[Paper, ...]] = {
     "default": (_THESIS,),
     "sir": (CONDENSATION,),
