@@ -34,7 +34,7 @@ from benchmarks.depth_gestures.gesture_pictures import GestureFrame, Stage
 from benchmarks.depth_gestures.gesture_scores import THOROUGH, Judged, judge
 from benchmarks.papers.offline_forests import OfflineSettings, Pool, collect, train_offline
 from hypose.gestures.forest import Forest, ForestSettings
-from hypose.gestures.online import Example, Learner
+from hypose.gestures.online import Example, Learner, LearnSettings
 from hypose.synthetic.gesture_poses import GESTURES
 
 PASSES = 4
@@ -66,9 +66,10 @@ def learn_online(
     mine: bool = True,
     settings: ForestSettings | None = None,
     passes: int = PASSES,
+    **pixels: int,
 ) -> Forest:
-    """A forest taught with examples, several passes in random order."""
-    learner = Learner.new(np.random.default_rng([81, seed]), settings)
+    """A forest taught with examples, several passes in random order; pixels: numbers of LearnSettings."""
+    learner = Learner.new(np.random.default_rng([81, seed]), settings, LearnSettings(**pixels))
     for _ in range(passes):
         teach(learner, thinned(shown, 0.5, learner.rng), mine=mine, shuffle=True)
     return learner.forest.freeze()
@@ -112,6 +113,9 @@ def _learn_all_ways(data: Callable[[], Shot], name: str, seed: int) -> dict[str,
     forests = {
         "online_hard": learn_online(shown, seed),
         "online_random": learn_online(shown, seed, mine=False),
+        # the published ones: no ring of negatives; as many random negatives as hard ones can be
+        "online_hard_published": learn_online(shown, seed, around=0),
+        "online_random_as_many": learn_online(shown, seed, mine=False, many=32),
         "offline_boosted": learn_offline(published, seed),
         "offline_boosted_around": learn_offline(pool, seed),
     }

@@ -115,11 +115,12 @@ def _three_sessions(seed: int, n: int, name: str, size: _Size) -> dict[str, Any]
             busy.append(time.thread_time() - began)
         case, forest = f"{3 * (k + 1)}min", trainer.learner.forest.freeze()
         judged[f"interactive/{case}"] = judge(forest, test, number).plain()
-        began = time.thread_time()
-        pool = collect(every, np.random.default_rng([87, seed]), positives=20, negatives=20)
-        offline = train_offline(pool, np.random.default_rng([88, seed]), OfflineSettings(per_class=8000))
-        waited = time.thread_time() - began
-        judged[f"offline/{case}"] = judge(offline, test, number).plain()
         minutes[f"interactive/{case}"] = 3.0 * (k + 1)
-        minutes[f"offline/{case}"] = 3.0 * (k + 1) + waited / 60
+        for way, around in (("offline", 10), ("offline_published", 0)):  # published: no ring of negatives
+            began = time.thread_time()
+            pool = collect(every, np.random.default_rng([87, seed]), positives=20, negatives=20, around=around)
+            offline = train_offline(pool, np.random.default_rng([88, seed]), OfflineSettings(per_class=8000))
+            waited = time.thread_time() - began
+            judged[f"{way}/{case}"] = judge(offline, test, number).plain()
+            minutes[f"{way}/{case}"] = 3.0 * (k + 1) + waited / 60
     return {"judged": judged, "minutes": minutes, "steps_s": busy}

@@ -17,9 +17,9 @@ from hypose.fusion.register import alone, by_triangles, horizontal_axes, registe
 from hypose.fusion.swarm import IMPROVED, PUBLISHED, SwarmSettings, start_swarm, swarm_step
 from hypose.geometry import Array
 
-CYCLES = {"t50": (50, 0.0), "t100": (100, 0.0), "adaptive": (100, np.pi / 3)}
-"""Re-initialisation every so many frames, and beyond so much turning. A turn of pi/3 alone gives about one case per
-sequence, too few for a share, so the adaptive mode has a largest age."""
+CYCLES = {"t50": (50, 0.0), "t100": (100, 0.0), "adaptive": (100, np.pi / 3), "turn": (0, np.pi / 3)}
+"""Re-initialisation every so many frames (0: never), and beyond so much turning. `turn` is the printed adaptive mode;
+it gives about one case per sequence, so `adaptive` has a largest age as well."""
 PAPER = {"A/t50": 0.875, "A/t100": 0.833, "B/t50": 0.917, "B/t100": 0.95}
 GOOD_ERROR_M = 0.09
 GOOD_SHARE = 0.6

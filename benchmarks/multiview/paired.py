@@ -19,17 +19,16 @@ def paired_rows(
     """Mean of every method over the clips and over those of each action; mean of first - second of every pair, and both
     ends of its 95 % interval (Student's t; NaN for fewer than two clips).
 
-    errors: method -> mm per clip; actions: of each clip.
+    errors: method -> mm per clip, of the first clips where there are fewer; actions: of each clip.
     """
     rows = []
     for name, values in errors.items():
         for action in ("", *dict.fromkeys(actions)):
-            chosen = [v for v, a in zip(values, actions, strict=True) if action in ("", a)]
+            chosen = [v for v, a in zip(values, actions, strict=False) if action in ("", a)]
             rows.append(row(metric, f"{name}/{action}" if action else name, chosen, "mm"))
     for first, second in pairs:
         apart = np.subtract(errors[first], errors[second])
         half = t.ppf(0.975, len(apart) - 1) * apart.std(ddof=1) / np.sqrt(len(apart)) if len(apart) > 1 else np.nan
         for end, value in (("", 0.0), ("_low", -half), ("_high", half)):
-            of = row(f"difference{end}_mm", f"{first} - {second}", apart + value, "mm")
-            rows.append(of)
+            rows.append(row(f"difference{end}_mm", f"{first} - {second}", apart + value, "mm"))
     return rows

@@ -130,7 +130,7 @@ def test_the_refinement_cost_adds_the_mean_distance_to_the_nearest_end(body, sta
 def test_a_jumping_arm_is_found_again_by_its_detection(body, standing, frame_of, name, layers):
     """A forearm that turns by 70 degrees in one frame is out of reach of the diffusion."""
     made = recipe(name, body)
-    assert (len(made.layers), made.particles) == (layers, 500)
+    assert (len(made.layers) - 1, made.particles) == (layers, 500)  # the first moves between frames
     raised = standing.copy()
     raised[body.skeleton.dofs_of("left_elbow")] += 1.2
     ends = ends_of(body)
