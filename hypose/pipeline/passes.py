@@ -7,6 +7,8 @@ and returns a changed copy. `run_pass` records in the clip's trace which joints 
 from __future__ import annotations
 
 import contextlib
+import logging
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -74,6 +76,7 @@ from hypose.tracking.tracker import (
 )
 
 MODES = "modes.npz"
+_LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -194,14 +197,19 @@ def run_pass(step: Pass, clip: ClipState) -> ClipState:
 
     Only passes that have a row in `REASONS` move joints; nothing is recorded for the others.
     """
-    if (reason := REASONS.get(step.__name__)) is None:
-        return step(clip)
-    before, after = clip.joints, step(clip)
-    now = after.joints
-    if before is None or now is None or len(before) != len(now):
-        return after
-    names, moved = after.who.body.skeleton.joint_names, np.linalg.norm(now - before, axis=-1)
-    return replace(after, trace=(*after.trace, *list_changes(step.__name__, names, moved, reason)))
+    reason, begin = REASONS.get(step.__name__), time.perf_counter()
+    before = None if reason is None else clip.joints
+    after = step(clip)
+    now = None if reason is None else after.joints
+    if reason is not None and before is not None and now is not None and len(before) == len(now):
+        names, moved = after.who.body.skeleton.joint_names, np.linalg.norm(now - before, axis=-1)
+        after = replace(after, trace=(*after.trace, *list_changes(step.__name__, names, moved, reason)))
+    _LOG.debug("%s: %.2f s", step.__name__, time.perf_counter() - begin)
+    for change in after.trace[len(clip.trace) :]:
+        _LOG.debug("%s moved %s by %.3f m in frames %s", change.stage, change.joint, change.moved, change.frames)
+    for finding in after.findings[len(clip.findings) :]:
+        _LOG.debug("%s found %s: %s", step.__name__, finding.kind, finding.text)
+    return after
 
 
 # ---- before tracking ---------------------------------------------------------------------------------------

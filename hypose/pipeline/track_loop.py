@@ -8,6 +8,7 @@ leaves.
 from __future__ import annotations
 
 import contextlib
+import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextvars import copy_context
@@ -29,6 +30,8 @@ from hypose.pipeline.settings import SETTINGS
 from hypose.tracking.appearance import AppearanceModel
 from hypose.tracking.several import Member, step_together
 from hypose.tracking.tracker import FrameEstimate, TrackerState, estimates_from_arrays, estimates_to_arrays
+
+_LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -258,8 +261,11 @@ class TrackingSession:
     def settle(self) -> None:
         """Wait for the statistics of the last frame; call it before the estimates are changed or read whole."""
         while self._judging:
-            for p, estimate in zip(self.people, self._judging.pop().result(), strict=True):
-                p.estimates[-1] = estimate
+            for p, e in zip(self.people, self._judging.pop().result(), strict=True):
+                p.estimates[-1] = e
+                _LOG.debug(
+                    "frame %d %s: cost %.3f, %d views%s", self.done - 1, p.name, e.cost, e.n_views, " lost" * e.lost
+                )
 
     def save(self, path: Path) -> None:
         """Write the state of all people as a checkpoint."""
