@@ -11,7 +11,15 @@ import numpy as np
 
 from benchmarks.bench_report import BenchOptions, BenchReport, Row
 from benchmarks.multiview import product
-from benchmarks.multiview.action_scenes import ACTIONS, Outcome, action_scene, captured, median_row, track_scene
+from benchmarks.multiview.action_scenes import (
+    ACTIONS,
+    JointErrors,
+    Outcome,
+    action_scene,
+    captured,
+    median_row,
+    track_scene,
+)
 from hypose.body.body import Body
 from hypose.evidence.frame import Frame
 from hypose.synthetic.metrics import joint_errors
@@ -93,4 +101,5 @@ def _product_outcome(scene: Scene, frames: list[Frame], body: Body, seed: int) -
     begin = time.perf_counter()
     motion = product.product_motion(scene, frames, body, seed)
     seconds = (time.perf_counter() - begin) / len(frames)
-    return Outcome(joint_errors(product.aligned_joints(motion, scene), scene.joints[: len(frames)]), seconds)
+    errors = joint_errors(product.aligned_joints(motion, scene), scene.joints[: len(frames)])
+    return Outcome(JointErrors(errors), seconds)

@@ -103,7 +103,7 @@ def test_results_that_do_not_exist(hypose, tmp_path):
         (("--rig", "circle"), ("circle", "ring-N")),
         (("--subject", "nobody"), ("There is no subject 'nobody'", "neutral")),
         (("--subject", "999"), ("There is no subject 999",)),
-        (("--corruption", "rain"), ("There is no corruption 'rain'", "shadow")),
+        (("--corruption", "rain"), ("There is no corruption 'rain'", "table")),
         (("--seconds", "-1"), ("--seconds -1 is not possible",)),
         (("--clothing", "0.5"), ("0.5", "0.04")),
     ],
