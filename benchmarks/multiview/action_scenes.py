@@ -35,63 +35,20 @@ LOST_M = 0.120
 
 
 @dataclass(frozen=True)
-class JointErrors:
-    """Errors of joints over frames, with their statistics; NaN is ignored in all statistics.
-
-    distances: (T, J) m; frames with NaN in the truth or the estimate are NaN.
-    """
-
-    distances: Array
-
-    @property
-    def frame_means(self) -> Array:
-        """(T,) m, mean over the joints; NaN where none is known."""
-        known = np.isfinite(self.distances)
-        with np.errstate(invalid="ignore"):
-            return np.where(known, self.distances, 0.0).sum(1) / known.sum(1)
-
-    @property
-    def mean(self) -> float:
-        """Mean over frames of the mean over joints, m (HumanEva's error)."""
-        return float(np.nanmean(self.frame_means))
-
-    @property
-    def sd(self) -> float:
-        """Standard deviation over the frames of the mean over joints, m (the number in brackets in the papers)."""
-        return float(np.nanstd(self.frame_means))
-
-    @property
-    def median(self) -> float:
-        """Median over all joints and frames, m."""
-        return float(np.nanmedian(self.distances))
-
-    @property
-    def p95(self) -> float:
-        """95th percentile over all joints and frames, m: it shows one lost hand, which the mean does not."""
-        return float(np.nanpercentile(self.distances, 95))
-
-    @property
-    def lost_share(self) -> float:
-        """Share of the frames (0..1) whose mean exceeds LOST_M (120 mm)."""
-        m = self.frame_means
-        return float((m[np.isfinite(m)] > LOST_M).mean())
-
-
-@dataclass(frozen=True)
 class Outcome:
-    """errors of one run and its seconds per frame."""
+    """errors (T, 15) m of one run and its seconds per frame."""
 
-    errors: JointErrors
+    errors: Array
     seconds_per_frame: float
 
     def plain(self) -> dict[str, Any]:
         """As JSON has it."""
-        return {"distances": self.errors.distances, "seconds_per_frame": self.seconds_per_frame}
+        return {"distances": self.errors, "seconds_per_frame": self.seconds_per_frame}
 
     @classmethod
     def of(cls, plain: Mapping[str, Any]) -> Outcome:
         """The outcome of `plain`."""
-        return cls(JointErrors(np.asarray(plain["distances"], dtype=np.float64)), plain["seconds_per_frame"])
+        return cls(np.asarray(plain["distances"], dtype=np.float64), plain["seconds_per_frame"])
 
 
 def median_row(metric: str, case: str, values: Sequence[float], unit: str, **more: Any) -> Row:
@@ -149,5 +106,4 @@ def track_scene(scene: Scene, frames: list[Frame], preset: str, seed: int, body:
     assert motion.poses is not None
     rotations, _ = subject.body.skeleton.forward(motion.poses)
     offsets = population_offsets(human()) * scene.subject.stature
-    errors = joint_errors(motion.joints, scene.joints[: len(frames)], offsets, rotations)
-    return Outcome(JointErrors(errors), seconds)
+    return Outcome(joint_errors(motion.joints, scene.joints[: len(frames)], offsets, rotations), seconds)

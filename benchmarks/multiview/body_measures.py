@@ -192,7 +192,7 @@ def tracking_errors(seed: int, options: BenchOptions) -> dict[str, tuple[float, 
         frames = list(scene.mask_frames(1.0))
         errors = []
         for body in (None, estimate.body):
-            errors.append(track_scene(scene, frames, "default", seed, body).errors.mean)
+            errors.append(track_scene(scene, frames, "default", seed, body).errors.mean())
         out[action] = (errors[0], errors[1])
     return out
 

@@ -109,7 +109,7 @@ def run_court(motion: str, seed: int, seconds: float, presets: tuple[str, ...] =
     out = {}
     for name in presets:
         tracked = track_scene(scene, frames, name, seed)
-        errors = tracked.errors.frame_means
+        errors = tracked.errors.mean(1)
         out[name] = CourtOutcome(
             np.where(present, errors, np.nan), _recovery(errors, present, scene.frame_rate), tracked.seconds_per_frame
         )
