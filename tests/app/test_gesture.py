@@ -29,7 +29,7 @@ def hypose(*arguments):
 def folder(tmp_path_factory):
     """A session of a few frames (phases shortened) recorded and learned once."""
     from hypose.app.jobs.gesture_job import new_learner, run_session
-    from hypose.gestures.session import SessionSettings
+    from hypose.gestures.trainer import SessionSettings
 
     root = tmp_path_factory.mktemp("gesture")
     source = open_source("simulated:1", "pause", 3)
@@ -165,7 +165,7 @@ def blank(depth_mm, frames=60):
 def test_nothing_within_reach_is_said(depth_mm):
     from hypose.app.jobs.gesture_job import new_learner, run_session, watch
     from hypose.gestures.events import EventSettings
-    from hypose.gestures.session import SessionSettings
+    from hypose.gestures.trainer import SessionSettings
 
     settings = SessionSettings(do_gesture_s=1.0, positive_s=2.0, release_s=0.2, negative_s=1.0, rounds=2)
     with pytest.raises(InputError, match="none had depth between 0.5 and 4 m in the box"):

@@ -41,7 +41,7 @@ def record(
     from hypose.app.jobs.gesture_job import record_session, typed_commands
     from hypose.app.live.gesture_sources import open_source
     from hypose.gestures.model import check_gesture_name
-    from hypose.gestures.session import SessionSettings
+    from hypose.gestures.trainer import SessionSettings
 
     check_gesture_name(gesture)
     settings, opened = SessionSettings(rounds=rounds), open_source(source, gesture, seed)
@@ -73,7 +73,7 @@ def gesture_train(
     )
     from hypose.app.live.gesture_sources import open_source
     from hypose.gestures.model import check_gesture_name
-    from hypose.gestures.session import SessionSettings
+    from hypose.gestures.trainer import SessionSettings
     from hypose.io.files import check_writable
     from hypose.pipeline.gesture_files import read_recording, save_model
 
