@@ -16,6 +16,7 @@ from benchmarks.bench_report import BenchOptions, BenchReport, Row
 from benchmarks.multiview.action_scenes import ACTIONS, action_scene, known_subject, subject_of_seed
 from benchmarks.multiview.product import estimated_body
 from benchmarks.multiview.real_recordings import balancing_recording, in_memory
+from benchmarks.synthetic.noisy_masks import noisy_scene
 from hypose.body.body import Body
 from hypose.body.default_body import JOINT_NAMES, human
 from hypose.compute.part_colours import shown_parts
@@ -97,7 +98,7 @@ def _seed(seed: int, others: Sequence[str], draws: int, options: BenchOptions) -
     for case in others:
         motion, rig = _OTHERS[case]
         subject = subject_of_seed(seed)
-        scenes[case] = make_scene(motion, subject, rig, seconds=_SECONDS, seed=seed, corruption=("level-1",))
+        scenes[case] = noisy_scene(motion, subject, rig, seconds=_SECONDS, seed=seed)
     out: dict[str, Any] = {}
     for case, scene in scenes.items():
         coloured = case.endswith(_COLOURED)

@@ -82,7 +82,7 @@ CANNOT_BE = [
     ("synth out --rig circle", "circle", "ring-N"),
     ("synth out --subject stranger", "There is no subject 'stranger'", "neutral"),
     ("synth out --subject 999", "There is no subject 999"),
-    ("synth out --corruption rain", "There is no corruption 'rain'", "shadow"),
+    ("synth out --corruption rain", "There is no corruption 'rain'", "table"),
     ("synth out --seconds -1", "--seconds -1 is not possible"),
     ("synth out --clothing 0.5", "0.5", "0.04"),
     ("demo --seconds 0", "--seconds 0 is not possible; give more than 0 and at most 3600 seconds."),

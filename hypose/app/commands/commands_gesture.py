@@ -41,8 +41,7 @@ def record(
     from hypose.app.jobs.gesture_job import follow_session, new_learner, typed_commands
     from hypose.app.live.gesture_sources import open_source
     from hypose.gestures.model import check_gesture_name
-    from hypose.gestures.session import SessionSettings
-    from hypose.gestures.trainer import Trainer
+    from hypose.gestures.trainer import SessionSettings, Trainer
 
     check_gesture_name(gesture)
     trainer, opened = Trainer(new_learner(0), SessionSettings(rounds=rounds)), open_source(source, gesture, seed)
@@ -76,7 +75,7 @@ def gesture_train(
     )
     from hypose.app.live.gesture_sources import open_source
     from hypose.gestures.model import check_gesture_name
-    from hypose.gestures.session import SessionSettings
+    from hypose.gestures.trainer import SessionSettings
     from hypose.io.files import check_writable
     from hypose.pipeline.gesture_files import read_recording, save_model
 
