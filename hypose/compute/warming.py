@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from hypose.compute import glance, mask_runs, mono, picture_to_mask, reach, shape_rows
+from hypose.compute import mask_runs, mono, picture_to_mask, reach, shape_rows
 from hypose.compute.arrays import (
     BALL,
     FIXED,
@@ -156,7 +156,7 @@ KERNEL_GROUPS: dict[str, tuple[Callable[[], None], ...]] = {
     "scorer": (_scorer, _points),
     "outlines": (_outlines, picture_to_mask.warm_up_masks, mask_runs.warm_up, _parts),
     "shape": (lambda: shape_rows.warm_up(_toy()[1]),),
-    "pictures": (picture_to_mask.warm_up, mask_runs.warm_up, glance.warm_up),
+    "pictures": (picture_to_mask.warm_up, mask_runs.warm_up),
     "monocular": (_monocular,),
     "depth": (_depth,),
 }

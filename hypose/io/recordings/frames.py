@@ -57,7 +57,7 @@ from hypose.io.videos.video import evenly_spread, open_video
 # The masks of a stream's frames: packed, in computation, and kept for another request of the same frame.
 
 
-KEPT_BYTES = 64 << 20
+KEPT_BYTES = 160 << 20
 """Memory for masks that are kept, bytes; enough for ten minutes of four cameras."""
 
 
@@ -96,7 +96,7 @@ class _MaskCache:
 
     def keep(self, view: int, index: int, mask: PackedMask) -> PackedMask:
         """Add a mask to the cache where there is room, and return it."""
-        size = 0 if mask.runs is None else len(mask.runs.code)
+        size = 0 if mask.runs is None else mask.runs.code.nbytes
         if mask.colours is None and self._bytes + size <= KEPT_BYTES:
             self._masks[view, index] = mask
             self._bytes += size
