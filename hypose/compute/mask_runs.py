@@ -422,7 +422,7 @@ def _clean(bits, width, opening, closing, margin, hole_px, keep_share, keep_gap,
 
 @kernel
 def _draw(code, out, top, left):
-    """Set the pixels of out (h, w) u1, whose first pixel is (top, left) of the mask, where the runs `code` (n, 3) are."""
+    """Set the pixels of the runs `code` (n, 3) in out (h, w) u1, whose first pixel is (top, left) of the mask."""
     h, w = out.shape
     for i in range(code.shape[0]):
         y, start, end = np.int64(code[i, 0]) - top, np.int64(code[i, 1]) - left, np.int64(code[i, 2]) - left

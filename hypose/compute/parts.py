@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from hypose.compute.arrays import plain
 from hypose.compute.compiled import kernel
 from hypose.compute.coverage import NEAR, cover_faces, fill_strip, row_stride
-from hypose.compute.mask_runs import Bits, grown, mask_of, opened, element_spans, u8
+from hypose.compute.mask_runs import Bits, element_spans, grown, mask_of, opened, u8
 from hypose.compute.simd import lowest_bit, popcount
 from hypose.geometry import Array
 
