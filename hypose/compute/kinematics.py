@@ -1,4 +1,4 @@
-"""Compute joint frames, world twists, skinned vertices, and covariances of joint centres."""
+"""Compute joint frames, world twists and skinned vertices."""
 
 from __future__ import annotations
 
@@ -230,35 +230,3 @@ def skin(rotations: ArrayLike, centres: ArrayLike, tree: TreeArrays, mesh: MeshA
     out = np.empty((len(r), len(mesh.vertices), 3))
     skin_batch(r, c, tidy(tree), tidy(mesh), out)
     return out
-
-
-def joint_jacobians(pose: ArrayLike, tree: TreeArrays) -> Array:
-    """Compute the derivatives (J, 3, D) of the joint centres by a pose (D,), m per rad or metre.
-
-    The root's three rotations are small turns about the axes of the world through its centre, not changes of its
-    rotation vector.
-    """
-    q, n = plain(pose, np.float64), len(tree.parents)
-    rotations, centres, twists = np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((len(q), 6))
-    joint_frames(q, tidy(tree), rotations, centres, twists)
-    twists[3:6] = np.eye(3, 6)
-    moved = np.zeros((n, len(q)), np.bool_)
-    for j, a in enumerate(tree.parents):
-        moved[j] = (tree.joint_of_dof == j) | (moved[a] if a >= 0 else False)
-    turn, shift = twists.T[:3], twists.T[3:]
-    by = np.cross(turn[None], centres[:, :, None], axis=1) + shift
-    return np.where(moved[:, None], by, 0.0)
-
-
-def joint_covariances(pose: ArrayLike, tree: TreeArrays, information: Array, ridge: float = 1e-9) -> Array:
-    """Compute the covariances (J, 3, 3) m^2 of the joint centres: G C G^T with G the Jacobian of the centre.
-
-    pose: (D,).
-    information: (D, D) inverse covariance of the pose; C is the inverse of (information + ridge).
-    ridge: relative to the diagonal of the information, which counts as 1 at least; makes it positive definite.
-    """
-    jacobian = joint_jacobians(pose, tree)
-    flat = jacobian.reshape(-1, jacobian.shape[2])
-    known = information + np.diag(ridge * np.maximum(information.diagonal(), 1.0))
-    spread = np.linalg.solve(known, flat.T).T.reshape(jacobian.shape)
-    return np.einsum("jad,jbd->jab", jacobian, spread)
