@@ -2,7 +2,10 @@ import numpy as np
 import pytest
 
 from benchmarks.synthetic.retarget import retarget
+from hypose.body.default_body import JOINT_NAMES, PARENTS
 from hypose.errors import InputError
+from hypose.geometry import so3_log
+from hypose.tracking.published_recipes import CAPTURED_MOTION
 
 
 @pytest.fixture
@@ -43,3 +46,25 @@ def test_trend_is_reduced_and_rates_agree(mocap, person):
 def test_a_start_beyond_the_clip_is_refused(mocap, person):
     with pytest.raises(InputError, match="lies outside"):
         retarget(mocap / "02.asf", mocap / "02_01.amc", person, start=100.0)
+
+
+def test_sigma_0_is_the_motion_of_captured_people(mocap, person):
+    """Root mean squares of the changes between two frames, over a walk, a run and a boxer in equal parts."""
+    joints = {"spine": "chest", "neck": "head", **{j: j for j in ("shoulder", "elbow", "hip", "knee", "ankle")}}
+    squares = {"pelvis": np.zeros(6), **{joint: np.zeros(3) for joint in joints}}
+    for clip in ("02_01", "02_03", "02_05"):
+        p = retarget(mocap / "02.asf", mocap / f"{clip}.amc", person, 25.0, keep_trend=1.0)
+        own = np.swapaxes(p.rotations[:, np.maximum(PARENTS, 0)], -1, -2) @ p.rotations
+        own[:, 0] = p.rotations[:, 0]
+        turns = np.square(so3_log(own[1:] @ np.swapaxes(own[:-1], -1, -2))).mean(0)
+        squares["pelvis"] += np.concatenate([np.square(np.diff(p.root, axis=0)).mean(0), turns[0]]) / 3
+        for joint, name in joints.items():
+            of = [n for n in JOINT_NAMES if n.endswith(name)]
+            squares[joint] += turns[[JOINT_NAMES.index(n) for n in of]].mean(0) / 3
+    x, y, z, roll, pitch, yaw = squares["pelvis"]
+    expected = {"pelvis": np.sqrt([(x + y) / 2, (x + y) / 2, z, (roll + pitch) / 2, (roll + pitch) / 2, yaw])}
+    expected |= {"ankle": np.sqrt(squares["ankle"][:2])}
+    expected |= {j: np.sqrt(squares[j].sum() / 3) for j in ("spine", "neck", "shoulder", "hip")}
+    expected |= {j: np.sqrt(squares[j].sum()) for j in ("elbow", "knee")}
+    for joint, sd in expected.items():
+        np.testing.assert_allclose(CAPTURED_MOTION[joint], sd, rtol=0.1, err_msg=joint)  # steps grow with the legs
