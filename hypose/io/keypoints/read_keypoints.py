@@ -22,6 +22,7 @@ from hypose.geometry import Array
 from hypose.io.file_names import file_name, match_names
 from hypose.io.files import read_json, write_text
 from hypose.io.keypoints.keypoint_files import KEYPOINTS, MAX_POINT_FRAMES, KeypointTable, clock_file
+from hypose.io.videos.video import evenly_spread
 
 _OUTSIDE = 0.3  # share of points outside the picture above which its size must be wrong
 _CHECKED = 80  # number of frames for the check of the views' agreement
@@ -250,7 +251,7 @@ def check_keypoints(
     stored: per view as in `ViewKeypoints.frame`.
     Raises: InputError where they were misread: another picture size, y upwards, or mirrored.
     """
-    some = [frames[int(i)] for i in np.unique(np.linspace(0, len(frames) - 1, min(_CHECKED, len(frames))).astype(int))]
+    some = evenly_spread(frames.start, frames.stop, _CHECKED)
     people: list[list[Array | None]] = []
     for view, name, camera, size in zip(views, names, rig, stored, strict=True):
         found = [None if view is None else view.frame(i, camera.size, size) for i in some]

@@ -43,26 +43,23 @@ def write_glb(path: str | Path, motion: Motion, body: Body) -> None:
 
     Raises: InputError where the motion has no poses or its skeleton is not that of the body.
     """
-    _write(path, [("", motion, body)])
+    write_people_glb(path, [("", motion, body)])
 
 
 def write_people_glb(path: str | Path, people: Sequence[tuple[str, Motion, Body]]) -> None:
-    """Write the motions of several people as one GLB file with one animation; nodes are named NAME.JOINT.
+    """Write the motions of several people as one GLB file with one animation.
 
-    people: name, motion and body of each person.
+    people: name, motion and body of each person. Nodes are named NAME.JOINT, or JOINT where the name is "".
     Raises: InputError as `write_glb`.
     """
-    _write(path, [(f"{name}.", motion, body) for name, motion, body in people])
-
-
-def _write(path: str | Path, people: Sequence[tuple[str, Motion, Body]]) -> None:
     store = _BinaryBuffer()
     nodes: list[dict[str, Any]] = []
     roots: list[int] = []
     meshes: list[dict[str, Any]] = []
     skins: list[dict[str, Any]] = []
     whole: dict[str, Any] = {"name": "motion", "channels": [], "samplers": []}
-    for prefix, motion, body in people:
+    for person, motion, body in people:
+        prefix = person and f"{person}."
         poses = filled_poses(motion, path)
         skeleton, first = motion.skeleton, len(nodes)
         if skeleton.joint_names != body.skeleton.joint_names or not np.allclose(

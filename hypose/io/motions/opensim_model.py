@@ -78,22 +78,18 @@ def _moved(skeleton: Skeleton, side: str, about_y: Array, about_z: Array) -> Arr
     return (turned @ offset - offset) @ BODY_AXES.T
 
 
-def write_osim(path: str | Path, body: Body, mass: float | None = None) -> None:
-    """Write the OpenSim model of a body (metres, kg).
+def write_osim(path: str | Path, body: Body) -> None:
+    """Write the OpenSim model of a body (metres, kg); its mass is computed from its volume.
 
-    mass: mass of the whole body, kg; computed from the volume where it is None.
     Raises: InputError where the body lacks one of the human joints.
     """
-    write_text(path, osim_text(body, mass, Path(path).stem))
+    _write_xml(path, _Writer(body).document(Path(path).stem))
 
 
-def osim_text(body: Body, mass: float | None = None, name: str = "subject") -> str:
-    """Generate the text of the OpenSim model that `write_osim` writes.
-
-    mass: mass of the whole body, kg; computed from the volume where it is None.
-    name: name of the model.
-    """
-    return _Writer(body, mass).document(name)
+def _write_xml(path: str | Path, root: Xml.Element) -> None:
+    """Write an XML document, indented as OpenSim does."""
+    Xml.indent(root, "\t")
+    write_text(path, '<?xml version="1.0" encoding="UTF-8" ?>\n' + Xml.tostring(root, encoding="unicode") + "\n")
 
 
 def marker_names(body: Body) -> tuple[str, ...]:
@@ -102,7 +98,18 @@ def marker_names(body: Body) -> tuple[str, ...]:
 
 
 class _Writer:
-    def __init__(self, body: Body, mass: float | None) -> None:
+    """Writer of the parts of a model; segments are named as in OpenSim's full-body model.
+
+    body: the body at rest, model frame, m.
+
+    Attributes:
+    origin: joint of the skeleton at the origin of each segment.
+    segment_of: segment that carries the skin of each joint.
+    neutral: rotation (3, 3) of each joint's frame in the anatomical neutral.
+    masses: mass (kg), centre and inertia of each segment.
+    """
+
+    def __init__(self, body: Body) -> None:
         self.body, self.skeleton = body, body.skeleton
         self.origin = {name: joint for name, (joint, _) in _TRUNK.items()}
         carried = {name: joints for name, (_, joints) in _TRUNK.items()}
@@ -112,7 +119,7 @@ class _Writer:
                 carried[f"{name}_{s}"] = (f"{side}_{joint}",)
         self.segment_of = {joint: name for name, joints in carried.items() for joint in joints}
         self.neutral = neutral_frames(self.skeleton)
-        self.masses = segment_masses(body, carried, mass)
+        self.masses = segment_masses(body, carried)
 
     def local(self, segment: str, points: Array) -> Array:
         """Convert points (N, 3) of the model frame at rest to the frame of a segment."""
@@ -120,7 +127,8 @@ class _Writer:
         d = points - self.skeleton.rest_joints[self.skeleton.joint(joint)]
         return d @ (BODY_AXES @ self.neutral[joint]).T
 
-    def document(self, name: str) -> str:
+    def document(self, name: str) -> Xml.Element:
+        """Make the whole document; `name` is that of the model."""
         root = Xml.Element("OpenSimDocument", Version="40000")
         about = {
             "credits": "hypose: a model of the tracked body, made of its own joints, lengths and volume",
@@ -139,8 +147,7 @@ class _Writer:
             self.arm(joints, s, side, sign)
         markers = put(put(model, "MarkerSet", name="markerset"), "objects")
         self.markers(markers)
-        Xml.indent(root, "\t")
-        return '<?xml version="1.0" encoding="UTF-8" ?>\n' + Xml.tostring(root, encoding="unicode") + "\n"
+        return root
 
     def segment(self, parent: Xml.Element, name: str, m: SegmentMass) -> None:
         turn = BODY_AXES @ self.neutral[self.origin[name]]
@@ -368,8 +375,7 @@ def write_ik_setup(path: str | Path, motion: Motion, body: Body, model: str, mar
     tasks = put(put(tool, "IKTaskSet"), "objects")
     for name, weight in zip(marker_names(body), marker_weights(motion, body).tolist(), strict=True):
         put(tasks, "IKMarkerTask", children={"apply": "true", "weight": f"{weight:.4g}"}, name=name)
-    Xml.indent(root, "\t")
-    write_text(path, '<?xml version="1.0" encoding="UTF-8" ?>\n' + Xml.tostring(root, encoding="unicode") + "\n")
+    _write_xml(path, root)
 
 
 def marker_weights(motion: Motion, body: Body) -> Array:
