@@ -301,6 +301,7 @@ def _caliscope(source: Source) -> dict[str, KeypointTable]:
 def _first_frame(shown: Sequence[int], numbers: Sequence[int], where: str) -> int:
     """Determine the sync_index of the recording's first frame.
 
+    shown: sync indices of all frames with points.
     numbers: the recording's own sync indices. Older versions count the points from 0, although the recording's times
         continue those of the calibration.
     """
@@ -319,6 +320,9 @@ def _first_frame(shown: Sequence[int], numbers: Sequence[int], where: str) -> in
 
 def _point_order(stem: str, ids: set[int]) -> list[int]:
     """Order the ids of points as in a key-point set.
+
+    stem: name of the file without its ending, in lower case, which holds the tracker's name.
+    ids: ids of all points in the file.
 
     MediaPipe's trackers number the body 0 to 32, the right hand from 100 and the left hand from 200. SIMPLE_HOLISTIC
     has no wrists but those of the hands.
@@ -401,6 +405,7 @@ def _mmpose(source: Source) -> KeypointTable:
 
 
 def _names_of_meta(meta: Any) -> tuple[str, ...] | None:
+    """Get the names of the points from MMPose's meta_info; None where they are not all there."""
     table = meta.get("keypoint_id2name") if isinstance(meta, Mapping) else None
     if not isinstance(table, Mapping) or not all(isinstance(v, str) for v in table.values()):
         return None
@@ -553,6 +558,9 @@ def text_lines_or_none(path: Path) -> list[str]:
 
 
 def _row_reader(count: int, per_point: int) -> Callable[[Path], Array]:
+    """Make the reader of a label file with `count` points of `per_point` numbers: a function of the path that gives the
+    people (P, K, 3), as shares of the picture."""
+
     def read(path: Path) -> Array:
         people = []
         for line in text_lines_or_none(path):

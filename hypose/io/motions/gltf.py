@@ -121,6 +121,10 @@ class _BinaryBuffer:
     def add(self, values: np.ndarray, kind: str, target: int | None = None, limits: bool = False) -> int:
         """Append an array whose rows are the elements; float64 is stored as float32.
 
+        values: (N, ...) the elements.
+        kind: type of an element: SCALAR, VEC3, VEC4 or MAT4.
+        target: use of the array, a number of the specification; None where it needs none.
+        limits: store the smallest and largest values, as the specification requires for positions and times.
         Returns: number of its accessor.
         """
         array = np.ascontiguousarray(values.astype("<f4") if values.dtype == np.float64 else values)
@@ -139,6 +143,7 @@ class _BinaryBuffer:
 
 
 def _primitive(store: _BinaryBuffer, mesh: Mesh, joints: int) -> dict[str, Any]:
+    """Store a skinned mesh, with the four largest weights of each vertex, and describe it. joints: their number."""
     vertices = mesh.vertices @ Y_UP.T
     # a vertex must not name a joint twice, and unused slots must name joint 0
     dense = mesh.dense_weights(joints)
@@ -168,7 +173,13 @@ def _normals(vertices: Array, faces: np.ndarray) -> Array:
 
 
 def _animate(whole: dict[str, Any], store: _BinaryBuffer, motion: Motion, poses: Array, first: int) -> None:
-    """Add the motion of the skeleton whose root is node `first` to the animation `whole`."""
+    """Add the motion of a skeleton to an animation.
+
+    whole: the animation, which is extended.
+    store: buffer of the file.
+    poses: (T, D) pose vectors of `motion`, without gaps.
+    first: number of the node of the skeleton's root.
+    """
     skeleton = motion.skeleton
     # frames at equal steps: time stamps of real files may repeat, which glTF forbids
     times = np.arange(len(poses)) / motion.frame_rate
@@ -227,6 +238,13 @@ def read_skin(data: bytes, where: str) -> Skinned | None:
 
 
 def _skin(gltf: Any, blob: bytes) -> Skinned | None:
+    """Collect the triangles, weights and joints of the first skin of a document.
+
+    gltf: the document, as pygltflib reads it.
+    blob: binary part of the file.
+    Returns: as `read_skin`.
+    Raises: ValueError and others where the document is damaged.
+    """
     users = [n for n in gltf.nodes if n.skin is not None and n.mesh is not None]
     if not users:
         return None
@@ -270,7 +288,12 @@ def _skin(gltf: Any, blob: bytes) -> Skinned | None:
 
 
 def _array(gltf: Any, blob: bytes, number: int) -> Array:
-    """Read an accessor as float64 (count, columns); normalised integers become fractions."""
+    """Read an array as float64 (count, columns); normalised integers become fractions.
+
+    gltf, blob: as for `_skin`.
+    number: number of its accessor.
+    Raises: ValueError where it is compressed, in another file, or reaches beyond the end of the file.
+    """
     a = gltf.accessors[number]
     if a.bufferView is None or a.sparse is not None:
         raise ValueError("sparse or compressed data")

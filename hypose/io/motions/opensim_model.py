@@ -60,7 +60,8 @@ def shoulder_places(skeleton: Skeleton, poses: Array) -> tuple[tuple[str, ...], 
     """Compute the shoulder coordinates: the displacement of each shoulder's centre by the clavicle, from its place at
     rest.
 
-    poses: (T, D).
+    skeleton: the tracked body's.
+    poses: (T, D) pose vectors.
     Returns: 4 coordinate names; (T, 4) m, forwards and up relative to the chest, right and left.
     """
     columns = {}
@@ -71,7 +72,12 @@ def shoulder_places(skeleton: Skeleton, poses: Array) -> tuple[tuple[str, ...], 
 
 
 def _moved(skeleton: Skeleton, side: str, about_y: Array, about_z: Array) -> Array:
-    """Compute how the clavicle's rotations (N,) rad move the shoulder's centre: (N, 3) m in the chest frame."""
+    """Compute how rotations of a clavicle move the shoulder's centre.
+
+    side: "left" or "right".
+    about_y, about_z: (N,) angles about the clavicle's two axes, rad.
+    Returns: (N, 3) displacement in the chest's frame, X forwards, Y up, Z right, m.
+    """
     y, z = skeleton.dofs_of(f"{side}_clavicle")
     offset = skeleton.rest_offsets[skeleton.joint(f"{side}_shoulder")]
     turned = so3_exp(about_y[:, None] * skeleton.axes[y]) @ so3_exp(about_z[:, None] * skeleton.axes[z])
@@ -170,14 +176,14 @@ class _Writer:
             _joint(joints, joint, f"/bodyset/{parent}", child, self.place(parent, child), turn)
 
     def place(self, parent: str, child: str) -> Array:
-        """Compute the origin (3,) of a segment in its parent's frame, m."""
+        """Compute the origin (3,) of the segment `child` at rest, in the frame of the segment `parent`, m."""
         return self.local(parent, self.skeleton.rest_joints[self.skeleton.joint(self.origin[child])][None])[0]
 
     def ball(self, names: Sequence[str], sign: float) -> list[tuple[str, Array]]:
         return list(zip(names, (_Z, sign * _X, sign * _Y), strict=True))
 
     def hinge(self, joint: str, above: str) -> Array:
-        """Compute the axis (3,) of a hinge in the frame of the segment above."""
+        """Compute the axis (3,) of a hinge joint in the frame of the segment above it."""
         return BODY_AXES @ self.neutral[self.origin[above]] @ hinge_axis(self.skeleton, joint)
 
     def leg(self, joints: Xml.Element, s: str, side: str, sign: float) -> None:
@@ -252,7 +258,17 @@ def _joint(
     limits: dict[str, tuple[float, float]] | None = None,
     locked: bool = False,
 ) -> None:
-    """Add a CustomJoint: successive rotations about axes in the parent's frame, and translations along axes."""
+    """Add a CustomJoint: successive rotations about axes in the parent's frame, and translations along axes.
+
+    parent: XML element of the joints.
+    name: name of the joint.
+    above, child: frame of the segment above it, and name of the segment below it.
+    place: (3,) place of the joint in the frame above, m.
+    turn: for each rotation the name of its coordinate, or a fixed angle (rad), and its axis (3,).
+    moves: for each translation the same, and its law as in `_axis`; none where the joint does not translate.
+    limits: lower and upper limit of coordinates by name, rad or m; the others are free.
+    locked: the coordinates are fixed.
+    """
     sockets = {f"socket_{end}_frame": f"{name}_{end}" for end in ("parent", "child")}
     joint = put(parent, "CustomJoint", children=sockets, name=name)
     names = dict.fromkeys(n for n, *_ in (*turn, *moves) if isinstance(n, str))
@@ -295,6 +311,9 @@ def _axis(
 ) -> None:
     """Add one axis of a transform.
 
+    parent: XML element of the transform.
+    name: rotation1 to rotation3, or translation1 to translation3.
+    axis: (3,) direction.
     free: name of its coordinate, a fixed value, or the names of two coordinates.
     law: offset added to one coordinate, or coefficients of the polynomial of two.
     """
@@ -313,8 +332,11 @@ def _axis(
 def put(
     parent: Xml.Element, tag: str, text: str = "", children: Mapping[str, str] | None = None, **attributes: str
 ) -> Xml.Element:
-    """Append a new XML element to `parent`.
+    """Append a new XML element to `parent` and return it.
 
+    tag: its name.
+    text: its content.
+    attributes: its attributes by name.
     children: texts of its child elements by their tags.
     """
     entry = Xml.SubElement(parent, tag, attributes)
