@@ -57,7 +57,7 @@ from hypose.io.videos.video import evenly_spread, open_video
 # The masks of a stream's frames: packed, in computation, and kept for another request of the same frame.
 
 
-KEPT_BYTES = 64 << 20
+KEPT_BYTES = 160 << 20
 """Memory for masks that are kept, bytes; enough for ten minutes of four cameras."""
 
 
@@ -618,7 +618,7 @@ class FrameStream:
         found = self._kept.get((view, index))
         if found is None:
             found = self._made(view, index)
-            size = 0 if found.runs is None else len(found.runs.code)
+            size = 0 if found.runs is None else found.runs.code.nbytes
             if found.colours is None and self._kept_bytes + size <= KEPT_BYTES:
                 self._kept[view, index] = found
                 self._kept_bytes += size

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from hypose.cameras.camera import Camera
 from hypose.compute import mask_runs
-from hypose.compute.glance import Glance, differing_box, stored_pixels
+from hypose.compute.glance import Glance, StoredPlaces, differing_box, stored_places
 from hypose.compute.picture_to_mask import Box, Undistortion, make_lens, new_picture, shrink_undistort
 from hypose.compute.threads import default_threads
 from hypose.errors import InputError
@@ -202,7 +202,7 @@ class Preparer:
         self._maps = mx - np.float32(shift[0] * scale[0]), my - np.float32(shift[1] * scale[1])
         self._lenses: dict[tuple[int, int], Undistortion] = {}
         self._memory = new_picture(self.size[1], self.size[0])
-        self._pixels: dict[tuple[int, int], NDArray[np.int32]] = {}
+        self._places: dict[tuple[int, int], StoredPlaces] = {}
 
     def __call__(self, image: Image) -> Image:
         """Undistort a stored picture."""
@@ -231,9 +231,9 @@ class Preparer:
         """
         image = self._enlarged(image)
         stored = (image.shape[1], image.shape[0])
-        if stored not in self._pixels:
-            self._pixels[stored] = stored_pixels(stored, *self._maps)
-        return differing_box(image, self._pixels[stored], glance, self.size)
+        if stored not in self._places:
+            self._places[stored] = stored_places(stored, *self._maps)
+        return differing_box(image, self._places[stored], glance, self.size)
 
     def _enlarged(self, image: Image) -> Image:
         if image.shape[1] >= self.size[0] and image.shape[0] >= self.size[1]:
