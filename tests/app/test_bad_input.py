@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from benchmarks.robustness.small_recordings import write_skeletons
-from hypose.app.commands import commands_data
+from hypose.app.commands import commands_recordings
 from tests.app.conftest import fails
 
 
@@ -82,7 +82,7 @@ CANNOT_BE = [
     ("synth out --rig circle", "circle", "ring-N"),
     ("synth out --subject stranger", "There is no subject 'stranger'", "neutral"),
     ("synth out --subject 999", "There is no subject 999"),
-    ("synth out --corruption rain", "There is no corruption 'rain'", "shadow"),
+    ("synth out --corruption rain", "There is no corruption 'rain'", "table"),
     ("synth out --seconds -1", "--seconds -1 is not possible"),
     ("synth out --clothing 0.5", "0.5", "0.04"),
     ("demo --seconds 0", "--seconds 0 is not possible; give more than 0 and at most 3600 seconds."),
@@ -198,7 +198,7 @@ def test_a_bug_is_called_one(hypose, monkeypatch):
     def broken(text):
         raise ZeroDivisionError("division by zero")
 
-    monkeypatch.setattr(commands_data, "_subject_name", broken)
+    monkeypatch.setattr(commands_recordings, "_subject_name", broken)
     code, _, err = hypose("synth", "out")
     assert code == 1
     assert "Traceback" not in err

@@ -20,7 +20,7 @@ from hypose.gestures.depth_pictures import DepthLens
 from hypose.gestures.events import Event, EventSettings
 from hypose.gestures.localise import Localisation, LocaliseSettings
 from hypose.gestures.model import GestureModel
-from hypose.gestures.session import SessionSettings
+from hypose.gestures.trainer import SessionSettings
 from hypose.pipeline.gesture_files import SessionWriter, read_recording, save_model
 from tests.conftest import HANG_S
 

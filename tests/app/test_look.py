@@ -57,7 +57,7 @@ def test_masks_can_be_given_back(hypose, recording):
 
 
 def test_synth_writes_what_was_asked_for(hypose, tmp_path):
-    arguments = ("--motion", "wave", "--subject", "1", "--rig", "ring-2", "--seconds", "0.12", "--corruption", "shadow")
+    arguments = ("--motion", "wave", "--subject", "1", "--rig", "ring-2", "--seconds", "0.12", "--corruption", "desync")
     code, out, err = hypose("synth", tmp_path / "scene", *arguments, "--keypoints", "--frame-rate", "50")
     assert code == 0, err
     assert "6 frames, 2 cameras" in out

@@ -22,7 +22,7 @@ def test_the_files_of_a_result_are_of_the_recorded_motion(tracked, tiny):
     assert len(motion) == 8 and motion.frame_rate == pytest.approx(25)
     assert not motion.lost.any() and not motion.extrapolated.any()
     with np.load(tiny / "truth.npz") as truth:
-        assert joint_errors(motion.joints, truth["joints"]).mean < 0.08  # the person is 60 px tall
+        assert joint_errors(motion.joints, truth["joints"]).mean() < 0.08  # the person is 60 px tall
     points = ezc3d.c3d(str(tracked / "motion.c3d"))["data"]["points"][:3].transpose(2, 1, 0) / 1000
     np.testing.assert_allclose(points, motion.joints, atol=1e-6)
     assert read_trc(tracked / "motion.trc").points.shape == motion.joints.shape

@@ -28,8 +28,7 @@ from hypose.gestures.forest import Forest, ForestSettings, GrowingForest
 from hypose.gestures.localise import Localisation, LocaliseSettings, Scratch, localise
 from hypose.gestures.model import GestureModel
 from hypose.gestures.online import Learner
-from hypose.gestures.session import Command, SessionSettings
-from hypose.gestures.trainer import Feedback, Trainer
+from hypose.gestures.trainer import Command, Feedback, SessionSettings, Trainer
 from hypose.pipeline.gesture_files import GestureRecording, SessionWriter, content_of, load_model
 
 _Say = Callable[[str], None]
