@@ -9,7 +9,6 @@ import math
 import re
 import threading
 import time
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -19,7 +18,7 @@ from click.exceptions import Exit
 from hypose.app.commands.console import Stages, ended_by_signals, print_note, print_notes, say, stopping
 from hypose.app.options import LiveCommand
 from hypose.errors import InputError
-from hypose.options import MOST_FRAMES, ListenHost, Option, Seed, Threads
+from hypose.options import MOST_FRAMES, ListenHost, Option, Seed, Threads, named_values
 
 if TYPE_CHECKING:
     from hypose.pipeline.live.engine import LiveResult, LiveStatus
@@ -46,7 +45,7 @@ def live(c: LiveCommand) -> None:
     if ended.is_set():
         raise Exit(130)
 
-    cameras = live_rig(c.rig, _sources(c.source), c.rate)
+    cameras = live_rig(c.rig, named_values("--source", c.source, "CAMERA=WHERE, for example --source cam1=0"), c.rate)
     print_notes(cameras.notes)
     body = None if c.subject is None else load_subject(c.subject)
     person = LivePersonOptions(TrackOptions(seed=c.seed), c.height or cameras.height, body)
@@ -107,18 +106,6 @@ def _finds_people(wanted: bool | None, roomless: bool) -> bool:
         return False
     print_note("note: the detector finds people; no empty room is needed.")
     return True
-
-
-def _sources(given: Sequence[str]) -> dict[str, str]:
-    out: dict[str, str] = {}
-    for text in given:
-        name, equals, where = text.partition("=")
-        if not equals or not name or not where:
-            raise InputError(f"--source {text} is not possible; give CAMERA=WHERE, for example --source cam1=0.")
-        if name in out:
-            raise InputError(f"--source {name} is given twice; give each camera once.")
-        out[name] = where
-    return out
 
 
 class _StatusReporter:

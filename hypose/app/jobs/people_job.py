@@ -27,7 +27,6 @@ from hypose.app.jobs.job import (
 )
 from hypose.app.reports.overlay import colour_of, write_people_overlay
 from hypose.app.reports.summary import CONTENT_POLICY, page, require_found, summarize
-from hypose.app.studio.view_bundle import ViewResult
 from hypose.calibration.findings import REVIEW, Finding
 from hypose.errors import InputError
 from hypose.io.files import check_writable, claimed
@@ -203,10 +202,9 @@ def _one_report(
     """Write motion files and report of one person."""
     results = ResultsFolder(job.results.path / one.name)
     own = replace(job, results=results, command=replace(job.command, overlay=False))
-    notes = (f"Assessment: {one.assessment.sentence}", *one.result.notes)
-    view = ViewResult(f"{job.recording.name}: {one.name}", one.result.motion, one.result.body, notes=notes)
+    about = {"title": f"{job.recording.name}: {one.name}", "notes": one.result.notes, "assessment": one.assessment}
     before = [p for p in written if p.parent == results.path]
-    files = export_and_report(own, one.result, view, source, before, progress)
+    files = export_and_report(own, one.result, source, before, progress, **about)
     remove_stale(results, [*before, *files])
     return files
 
