@@ -269,7 +269,7 @@ class Recordings:
     def __init__(self, catalog: Catalog) -> None:
         self._catalog = catalog
         # the last used one stays, however large it is, since backgrounds take seconds to make
-        self._open: LruCache[_Open] = LruCache(_OPEN, lambda o: o.held, _Open.close, one_more=True)
+        self._open: LruCache[_Open] = LruCache(_OPEN, lambda o: o.held, _Open.close)
 
     def load(self, item: Item) -> Recording:
         """Load the recording of an item.

@@ -75,11 +75,9 @@ class Results:
 
     def __init__(self, catalog: Catalog) -> None:
         self._catalog = catalog
-        self._blocks: LruCache[bytearray] = LruCache(_BLOCKS, len, one_more=True)
-        # four cameras of 1080p exceed the limit; one_more keeps them, since opening them takes seconds
-        self._pictures: LruCache[ViewPictures] = LruCache(
-            _PICTURES, lambda p: p.held, ViewPictures.close, one_more=True
-        )
+        self._blocks: LruCache[bytearray] = LruCache(_BLOCKS, len)
+        # four cameras of 1080p exceed the limit; the last used ones stay, since opening them takes seconds
+        self._pictures: LruCache[ViewPictures] = LruCache(_PICTURES, lambda p: p.held, ViewPictures.close)
         self._thumbnails: LruCache[bytes] = LruCache(_THUMBNAILS, len)
         self._heads: dict[str, _Head] = {}
         self._gaits: LruCache[bytes] = LruCache(_GAITS, len)

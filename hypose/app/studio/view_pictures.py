@@ -103,7 +103,7 @@ class ViewPictures:
         self._views = [AnyFrame(v) if v.source or v.masks else None for v in recording.views]
         self._stream: FrameStream | None = None
         self._lock, self._mask_lock = threading.Lock(), threading.Lock()
-        self._kept: LruCache[bytes] = LruCache(_CACHE_BYTES, len, one_more=True)
+        self._kept: LruCache[bytes] = LruCache(_CACHE_BYTES, len)
 
     @property
     def held(self) -> int:
