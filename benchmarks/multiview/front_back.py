@@ -15,8 +15,8 @@ from hypose.body.default_body import human
 from hypose.geometry import Array
 from hypose.pipeline.first_frame import SubjectOptions, TrackedSubject, find_subject
 from hypose.pipeline.left_right import FrameRange, correct_left_right
-from hypose.pipeline.passes import tracker_of
-from hypose.pipeline.track_loop import FrameList, track_frames
+from hypose.pipeline.passes import ClipState, track_clip, tracker_of
+from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.metrics import joint_errors, population_offsets
 from hypose.synthetic.scenes import Scene, camera_rig
@@ -78,10 +78,10 @@ def front_back(options: BenchOptions) -> BenchReport:
 
 
 def _tracked(source: FrameList, tracker: Tracker, start: Array, subject: TrackedSubject) -> list[FrameEstimate]:
-    def silent(stage: str, done: int, total: int) -> None:
-        pass
-
-    return track_frames(source, tracker, tracker.start(start), subject, progress=silent).estimates
+    subject = replace(subject, start=start, rivals=None)
+    done = track_clip(ClipState(source, source.frame_rate, TrackOptions(), subject=subject, tracker=tracker)).tracked
+    assert done is not None
+    return done.estimates
 
 
 def _reader(source: FrameList) -> FrameRange:

@@ -26,10 +26,10 @@ from hypose.evidence.limb_maps import LABELS, LimbMaps, limb_of_joints
 from hypose.geometry import Array
 from hypose.inference.layer import Recipe
 from hypose.pipeline.first_frame import SubjectOptions, find_subject
-from hypose.pipeline.passes import ClipState, tracker_of
+from hypose.pipeline.passes import ClipState, track_clip, tracker_of
 from hypose.pipeline.run import finish, track_source
 from hypose.pipeline.track import track
-from hypose.pipeline.track_loop import FrameList, track_frames
+from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.metrics import EVALUATED, population_offsets, with_offsets
 from hypose.synthetic.scenes import Scene, make_scene
@@ -143,12 +143,10 @@ def _distances(scene: Scene, source: FrameList, body: Body, draw: int, colours: 
     """(T, 15) m: of the smoothed clip, and frame after frame."""
     subject, options = known_subject(scene, body), TrackOptions(seed=draw, own={"colours": True} if colours else {})
     tracker = tracker_of(subject, options, scene.frame_rate)
-    begin = tracker.start(subject.start)
-    done = track_frames(source, tracker, begin, subject, progress=_silent)
-    clip = ClipState(source, scene.frame_rate, options, subject=subject, tracker=tracker, tracked=done)
+    clip = track_clip(ClipState(source, scene.frame_rate, options, subject=subject, tracker=tracker))
     smoothed = finish(clip).motion.poses
-    assert smoothed is not None
-    tracked = np.stack([e.pose for e in done.estimates])
+    assert smoothed is not None and clip.tracked is not None
+    tracked = np.stack([e.pose for e in clip.tracked.estimates])
     return _errors(body, smoothed, scene), _errors(body, tracked, scene)
 
 
@@ -251,7 +249,3 @@ def _difference(case: str, joints: Sequence[Array]) -> Row:
     """By how much two of joints (T, J, 3) m differ at most."""
     most = max(np.linalg.norm(a - b, axis=-1).max() for a, b in itertools.combinations(joints, 2))
     return Row("draw_difference_mm", case, 1e3 * float(most), "mm", n=len(joints))
-
-
-def _silent(stage: str, done: int, total: int) -> None:
-    pass

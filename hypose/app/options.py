@@ -174,6 +174,14 @@ class CalibrateCommand:
     height: Annotated[
         float | None, Option("How tall that person is, in metres.", *HEIGHT, unit="metres", group=_PERSON)
     ] = None
+    focal: Annotated[
+        tuple[str, ...],
+        Option(
+            "Focal length in pixels of all cameras, or CAMERA=PIXELS of each (repeated). [default: found out]",
+            value="PIXELS",
+            group=_PERSON,
+        ),
+    ] = ()
     largest: Annotated[
         float | None,
         Option(

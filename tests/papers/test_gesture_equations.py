@@ -48,9 +48,7 @@ def test_equations_3_3_and_3_6_what_a_test_reads(kappa, rng):
         u, v = rng.integers(-150, 151, 2), rng.integers(-150, 151, 2)
         v = v if rng.random() < 0.5 else 0 * v
         scale = np.float32(LENS.fx / d)
-        found = forests.response(
-            picture.values.ravel(), picture.values.shape[1], np.uint64(cell), d, scale, d - kappa, d + kappa, *u, *v
-        )
+        found = forests.response(picture.flat, picture.width, np.uint64(cell), d, scale, d - kappa, d + kappa, *u, *v)
         # single precision may round an offset to the next pixel
         different += found != f_printed(depth, int(y), int(x), u, v, kappa)
     assert different <= 4
