@@ -6,12 +6,10 @@ from __future__ import annotations
 
 import contextlib
 import json
-import math
 import re
-import threading
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, cast
 
@@ -24,14 +22,12 @@ from hypose.app.studio.http import request_choice, text, whole
 from hypose.app.studio.http import request_number as number_of
 from hypose.app.studio.job_kinds import CALIBRATION, board_files, found_offsets, next_step, read_found, uncalibrated
 from hypose.app.studio.lru_cache import LruCache
-from hypose.app.studio.view_pictures import AnyFrame
+from hypose.app.studio.view_pictures import OpenRecording
 from hypose.calibration.views import find_sources
-from hypose.cameras.camera import Camera
 from hypose.errors import HyposeError, InputError
 from hypose.evidence.silhouettes import SilhouetteSettings
 from hypose.geometry import Image, Mask
 from hypose.io.files import read_text, read_toml, toml_value, write_text
-from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import (
     SILHOUETTE_KEYS,
     Recording,
@@ -40,7 +36,6 @@ from hypose.io.recordings.recording import (
     silhouette_options,
     write_recording,
 )
-from hypose.io.recordings.view_source import Preparer
 from hypose.json_text import parse_json
 
 # ---- edits ---------------------------------------------------------------------------------------------------------
@@ -190,77 +185,9 @@ def _with_calibration(whole: str, name: str | None) -> str:
     return "\n".join([f"calibration = {toml_value(name)}", *head, *lines[end:]])
 
 
-_OPEN, _LENSES, _QUALITY = 128 << 20, 32 << 20, 85
-"""Most bytes of all open recordings, and of one recording's undistortion maps; JPEG quality."""
-_PER_PIXEL, _PER_LENS_PIXEL, _PER_WORKING_PIXEL = 40, 8, 30
-"""Approximate bytes per pixel of an open video, of an undistortion map, and of a background."""
+_OPEN, _QUALITY = 128 << 20, 85
+"""Most bytes of all open recordings; JPEG quality."""
 _EDGE = (70, 60, 255)  # BGR; the same pink as in the report
-
-
-@dataclass
-class _Open:
-    """Recording that is open, for one thread at a time.
-
-    images: readers by view.
-    stored: frame number and picture that each reader read last.
-    masks: stream that makes the masks.
-    lenses: undistortion maps by (view, width).
-    """
-
-    recording: Recording
-    lock: threading.Lock = field(default_factory=threading.Lock)
-    images: dict[int, AnyFrame] = field(default_factory=dict)
-    stored: dict[int, tuple[int, Image]] = field(default_factory=dict)
-    masks: FrameStream | None = None
-    lenses: dict[tuple[int, int], Preparer] = field(default_factory=dict)
-
-    def image(self, view: int, frame: int, small: Camera) -> Image:
-        """Return the undistorted picture of a view, of the size of the camera `small`."""
-        v, key = self.recording.views[view], (view, small.size[0])
-        if key not in self.lenses:
-            while self.lenses and self._of_lenses + _PER_LENS_PIXEL * math.prod(small.size) > _LENSES:
-                del self.lenses[next(iter(self.lenses))]
-            self.lenses[key] = Preparer(self.recording.rig[view], small, v.image_shift)
-        return self.lenses[key](self._read(view, frame))
-
-    def mask(self, view: int, frame: int, settings: SilhouetteSettings) -> Mask:
-        """Compute the mask at working size that tracking would get with these settings."""
-        if self.masks is None:
-            self.masks = FrameStream(replace(self.recording, frame_range=None))
-        stored = self._read(view, frame) if self.recording.views[view].source else None
-        return self.masks.mask(view, frame, stored, settings)
-
-    def _read(self, view: int, frame: int) -> Image:
-        """Read the stored picture of a view; the last one of each view is kept."""
-        if view not in self.images:
-            self.images[view] = AnyFrame(self.recording.views[view])
-        if self.stored.get(view, (-1,))[0] != frame:
-            stored = self.images[view].read(frame)
-            if stored is None:
-                raise InputError(f"{self.recording.views[view].name} has no frame {frame}.")
-            self.stored[view] = frame, stored
-        return self.stored[view][1]
-
-    @property
-    def held(self) -> int:
-        """Approximate memory in use, bytes."""
-        r = self.recording
-        videos = sum(math.prod(r.rig[v].size) for v in self.images)
-        working = 0 if self.masks is None else sum(math.prod(c.size) for c in self.masks.rig)
-        return self._of_lenses + _PER_PIXEL * videos + _PER_WORKING_PIXEL * working
-
-    @property
-    def _of_lenses(self) -> int:
-        sizes = [(w, self.recording.rig[v].size) for v, w in list(self.lenses)]
-        return sum(round(_PER_LENS_PIXEL * w * w * size[1] / size[0]) for w, size in sizes)
-
-    def close(self) -> None:
-        """Release the files."""
-        with self.lock:
-            for source in (*self.images.values(), *([] if self.masks is None else [self.masks])):
-                source.close()
-            self.images.clear()
-            self.masks = None
 
 
 class Recordings:
@@ -269,7 +196,7 @@ class Recordings:
     def __init__(self, catalog: Catalog) -> None:
         self._catalog = catalog
         # the last used one stays, however large it is, since backgrounds take seconds to make
-        self._open: LruCache[_Open] = LruCache(_OPEN, lambda o: o.held, _Open.close)
+        self._open: LruCache[OpenRecording] = LruCache(_OPEN, lambda o: o.held, OpenRecording.close)
 
     def load(self, item: Item) -> Recording:
         """Load the recording of an item.
@@ -351,17 +278,13 @@ class Recordings:
             r = opened.recording
             if camera not in r.rig.names:
                 raise NotFound(f"{r.name} has no camera {camera[:40]!r}; it has {', '.join(r.rig.names)}.")
-            if not 0 <= frame < r.n_frames:
-                raise InputError(f"{r.name} has the frames 0 to {r.n_frames - 1}, there is no {frame}.")
-            if not 32 <= width <= 4096:
-                raise InputError(f"Pictures cannot be {width} px wide; ask for 32 to 4096.")
+            opened.check(frame, width)
             view, options = r.rig.names.index(camera), _with_query(r.silhouettes, settings)
             full = r.rig[view]
             w = min(width, full.size[0])
             small = full.scaled((w, max(1, round(full.size[1] * w / full.size[0])))).pinhole()
-            with opened.lock:
-                image = opened.image(view, frame, small) if r.views[view].source else None
-                mask = None if shown == "none" else opened.mask(view, frame, options)
+            image = opened.undistorted(view, frame, small) if r.views[view].source else None
+            mask = None if shown == "none" else opened.mask(view, frame, options)
         if image is None:
             if mask is None:
                 raise NotFound(f"{camera} has masks only, no pictures.")
@@ -382,9 +305,10 @@ class Recordings:
         """Release the files that are not in use."""
         self._open.drop()
 
-    def _opened(self, item: Item) -> AbstractContextManager[_Open]:
+    def _opened(self, item: Item) -> AbstractContextManager[OpenRecording]:
         return self._open.use(
-            (item.id, _stamp(item.path)), lambda: _Open(load_recording(item.path, uncalibrated=uncalibrated(item.path)))
+            (item.id, _stamp(item.path)),
+            lambda: OpenRecording(load_recording(item.path, uncalibrated=uncalibrated(item.path))),
         )
 
 

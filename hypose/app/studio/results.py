@@ -19,7 +19,7 @@ from hypose.app.studio.job_kinds import Plan
 from hypose.app.studio.lru_cache import LruCache
 from hypose.app.studio.recordings import Recordings
 from hypose.app.studio.view_bundle import first_frame, in_recording, json_values, load_view, quality_of, view_bundle
-from hypose.app.studio.view_pictures import ViewPictures
+from hypose.app.studio.view_pictures import OpenRecording
 from hypose.body.motion import Motion
 from hypose.body.skeleton import Skeleton
 from hypose.errors import HyposeError
@@ -77,7 +77,7 @@ class Results:
         self._catalog = catalog
         self._blocks: LruCache[bytearray] = LruCache(_BLOCKS, len)
         # four cameras of 1080p exceed the limit; the last used ones stay, since opening them takes seconds
-        self._pictures: LruCache[ViewPictures] = LruCache(_PICTURES, lambda p: p.held, ViewPictures.close)
+        self._pictures: LruCache[OpenRecording] = LruCache(_PICTURES, lambda p: p.held, OpenRecording.close)
         self._thumbnails: LruCache[bytes] = LruCache(_THUMBNAILS, len)
         self._heads: dict[str, _Head] = {}
         self._gaits: LruCache[bytes] = LruCache(_GAITS, len)
@@ -95,7 +95,7 @@ class Results:
         with self._blocks.use((item.id, _stamp(item.path, (*_JUDGED, *DESCRIPTIONS)), described), make) as block:
             return block
 
-    def pictures(self, item: Item) -> AbstractContextManager[ViewPictures]:
+    def pictures(self, item: Item) -> AbstractContextManager[OpenRecording]:
         """Open the pictures of a result's recording, as a context; results of the same frames share them.
 
         Raises: NotFound where there is no recording.
@@ -104,9 +104,9 @@ class Results:
         if folder is None:
             raise NotFound("The result is in no recording's folder, so there are no pictures of it.")
         facts = self.head(item)  # the motion itself, which may be large, is not needed
-        frames = facts["first_frame"], facts["frames"]
+        frames = facts["first_frame"], facts["first_frame"] + facts["frames"]
         return self._pictures.use(
-            (folder, _stamp(folder, _DESCRIBED), *frames), lambda: ViewPictures(load_recording(folder), *frames)
+            (folder, _stamp(folder, _DESCRIBED), *frames), lambda: OpenRecording(load_recording(folder), frames)
         )
 
     def head(self, item: Item) -> dict[str, Any]:
@@ -229,7 +229,7 @@ def glimpse_of(motion: Motion) -> Glimpse:
     return Glimpse(tuple((t, motion.joints[t].copy()) for t in rows), motion.skeleton)
 
 
-def thumbnail(glimpse: Glimpse, pictures: ViewPictures) -> bytes:
+def thumbnail(glimpse: Glimpse, pictures: OpenRecording) -> bytes:
     """Draw a JPEG from the first camera with a picture.
 
     Raises: NotFound where there is no picture.

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hypose.app.studio.recordings import without_table
-from hypose.app.studio.view_pictures import ViewPictures
+from hypose.app.studio.view_pictures import OpenRecording
 from hypose.io.motions.results import load_body, load_motion
 from hypose.io.recordings.recording import load_recording
 from hypose.synthetic.write_recording import walking_scene, write_depth_scene
@@ -59,7 +59,7 @@ def test_depth_views_are_pictures_and_cut_out_by_depth(tmp_path):
         base = f"/api/recordings/{id}/image/{view['name']}/2.jpg"
         plain, person = image(client, base), image(client, f"{base}?mask=only") > 127
         assert plain[person].mean() > 1.5 * plain[~person].mean() and 0.02 < person.mean() < 0.3
-    pictures = ViewPictures(load_recording(tmp_path / "depth"), 0, 5)
+    pictures = OpenRecording(load_recording(tmp_path / "depth"), (0, 5))
     jpeg = pictures.row(2, 640)[8:]
     (lines,) = pictures.outlines(2)
     pictures.close()
