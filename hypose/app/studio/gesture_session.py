@@ -112,9 +112,12 @@ def read_start(message: Mapping[str, Any]) -> SessionRequest:
 
 
 def open_feed(start: SessionRequest, gesture: str, catalog: Catalog) -> GestureSource:
-    """Open the source of a request; its name is the title for the page. Why no others: a page must not open paths.
+    """Open the source of a request; its name is the title for the page.
 
+    start: the request. Its source is simulated:PERSON, session:ID or realsense. Why no others: a page must not open
+        paths.
     gesture: name of the gesture that a simulated person shows.
+    catalog: knows the sessions.
     Raises: InputError for other sources.
     """
     kind, _, rest = start.source.partition(":")
@@ -185,6 +188,11 @@ class GestureTopic(Topic):
             run.post(message)
 
     def _start(self, start: SessionRequest) -> None:
+        """Start a session.
+
+        start: what was requested.
+        Raises: InputError where one is running, or the source, a model or the recording's folder cannot be used.
+        """
         with self._starting:
             if self.running is not None:
                 raise InputError("A session is running already; stop it first.")
@@ -301,6 +309,7 @@ class Run:
         self._topic.hub.post(GestureTopic.name, message)
 
     def _work(self) -> None:
+        """Run the session until it ends; save, close, and report why it ended, or start the next one."""
         why = "The session was stopped."
         try:
             why = self._loop() or why

@@ -95,6 +95,7 @@ class HeldBack:
             self._busy.start()
 
     def _look(self, forest: Forest, frames: list[tuple[DepthImage, tuple[float, float] | None, int]]) -> None:
+        """Test a forest on held-back frames (depth, pixel or None, segment), and keep the result."""
         scratch = Scratch()
         found = [(d, at, localise(d, self._lens, [forest], None, scratch)[0]) for d, at, _ in frames]
         self._result = _curve([self._judged(*f) for f in found]) | {"on": "held-back"}
@@ -163,7 +164,13 @@ class FalseAlarms:
         self._starts: list[float] = []
 
     def see(self, time: float, found: Localisation, threshold: float | None, hold_s: float) -> None:
-        """Count the events of a frame of other movement, before it is learned."""
+        """Count the events of a frame of other movement, before it is learned.
+
+        time: s.
+        found: place that the forest found.
+        threshold: cm^2, from which it counts; None: not known yet.
+        hold_s: time for which a gesture must be held, s.
+        """
         if self._last is not None and 0 < time - self._last < 1:
             self._clock += time - self._last
         elif self._last is not None:  # another segment: an event that was going on has ended
@@ -325,6 +332,7 @@ class Training:
     def _look(self, taken: Taken, f: Feedback, wanted: bool) -> tuple[Localisation, NDArray[np.float32] | None]:
         """Localise the gesture in a picture; where the picture is learned, with the forest as it was before.
 
+        taken, f: the picture, and what the trainer did with it.
         wanted: the map of votes is wanted.
         Returns: the place of the gesture, and the map or None.
         """
@@ -367,7 +375,13 @@ class Training:
     def _message(
         self, taken: Taken, f: Feedback, found: Localisation, threshold: float | None, c: Controls
     ) -> dict[str, Any]:
-        """Return the step message without events and times; arguments as in `_count`."""
+        """Return the step message (docs/studio-protocol.md) without events and times.
+
+        taken, f: the picture, and what the trainer did with it.
+        found: place of the gesture.
+        threshold: cm^2; None: not known yet.
+        c: settings of the page.
+        """
         s, i = self.trainer.session, f.instruction
         z = surface_depth(taken.depth, *self._place)
         half = BOX_M * self._source.lens.fx / (2.0 if z is None else z / 1000)

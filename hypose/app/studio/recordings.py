@@ -56,9 +56,11 @@ _REFINED = "results/calibration_refined*.toml"
 def edit_recording(folder: Path, recording: Recording | None, asked: dict[str, Any], catalog: Catalog) -> None:
     """Correct a fault of a recording by an edit of recording.toml.
 
+    folder: of the recording.
     recording: as it is read now; None where it cannot be read.
     asked: {"what": one of _KINDS, "view": name, "path": picture or video of an empty room, "frames": by which key
         points are early, "x", "y": px by which a view's pictures are moved, "metres": height}.
+    catalog: of the served folder, in which `path` must lie.
     Raises: InputError names the cause. Where the recording cannot be read with the edit, the old text is restored
         first; height and board are not checked in this way.
     """
@@ -141,6 +143,12 @@ def newest_refined_calibration(folder: Path) -> str | None:
 
 
 def _try(path: Path, before: str, after: str) -> None:
+    """Write a changed text, and restore the old one where the recording cannot be read with it.
+
+    path: of recording.toml.
+    before, after: old and new text.
+    Raises: InputError says why it cannot be read.
+    """
     write_text(path, after)
     try:
         load_recording(path.parent)
@@ -150,7 +158,13 @@ def _try(path: Path, before: str, after: str) -> None:
 
 
 def _changed(whole: str, number: int, change: Callable[[list[str]], list[str]]) -> str:
-    """Return the text with the lines of view `number` changed."""
+    """Return the text of a recording.toml with the lines of one view changed.
+
+    whole: the text.
+    number: of the view, from 0.
+    change: gets the view's lines and returns the new ones.
+    Raises: InputError where the views are not written as [[view]].
+    """
     lines = whole.split("\n")
     heads = [i for i, line in enumerate(lines) if line.split("#")[0].strip() == "[[view]]"]
     if number >= len(heads):
@@ -164,18 +178,28 @@ def _changed(whole: str, number: int, change: Callable[[list[str]], list[str]]) 
 
 
 def _at_top(whole: str, key: str, value: Any) -> str:
-    """Return the text with a key of the recording itself set."""
+    """Return the text of a recording.toml with a key of the recording itself set.
+
+    whole: the text.
+    key, value: what is set; an older line of the key is removed.
+    """
     lines = whole.split("\n")
     end = next((i for i, line in enumerate(lines) if line.lstrip().startswith("[")), len(lines))
     return "\n".join([f"{key} = {toml_value(value)}", *_set_aside(lines[:end], key), *lines[end:]])
 
 
 def _set_aside(lines: list[str], key: str) -> list[str]:
+    """Return lines without those that set a key."""
     return [line for line in lines if not re.match(rf"\s*{key}\s*=", line)]
 
 
 def _with_calibration(whole: str, name: str | None) -> str:
-    """Return the text with another calibration, in metres with z up; the old lines become comments."""
+    """Return the text with another calibration, in metres with z up; the old lines become comments.
+
+    whole: text of a recording.toml.
+    name: path of the calibration, relative to the recording.
+    Raises: InputError where it is None.
+    """
     if name is None:
         raise InputError("There is no refined calibration yet; refine it first.")
     lines = whole.split("\n")
@@ -271,7 +295,12 @@ class Recordings:
     ) -> bytes:
         """Encode an undistorted picture as JPEG, with the mask that `settings` (over the recording's own) would give.
 
+        item: the recording.
+        camera: its name.
+        frame: number of the frame, from 0.
+        width: of the picture, px; at most that of the camera.
         shown: "none", or the mask as "edge", "fill" or "only".
+        settings: of the mask, texts by their names.
         Raises: NotFound or InputError where there is no such picture.
         """
         with self._opened(item) as opened:
@@ -313,7 +342,13 @@ class Recordings:
 
 
 def _draw_mask(image: Image, mask: Mask, shown: str) -> Image:
-    """Draw a mask, of any size with the same proportions, on a picture."""
+    """Draw a mask, of any size with the same proportions, on a picture.
+
+    image: (h, w, 3) BGR.
+    mask: (h2, w2) 0/1.
+    shown: "edge", "fill" or "only" (the mask alone, white on black).
+    Returns: a new picture (h, w, 3).
+    """
     h, w = image.shape[:2]
     whole = np.asarray(cv2.resize(mask * np.uint8(255), (w, h), interpolation=cv2.INTER_LINEAR) > 127, np.uint8)
     if shown == "only":

@@ -114,6 +114,7 @@ class Results:
         return self._head(item).facts
 
     def _head(self, item: Item) -> _Head:
+        """Return the kept facts of a result; they are read again where its files have changed."""
         stamp = _stamp(item.path, (*_MOTION, *_JUDGED))
         known = self._heads.get(item.id)  # without waiting for a thread that loads a motion
         if known is not None and known.stamp == stamp:
@@ -124,6 +125,11 @@ class Results:
             return self._heads[item.id]
 
     def _read_head(self, item: Item, stamp: Stamp) -> _Head:
+        """Read the facts of a result; frames is 0 where its motion cannot be read.
+
+        item: the result.
+        stamp: state of its files.
+        """
         folder = self._catalog.recording_of(item.path)
         recipe, correctable, quality, first, glimpse = "unknown", False, {}, 0, None
         try:
@@ -160,6 +166,7 @@ class Results:
             return data
 
     def _thumbnail(self, item: Item) -> bytes:
+        """Draw the thumbnail of a result; NotFound where it cannot be read or has no pictures."""
         glimpse = self._head(item).glimpse
         if glimpse is None:
             raise NotFound("This result cannot be read, so there is no picture of it.")
@@ -179,7 +186,9 @@ class Results:
     def so_far(self, plan: Plan, began: float | None, recordings: Recordings) -> bytearray | None:
         """Build the block of what a job has tracked so far, from its checkpoint or the finished result.
 
+        plan: of the job.
         began: when the job began, s; older files are not its own.
+        recordings: open recordings of the studio.
         Returns: None while there is nothing.
         Raises: NotFound where the job makes no motion that can be shown.
         """
@@ -232,6 +241,8 @@ def glimpse_of(motion: Motion) -> Glimpse:
 def thumbnail(glimpse: Glimpse, pictures: OpenRecording) -> bytes:
     """Draw a JPEG from the first camera with a picture.
 
+    glimpse: joints to draw.
+    pictures: of the recording.
     Raises: NotFound where there is no picture.
     """
     for row, joints in glimpse.rows:
@@ -242,6 +253,12 @@ def thumbnail(glimpse: Glimpse, pictures: OpenRecording) -> bytes:
 
 
 def _drawn(image: Image, points: Array, skeleton: Skeleton) -> bytes:
+    """Cut the person out of a picture, draw the skeleton, and encode it as a JPEG of _SIZE.
+
+    image: (h, w, 3) BGR.
+    points: (J, 2) px, joints; NaN where not known.
+    skeleton: of the joints.
+    """
     h, w = image.shape[:2]
     inside = points[np.isfinite(points).all(1)]
     low, high = (inside.min(0), inside.max(0)) if len(inside) else (np.zeros(2), np.array([w, h], dtype=float))

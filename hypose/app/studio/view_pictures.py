@@ -66,6 +66,7 @@ class AnyFrame:
         return self._jump(index)
 
     def _can_jump(self) -> bool:
+        """Return whether seeking is exact in this video; the first call tests it on frame _TRIAL."""
         if self._exact is None:
             self._exact = False
             if self._reader.n_frames > _TRIAL + 1:
@@ -79,6 +80,7 @@ class AnyFrame:
         return self._exact
 
     def _jump(self, index: int) -> Image | None:
+        """Read a frame by seeking, or by decoding a few frames more; None where it cannot be read."""
         capture = self._jumps
         assert capture is not None
         if self._next < 0 or not 0 <= index - self._next <= _DECODED_AHEAD:
@@ -124,7 +126,11 @@ class OpenRecording:
         return self._jpegs.held + self._lenses.held + _PER_PIXEL * videos + _PER_WORKING_PIXEL * working
 
     def read(self, view: int, row: int) -> Image | None:
-        """Return the stored picture (BGR) of a view, or its masks where it has only these; None beyond its end."""
+        """Read the stored picture of a view, or its masks where it has only these; the last one of each view is kept.
+
+        view, row: of the picture.
+        Returns: (h, w, 3) BGR; None beyond the end of the view.
+        """
         settings = self.recording.views[view]
         if not (settings.source or settings.masks):
             return None
@@ -150,10 +156,16 @@ class OpenRecording:
             return lens(stored)
 
     def _lens(self, view: int, small: Camera) -> Preparer:
+        """Make the map from stored pictures of a view to the pinhole camera `small`."""
         return Preparer(self.recording.rig[view], small, self.recording.views[view].image_shift)
 
     def mask(self, view: int, row: int, settings: SilhouetteSettings) -> Mask:
-        """Compute the mask (h, w) 0/1, at working size, that tracking would get with these settings."""
+        """Compute the mask that tracking would get with other settings.
+
+        view, row: of the picture.
+        settings: of the mask.
+        Returns: (h, w) 0/1, at working size.
+        """
         with self._lock, self._mask_lock:
             stored = self.read(view, row) if self.recording.views[view].source else None
             return self._masks().mask(view, self._first + row, stored, settings)
@@ -176,6 +188,7 @@ class OpenRecording:
             return data
 
     def _jpeg(self, view: int, row: int, width: int) -> bytes:
+        """Encode the picture of a view in a row, at most `width` px wide; empty where there is none."""
         image = self.read(view, row)
         if image is None:
             return b""
