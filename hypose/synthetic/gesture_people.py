@@ -58,6 +58,7 @@ def rotation_about(axis: ArrayLike, angle: float) -> Array:
 
 
 def _frame(a: ArrayLike, b: ArrayLike) -> Array:
+    """Make the rotation (3, 3) whose columns are a, the part of b across a, and their cross product, normalised."""
     a = unit(a)
     b = np.asarray(b, dtype=np.float64)
     b = unit(b - a * (a @ b))
@@ -177,6 +178,11 @@ class GesturePerson:
         return HandShape(np.deg2rad(flexion + noise[:4] * [1, 0.7, 0.5]), spread, thumb)
 
     def _open_thumb(self, side: str, degrees: Array) -> Array:
+        """Compute the rotations (3, 3, 3) of the thumb's joints relative to the hand, where the thumb touches nothing.
+
+        side: "left" or "right".
+        degrees: (3,) opposition and two flexions.
+        """
         along, palm, _ = self.hand_axes(side)
         o, a, b = np.deg2rad(degrees)
         t = unit(self.joint(f"{side}_thumb_2") - self.joint(f"{side}_thumb_1"))
@@ -321,7 +327,12 @@ class Puppet:
 
 
 def _thumb_of(person: GesturePerson, side: str, x: Array) -> Array:
-    """Compute the rotations of the thumb from a rotation vector of its root (x[:3]) and two flexions (x[3:5])."""
+    """Compute the rotations of the thumb's joints relative to the hand.
+
+    person, side: whose hand.
+    x: rotation vector of the thumb's root (x[:3], rad) and two flexions (x[3:5], rad).
+    Returns: (3, 3, 3).
+    """
     base = person.joint(f"{side}_thumb_1")
     t = unit(person.joint(f"{side}_thumb_3") - base)
     axis = unit(np.cross(t, unit(person.joint(f"{side}_index_1") - person.joint(f"{side}_thumb_2"))))
@@ -333,9 +344,12 @@ def _thumb_of(person: GesturePerson, side: str, x: Array) -> Array:
 
 
 def _chain_end(person: GesturePerson, side: str, finger: int, rotations: Sequence[Array]) -> Array:
-    """Compute the position (3,) of a finger's tip, m, with the hand at rest.
+    """Compute the tip of a finger with the hand at rest.
 
+    person, side: whose hand.
+    finger: 0 (thumb) to 4.
     rotations: of the finger's three segments, each relative to the hand (not to the segment before).
+    Returns: (3,) m, in the body's frame.
     """
     at = [person.joint(f"{side}_{FINGERS[finger]}_{k}") for k in (1, 2, 3)]
     at.append(person.ends[SIDES.index(side), finger])
@@ -346,7 +360,13 @@ def _chain_end(person: GesturePerson, side: str, finger: int, rotations: Sequenc
 
 
 def _fit_thumb(person: GesturePerson, side: str, kind: str) -> Array:
-    """Fit angles (8,) by which the thumb touches the index finger's tip ("ok") or lies on the folded middle finger."""
+    """Fit the angles by which the thumb touches the index finger's tip, or lies on the folded middle finger.
+
+    person, side: whose hand.
+    kind: "ok" (touches the index finger) or "fist".
+    Returns: (8,) rotation vector of the thumb's root and two flexions, rad, and logarithms of the factors of the index
+        finger's three flexions (0 for "fist").
+    """
     along, palm, _ = person.hand_axes(side)
     axis = np.cross(along, palm)
     flexion = np.deg2rad(np.array(_FLEXION[kind]))

@@ -130,7 +130,14 @@ def _counter(progress: _Progress, total: int) -> Callable[[], None]:
 def _write_video(
     path: Path, frame_rate: float, size: tuple[int, int], pictures: Iterable[Image], step: Callable[[], None]
 ) -> None:
-    """Write pictures as a video, cut to a size (width and height, px); `step` is called after each one."""
+    """Write pictures as a video.
+
+    path: of the file.
+    frame_rate: Hz.
+    size: (width, height) px, to which pictures are cut.
+    pictures: (h, w, 3) BGR.
+    step: called after each picture.
+    """
     with VideoWriter(path, frame_rate, size) as writer:
         for picture in pictures:
             writer.write(picture[: size[1], : size[0]])
@@ -308,7 +315,12 @@ def write_session(scene: Scene, folder: str | Path, *, progress: _Progress = lam
 
 
 def _boards(scene: Scene, view: int, poses: Array) -> Iterator[Image]:
-    """Yield the pictures of one camera while the board is carried around."""
+    """Yield the pictures of one camera while the board is carried around.
+
+    scene: gives room and camera.
+    view: index of the camera.
+    poses: (F, 4, 4) world_from_board.
+    """
     painter = BoardPainter(scene.rig[view], BOARD)
     for n, pose in enumerate(poses):
         paint = partial(painter, world_from_board=pose)
