@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cache
 from importlib import resources
 
 import numpy as np
@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import least_squares
 
 from hypose.body.skin_weights import vertex_normals
-from hypose.errors import InputError
 from hypose.geometry import Array, so3_exp
 
 SIDES = ("left", "right")
@@ -44,6 +43,7 @@ _THUMB: dict[str, tuple[float, float, float]] = {
     "grip": (30, 20, 25),
 }
 HAND_SHAPES = tuple(_FLEXION)
+_CLOTH_M = 0.008
 
 
 def unit(v: ArrayLike) -> Array:
@@ -155,10 +155,7 @@ class GesturePerson:
         side: "left" or "right".
         kind: one of HAND_SHAPES.
         rng, jitter_deg: vary every joint by jitter_deg (sd), less where fingers touch.
-        Raises: InputError for an unknown shape.
         """
-        if kind not in _FLEXION:
-            raise InputError(f"There is no hand shape {kind!r}; the shapes are {', '.join(HAND_SHAPES)}.")
         touches = kind not in _THUMB
         noise = (
             np.zeros((5, 3)) if rng is None else rng.normal(0, min(jitter_deg, 2.5) if touches else jitter_deg, (5, 3))
@@ -191,11 +188,10 @@ class GesturePerson:
         return np.stack([first, first @ rotation_about(axis, a), first @ rotation_about(axis, a + b)])
 
 
-@lru_cache(maxsize=4)
-def load_people(cloth_m: float = 0.008) -> tuple[GesturePerson, ...]:
-    """Load the people, dressed.
-
-    cloth_m: clothes stand off by up to 1.5 cloth_m (another share for each person), but not on head and hands.
+@cache
+def load_people() -> tuple[GesturePerson, ...]:
+    """Load the people, dressed: clothes stand off by up to 1.5 _CLOTH_M (another share for each), but not on head
+    and hands.
     """
     file = resources.files("hypose.assets").joinpath("gesture_people.npz")
     with file.open("rb") as stream:
@@ -211,7 +207,7 @@ def load_people(cloth_m: float = 0.008) -> tuple[GesturePerson, ...]:
     out, vertices = [], np.cumsum(data["vertices_step"], axis=0) * float(data["vertex_scale"])
     for k, name in enumerate(data["names"].tolist()):
         v = vertices[k]
-        thickness = cloth_m * (0.4 + 1.1 * ((k * 7) % 18) / 17)
+        thickness = _CLOTH_M * (0.4 + 1.1 * ((k * 7) % 18) / 17)
         v = v + (thickness * dressed)[:, None] * vertex_normals(v, faces)
         out.append(
             GesturePerson(

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hypose.errors import InputError
 from hypose.geometry import Array
 from hypose.synthetic.gesture_people import SIDES, ArmGoal, GesturePerson, HandShape, Puppet, rotation_about, unit
 
@@ -162,12 +161,8 @@ def gesture(
     leading: side of the leading hand.
     amount: how much the pose varies (1 = as between people).
     Returns: the pose, and the annotated point (3,) m on the surface.
-    Raises: InputError for an unknown gesture.
     """
-    do = Doer(puppet, rng, leading, amount)
-    if name not in _GESTURES:
-        raise InputError(f"There is no gesture {name!r}; the gestures are {', '.join(GESTURES)}.")
-    frame = _GESTURES[name](do)
+    frame = _GESTURES[name](Doer(puppet, rng, leading, amount))
     apply(puppet, frame)
     return frame, annotated(puppet, name, leading)
 

@@ -67,7 +67,7 @@ class Angles:
 
     name: of the motion.
     times: (T,) s.
-    values: (T,) by channel; missing channels are 0.
+    values: (T,) by channel, one of CHANNELS; missing channels are 0.
     stance: the feet stay planted there and the legs follow by inverse kinematics (leg channels are ignored); None: the
         legs follow the channels, and the body travels as far as its feet push it.
     turn_radius: radius of the circle on which it travels, m (infinite: straight).
@@ -78,10 +78,6 @@ class Angles:
     values: dict[str, Array]
     stance: Stance | None = None
     turn_radius: float = np.inf
-
-    def __post_init__(self) -> None:
-        unknown = set(self.values) - set(CHANNELS)
-        assert not unknown, f"unknown channels {sorted(unknown)}"
 
     def get(self, channel: str) -> Array:
         """Return the values (T,) of a channel."""
@@ -221,16 +217,12 @@ def perform(angles: Angles, subject: SyntheticSubject) -> Performance:
     """Make the performance of a motion by a subject, about the origin of the world, facing -y at the start."""
     world = global_rotations(joint_rotations(angles))
     align = hanging_from_rest(subject)
-    times = angles.times
     if angles.stance is None:
-        rotations = world @ align
-        root = np.zeros((len(times), 3))
-        root, heading = _travel(angles, subject, rotations)
-        rotations = heading[:, None] @ rotations
+        root, heading = _travel(angles, subject, world @ align)
+        rotations = heading[:, None] @ (world @ align)
     else:
         rotations, root = _planted(angles, subject, world, align)
-    out = assemble(angles.name, subject, times, rotations, root)
-    return out
+    return assemble(angles.name, subject, angles.times, rotations, root)
 
 
 def soles(subject: SyntheticSubject, rotations: Array, joints: Array) -> tuple[Array, Array]:

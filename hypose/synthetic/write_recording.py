@@ -69,7 +69,6 @@ def write_scene(
     *,
     background_frames: int = 25,
     keypoints: bool = False,
-    keypoint_noise_px: float = 4.0,
     progress: _Progress = lambda done, total: None,
 ) -> Path:
     """Write a scene to a folder as a recording.
@@ -79,7 +78,6 @@ def write_scene(
         calibration.toml with the rig that the user has, recording.toml and truth.npz.
     background_frames: number of pictures of the empty room per camera.
     keypoints: whether to write pose/NAME_json/ with one OpenPose BODY_25 file per frame.
-    keypoint_noise_px: sd of the key points' noise, px.
     progress(done, total): called after every picture.
     Returns: path of recording.toml.
     """
@@ -103,7 +101,7 @@ def write_scene(
         if keypoints:
             pose = folder / "pose" / f"{name}_json"
             pose.mkdir(parents=True, exist_ok=True)
-            points = keypoint_detections(scene, c, keypoint_noise_px)
+            points = keypoint_detections(scene, c)
             for t, people in enumerate(points):
                 document = openpose_document(people[None])
                 write_text(pose / f"{name}_{t:012d}_keypoints.json", json.dumps(document))

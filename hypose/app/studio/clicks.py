@@ -242,7 +242,8 @@ def _starts(body: Body, clicks: _Clicks, scale: float) -> list[Array]:
     """Find poses from which the fit begins: one by triangulation where at least 6 joints are clicked in several views,
     else the poses that look the same in the view with most clicks.
 
-    body, clicks: what is fitted to what.
+    body: that is fitted.
+    clicks: to which it is fitted.
     scale: standard deviation of a click, px.
     Returns: poses, each (D,).
     """

@@ -111,16 +111,21 @@ class _StudioJob:
         shown, interrupted = record["job"], record["job"]["state"] not in ENDED
         if shown["kind"] not in JOB_KINDS:
             raise ValueError(shown["kind"])
-        ids = shown["recording"], shown["result"]
-        made = Plan((), str(shown["title"]), *ids, resumable=bool(record["resumable"]), makes=shown["makes"])
-        state = "failed" if interrupted else shown["state"]
-        stages = {str(s["name"]): dict(s) for s in shown["stages"]}
-        error = _INTERRUPTED if interrupted else shown["error"]
-        lines = deque(map(str, shown["lines"]), _KEPT_LINES)
+        ids, resumable = (shown["recording"], shown["result"]), bool(record["resumable"])
         return cls(
-            str(shown["id"]), shown["kind"], dict(record["request"]), made, float(shown["created"]),
-            str(shown["command"]), state, stages, lines, error, shown["began"], shown["ended"],
-        )  # fmt: skip
+            id=str(shown["id"]),
+            kind=shown["kind"],
+            request=dict(record["request"]),
+            plan=Plan((), str(shown["title"]), *ids, resumable=resumable, makes=shown["makes"]),
+            created=float(shown["created"]),
+            command=str(shown["command"]),
+            state="failed" if interrupted else shown["state"],
+            stages={str(s["name"]): dict(s) for s in shown["stages"]},
+            lines=deque(map(str, shown["lines"]), _KEPT_LINES),
+            error=_INTERRUPTED if interrupted else shown["error"],
+            began=shown["began"],
+            ended=shown["ended"],
+        )
 
 
 class Jobs(Topic):

@@ -181,7 +181,8 @@ def _at_top(whole: str, key: str, value: Any) -> str:
     """Return the text of a recording.toml with a key of the recording itself set.
 
     whole: the text.
-    key, value: what is set; an older line of the key is removed.
+    key: of the recording; an older line of it is removed.
+    value: of the key.
     """
     lines = whole.split("\n")
     end = next((i for i, line in enumerate(lines) if line.lstrip().startswith("[")), len(lines))

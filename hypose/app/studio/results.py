@@ -20,7 +20,6 @@ from hypose.app.studio.lru_cache import LruCache
 from hypose.app.studio.recordings import Recordings
 from hypose.app.studio.view_bundle import first_frame, in_recording, json_values, load_view, quality_of, view_bundle
 from hypose.app.studio.view_pictures import OpenRecording
-from hypose.body.motion import Motion
 from hypose.body.skeleton import Skeleton
 from hypose.errors import HyposeError
 from hypose.geometry import Array, Image
@@ -45,29 +44,20 @@ Stamp = tuple[float | None, ...]
 
 
 @dataclass(frozen=True)
-class Glimpse:
-    """Part of a motion that is kept for its thumbnail.
-
-    rows: rows with their joints (J, 3) m; the first that has a picture is shown.
-    skeleton: of the joints.
-    """
-
-    rows: tuple[tuple[int, Array], ...]
-    skeleton: Skeleton
-
-
-@dataclass(frozen=True)
 class _Head:
     """Facts of a result for a list.
 
     stamp: state of the files at that time.
     facts: for the page.
-    glimpse: None where the motion cannot be read.
+    drawn: rows with their joints (J, 3) m for the thumbnail, of which the first that has a picture is shown: the middle
+        frame, and the first one for pictures that end before; empty where the motion cannot be read.
+    skeleton: of the joints.
     """
 
     stamp: Stamp
     facts: dict[str, Any]
-    glimpse: Glimpse | None
+    drawn: tuple[tuple[int, Array], ...] = ()
+    skeleton: Skeleton | None = None
 
 
 class Results:
@@ -131,14 +121,16 @@ class Results:
         stamp: state of its files.
         """
         folder = self._catalog.recording_of(item.path)
-        recipe, correctable, quality, first, glimpse = "unknown", False, {}, 0, None
+        recipe, correctable, quality, first, drawn, skeleton = "unknown", False, {}, 0, (), None
         try:
             motion = load_motion(item.path / "motion.npz")
             frames, rate = len(motion), motion.frame_rate
             recipe = str(motion.provenance.get("recipe", recipe))
             first = first_frame(motion)
             correctable = folder is not None and motion.poses is not None and not (item.path / "modes.npz").exists()
-            quality, glimpse = quality_of(item.path, motion), glimpse_of(motion)
+            quality, skeleton = quality_of(item.path, motion), motion.skeleton
+            seen = np.flatnonzero(np.isfinite(motion.joints).all((1, 2))).tolist()
+            drawn = tuple((t, motion.joints[t].copy()) for t in (seen and [seen[len(seen) // 2], seen[0]]))
         except HyposeError:
             frames, rate = 0, 0.0
         facts = {
@@ -158,7 +150,7 @@ class Results:
             "pictured": folder is not None,
             **quality,
         }
-        return _Head(stamp, facts, glimpse)
+        return _Head(stamp, facts, drawn, skeleton)
 
     def thumbnail(self, item: Item) -> bytes:
         """Return a small JPEG of the middle frame with the skeleton, from the first camera."""
@@ -167,11 +159,12 @@ class Results:
 
     def _thumbnail(self, item: Item) -> bytes:
         """Draw the thumbnail of a result; NotFound where it cannot be read or has no pictures."""
-        glimpse = self._head(item).glimpse
-        if glimpse is None:
-            raise NotFound("This result cannot be read, so there is no picture of it.")
+        head = self._head(item)
         with self.pictures(item) as opened:
-            return thumbnail(glimpse, opened)
+            for row, joints in head.drawn:
+                if head.skeleton is not None and (found := opened.seen(row, joints)) is not None:
+                    return _drawn(*found, head.skeleton)
+        raise NotFound("There are no pictures of this result.")
 
     def gait(self, item: Item) -> bytes:
         """Return the gait of a result as JSON."""
@@ -229,27 +222,6 @@ def _stamp(folder: Path, files: Sequence[str] = _MOTION) -> Stamp:
         return 0.0 if name == "checkpoint.npz" else at
 
     return tuple(written(n) for n in files)
-
-
-def glimpse_of(motion: Motion) -> Glimpse:
-    """Keep the middle frame of a motion, and the first one for pictures that end before."""
-    seen = np.flatnonzero(np.isfinite(motion.joints).all((1, 2)))
-    rows = [int(seen[k]) for k in (len(seen) // 2, 0)] if len(seen) else []
-    return Glimpse(tuple((t, motion.joints[t].copy()) for t in rows), motion.skeleton)
-
-
-def thumbnail(glimpse: Glimpse, pictures: OpenRecording) -> bytes:
-    """Draw a JPEG from the first camera with a picture.
-
-    glimpse: joints to draw.
-    pictures: of the recording.
-    Raises: NotFound where there is no picture.
-    """
-    for row, joints in glimpse.rows:
-        found = pictures.seen(row, joints)
-        if found is not None:
-            return _drawn(*found, glimpse.skeleton)
-    raise NotFound("There are no pictures of this result.")
 
 
 def _drawn(image: Image, points: Array, skeleton: Skeleton) -> bytes:
