@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from benchmarks.multiview.procedural import procedural_body
-from hypose.body.body import Body, Mesh
-from hypose.body.coarse_mesh import coarse_mesh, decimated, enclosed_volume, is_closed
+from hypose.body.body import Body, Mesh, enclosed_volume
+from hypose.body.coarse_mesh import coarse_mesh, decimated, is_closed
 from hypose.body.default_body import JOINT_NAMES, human
 from hypose.body.skin_weights import (
     body_bones,

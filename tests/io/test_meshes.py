@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from hypose.body.body import Body
-from hypose.body.coarse_mesh import enclosed_volume, is_closed
+from hypose.body.body import Body, enclosed_volume
+from hypose.body.coarse_mesh import is_closed
 from hypose.body.default_body import JOINT_NAMES, human
 from hypose.body.joint_names import MIXAMO, SMPL_JOINTS, renamed_body
 from hypose.body.motion import Motion, isotropic
