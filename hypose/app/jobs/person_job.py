@@ -21,7 +21,7 @@ from hypose.app.jobs.checking import write_image
 from hypose.app.jobs.job import choose_frames, job_of, recording_of
 from hypose.app.jobs.people_job import track_shown
 from hypose.app.options import CalibrateCommand, SubjectCommand, TrackCommand
-from hypose.app.reports.result_pictures import Drawing, draw_all, open_images, tile_layout
+from hypose.app.reports.result_pictures import Canvas, Drawing, open_images
 from hypose.body.default_body import human
 from hypose.calibration.from_person import PersonCalibration, calibrate_from_person
 from hypose.cameras.camera import CameraRig
@@ -196,24 +196,20 @@ def measure_subject(c: SubjectCommand) -> None:
 
 def _picture(path: Path, recording: Recording, source: FrameStream, found: SubjectEstimate) -> Path:
     """Draw two fitted frames in every view: above with the template as tracked, below with the fitted body."""
-    images = open_images(recording)
-    plan = tile_layout([v.size for v in images])
     rows = []
-    for k in sorted({0, len(found.frames) // 2}):
-        frame = source.frame(found.frames[k])
-        number = recording.frames[found.frames[k]]
-        pictures = [v.read(number) for v in images]
-        for body, poses, iou, what in (
-            (found.template, found.template_poses, found.iou_before, "before"),
-            (found.body, found.poses, found.iou, "after"),
-        ):
-            title = f"frame {number}, {what}: mean IoU {float(np.nanmean(iou[k])):.3f}"
-            drawing = Drawing(body.skin(poses[k], body.fine), body.joints(poses[k]), frame.silhouettes, title)
-            rows.append(draw_all(pictures, recording, plan, body, drawing))
-    for v in images:
-        v.close()
-    sheet = np.concatenate(rows)
-    write_image(path, sheet)
+    with open_images(recording) as images:
+        canvas = Canvas(recording, images)
+        for k in sorted({0, len(found.frames) // 2}):
+            frame, number = source.frame(found.frames[k]), recording.frames[found.frames[k]]
+            pictures = [v.read(number) for v in images]
+            for body, poses, iou, what in (
+                (found.template, found.template_poses, found.iou_before, "before"),
+                (found.body, found.poses, found.iou, "after"),
+            ):
+                title = f"frame {number}, {what}: mean IoU {float(np.nanmean(iou[k])):.3f}"
+                drawing = Drawing(body.skin(poses[k], body.fine), body.joints(poses[k]), frame.silhouettes, title)
+                rows.append(canvas.draw(pictures, body, drawing).copy())
+    write_image(path, np.concatenate(rows))
     return path
 
 
