@@ -50,8 +50,12 @@ _RIM = 12
 """cells around the hull's plan, so that its smoothed density falls to zero inside the array"""
 
 
-def fewest_views(frame: Frame) -> int:
-    """Return the number of views that must show a person whom no other explains; a depth camera alone is enough."""
+def views_to_find(frame: Frame) -> int:
+    """Return the number of views that must show a new person in pixels that no known person explains.
+
+    It is 1 with depth cameras, whose pixels are places in the world, else FEWEST_VIEWS. (`Frame.fewest_views` is the
+    number that locates a person who is known.)
+    """
     return FEWEST_VIEWS if frame.depth is None else 1
 
 

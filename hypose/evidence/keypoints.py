@@ -186,16 +186,6 @@ def parse_openpose(
     return np.stack(people) if people else np.zeros((0, k, 3))
 
 
-def tallest(people: ArrayLike, min_confidence: float = 0.2) -> int | None:
-    """Find the index of the tallest person (P, K, 3) in the picture; None where there is none."""
-    p = np.asarray(people, dtype=np.float64)
-    if len(p) == 0:
-        return None
-    seen = p[..., 2] > min_confidence
-    height = np.array([np.ptp(q[s, 1]) if s.sum() > 1 else 0.0 for q, s in zip(p, seen, strict=True)])
-    return int(height.argmax()) if height.max() > 0 else None
-
-
 def to_keypoints(points: Sequence[ArrayLike], names: Sequence[str], rig: CameraRig, pinhole: CameraRig) -> Keypoints:
     """Convert one person's detected points to Keypoints in undistorted pixels of the working-size cameras.
 

@@ -38,8 +38,7 @@ from hypose.compute.losses import lorentzian
 from hypose.compute.solver import Evaluation, Solution, bounded_step, solve, workspace
 from hypose.compute.threads import over_chunks
 from hypose.errors import InputError, SolverError
-from hypose.evidence.depth_surface import DepthTerm
-from hypose.evidence.terms import ContourTerm, KeypointTerm, PointTerm, RowTerm, Term, checked_joints
+from hypose.evidence.terms import ContourTerm, DepthTerm, KeypointTerm, PointTerm, RowTerm, Term, checked_joints
 from hypose.fitting.problem import Problem, Quadratic, Rule
 from hypose.geometry import Array, nearest_branch, so3_turns
 

@@ -67,7 +67,7 @@ from hypose.tracking.keypoint_clip import track_keypoint_clip
 from hypose.tracking.keypoint_evidence import keypoint_model
 from hypose.tracking.pose_covariance import unpacked
 from hypose.tracking.recipes import recipe
-from hypose.tracking.smooth_motion import Clip, Smoothed
+from hypose.tracking.smoothing import Clip, Smoothed
 from hypose.tracking.tracker import RECOVERED, Tracker, TrackerSettings, modes_of, motion_of
 
 MODES = "modes.npz"

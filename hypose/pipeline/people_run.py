@@ -21,7 +21,7 @@ from hypose.errors import EvidenceError, HyposeError, InputError
 from hypose.evidence import depth_people
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.evidence.hull import common_view_bounds
-from hypose.evidence.hull_people import HullPerson, fewest_views
+from hypose.evidence.hull_people import HullPerson, views_to_find
 from hypose.evidence.prefetch import pack_once
 from hypose.geometry import Array
 from hypose.io.motions.results import ResultsFolder, provenance_identity, save_motion
@@ -397,7 +397,7 @@ class PeopleRun:
         return found[1]
 
     def _step(self, people: list[Followed], frame: Frame, before: Frame | None, t: int) -> None:
-        points = None if self._points is None else [self._points_of(p, people, t) for p in people]
+        points = () if self._points is None else [self._points_of(p, people, t) for p in people]
         members, estimates, seen = step_together([p.member for p in people], frame, points)
         for masks in frame.of(Silhouettes):
             pack_once(masks)
@@ -439,7 +439,7 @@ class PeopleRun:
         """
         masks = frame.of(Silhouettes)
         known = [other for s in masks for other in explained_by(people, s)]
-        if not any(birth_candidates(known, s, fewest_views(frame)) for s in masks):
+        if not any(birth_candidates(known, s, views_to_find(frame)) for s in masks):
             return []
         found = not_parts(depth_people.people_seen(frame, known, floor=self.floor), people)
         coming = list[Array]()

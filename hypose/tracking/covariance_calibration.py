@@ -162,17 +162,11 @@ def kind_of(name: str) -> str:
 
 
 @cache
-def fitted_spread_table() -> Mapping[str, Mapping[str, Mapping[str, tuple[float, float]]]]:
-    """Load the fitted factors {"joints" or "angles": {evidence: {kind: (a, b)}}}; b in m or rad."""
-    kept = _kept()
-    return {
-        what: {e: {k: (a, b) for k, (a, b) in own.items()} for e, own in kept[what].items()}
-        for what in ("joints", "angles")
-    }
+def fitted_spread_table() -> Mapping[str, Mapping[str, Mapping[str, Sequence[float]]]]:
+    """Load the fitted factors.
 
-
-@cache
-def _kept() -> Mapping[str, Mapping[str, Mapping[str, tuple[float, ...]]]]:
+    Returns: {"joints" or "angles": {evidence: {kind: (a, b)}}}, b in m or rad; "apart": see `apart_factors`.
+    """
     return json.loads(files("hypose.assets").joinpath("spread.json").read_text(encoding="utf-8"))
 
 
@@ -182,7 +176,7 @@ def apart_factors(evidence: str) -> tuple[float, float, float]:
     Returns: usual contradiction, m; factor c of joints; factor c of angles, rad / m. (inf, 0, 0) with key points: their
         solve finds the wrong view and lowers its weight.
     """
-    usual, joints, angles = _kept()["apart"].get(evidence, {}).get("all", (float("inf"), 0.0, 0.0))
+    usual, joints, angles = fitted_spread_table()["apart"].get(evidence, {}).get("all", (float("inf"), 0.0, 0.0))
     return usual, joints, angles
 
 

@@ -31,8 +31,7 @@ from hypose.tracking.left_right import limbs_exchanged
 from hypose.tracking.named_sides import LIMBS, exchanged_by_names
 from hypose.tracking.pose_covariance import from_neighbours, joint_covariance_of
 from hypose.tracking.refinement import anatomical_prior
-from hypose.tracking.smooth_motion import Smoothed, with_feet
-from hypose.tracking.smoothing import ClipSettings, at_own_pace, bridged
+from hypose.tracking.smoothing import ClipSettings, Smoothed, at_own_pace, bridged, with_feet
 from hypose.tracking.starts import start_from_keypoints
 
 VELOCITY_GAIN = 0.8

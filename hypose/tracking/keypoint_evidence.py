@@ -45,7 +45,7 @@ class KeypointModel:
     joint: (K,) joint of each point; offset: (K, 3) position in the joint's frame, m; known: (K,) true for points that
         the body has.
     sd: (K,) noise of a detection at the body's distance, per axis, at confidence 1, m; None: not measured.
-    view: (C,) factor on the noise of each view (`hypose.tracking.view_noise`); None: all are alike.
+    view: (C,) factor on the noise of each view (`hypose.tracking.keypoint_offsets`); None: all are alike.
     cue_weight: (C, K) share of each point's weight that is kept in solves with masks (`hypose.tracking.cue_weights`);
         None: all of it.
     """

@@ -43,7 +43,7 @@ from hypose.tracking.refinement import (
     settled_start,
     solved,
 )
-from hypose.tracking.smooth_motion import smooth_clip
+from hypose.tracking.smoothing import smooth_clip
 from hypose.tracking.starts import recover
 
 THESIS = "Alcoverro, M. (2014). Stochastic optimization and interactive machine learning for human motion analysis."

@@ -10,9 +10,8 @@ from hypose.body.anthropometry import SHAPE_FACTORS, entity
 from hypose.body.default_body import human
 from hypose.calibration import depth_registration, refine_body
 from hypose.calibration.refine_points import CameraUnknowns
-from hypose.evidence.depth_surface import depth_term
 from hypose.evidence.frame import Keypoints
-from hypose.evidence.terms import contour_term
+from hypose.evidence.terms import contour_term, depth_term
 from hypose.fitting import rows
 from hypose.fitting.problem import Posed, PoseProblem, Quadratic, Rows, Rule
 from hypose.tracking import shape_refinement

@@ -12,8 +12,7 @@ from hypose.evidence.terms import PointTerm
 from hypose.tracking.keypoint_clip import solve_keypoint_clip, track_keypoint_clip
 from hypose.tracking.keypoint_evidence import keypoint_model
 from hypose.tracking.pose_covariance import packed
-from hypose.tracking.smooth_motion import smooth_motion
-from hypose.tracking.smoothing import ClipSettings, smooth_poses
+from hypose.tracking.smoothing import ClipSettings, smooth_motion, smooth_poses
 from tests.tracking.test_keypoint_evidence import exchanged, seen_by
 
 RATE = 25.0

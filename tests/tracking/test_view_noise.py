@@ -10,8 +10,7 @@ from hypose.evidence.frame import Keypoints
 from hypose.evidence.keypoints import BODY_25B, other_sides, triangulate_keypoints
 from hypose.synthetic.scenes import camera_rig as named_rig
 from hypose.tracking.keypoint_evidence import keypoint_model, keypoint_term
-from hypose.tracking.keypoint_offsets import calibrate_keypoints
-from hypose.tracking.view_noise import LARGEST, view_factors
+from hypose.tracking.keypoint_offsets import LARGEST, calibrate_keypoints, view_factors
 
 
 @pytest.fixture(scope="module")
