@@ -134,7 +134,7 @@ def test_silhouettes_are_padded_and_unusable_views_marked():
 
 
 def test_options_are_checked():
-    for bad in ({"method": "knn"}, {"threshold": 0}, {"shadow_range": (0.9, 0.4)}, {"keep_share": 2}, {"rim_px": 0}):
+    for bad in ({"threshold": 0}, {"shadow_range": (0.9, 0.4)}, {"keep_share": 2}, {"rim_px": 0}):
         with pytest.raises(InputError):
             SilhouetteSettings(**bad)
     with pytest.raises(InputError, match="does not fit"):
