@@ -101,7 +101,7 @@ def _mean_mm(motion: Motion, scene: Scene, shift: float) -> float:
     high, share = np.minimum(low + 1, len(scene) - 1), (at - low)[:, None, None]
     truth = (1 - share) * scene.joints[low] + share * scene.joints[high]
     offsets = population_offsets(human()) * scene.subject.stature
-    return 1e3 * float(joint_errors(motion.joints, truth, offsets, rotations).distances.mean())
+    return 1e3 * float(joint_errors(motion.joints, truth, offsets, rotations).mean())
 
 
 def _rows(found: list[Mapping[str, Any]]) -> list[Row]:

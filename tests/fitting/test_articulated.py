@@ -8,7 +8,6 @@ import pytest
 from hypose import fitting
 from hypose.compute import solver
 from hypose.compute.arrays import PriorArrays
-from hypose.compute.kinematics import joint_covariances
 from hypose.errors import InputError, SolverError
 from hypose.evidence.frame import Silhouettes
 from hypose.evidence.terms import KeypointTerm, PointTerm, contour_term
@@ -216,7 +215,7 @@ def test_what_is_known_of_a_pose_is_the_same_on_both_branches_of_its_rotation():
     one, two = (fitting.fit_pose(BODY, q, [term], options=still) for q in (pose, other))
     np.testing.assert_allclose(two.pose, other)
     np.testing.assert_allclose(one.information, two.information, rtol=1e-9, atol=1e-6)
-    around = [joint_covariances(q, SKELETON.tree, one.information + np.eye(len(q))) for q in (pose, other)]
+    around = [SKELETON.informed_joint_covariances(q, one.information + np.eye(len(q))) for q in (pose, other)]
     np.testing.assert_allclose(*around, rtol=1e-9, atol=1e-12)
 
 
