@@ -99,6 +99,7 @@ def choose(tracks: Sequence[PersonTrack]) -> int | None:
 def joined(tracks: Sequence[PersonTrack], names: Sequence[str], frame_rate: float) -> list[PersonTrack]:
     """Join tracks that are one person before and after a gap; those seen most come first.
 
+    tracks: of the whole clip; names: of the K key points; frame_rate: Hz.
     Two tracks are joined where the bones have the same lengths, the place can be reached in the gap, and no other
     person fits.
     """
@@ -136,7 +137,10 @@ def _at_once(tracks: Sequence[PersonTrack], i: int, j: int, k: int, m: int) -> b
 
 
 def _bones(track: PersonTrack, names: Sequence[str]) -> Array:
-    """Compute the median lengths (B,), m, of the limbs' and the trunk's bones; NaN where seen in fewer than three."""
+    """Compute the median lengths (B,), m, of the limbs' and the trunk's bones; NaN where seen in fewer than three.
+
+    names: of the K key points of the track.
+    """
     column = {n: i for i, n in enumerate(names)}
     out = np.full(len(_BONES) - 1, np.nan)
     for i, (a, b, *_) in enumerate(_BONES[:-1]):  # without the width of the shoulders, which detectors vary
@@ -148,11 +152,17 @@ def _bones(track: PersonTrack, names: Sequence[str]) -> Array:
 
 
 def _same_body(a: Array, b: Array) -> bool:
+    """Decide whether two sets of bone lengths (B,), m, are of one body; true where fewer than four bones are known of
+    both."""
     both = np.isfinite(a) & np.isfinite(b)
     return both.sum() < 4 or float(np.mean(np.abs(np.log(a[both] / b[both])))) < _ALIKE
 
 
 def _one(a: PersonTrack, b: PersonTrack) -> PersonTrack:
+    """Join a track and a later one to one track; in the gap between them nothing is seen.
+
+    a, b: the earlier and the later track.
+    """
     total, start = b.last - a.first + 1, b.first - a.first
     points = np.zeros((total, *a.points.shape[1:]))
     world = np.full((total, *a.world.shape[1:]), np.nan)
@@ -401,7 +411,11 @@ class Association:
 
     def _both(self, found: Array, expected: Array) -> tuple[Array, Array]:
         """Compute the distances (C, N, P, K), m, of candidates (C, P, K, 3) as named, and with left and right
-        exchanged."""
+        exchanged.
+
+        expected: (N, K, 3) predicted points of the people, m; found: (C, P, K, 3) px and confidence.
+        Returns: two arrays; NaN where one of the two points is unknown.
+        """
         limit = self.settings.limit
         return (
             distances(self._views, expected, found, limit),
@@ -413,6 +427,7 @@ class Association:
     ) -> NDArray[np.bool_]:
         """Decide which groups' sides (..., G + 1) are exchanged in a candidate; the last group has no sides.
 
+        plain, turned: (..., K) distances, m, as named and with left and right exchanged, see `_both`.
         before: groups that were exchanged in the previous frame, for which the slightest advantage is enough.
         """
         o = self.settings
@@ -486,8 +501,13 @@ class Association:
         return bool((a - b) @ (c - d) < _WRUNG * size)
 
     def _repaired_births(self, seen: Array, which: NDArray[np.int64], expected: Array) -> Array:
-        """Correct left and right of the points (C, B, K, 3) of new people by what most of their views say:
-        `expected` (B, K, 3)."""
+        """Correct left and right of the points (C, B, K, 3) of new people by what most of their views say: `expected`
+        (B, K, 3).
+
+        seen: (C, B, K, 3) px and confidence; which: (C, B) number of the candidate, -1 where a view does not see the
+            person; expected: (B, K, 3) m.
+        Returns: (C, B, K, 3) points with the sides exchanged in the views that the others contradict.
+        """
         out = seen.copy()
         for b in range(len(expected)):
             plain, turned = (d[:, 0, 0] for d in self._both(seen[:, b][:, None], expected[b][None]))
@@ -507,7 +527,12 @@ class Association:
         t.otherwise[group] = 0
 
     def _born(self, found: Array, is_person: NDArray[np.bool_], free: NDArray[np.bool_]) -> list[list[tuple[int, int]]]:
-        """Start new people from the remaining candidates; return (view, candidate) pairs of each."""
+        """Start new people from the remaining candidates; return (view, candidate) pairs of each.
+
+        found: (C, P, K, 3) candidates of each view; is_person: (C, P) free candidates with enough points for a person.
+        free: (C, P) candidates that nobody has taken; those of the new people are set to False.
+        The new people are added to the tracked ones.
+        """
         o = self.settings
         view, number = np.nonzero(is_person)
         if len(np.unique(view)) < 2:
@@ -547,6 +572,7 @@ class Association:
         return len(right) >= _LEAST_POINTS and float(np.mean(right)) >= self.settings.plausible
 
     def _taken_already(self, points: Array) -> bool:
+        """Decide whether a tracked person is already at the place of points (K, 3), m."""
         return any(_apart(t.points, points) < self.settings.apart for t in self._alive)
 
     def _complete(
@@ -560,6 +586,10 @@ class Association:
     ) -> None:
         """Fill missing points in `seen` with free detections near their expected places.
 
+        seen: (C, N, K, 3) points of each person, changed in place; the confidence of a filled point is halved.
+        found: (C, P, K, 3) candidates; free: (C, P) those not assigned; parts: (C, P) free ones that are too small for
+            a person.
+        which: (C, N) candidate of each person, -1 for none; expected: (N, K, 3) predicted points, m.
         A free detection with enough points for a person only completes a person whom that view already sees, because it
         was then detected in two pieces.
         """
@@ -599,6 +629,11 @@ class Association:
         return out
 
     def _update(self, seen: Array, world: Array, which: NDArray[np.int64]) -> None:
+        """Update the points, the motion and the history of all tracked people after a frame.
+
+        seen: (C, N, K, 3) px and confidence; world: (N, K, 3) m, NaN where unknown; which: (C, N) candidate, -1 for
+            none.
+        """
         for n, t in enumerate(self._alive):
             got = np.isfinite(world[n, :, 0])
             fresh = len(t.seen) == 0
@@ -640,7 +675,10 @@ class Association:
 
 
 def _apart(a: Array, b: Array) -> float:
-    """Compute the mean distance, m, of the points (K, 3) that both have; NOT_COMPARABLE_M where there is none."""
+    """Compute the mean distance, m, of the points (K, 3) that both have; NOT_COMPARABLE_M where there is none.
+
+    a, b: (K, 3) m; NaN where unknown.
+    """
     d = np.sqrt(((a - b) ** 2).sum(-1))
     known = np.isfinite(d)
     return float(d[known].mean()) if known.any() else NOT_COMPARABLE_M

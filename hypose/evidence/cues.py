@@ -76,7 +76,10 @@ class PoseMemory(Generic[_Found]):
         return self._found.get((body, pose.tobytes()))
 
     def keep(self, body: Body, pose: Array, found: _Found) -> _Found:
-        """Store a result and return it."""
+        """Store a result and return it.
+
+        pose: (D,); found: its result.
+        """
         self._found[body, pose.tobytes()] = found
         return found
 

@@ -197,6 +197,9 @@ def _free_cells(
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Decide for cubes (M,) whether this view surely shows no person there, and whether it possibly shows one.
 
+    camera: of the view; mask: (h, w) 0 or 1; sums: (h + 1, w + 1) its integral image; centres: (M, 3) of the cubes, m.
+    Returns: (M,) true where the whole cube projects into the image and on no pixel of a person; (M,) true where some
+        pixel of a person may belong to it.
     edge: of the cubes, m; 0: only their centres are tested.
     """
     w, h = camera.size
@@ -226,6 +229,10 @@ def _free_cells(
 
 
 def _largest(occupancy: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+    """Select the largest connected body of voxels (nx, ny, nz).
+
+    Returns: the part of the array that holds it; (3,) index at which that part begins.
+    """
     label = np.zeros(occupancy.shape, np.int32)
     count = ndimage.label(occupancy, np.ones((3, 3, 3)), output=label)
     if count == 1:

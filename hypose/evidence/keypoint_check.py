@@ -93,7 +93,10 @@ def _misread(points: Array, plain: float, names: Sequence[str], rig: CameraRig) 
 
 
 def _other_cameras(points: Array, rig: CameraRig) -> float:
-    """Compute the least disagreement with two views exchanged, or with all camera poses inverted."""
+    """Compute the least disagreement with two views exchanged, or with all camera poses inverted.
+
+    points: (C, T, K, 3) px of the calibrated cameras and confidence; inf where nothing can be computed.
+    """
     inverted = CameraRig(tuple(replace(c, camera_from_world=se3_inverse(c.camera_from_world)) for c in rig))
     found = [_residual(points, inverted)]
     for a, b in itertools.combinations(range(len(rig)), 2):
@@ -104,6 +107,11 @@ def _other_cameras(points: Array, rig: CameraRig) -> float:
 
 
 def _readings(rig: CameraRig) -> list[tuple[str, Callable[[Array], Array]]]:
+    """List the misreadings that are tried: a part of a sentence, and a function that undoes the error in points (C, T,
+    K, 3).
+
+    rig: the calibrated cameras, whose picture sizes are used.
+    """
     sizes = rig.sizes.astype(np.float64)[:, None, None]
 
     def moved(scale: tuple[float, float], offset: tuple[int, int]) -> Callable[[Array], Array]:
@@ -127,7 +135,10 @@ def _readings(rig: CameraRig) -> list[tuple[str, Callable[[Array], Array]]]:
 
 
 def _one_person(people: Sequence[Sequence[Array | None]], count: int, views: int) -> Array | None:
-    """Select frames (C, T, K, 3) in which two or more views see exactly one person; None when there are too few."""
+    """Select frames (C, T, K, 3) in which two or more views see exactly one person; None when there are too few.
+
+    people: per view and frame the people (P, K, 3), None where there are none; count: K; views: number of views.
+    """
     frames = range(max((len(p) for p in people), default=0))
     single = [
         [None if p is None or p[t] is None or len(p[t]) != 1 else p[t][0] for p in people]  # type: ignore[index]
@@ -170,6 +181,8 @@ def _well_known(points: Array, rig: CameraRig) -> Array:
 def _residual(points: Array, rig: CameraRig) -> float:
     """Compute the disagreement of the views with the common triangulation: the largest of the views' median distances.
 
+    points: (C, T, K, 3) px of the calibrated cameras and confidence.
+    Returns: the disagreement; NaN with one view, or where fewer than two views can be judged.
     It is in units of the person's size in the picture.
     """
     if len(rig) < 2:
@@ -206,8 +219,10 @@ def _disproportion(world: Array, names: Sequence[str]) -> float:
 
 
 def _mirrored(world: Array, names: Sequence[str]) -> bool:
-    """Decide whether nose or toes point backwards relative to left and right in nearly all frames of points (T, K,
-    3)."""
+    """Decide whether nose or toes point backwards relative to left and right in nearly all frames of points (T, K, 3).
+
+    world: (T, K, 3) m, NaN where unknown; names: of the K points. False where fewer than ten comparisons are possible.
+    """
     at = {n: i for i, n in enumerate(names)}
 
     def of(*wanted: str) -> Array | None:

@@ -26,6 +26,7 @@ _LIMBS = tuple(
 
 
 def _sided(parts: Sequence[str]) -> tuple[str, ...]:
+    """Write out sides: "Lelbow" becomes "left_elbow"; names that begin with neither L nor R stay."""
     long = {"L": "left_", "R": "right_"}
     return tuple(long[p[0]] + p[1:] if p[0] in long else p for p in parts)
 
@@ -316,8 +317,10 @@ def triangulate_keypoints(
 
 
 def _reprojection(rig: CameraRig, x: Array, uv: Array, w: Array) -> Array:
-    """Compute the distances (C, N), px, between projections of x (N, 3) and uv (C, N, 2); very large behind a
-    camera."""
+    """Compute the distances (C, N), px, between projections of x (N, 3) and uv (C, N, 2); very large behind a camera.
+
+    x: (N, 3) m; uv: (C, N, 2) px; w: (C, N) weights, 0 where a point is not seen.
+    """
     d = np.stack([np.linalg.norm(camera.project_pinhole(x) - uv[c], axis=-1) for c, camera in enumerate(rig)])
     return np.where(w > 0, np.nan_to_num(d, nan=1e6), 0.0)
 

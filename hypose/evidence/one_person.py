@@ -132,6 +132,7 @@ def one_person(
 def _passes_by(person: PersonTrack, rig: CameraRig, absent: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Find views (C,) whose key points lie next to the place where the rays of the other views meet.
 
+    person: the track; absent: (C,) views that are known to show someone else, and are not used.
     The worst view is removed first, as long as three or more are left to decide.
     """
     views = Views(rig)
@@ -156,7 +157,10 @@ def _passes_by(person: PersonTrack, rig: CameraRig, absent: NDArray[np.bool_]) -
 
 
 def _never_together(a: PersonTrack, b: PersonTrack) -> bool:
-    """Decide whether two people who are present at the same time are never seen by one and the same view."""
+    """Decide whether two people who are present at the same time are never seen by one and the same view.
+
+    a, b: tracks. False where they are not present at the same time.
+    """
     first, last = max(a.first, b.first), min(a.last, b.last) + 1
     if first >= last:
         return False
@@ -165,11 +169,15 @@ def _never_together(a: PersonTrack, b: PersonTrack) -> bool:
 
 
 def _how_many(people: Array | None) -> int:
+    """Count the people (P, K, 3) of one view and frame who have enough confident points; None: 0."""
     return 0 if people is None else int(np.count_nonzero((people[..., 2] > _LEAST_CONFIDENCE).sum(-1) >= _LEAST_POINTS))
 
 
 def _stranger(column: Sequence[Array | None], tracks: Sequence[PersonTrack], c: int, frames: int) -> bool:
-    """Decide whether a view shows a person, for a good part of the clip, who is none of the tracked people."""
+    """Decide whether a view shows a person, for a good part of the clip, who is none of the tracked people.
+
+    column: candidates of the view in each frame; tracks: the tracked people; c: the view; frames: their number.
+    """
     known = np.zeros(frames, dtype=np.int64)
     for t in tracks:
         known[t.first : t.last + 1] += t.candidates[:, c] >= 0
@@ -178,7 +186,11 @@ def _stranger(column: Sequence[Array | None], tracks: Sequence[PersonTrack], c: 
 
 
 def _by_motion(columns, of_view, names, width: int, notes: tuple[str, ...]) -> OnePerson:  # noqa: ANN001
-    """Select the person in each view separately; where a view shows several, those who move alike in all views."""
+    """Select the person in each view separately; where a view shows several, those who move alike in all views.
+
+    columns: per view the candidates of each frame; of_view(c): the people of view c, see `view_tracks`.
+    names: of the K points; width: columns of a point; notes: sentences for the user.
+    """
     found = [of_view(c)[:_COMPARED] for c in range(len(columns))]
     count = len(names)
     points = [[taken(column, t, count, width) for t in v] for column, v in zip(columns, found, strict=True)]
@@ -234,6 +246,8 @@ def _alike(
     """Find the points (T, K, width) of the person in one view who moves like the person (T, C, K, 3) in the other
     views.
 
+    column: candidates of the view in each frame; tracks: the people of the view, see `view_tracks`; names: of the K
+        points; width: columns of a point.
     All zero where no person does.
     """
     twin = other_sides(names)
@@ -254,7 +268,10 @@ def _alike(
 
 
 def _continued(track: NDArray[np.int64], tracks: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:
-    """Extend a person's candidates (T,) by those of others who are alone in the view while the person is missing."""
+    """Extend a person's candidates (T,) by those of others who are alone in the view while the person is missing.
+
+    track: candidates of the person, -1 where missing; tracks: those of all people of the view.
+    """
     out = track.copy()
     count = np.sum([t >= 0 for t in tracks], axis=0)
     for t in tracks:
@@ -316,7 +333,11 @@ def view_tracks(frames: Sequence[Array | None], patience: int) -> list[NDArray[n
 
 
 def _moved(before: Array, now: Array, gap: int) -> float:
-    """Compute the distance of two candidates (K, 3) in units of the distance that a person moves in `gap` frames."""
+    """Compute the distance of two candidates (K, 3) in units of the distance that a person moves in `gap` frames.
+
+    before, now: px and confidence.
+    Returns: the distance, 1 at the largest plausible one; 2 where fewer than three points are common.
+    """
     both = (before[:, 2] > _LEAST_CONFIDENCE) & (now[:, 2] > _LEAST_CONFIDENCE)
     if both.sum() < 3:
         return 2.0

@@ -104,6 +104,8 @@ def between_rays(views: Views, which: NDArray[np.int64], found: Array, limit: fl
 
 
 def _of_view(views: Views, c: int, found: Array) -> Array:
+    """Compute the unit directions (M, K, 3), in the world, of the rays of points (M, K, 3), px and confidence, of view
+    c."""
     one = np.concatenate([found[..., :2], np.ones((*found.shape[:-1], 1))], -1)
     d = one @ views.world_from_pixel[c].T
     return d / np.sqrt((d * d).sum(-1, keepdims=True))

@@ -113,6 +113,7 @@ class SilhouetteSettings:
 def make_segmenter(background: BackgroundModel, options: SilhouetteSettings | None = None) -> Segmenter:
     """Build the function that segments the images of one view.
 
+    background: model of the empty room; options: settings (default: SilhouetteSettings()).
     It keeps no memory of earlier images, so frames may come in any order; one segmenter must not be called from two
     threads at once.
     """
@@ -187,6 +188,7 @@ def biggest_parts(mask: Mask, keep_share: float, keep_gap: float = np.inf) -> Ma
 
 
 def _cleaned(mask: Mask, how: mask_runs.Cleaning) -> Mask:
+    """Clean a mask (h, w) with the given settings."""
     return mask_runs.draw(mask_runs.clean(mask_runs.bits_of(mask), (mask.shape[0], mask.shape[1]), how))
 
 
@@ -240,7 +242,11 @@ def as_mask(image: ArrayLike, source: str = "The mask image") -> Mask:
 
 
 def _dim_level(a: NDArray[Any], top: int, half: float, source: str) -> float:
-    """Choose the threshold of an image (h, w) with no value above half its range."""
+    """Choose the threshold of an image (h, w) with no value above half its range.
+
+    a: grey values; top: the largest; half: half of the range; source: name of the image for the error message.
+    Raises: InputError where it is a picture of labels.
+    """
     levels = np.unique(a[a > 0])
     if len(levels) < 2:
         return 0.5
@@ -298,6 +304,7 @@ def make_silhouettes(
     """Build the silhouettes of one instant from masks (h_c, w_c) per view, packed or not, padded with 0 to the common
     size.
 
+    rig: pinhole cameras of the masks; reasons: (C,) why a view is not usable, "" where it is (default: all "").
     A view without a mask, with an empty one, or with a reason is not usable.
     Raises: InputError where a mask does not have its camera's size.
     """
