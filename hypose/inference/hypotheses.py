@@ -223,11 +223,13 @@ _FIELDS = tuple(f.name for f in fields(Hypotheses))
 
 
 def _equal_log_weights(values: FloatArray) -> FloatArray:
+    """Return equal log-weights (*B, N) for states (*B, N, D)."""
     shape = values.shape[:-1]
     return np.full(shape, -np.log(max(shape[-1], 1)) if shape else 0.0)
 
 
 def _taken(column: NDArray[Any], chosen: NDArray[np.intp]) -> NDArray[Any]:
+    """Select rows of a column (*B, N, ...) by index (*B, M)."""
     if chosen.ndim == 1:  # one population, the usual case: the same result, faster
         return column[chosen]
     index = chosen.reshape(*chosen.shape, *(1,) * (column.ndim - chosen.ndim))

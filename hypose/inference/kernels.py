@@ -287,7 +287,10 @@ def every(share: float, count: int) -> NDArray[np.intp]:
 
 @lru_cache(64)
 def _stretch(share: float, factor: float, count: int) -> FloatArray:
-    """Return (N, 1) factors: `factor` in the rows that `every` chooses, 1 in all others."""
+    """Return (N, 1) factors: `factor` in the rows that `every` chooses, 1 in all others.
+
+    share: of the N = count rows.
+    """
     out = np.ones((count, 1))
     out[every(share, count)] = factor
     return out

@@ -69,6 +69,7 @@ def limb_energy(
 ) -> Array:
     """Compute `frame_energy` for poses that differ in one limb, exact only for poses near the first one.
 
+    poses: (N, D); moving: (J,) true for the joints that differ; rest: as for `frame_energy`.
     slack: poses that cost more than this many times the first pose may get an infinite energy.
     rest_depth: the parts that do not move, as depth cameras see them.
     """
@@ -95,7 +96,10 @@ def mean_overlap(body: Body, pose: Array, frame: PreparedFrame) -> float:
 
 
 def _mean_of_known(overlap: Array, otherwise: float) -> float:
-    """Compute np.nanmean with the same bits, but faster for a few numbers."""
+    """Compute np.nanmean with the same bits, but faster for a few numbers.
+
+    overlap: (C,) NaN where unknown; otherwise: the result where none is known.
+    """
     if len(overlap) >= _IN_LANES:
         return float(np.nanmean(overlap)) if np.isfinite(overlap).any() else otherwise
     total, count = 0.0, 0

@@ -206,6 +206,7 @@ def with_fitted_joints(motion: Motion, evidence: str, beyond: float = 0.0) -> Mo
 def with_fitted_angles(motion: Motion, covariance: Array, evidence: str, beyond: float = 0.0) -> Motion:
     """Compute a motion's calibrated standard deviations of angles from the covariances (T, D, D) of its poses.
 
+    evidence: kind of evidence, a key of `fitted_spread_table`.
     beyond: contradiction between the views, m, see `beyond_usual`.
     """
     assert motion.poses is not None
@@ -215,6 +216,7 @@ def with_fitted_angles(motion: Motion, covariance: Array, evidence: str, beyond:
 def with_angle_variance(motion: Motion, variance: Array, evidence: str, beyond: float = 0.0) -> Motion:
     """Calibrate a motion's standard deviations of angles from their variances (T, A), rad^2, before calibration.
 
+    evidence: kind of evidence, a key of `fitted_spread_table`.
     beyond: contradiction between the views, m, see `beyond_usual`.
     """
     own = fitted_spread_table()["angles"][evidence]
@@ -264,6 +266,9 @@ def angle_variance(skeleton: Skeleton, poses: Array, covariance: Array) -> Array
 
 
 def _belongs(name: str, begin: str) -> bool:
-    """Decide whether an angle is in a set: 'hip_r' holds hip_flexion_r, 'pelvis' holds pelvis_tilt."""
+    """Decide whether an angle is in a set: 'hip_r' holds hip_flexion_r, 'pelvis' holds pelvis_tilt.
+
+    name: of the angle; begin: of the set, see _SETS.
+    """
     part, _, side = begin.rpartition("_")
     return name.startswith(f"{part}_") and name.endswith(f"_{side}") if part else name.startswith(f"{begin}_")

@@ -68,6 +68,7 @@ def solve_keypoint_clip(
 ) -> tuple[Array, list[KeypointTerm | None]]:
     """Solve the poses of a clip from its key points alone.
 
+    frame_rate: Hz; settings: limits on accelerations and speeds (default: ClipSettings()).
     model: where key points sit on the body; keypoints: T frames, None where there are none.
     start: (D,) pose in the first frame.
     Returns: poses (T, D); the key-point term of each frame, None where there is no evidence.
@@ -91,6 +92,7 @@ def track_keypoint_clip(
 ) -> Smoothed:
     """Compute the smoothed motion of a clip from its key points alone.
 
+    frame_rate: Hz; settings: limits on accelerations and speeds (default: ClipSettings()).
     model: joint and offset of each key point on the body.
     keypoints: of the T frames; None where there are none.
     start: (D,) pose in the first frame; sure_start: it is the right way round, even where the points' names contradict
@@ -152,6 +154,8 @@ def _on_named_sides(
     """Run `_one_by_one`; repeat it with legs or arms exchanged from frames where their names put them on the other
     side.
 
+    Arguments as for `track_keypoint_clip`.
+    Returns: poses (T, D), bridged where nothing is seen; the key-point term of each frame, None where there is none.
     It is repeated as long as that leaves less to be exchanged.
     """
     poses, terms = _one_by_one(body, model, keypoints, start, frame_rate, progress)
@@ -179,6 +183,7 @@ def _one_by_one(
 ) -> tuple[Array, list[KeypointTerm | None]]:
     """Solve each frame from the previous one; people too far from the expected place are left out.
 
+    Arguments as for `track_keypoint_clip`.
     Returns: poses (T, D), bridged where nothing is seen; the key-point term of each frame.
     """
     s = body.skeleton
@@ -221,7 +226,10 @@ def _in_a_row(body: Body, poses: Array) -> Array:
 
 def _returned(body: Body, model: KeypointModel, seen: Keypoints) -> Array | None:
     """Find the pose (D,) of the person in a frame at any place; None where the limbs' lengths are not those of the
-    body."""
+    body.
+
+    model: where key points sit on the body; seen: key points of the frame.
+    """
     points = triangulate_keypoints([seen])[0][0]
     try:
         known = model.known
@@ -242,7 +250,10 @@ def _together(
     frame_rate: float,
     settings: ClipSettings,
 ) -> Array:
-    """Solve all frames together on their evidence, from the given poses (T, D)."""
+    """Solve all frames together on their evidence, from the given poses (T, D).
+
+    frame_rate: Hz; settings: limits on accelerations and speeds.
+    """
 
     def solve(part: slice, starts: Array, weights: tuple[Array, Array]) -> Array:
         return fit_clip(

@@ -60,6 +60,7 @@ def calibrate_keypoints(
 ) -> KeypointModel:
     """Measure offsets and noise of the key points on frames of this person (T; some tens of different poses).
 
+    keypoints: of the frames; rounds: alternations of poses and offsets.
     model: where the points are expected; offsets stay within `offset_limits` of it.
     poses: (T, D) approximate poses, NaN rows where unknown (default: from triangulation).
     Returns: the model with measured offset, sd and view.
@@ -83,7 +84,10 @@ def calibrate_keypoints(
 
 
 def triangulated_starts(body: Body, model: KeypointModel, keypoints: Sequence[Keypoints]) -> Array:
-    """Compute poses (T, D) from triangulated points; NaN where there are fewer than six."""
+    """Compute poses (T, D) from triangulated points; NaN where there are fewer than six.
+
+    model: where key points sit on the body; keypoints: T frames.
+    """
     points, _, _ = triangulate_keypoints(keypoints, worse=model.worse(len(keypoints[0].rig)))
     known = model.known
     out = np.full((len(points), body.skeleton.dof), np.nan)
@@ -98,6 +102,7 @@ def solved_frames(
 ) -> Array:
     """Solve the poses (T, D) of frames, each alone on its key points, from its start pose.
 
+    model: where key points sit on the body; keypoints: T frames. Frames without points keep their start pose.
     poses: (T, D) start poses.
     weights: (K,) factors on the points' weights (default 1).
     """
@@ -157,7 +162,11 @@ def residual_rows(body: Body, model: KeypointModel, keypoints: Sequence[Keypoint
 
 
 def _offsets(base: KeypointModel, model: KeypointModel, rows: OffsetResiduals) -> Array:
-    """Compute all offsets (K, 3) by one robust Gauss-Newton step on all frames, with prior and limits."""
+    """Compute all offsets (K, 3) by one robust Gauss-Newton step on all frames, with prior and limits.
+
+    base: places before the measurement, around which the limits lie; model: present places and noise; rows: residuals
+        about them.
+    """
     limit = offset_limits(base.names)
     sd_px = (model.sd if model.sd is not None else np.full(len(limit), 0.02)) * rows.size[..., None]
     square = (rows.residual**2).sum(-1) / sd_px**2
@@ -264,8 +273,11 @@ def _components(
 def _exchanged(
     world: Array, uv: Array, projections: Array, seen: NDArray[np.bool_], other: NDArray[np.int64]
 ) -> NDArray[np.bool_]:
-    """Find views and frames (C, T) whose points lie nearer to the 3D points (T, K, 3) when their sides change
-    places."""
+    """Find views and frames (C, T) whose points lie nearer to the 3D points (T, K, 3) when their sides change places.
+
+    world: m; uv: (C, T, K, 2) px; projections: (C, 3, 4); seen: (C, T, K); other: (K,) column of each point's other
+        side.
+    """
     h = np.einsum("cij,tkj->ctki", projections[:, :, :3], world) + projections[:, None, None, :, 3]
     there = h[..., :2] / np.maximum(h[..., 2:], _NEAREST_M)
     known = seen & np.isfinite(there).all(-1)
@@ -278,6 +290,7 @@ def _exchanged(
 def _rows(world: Array, uv: Array, projections: Array, seen: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
     """Compute the residuals of 3D points (N, 3) seen at uv (C, N, 2).
 
+    world: m; uv: px; projections: (C, 3, 4); seen: (C, N); the residual is 0 where a point is not seen.
     Returns: residuals (C, N, 2), px; derivatives (C, N, 2, 3), px/m; pixels per metre (C, N).
     """
     h = np.einsum("cij,nj->cni", projections[:, :, :3], world) + projections[:, None, :, 3]

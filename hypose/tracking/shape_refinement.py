@@ -139,6 +139,11 @@ def refine_shape(
 
 
 def _cue(one: Term, options: ShapeSettings) -> Cue[Array]:
+    """Build the function that computes the rows of a term, outlines or depth, for a posed body.
+
+    options: weights and spacing of the rows.
+    """
+
     def rows(at: Posed, _: Array, factor: float) -> Iterable[Rows]:
         if isinstance(one, ContourTerm):
             return rows_of_contours(at, one, factor, options.weight, options.row_spacing_px, options.normals)

@@ -82,6 +82,7 @@ def pace_weights(pace: tuple[Array, Array], frame_rate: float) -> tuple[Array, A
 def own_pace(poses: Array, frame_rate: float, usual: tuple[Array, Array]) -> tuple[Array, Array]:
     """Measure the pace of a solved clip: its usual accelerations and speeds near each frame.
 
+    poses: (T, D); frame_rate: Hz.
     usual: (D,) usual accelerations and speeds. They are multiplied by one factor >= 1 for the whole body, that of its
         fastest coordinate (root mean square nearby in time).
     Returns: accelerations (T - 2, D); speeds (T - 1, D).
@@ -106,6 +107,7 @@ def at_own_pace(
 ) -> Array:
     """Solve the poses (T, D) of a clip window by window, with limits adapted to the clip's own pace.
 
+    frame_rate: Hz; settings: limits and windows.
     given: (T, D) start poses.
     solve: function (part, starts, weights) that solves the frames `part` with the weights of squared second and first
         differences.
@@ -136,6 +138,7 @@ def smooth_poses(
 ) -> Array:
     """Solve the poses (T, D) of a clip from those of its frames and the information on each.
 
+    frame_rate: Hz; settings: limits and windows (default: ClipSettings()).
     poses: (T, D); ignored in frames without evidence.
     information: (T, D, D); zero in frames without evidence.
     contacts: points that stand still, per frame.
@@ -166,6 +169,7 @@ def gap_covariance(
 ) -> Array:
     """Compute the extra covariance (T, J, 3, 3) of the joint centres, m^2, in frames without evidence; 0 in the others.
 
+    poses: (T, D) solved clip; frame_rate: Hz; settings: limits and windows (default: ClipSettings()).
     It grows with the distance from the frames with evidence, because only the coupling to them limits it.
     information: (T, D, D); zero in frames without evidence.
     """
@@ -322,6 +326,7 @@ def with_feet(
 ) -> Smoothed:
     """Solve a clip again with the standing soles held, and widen its covariances in gaps.
 
+    motion: the tracked clip; settings: limits and windows.
     own: (T, D, D) information of each frame on its pose (zero: none).
     free: (T, D) the clip solved without contacts.
     held: function that solves the clip with points that stand still, one list per frame.
