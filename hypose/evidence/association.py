@@ -530,7 +530,7 @@ class Association:
         """Start new people from the remaining candidates; return (view, candidate) pairs of each.
 
         found: (C, P, K, 3) candidates of each view; is_person: (C, P) free candidates with enough points for a person.
-        free: (C, P) candidates that nobody has taken; those of the new people are set to False.
+        free: (C, P) candidates that are not assigned to a person; those of the new people are set to False.
         The new people are added to the tracked ones.
         """
         o = self.settings

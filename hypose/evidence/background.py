@@ -52,15 +52,14 @@ class BackgroundModel:
                 f"{self.sd.shape}."
             )
 
-    @property
-    def plate(self) -> Image:
-        """Picture (h, w, 3) uint8 of the empty room."""
-        return np.clip(np.rint(self.mean), 0, 255).astype(np.uint8)
 
+def from_frames(frames: Images, what: str = "background clip") -> BackgroundModel:
+    """Build the model from a clip of the empty room (N, h, w, 3) uint8: median and robust sd (1.4826 MAD) per pixel.
 
-def from_frames(frames: Images) -> BackgroundModel:
-    """Build the model from a clip of the empty room (N, h, w, 3) uint8: median and robust sd (1.4826 MAD) per pixel."""
-    stack = _stack(frames, "background clip")
+    what: name of the clip in error messages.
+    Raises: InputError where there is no image, or the sizes differ.
+    """
+    stack = _stack(frames, what)
     median, sd, _ = _masked_median(stack, None)
     return BackgroundModel(median, sd, np.ones(stack.shape[1:3], dtype=np.bool_))
 
@@ -68,9 +67,8 @@ def from_frames(frames: Images) -> BackgroundModel:
 def from_plates(images: Images) -> BackgroundModel:
     """Build the model from one or more photos of the empty room (N, h, w, 3) uint8, with an sd that allows for other
     light."""
-    stack = _stack(images, "background photos")
-    median, sd, _ = _masked_median(stack, None)
-    return BackgroundModel(median, np.maximum(sd, np.float32(_PLATE_SD)), np.ones(stack.shape[1:3], dtype=np.bool_))
+    model = from_frames(images, "background photos")
+    return replace(model, sd=np.maximum(model.sd, np.float32(_PLATE_SD)))
 
 
 def from_recording(

@@ -346,16 +346,10 @@ def _pieces(mask: NDArray[np.bool_], depth: DepthMap) -> tuple[NDArray[np.int32]
     far = np.where(mask, depth, 0.0).astype(np.float32)
     near = np.where(mask, depth, 1e3).astype(np.float32)
     calm = mask & (cv2.dilate(far, kernel) - cv2.erode(near, kernel) < 2 * JUMP_M)
-    labels, n = _labelled(calm)
+    n, labels = cv2.connectedComponents(calm.astype(np.uint8), connectivity=8)
     # edge pixels are added to the piece next to them
-    grown = cv2.dilate(labels.astype(np.float32), kernel).astype(np.int32)
-    return np.where(mask & (labels == 0), grown, labels).astype(np.int32), n
-
-
-def _labelled(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int32], int]:
-    """Label the connected pieces (h, w) of a mask, 0 outside; return their number too."""
-    n, labels = cv2.connectedComponents(mask.astype(np.uint8), connectivity=8)
-    return np.asarray(labels, dtype=np.int32), n - 1
+    grown = cv2.dilate(np.asarray(labels, np.float32), kernel).astype(np.int32)
+    return np.where(mask & (labels == 0), grown, labels).astype(np.int32), n - 1
 
 
 def _calm(mask: Mask) -> Mask:

@@ -148,7 +148,7 @@ def visual_hull(
         surely = min(len(views), 3 if silhouettes.expected is None else 2)
     sure = 0 if ignored is None else surely
     free_of = given if ignored is None else silhouettes.masks | ignored
-    sums = {int(c): _summed(free_of[c]) for c in views}
+    sums = {int(c): np.asarray(cv2.integral(free_of[c]), np.int32) for c in views}
     corner = np.stack(np.meshgrid(*[(0, 1)] * 3, indexing="ij"), -1).reshape(8, 3)
     for level in range(levels, -1, -1):
         edge = voxel * 2**level
@@ -186,10 +186,6 @@ def visual_hull(
         occupancy, shift = _largest(occupancy)
         low = low + shift
     return Hull(occupancy, box[0] + (low + 0.5) * voxel, voxel)
-
-
-def _summed(mask: NDArray[np.uint8]) -> NDArray[np.int32]:
-    return np.asarray(cv2.integral(mask), np.int32)
 
 
 def _free_cells(

@@ -27,10 +27,6 @@ FOUND_BY = "by "
 """Prefix of the role that names the search by which a hypothesis was found, such as `by limb search`."""
 
 
-def _none() -> _IntArray:
-    return np.zeros((), np.int32)
-
-
 @dataclass(frozen=True)
 class Hypotheses:
     """Immutable set of N weighted states per population; every operation returns a new set.
@@ -48,8 +44,8 @@ class Hypotheses:
 
     values: FloatArray
     log_weights: FloatArray
-    origin: _IntArray = field(default_factory=_none)
-    role: _IntArray = field(default_factory=_none)
+    origin: _IntArray = field(default_factory=lambda: np.zeros((), np.int32))
+    role: _IntArray = field(default_factory=lambda: np.zeros((), np.int32))
     role_names: tuple[str, ...] = ()
     covariance: FloatArray | None = None
     columns: Mapping[str, NDArray[Any]] = field(default_factory=dict)

@@ -23,8 +23,7 @@ from hypose.fitting.articulated import PoseFit, SolveSettings
 from hypose.geometry import Array
 from hypose.inference.hypotheses import BEFORE, FOUND_BY, Hypotheses
 from hypose.tracking.arm_workspace import ArmReach, arm_ends, ends
-from hypose.tracking.costs import frame_energy, limb_energy
-from hypose.tracking.frame_evidence import PreparedFrame
+from hypose.tracking.frame_evidence import PreparedFrame, frame_energy, limb_energy
 from hypose.tracking.part_colours import ColourSettings, colour_scores, known_colours, pictured_arms
 from hypose.tracking.refinement import COMPOSITE, RIVAL, SOLVED, keep_fits, member, mismatch, refine, solve_poses
 

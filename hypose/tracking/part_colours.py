@@ -27,8 +27,7 @@ from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.layer import Memory
 from hypose.tracking.arm_workspace import ArmReach
-from hypose.tracking.costs import frame_energy
-from hypose.tracking.frame_evidence import PreparedFrame
+from hypose.tracking.frame_evidence import PreparedFrame, frame_energy
 
 
 def pictured_arms(

@@ -24,8 +24,7 @@ from hypose.evidence.frame import Silhouettes
 from hypose.geometry import Array, nearest_branch, so3_exp, so3_log
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.kernels import HeavyTail, reflect
-from hypose.tracking.costs import evidence_energy
-from hypose.tracking.frame_evidence import PreparedFrame
+from hypose.tracking.frame_evidence import PreparedFrame, evidence_energy
 
 
 @dataclass(frozen=True)

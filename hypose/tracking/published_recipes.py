@@ -27,8 +27,8 @@ from hypose.inference.kernels import (
 )
 from hypose.inference.layer import Kernel, Layer, Recipe
 from hypose.inference.resampling import LayeredResampling, systematic
-from hypose.tracking.costs import SilhouetteXor
 from hypose.tracking.detection_kernels import DetectionCost, DetectorDriven, ends_of
+from hypose.tracking.frame_evidence import SilhouetteXor
 from hypose.tracking.partitioned_observations import (
     BallStep,
     LimbDiffusion,

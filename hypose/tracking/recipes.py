@@ -27,8 +27,7 @@ from hypose.inference.resampling import keep
 from hypose.tracking import published_recipes as published
 from hypose.tracking.arm_hypotheses import RefineRivals
 from hypose.tracking.arm_workspace import arm_reach, in_practice
-from hypose.tracking.costs import limb_energy
-from hypose.tracking.frame_evidence import PreparedFrame
+from hypose.tracking.frame_evidence import PreparedFrame, limb_energy
 from hypose.tracking.left_right import look_for_exchange
 from hypose.tracking.monocular.recipe import PICTURE_CUES, TRIGGS, monocular
 from hypose.tracking.part_colours import LearnColours

@@ -20,8 +20,7 @@ from hypose.fitting.problem import Quadratic
 from hypose.geometry import Array
 from hypose.inference.estimates import TangentMean
 from hypose.inference.hypotheses import Hypotheses
-from hypose.tracking.costs import frame_energy, mean_overlap
-from hypose.tracking.frame_evidence import PreparedFrame
+from hypose.tracking.frame_evidence import PreparedFrame, frame_energy, mean_overlap
 
 SOLVED, COMPOSITE, RIVAL = "solved", "composite", "rival"
 """Roles: the solved hypothesis, the one that a search of single limbs composes, and other solved ones that are kept."""

@@ -14,8 +14,7 @@ from hypose.evidence.hull import Hull
 from hypose.evidence.terms import PointTerm
 from hypose.fitting.articulated import PoseFit, SolveSettings, fit_pose
 from hypose.geometry import Array, procrustes, rotation_between, so3_exp, so3_log
-from hypose.tracking.costs import evidence_energy
-from hypose.tracking.frame_evidence import PreparedFrame
+from hypose.tracking.frame_evidence import PreparedFrame, evidence_energy
 from hypose.tracking.refinement import SETTLING, anatomical_prior, refine
 
 # direction of the upper arm in each known pose, for the left side (x = the subject's left, y backward, z up)

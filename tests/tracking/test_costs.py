@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from hypose.inference.hypotheses import Hypotheses
-from hypose.tracking.costs import SilhouetteXor
-from hypose.tracking.frame_evidence import prepare, view_count
+from hypose.tracking.frame_evidence import SilhouetteXor, prepare, view_count
 
 
 def test_energy_is_the_printed_sum_over_views(body, standing, frame_of):

@@ -7,8 +7,7 @@ from hypose.body.default_body import human
 from hypose.evidence.cues import MEASURED
 from hypose.tracking.arm_hypotheses import LookedUp, rival_arms
 from hypose.tracking.arm_workspace import arm_reach, in_practice
-from hypose.tracking.costs import frame_energy, limb_energy
-from hypose.tracking.frame_evidence import prepare
+from hypose.tracking.frame_evidence import frame_energy, limb_energy, prepare
 from hypose.tracking.starts import known_pose
 from tests.depth_pictures import frame_of, sensors
 

@@ -8,7 +8,6 @@ import pytest
 from hypose.evidence.frame import Detections
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.kernels import stay
-from hypose.tracking.costs import SilhouetteXor
 from hypose.tracking.detection_kernels import (
     END_NAMES,
     DetectionCost,
@@ -18,7 +17,7 @@ from hypose.tracking.detection_kernels import (
     limb_to,
     pose_limb,
 )
-from hypose.tracking.frame_evidence import prepare
+from hypose.tracking.frame_evidence import SilhouetteXor, prepare
 from hypose.tracking.recipes import recipe
 from hypose.tracking.tracker import Tracker, TrackerSettings
 

@@ -5,8 +5,7 @@ import pytest
 
 from hypose.inference.hypotheses import Hypotheses
 from hypose.tracking.arm_workspace import in_practice
-from hypose.tracking.costs import frame_energy, limb_energy
-from hypose.tracking.frame_evidence import prepare
+from hypose.tracking.frame_evidence import frame_energy, limb_energy, prepare
 from hypose.tracking.published_recipes import LIMB_LAYERS
 from hypose.tracking.recipes import LimbSearch
 from hypose.tracking.refinement import COMPOSITE, SOLVED

@@ -12,7 +12,7 @@ from hypose.inference.kernels import GaussianDiffusion
 from hypose.inference.layer import Layer, Recipe
 from hypose.inference.resampling import systematic
 from hypose.tracking import refinement
-from hypose.tracking.costs import SilhouetteXor
+from hypose.tracking.frame_evidence import SilhouetteXor
 from hypose.tracking.recipes import RECIPES, citation_of, recipe
 from hypose.tracking.refinement import pose_mean
 from hypose.tracking.tracker import Tracker, TrackerSettings
