@@ -7,6 +7,7 @@ import pytest
 
 from hypose.body.default_body import human
 from hypose.cameras.camera import CameraRig
+from hypose.compute.mono_terms import GAUSSIAN, LORENTZIAN
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.frame import Frame, Keypoints, Picture
 from hypose.inference.hypotheses import Hypotheses
@@ -126,10 +127,10 @@ def test_every_ablation_runs_and_keeps_what_is_not_estimated(clip):
     body, view, poses, pictures = clip
     s, search = SETTINGS, SETTINGS.search
     ablations = (
-        s.robust("gaussian"),
-        s.robust("lorentzian"),
-        replace(s, flow=replace(s.flow, use=False)),
-        replace(s, edge=replace(s.edge, motion_boundaries=False)),
+        s.robust(GAUSSIAN),
+        s.robust(LORENTZIAN),
+        replace(s, flow=s.flow._replace(use=False)),
+        replace(s, edge=s.edge._replace(motion_boundaries=False)),
         replace(s, velocity=0.0, limits=False, interpenetration=0.0, second_order=False),
         replace(s, search=replace(search, hypotheses=1)),
         replace(s, search=replace(search, flips=True, flip_every=1)),
