@@ -15,15 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.bench_report import BenchOptions, BenchReport, Row
-from benchmarks.multiview.action_scenes import median_row, subject_of_seed, track_scene
+from benchmarks.multiview.action_scenes import LOST_M, median_row, subject_of_seed, track_scene
+from benchmarks.synthetic.noisy_masks import MaskFaults, noisy
 from hypose.geometry import Array
 from hypose.synthetic.corruptions import Corruptions
-from hypose.synthetic.metrics import LOST_M
 from hypose.synthetic.performance import Performance
 from hypose.synthetic.scenes import Scene, make_scene
 
 PRESETS = ("apf", "hpf", "hpf-apo", "hpf-apo+", "hpf+", "default")
-DISTURBED = Corruptions(boundary_px=0.7, blobs=1.0, desync=(0, 1, 0, 2))
+DISTURBED = MaskFaults(boundary_px=0.7, blobs=1.0)
+LATE = Corruptions(desync=(0, 1, 0, 2))
 AWAY = (0.6, 1.2)
 """s: from when to when the person is out of every view in the clip with an absence."""
 SECONDS = {"serve": 1.6, "away": 2.4}
@@ -83,7 +84,8 @@ def court_4(options: BenchOptions) -> BenchReport:
 def court_scene(motion: str, seed: int, seconds: float) -> tuple[Scene, NDArray[np.bool_]]:
     """The scene of a motion ('serve', 'away') and a seed, and the frames (T,) in which the person is in view."""
     kind = "walk" if motion == "away" else motion
-    scene = make_scene(kind, subject_of_seed(seed), "court-4", seconds=seconds, seed=seed, corruption=DISTURBED)
+    made = make_scene(kind, subject_of_seed(seed), "court-4", seconds=seconds, seed=seed, corruption=LATE)
+    scene = noisy(made, DISTURBED)
     present = np.ones(len(scene), dtype=bool)
     if motion == "away":
         present[round(AWAY[0] * scene.frame_rate) : round(AWAY[1] * scene.frame_rate)] = False
@@ -107,7 +109,7 @@ def run_court(motion: str, seed: int, seconds: float, presets: tuple[str, ...] =
     out = {}
     for name in presets:
         tracked = track_scene(scene, frames, name, seed)
-        errors = tracked.errors.frame_means
+        errors = tracked.errors.mean(1)
         out[name] = CourtOutcome(
             np.where(present, errors, np.nan), _recovery(errors, present, scene.frame_rate), tracked.seconds_per_frame
         )

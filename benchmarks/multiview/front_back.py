@@ -9,16 +9,17 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.bench_report import BenchOptions, BenchReport, Row, row
+from benchmarks.synthetic.noisy_masks import noisy_scene
 from hypose.body.body import Body
 from hypose.body.default_body import human
 from hypose.geometry import Array
 from hypose.pipeline.first_frame import SubjectOptions, TrackedSubject, find_subject
 from hypose.pipeline.left_right import FrameRange, correct_left_right
-from hypose.pipeline.passes import tracker_of
-from hypose.pipeline.track_loop import FrameList, track_frames
+from hypose.pipeline.passes import ClipState, track_clip, tracker_of
+from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.metrics import joint_errors, population_offsets
-from hypose.synthetic.scenes import Scene, camera_rig, make_scene
+from hypose.synthetic.scenes import Scene, camera_rig
 from hypose.tracking.left_right import turned_around
 from hypose.tracking.tracker import FrameEstimate, Tracker
 
@@ -42,7 +43,7 @@ def front_back(options: BenchOptions) -> BenchReport:
     for n, (seed, motion) in enumerate((s, m) for s in seeds for m in motions):
         options.progress("front and back", n, len(seeds) * len(motions))
         cameras = camera_rig("humaneva-4").scaled(0.5)
-        scene = make_scene(motion, "", cameras, seconds=seconds, seed=seed, corruption=("level-1",))
+        scene = noisy_scene(motion, "", cameras, seconds=seconds, seed=seed)
         source = FrameList(list(scene.mask_frames()), scene.frame_rate)
         wanted = SubjectOptions("hull", height=scene.subject.stature, frame_rate=scene.frame_rate)
         subject = find_subject(source.frame, len(source), wanted)
@@ -77,10 +78,10 @@ def front_back(options: BenchOptions) -> BenchReport:
 
 
 def _tracked(source: FrameList, tracker: Tracker, start: Array, subject: TrackedSubject) -> list[FrameEstimate]:
-    def silent(stage: str, done: int, total: int) -> None:
-        pass
-
-    return track_frames(source, tracker, tracker.start(start), subject, progress=silent).estimates
+    subject = replace(subject, start=start, rivals=None)
+    done = track_clip(ClipState(source, source.frame_rate, TrackOptions(), subject=subject, tracker=tracker)).tracked
+    assert done is not None
+    return done.estimates
 
 
 def _reader(source: FrameList) -> FrameRange:
@@ -99,5 +100,5 @@ def _measured(scene: Scene, body: Body, estimates: list[FrameEstimate]) -> tuple
 
     turned = (across(joints) * across(scene.joints)).sum(1) < 0
     offsets = population_offsets(human()) * scene.subject.stature
-    error = joint_errors(joints, scene.joints[: len(poses)], offsets, rotations).distances.mean()
+    error = joint_errors(joints, scene.joints[: len(poses)], offsets, rotations).mean()
     return float(turned.mean()), 1000 * float(error)

@@ -162,6 +162,16 @@ class Skeleton:
         j = len(self.joint_names)
         return r.reshape(*q.shape[:-1], j, 3, 3), p.reshape(*q.shape[:-1], j, 3)
 
+    def points(self, joint: NDArray[np.int64], offset: Array, poses: ArrayLike) -> Array:
+        """Compute the world positions (..., P, 3), m, of points fixed to joints, for poses (..., D).
+
+        joint: (P,) joint that carries each point.
+        offset: (P, 3) position in that joint's frame, m.
+        """
+        rotations, centres = self.forward(poses)
+        turned = np.einsum("...kab,kb->...ka", rotations[..., joint, :, :], offset)
+        return centres[..., joint, :] + turned
+
     def world_twists(self, poses: ArrayLike) -> Array:
         """Compute the twists (w, v) of all dof in the world at poses (..., D): a point x moves with w x x + v per unit
         of the dof.
