@@ -150,16 +150,6 @@ def test_the_jacobian_of_the_nodes_is_exact(kind):
     np.testing.assert_allclose(gradient, numeric, atol=3e-3 * np.abs(numeric).max())
 
 
-def test_the_second_derivative_of_rho_is_used_and_kept_positive():
-    for s in (0.0, 1.0, 8.0, 100.0):
-        for form in (0, 1, 2):
-            _, first, second = mono.robust(form, s, 9.0)
-            exact = first + 2 * second * s
-            used = mono.curvature(first, second, s, True)
-            assert used == pytest.approx(max(exact, 0.1 * first))
-            assert mono.curvature(first, second, s, False) == first
-
-
 def test_the_search_finds_what_scipys_bounded_solver_finds():
     body = human()
     s = body.skeleton
