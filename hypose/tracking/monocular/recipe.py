@@ -182,7 +182,7 @@ def picture_recipe(search: PictureSearch) -> Recipe:
     and pruned.
 
     Deviations: a constant-velocity prediction comes before the optimisation, because without it nothing keeps track;
-        evidence is accumulated over frames; mirrored limbs are an option. See also pool.py and compute's mono_rows.py.
+        evidence is accumulated over frames; mirrored limbs are an option. See also pool.py and compute's mono.py.
     """
     layers = (
         Layer(search.predicted, None, keep, "edges"),
