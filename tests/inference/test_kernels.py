@@ -6,13 +6,11 @@ import pytest
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.kernels import (
     AdaptiveDiffusion,
-    Compose,
     GaussianDiffusion,
     HeavyTail,
     RejectionSampling,
     reflect,
     semidefinite_cholesky,
-    stay,
 )
 
 INF = np.inf
@@ -75,11 +73,6 @@ def test_semidefinite_cholesky():
     np.testing.assert_allclose(semidefinite_cholesky(full), np.linalg.cholesky(full), atol=1e-12)
 
 
-def test_composition_applies_all_in_order():
-    up, twice = lambda h, frame, rng: h.at(h.values + 1), lambda h, frame, rng: h.at(2 * h.values)
-    assert (Compose((up, twice))(zeros(4), None, np.random.default_rng(0)).values == 2).all()
-
-
 def test_rejection_refuses_what_the_prior_dislikes():
     def inside(x):
         return np.where(np.abs(x[..., 0]) <= 1, 0.0, -INF)
@@ -99,10 +92,6 @@ def test_rejection_refuses_what_the_prior_dislikes():
         lambda: GaussianDiffusion(np.array([-1.0])),
         lambda: GaussianDiffusion(np.array([np.nan])),
         lambda: GaussianDiffusion(np.ones((2, 2))),
-        lambda: AdaptiveDiffusion(-1.0),
-        lambda: HeavyTail(1.5, 2.0, np.ones(1, bool)),
-        lambda: RejectionSampling(stay, lambda x: x[..., 0], tau=0.0),
-        lambda: RejectionSampling(stay, lambda x: x[..., 0], trials=0),
     ],
 )
 def test_settings_are_checked(make):
