@@ -677,6 +677,7 @@ def mask_folder(folder: str | Path, view: str, camera: Camera) -> Path:
 def write_frame_masks(silhouettes: Silhouettes, folders: Sequence[Path | None], number: int) -> None:
     """Write the masks of a frame as PNG files.
 
+    silhouettes: masks of all views.
     folders: folder of each view; None for a view whose masks are not written.
     number: number of the frame, which names the files.
     """

@@ -80,7 +80,11 @@ class ObjectMasks:
         return self._load(frame)
 
     def union(self, frame: int, objects: frozenset[str] | None = None) -> Mask:
-        """Combine the masks of the given objects (None: all) to one mask (h, w) of 0 and 1."""
+        """Combine the masks of objects in a frame to one mask (h, w) of 0 and 1; empty where none is there.
+
+        objects: names of the objects; None for all.
+        Raises: InputError where the frame does not exist.
+        """
         out = np.zeros(self.size[::-1], dtype=np.uint8)
         for name, mask in self.at(frame).items():
             if objects is None or name in objects:
@@ -121,7 +125,13 @@ def open_masks(path: Path, first: int | None = None) -> ObjectMasks | VideoReade
 
 
 def _of_folders(path: Path, folders: list[Path], first: int | None) -> ObjectMasks:
-    """Open masks of one folder per object; files of the same number are of the same frame, else their order counts."""
+    """Open masks of one folder per object.
+
+    Files of the same number are of the same frame; where numbers are missing or repeated, the order of files counts.
+
+    folders: folder of each object, which names it.
+    first: number of the first frame's files; None for the lowest number.
+    """
     listed = {p.name: list_images(p) for p in folders}
     numbers = {name: [last_number(f.stem) for f in files] for name, files in listed.items()}
     known = [n for found in numbers.values() for n in found]
@@ -209,6 +219,7 @@ def _stored(path: Path) -> NDArray[Any]:
 
 
 def _decoded(path: Path) -> tuple[NDArray[Any] | None, bool]:
+    """Decode an image without conversion; None where it is damaged. True: its values are indices of a palette."""
     data = read_image_file(path)
     bits = _palette_bits(data)
     if bits:
@@ -300,6 +311,12 @@ def _coco_size(path: Path, images: list[Any], frames: Mapping[int, list[tuple[st
 
 
 def _coco_mask(path: Path, piece: Any, size: tuple[int, int]) -> Mask:
+    """Draw a mask (h, w) of 0 and 1 from COCO's polygons or run lengths (column by column, beginning with 0).
+
+    path: for the error message.
+    piece: the annotation's segmentation.
+    size: width and height, px.
+    """
     w, h = size
     with numbers_of(f"{path}: a mask"):
         if isinstance(piece, list):

@@ -146,6 +146,7 @@ def _subfolder(folder: Path, lower_name: str) -> Path | None:
 
 
 def _calibration_folder(folder: Path) -> Path | None:
+    """Find the subfolder with "calib" in its name; of several, the one that is most like "calibration"."""
     found = [p for p in folder.iterdir() if p.is_dir() and "calib" in p.name.lower()]
     return min(
         found,
@@ -167,6 +168,7 @@ def _levels(folder: Path) -> list[Path]:
 
 
 def _merged_config(folder: Path) -> dict[str, Any]:
+    """Merge the Config.toml files of the levels key by key; the one nearest to the folder wins."""
     merged: dict[str, Any] = {}
     for level in reversed(_levels(folder)):
         path = _file(level, "config.toml")
@@ -210,7 +212,11 @@ def _pose_folders(folder: Path, name: str = "pose") -> list[Path]:
 
 
 def _rate_of_results(folder: Path, settings: dict[str, Any], notes: list[str]) -> None:
-    """Take the frame rate from the triangulated points of Pose2Sim, where nothing else gives it."""
+    """Take the frame rate from the triangulated points of Pose2Sim, where nothing else gives it.
+
+    settings: settings of the recording, to which frame_rate is added.
+    notes: list to which a sentence about this is added.
+    """
     results = _subfolder(folder, "pose-3d")
     for path in sorted(results.glob("*.trc")) if results is not None else ():
         with contextlib.suppress(InputError):
@@ -229,6 +235,12 @@ def _is_trial(folder: Path) -> bool:
 
 
 def _keypoint_folders(folder: Path, names: Sequence[str], notes: list[str]) -> list[Path | None]:
+    """Find the folder of key points of each view; None where a view has none.
+
+    folder: the project.
+    names: names of the views.
+    notes: list to which sentences about the choice are added.
+    """
     pose = _subfolder(folder, "pose")
     if pose is None:
         return [None] * len(names)
@@ -253,6 +265,9 @@ def _keypoint_folders(folder: Path, names: Sequence[str], notes: list[str]) -> l
 def _keypoint_set(model: Any, folders: Sequence[Path], notes: list[str]) -> str | None:
     """Choose the key-point set: that of Config.toml, unless the files have another number of points.
 
+    model: pose_model of Config.toml; None where it has none.
+    folders: folders of key points, of which up to four are read.
+    notes: list to which a sentence is added where the files decide.
     Returns: None where the files decide.
     """
     stated = None
@@ -274,6 +289,12 @@ def _keypoint_set(model: Any, folders: Sequence[Path], notes: list[str]) -> str 
 
 
 def _add_plates(extrinsics: Path, views: list[dict[str, Any]], notes: list[str]) -> None:
+    """Add the photos of the room with which Pose2Sim calibrates as backgrounds of the views.
+
+    extrinsics: folder of the photos, or of one folder of photos per camera; it need not exist.
+    views: tables of the views, to which the key background is added.
+    notes: list to which sentences about this are added.
+    """
     if not extrinsics.is_dir():
         return
     photos: list[tuple[str, Path]] = []

@@ -97,6 +97,7 @@ def look_together(views: Sequence[ViewSettings], notes: list[str]) -> tuple[list
 
     Where such files begin with different numbers, the lowest is the first frame of all views.
 
+    notes: list to which a sentence about different numbers is added.
     Returns: the views, with `first_mask` set where needed, and the properties of their files.
     Why: a person who is not seen at the start has no masks there.
     """
@@ -133,8 +134,11 @@ def open_pictures(view: ViewSettings, threads: int | None = None) -> VideoReader
 def check_picture_size(
     view: ViewSettings, camera: Camera, path: Path, size: tuple[int, int], notes: list[str] | None
 ) -> None:
-    """Check that pictures of a given size (width, height) can be those of a camera; note where they are scaled.
+    """Check that pictures of a given size can be those of a camera.
 
+    path: the pictures.
+    size: their width and height, px.
+    notes: list to which a sentence is added where they are scaled; None for no sentence.
     Raises: CalibrationError where the shapes differ by more than 1 %.
     """
     if size == camera.size:
@@ -201,8 +205,11 @@ def on_one_clock(
     The frame rate is the given one, else that of the videos (the lowest), else that of the key points' file. Videos
     with lost frames, or with another or a varying frame rate, are read by their time stamps.
 
-    given: frame rate of recording.toml, frames/s.
-    reported: frame rate of the key points' file, frames/s.
+    where: start of the error messages.
+    given: frame rate of recording.toml, frames/s; None where it has none.
+    views, clips: views, and the properties of their files as `look_together` gives them.
+    reported: frame rate of the key points' file, frames/s; None where it has none.
+    notes: list to which sentences about irregular videos are added.
     Returns: the views with `rate` set where needed, their files' properties, the frame rate.
     Raises: InputError where no frame rate is known or it is implausible.
     """
@@ -256,8 +263,10 @@ def _of_times(times: Array) -> str:
 
 
 def common_frames(views: Sequence[ViewSettings], clips: Sequence[list[_ClipInfo]], notes: list[str]) -> int:
-    """Count the frames that every view has, and note where the views differ.
+    """Count the frames that every view has.
 
+    views, clips: views, and the properties of their files.
+    notes: list to which sentences are added where views differ or files are cut off.
     Raises: InputError where a view has no frames.
     """
     counts = {}

@@ -159,6 +159,7 @@ def _title(stream: Any) -> str:
 
 
 def _calibration(container: Any) -> dict[str, Any]:
+    """Read the attached calibration.json of an open Azure Kinect recording; empty where there is none."""
     for stream in container.streams:
         if stream.type == "attachment" and str(stream.metadata.get("filename", "")).endswith(".json"):
             try:
@@ -171,6 +172,7 @@ def _calibration(container: Any) -> dict[str, Any]:
 
 
 def _azure_frames(container: Any, track: Any, path: str, library: Any) -> Iterator[DepthFrame]:
+    """Decode the depth track of an open recording of PyAV (`library`), and close it at the end."""
     with container:
         try:
             for frame in container.decode(track):
@@ -279,6 +281,11 @@ def _opened(library: Any, config: Any, what: str, recorded: bool) -> DepthFile:
 
 
 def _frames(pipeline: Any, scale: float, what: str) -> Iterator[DepthFrame]:
+    """Read the depth frames of a running pipeline of pyrealsense2, and stop it at the end.
+
+    scale: size of a step of the values, m.
+    what: camera or file, for the error message.
+    """
     first, last, frames, frame = None, -np.inf, None, None
     try:
         while True:

@@ -56,6 +56,17 @@ _SCALE = {"m": 1.0, "mm": 0.001}
 
 @dataclass
 class _Sensor:
+    """A sensor of a recording folder while it is read.
+
+    rows: its name, the names of its joints, and its bodies.
+    scale: metres per unit of the positions.
+    intrinsics: fx, fy, cx, cy of its depth maps, px; None without depth maps.
+    y_up: the skeleton's y axis points up.
+    joint: index of each joint by its name.
+    times: time (s) of each frame by its number.
+    depth: path of the depth map of a frame by its number, relative to the folder.
+    """
+
     rows: StreamRows
     scale: float
     intrinsics: tuple[float, float, float, float] | None
@@ -97,6 +108,7 @@ def read_folder(source: Source) -> SkeletonRecording:
 
 
 def _sensor(path: Path, value: Mapping[str, Any]) -> _Sensor:
+    """Convert the entry of a sensor in session.json; InputError, which names the file, where it is not valid."""
     name, joints, unit, depth = value["name"], value["joints"], value.get("unit", "m"), value.get("depth")
     texts = [name, *joints]
     named = all(isinstance(text, str) and 1 <= len(text) <= 64 for text in texts)
@@ -147,6 +159,7 @@ _Bodies = dict[tuple[int, int], tuple[Array, NDArray[np.uint8]]]
 
 
 def _read_bodies(path: Path, sensors: Mapping[str, _Sensor]) -> dict[str, _Bodies]:
+    """Read skeleton.csv: for each sensor positions (J, 3), in its unit, and states (J,) by frame and person."""
     bodies: dict[str, _Bodies] = {name: {} for name in sensors}
     for where, cells in _rows_of(path, _SKELETON, "skeleton.csv of a skeleton recording"):
         sensor = _known(where, sensors, cells[0], "the sensor")
@@ -229,6 +242,7 @@ class FolderWriter:
 
         time: s.
         person: the sensor's number of the person; None where the sensor saw no person.
+        joint_names: names of the J joints, the same for all bodies of the sensor.
         positions: (J, 3) m.
         state: (J,) 0 not tracked, 1 inferred, 2 tracked.
         Raises: InputError where the folder cannot be written.

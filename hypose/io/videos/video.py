@@ -452,7 +452,7 @@ def _count(path: Path) -> int:
 
 @contextlib.contextmanager
 def _capturing(path: Path, threads: int | None = None, raw: bool = False) -> Iterator[cv2.VideoCapture]:
-    """Open a video as `open_capture` does, and release it at the end of a with block."""
+    """Open a video and release it at the end of a with block; threads, raw: as for `open_capture`."""
     capture = open_capture(path, threads, raw)
     try:
         yield capture
