@@ -41,8 +41,8 @@ from hypose.io.motions.results import parse_array
 MAX_BYTES = 512 * 2**20
 MAX_POINTS = 1000
 MAX_POINT_FRAMES = 5_000_000
+# Score below which tracking ignores a point.
 _MIN_SCORE = 0.3
-"""Score below which tracking ignores a point."""
 WEIGHED = 0.31
 _SAMPLED = 60
 
@@ -178,8 +178,8 @@ def whole_number(value: Any, where: str, what: str) -> int:
     return int(value)
 
 
+# Columns of variances, px^2, by the ensemble Kalman smoother of Lightning Pose; the better ones first.
 _VARIANCES = (("x_posterior_var", "y_posterior_var"), ("x_ens_var", "y_ens_var"))
-"""Columns of variances, px^2, by the ensemble Kalman smoother of Lightning Pose; the better ones first."""
 
 
 def by_individual(columns: Sequence[tuple[str, ...]], where: str) -> dict[str, list[tuple[str, list[int]]]]:

@@ -200,8 +200,8 @@ def silhouette_options(where: str, table: Mapping[str, Any]) -> SilhouetteSettin
 
 
 _NAME = re.compile(r"[\w][\w .-]{0,59}")
+# Pattern of names that look like a file's, such as those of the results of all people in neighbouring folders.
 _FILE = re.compile(r".*\.[a-z0-9]{2,5}")
-"""Pattern of names that look like a file's, such as those of the results of all people in neighbouring folders."""
 
 
 @dataclass(frozen=True)

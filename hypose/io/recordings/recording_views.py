@@ -16,8 +16,8 @@ from hypose.geometry import Array
 from hypose.io.recordings.object_masks import ObjectMasks, open_masks
 from hypose.io.videos.video import VideoReader, check_numbers, frame_size, frame_times, open_video, stored_frames
 
+# Ratio of frame rates below which they count as equal: 29.97 and 30 frames/s differ by rounding in the container.
 _ALIKE = 1.005
-"""Ratio of frame rates below which they count as equal: 29.97 and 30 frames/s differ by rounding in the container."""
 SIDECAR = "hypose-masks.json"
 """Name of the note in a folder of masks that are already undistorted; their files are found by frame number."""
 

@@ -46,8 +46,8 @@ from hypose.io.videos.video import VideoReader, evenly_spread, frame_size, list_
 
 
 _KEPT = 8
+# Largest number of depth maps that describe the empty room.
 _ROOM_FRAMES = 30
-"""Largest number of depth maps that describe the empty room."""
 
 
 class DepthPreparer:

@@ -54,8 +54,8 @@ def write_millimetres_png(path: str | Path, depth: NDArray[np.uint16]) -> None:
     write_bytes(path, data.tobytes(), synced=False)
 
 
+# Value of a hole, mm, that some recorders write in place of 0.
 _NOT_MEASURED = 65535
-"""Value of a hole, mm, that some recorders write in place of 0."""
 
 
 def read_depth_png(path: str | Path) -> DepthMap:
@@ -190,8 +190,8 @@ def _azure_frames(container: Any, track: Any, path: str, library: Any) -> Iterat
 
 
 _MAX_RECORDING_BYTES = 256 * 2**30
+# Time without a frame, ms, after which a recording is at its end and a camera is disconnected.
 _PATIENCE_MS = 2000
-"""Time without a frame, ms, after which a recording is at its end and a camera is disconnected."""
 
 
 def read_realsense(path: str | Path) -> DepthFile:
@@ -333,14 +333,14 @@ def _short(error: Exception) -> str:
 
 
 ENDINGS = (".mkv", ".bag", ".db3", ".r3d")
+# Depth modes of the Azure Kinect by size: side of the sensor's picture, px, and origin of the mode's picture in it.
 _MODES = {(640, 576): (1024, 192, 180), (320, 288): (512, 96, 90), (512, 512): (512, 0, 0), (1024, 1024): (1024, 0, 0)}
-"""Depth modes of the Azure Kinect by size: side of the sensor's picture, px, and origin of the mode's picture in it."""
 FOLDER_RATE = 30.0
 """Frames per second of a folder of depth maps, where none is given."""
+# Exceptions of a zip that is not a zip, cut off, or locked by a password.
 _DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, NotImplementedError)
-"""Exceptions of a zip that is not a zip, cut off, or locked by a password."""
+# Largest unpacked size of one entry of a capture.
 _PACKED_BYTES = 64 * 2**20
-"""Largest unpacked size of one entry of a capture."""
 
 
 def open_depth(path: str | Path, frame_rate: float = FOLDER_RATE, millimetres: float = 1.0) -> DepthFile:

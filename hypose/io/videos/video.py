@@ -47,10 +47,10 @@ _CODECS = {
     ".avi": ("MJPG", "mp4v"),
     ".mkv": ("FFV1", "mp4v"),
 }
+# A video is read frame by frame when its time stamps would need more than this many times its number of frames.
 _MOST_REPEATS = 4
-"""A video is read frame by frame when its time stamps would need more than this many times its number of frames."""
+# Codecs whose stored packets are one frame each, so that counting packets counts frames.
 _PICTURE_PER_PACKET = {cv2.VideoWriter.fourcc(*name) for name in ("avc1", "h264", "hevc", "hvc1")}
-"""Codecs whose stored packets are one frame each, so that counting packets counts frames."""
 
 
 @contextlib.contextmanager
