@@ -280,8 +280,7 @@ def common_frames(views: Sequence[ViewSettings], clips: Sequence[list[_ClipInfo]
                     f"ends after frame {clip.n_frames - 1}; the file is probably cut off: copy it again if "
                     "more was recorded."
                 )
-        counts_of_view = [c.n_frames for c in found]
-        if min(counts_of_view) == 0:
+        if any(c.n_frames == 0 for c in found):
             raise InputError(f"View {view.name}: {found[0].path} has no frames; record or copy it again.")
     low, high = min(counts.values()), max(counts.values())
     if high - low > 2:

@@ -256,13 +256,11 @@ def mask_in(image: Image, prepare: Preparer, segment: Segmenter, band: Mask | No
         box = found or (0, 0, 0, 0)
     prepared = prepare.within(image, box)
     runs = segment.runs(prepared, band, box)
-    if box is not None and runs.area and not _holds(box, runs.box):  # closed or filled parts may reach beyond it
-        prepared = prepare.within(image, None)
+    if box is not None and runs.area:
+        (y0, y1, x0, x1), (a0, a1, b0, b1) = box, runs.box
+        if not (y0 <= a0 and a1 <= y1 and x0 <= b0 and b1 <= x1):  # closed or filled parts may reach beyond it
+            prepared = prepare.within(image, None)
     return runs, prepared
-
-
-def _holds(box: Box, other: Box) -> bool:
-    return box[0] <= other[0] and other[1] <= box[1] and box[2] <= other[2] and other[3] <= box[3]
 
 
 class _MaskSource:

@@ -42,6 +42,7 @@ from hypose.io.sensors.depth import read_depth_png, sample_depth
 from hypose.io.sensors.skeleton_streams import (
     MAX_JOINTS,
     MISSING_MARK,
+    SKELETON_UNITS,
     SkeletonRecording,
     StreamRows,
     checked_recording,
@@ -51,7 +52,6 @@ from hypose.io.sensors.skeleton_streams import (
 _FORMAT = "hypose-skeletons"
 _FRAMES = ["sensor", "frame", "time"]
 _SKELETON = ["sensor", "frame", "person", "joint", "x", "y", "z", "state"]
-_SCALE = {"m": 1.0, "mm": 0.001}
 
 
 @dataclass
@@ -112,7 +112,7 @@ def _sensor(path: Path, value: Mapping[str, Any]) -> _Sensor:
     name, joints, unit, depth = value["name"], value["joints"], value.get("unit", "m"), value.get("depth")
     texts = [name, *joints]
     named = all(isinstance(text, str) and 1 <= len(text) <= 64 for text in texts)
-    if not named or len(set(joints)) < len(joints) or not 1 <= len(joints) <= MAX_JOINTS or unit not in _SCALE:
+    if not named or len(set(joints)) < len(joints) or not 1 <= len(joints) <= MAX_JOINTS or unit not in SKELETON_UNITS:
         raise InputError(
             f"{path}: each sensor needs a name, a list of 1 to {MAX_JOINTS} different names of joints, and the unit m "
             "or mm; correct it."
@@ -123,7 +123,9 @@ def _sensor(path: Path, value: Mapping[str, Any]) -> _Sensor:
         lens, y_up = (fx, fy, cx, cy), depth.get("y_up", False) is True
         if not (0 < fx < 1e5 and 0 < fy < 1e5 and abs(cx) < 1e5 and abs(cy) < 1e5):
             raise InputError(f"{path}: depth of sensor {name} needs intrinsics [fx, fy, cx, cy] in pixels.")
-    return _Sensor(StreamRows(name, tuple(joints)), _SCALE[unit], lens, y_up, {n: i for i, n in enumerate(joints)})
+    return _Sensor(
+        StreamRows(name, tuple(joints)), SKELETON_UNITS[unit], lens, y_up, {n: i for i, n in enumerate(joints)}
+    )
 
 
 def _rows_of(path: Path, header: Sequence[str], kind: str) -> Iterator[tuple[str, list[str]]]:
@@ -429,8 +431,7 @@ def read_azure(source: Source) -> SkeletonRecording:
     Raises: InputError where a file is not of this format.
     """
     paths = source.files(".json")
-    sensors = [_azure_rows(p) for p in paths]
-    inputs = {p.name: p for p in paths}
+    sensors, inputs = [_azure_rows(p) for p in paths], {p.name: p for p in paths}
     return checked_recording(text_of(paths[0].stem), sensors, str(paths[0]), inputs, common_clock=len(paths) == 1)
 
 

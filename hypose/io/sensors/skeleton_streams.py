@@ -30,6 +30,8 @@ MAX_SENSORS = 16
 MAX_PEOPLE = 16
 """Largest number of people that one sensor may report at a time."""
 MAX_JOINTS = 64
+SKELETON_UNITS = {"m": 1.0, "mm": 0.001}
+"""Metres per unit of positions."""
 REORDER_S = 0.2
 """A time that is further back than this, s, means that the clock was set back; otherwise the row came late."""
 _SLOWEST_S = 5.0  # largest usual step of a sensor, s: a larger one means that milliseconds were given as seconds
@@ -175,11 +177,9 @@ def build_stream(rows: StreamRows, where: str) -> tuple[SensorStream, tuple[str,
     empty = np.array(rows.empty) if not clock_notes else np.zeros(0)
     instants, first = np.unique(np.concatenate([repaired[order], empty]), return_inverse=True)
     present: list[dict[int, int]] = [{} for _ in instants]
-    doubled = 0
     for i, at in zip(order.tolist(), first[: len(order)].tolist(), strict=True):
-        doubled += rows.ids[i] in present[at]
         present[at][rows.ids[i]] = i
-    if doubled:
+    if doubled := len(order) - sum(map(len, present)):
         notes.append(f"{rows.name}: {doubled} bodies came twice for the same person and time; the last one counts")
     columns = _columns([list(p) for p in present])
     people = max((c + 1 for row in columns for c in row.values()), default=1)
@@ -203,16 +203,12 @@ def build_stream(rows: StreamRows, where: str) -> tuple[SensorStream, tuple[str,
 def _columns(present: Sequence[Sequence[int]]) -> list[dict[int, int]]:
     """Assign people to columns at every instant: the same column while a person is seen, else the lowest free one."""
     out: list[dict[int, int]] = []
-    last: dict[int, int] = {}
     for people in present:
-        now = {p: last[p] for p in people if p in last}
-        taken = set(now.values())
+        now = {p: c for p, c in out[-1].items() if p in people} if out else {}
         for p in people:
             if p not in now:
-                now[p] = next(c for c in range(len(taken) + 1) if c not in taken)
-                taken.add(now[p])
+                now[p] = next(c for c in range(len(now) + 1) if c not in now.values())
         out.append(now)
-        last = now
     return out
 
 
@@ -441,7 +437,6 @@ MAX_SKELETON_LINE = 16384
 _KNOWN = frozenset({"sensor", "time", "person", "joints", "unit", "token", "received", "v"})
 _SENSOR = re.compile(r"[A-Za-z0-9_.-]{1,32}")
 _JOINT = re.compile(r"[A-Za-z0-9_ .-]{1,48}")
-_SCALE = {"m": 1.0, "mm": 0.001}
 _NUMBERS = frozenset({float, int})
 _MISSING = [math.nan, math.nan, math.nan, 0]
 
@@ -471,7 +466,7 @@ def parse_line(data: bytes | str) -> tuple[SensorReport, str]:
     if not isinstance(token, str):
         _bad("token must be text")
     unit = value.get("unit", "m")
-    if not isinstance(unit, str) or unit not in _SCALE:
+    if not isinstance(unit, str) or unit not in SKELETON_UNITS:
         _bad("unit must be m or mm")
     time = _number(value.get("time"), "time")
     received = None if value.get("received") is None else _number(value["received"], "received")
@@ -483,7 +478,7 @@ def parse_line(data: bytes | str) -> tuple[SensorReport, str]:
         return SensorReport(sensor, time, None, (), empty, np.zeros(0, dtype=np.uint8), received), token
     if not isinstance(joints, dict) or not 1 <= len(joints) <= MAX_JOINTS:
         _bad(f"joints must be an object with 1 to {MAX_JOINTS} joints, or null when no person is seen")
-    names, scale = tuple(joints), _SCALE[unit]
+    names, scale = tuple(joints), SKELETON_UNITS[unit]
     _check_names(names)
     return SensorReport(sensor, time, person, names, *_positions(joints, scale), received), token
 
