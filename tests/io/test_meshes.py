@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 import trimesh
 
-from hypose.body.body import Body
-from hypose.body.coarse_mesh import enclosed_volume, is_closed
+from hypose.body.body import Body, enclosed_volume
+from hypose.body.coarse_mesh import is_closed
 from hypose.body.default_body import JOINT_NAMES, human
-from hypose.body.fit_skeleton import scan_pose
 from hypose.body.joint_names import MIXAMO, SMPL_JOINTS, renamed_body
 from hypose.body.motion import Motion, isotropic
 from hypose.errors import InputError
 from hypose.io.motions.gltf import write_glb
 from hypose.io.motions.meshes import PersonMesh, closed_surface, read_person
 from hypose.pipeline.mesh_subject import rig_mesh
+from hypose.pipeline.scan_fit import scan_pose
 
 Y_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.body.coarse_mesh import enclosed_volume
+from hypose.body.body import enclosed_volume
 from hypose.body.joint_names import SMPL_JOINTS
 from hypose.errors import InputError, extra
 from hypose.geometry import Array
