@@ -204,7 +204,11 @@ _UP_FROM_BOARD = np.array([[-1.0, 0, 0], [0, 0, -1], [0, -1, 0]])
 
 
 class _Kind:
-    """The number format of a pickled array: type code and byte order."""
+    """The number format of a pickled array.
+
+    code: numpy's code of the type, such as "f8".
+    order: byte order, "<" or ">".
+    """
 
     def __init__(self, code: Any, *_: Any) -> None:
         self.code, self.order = code, "<"

@@ -35,7 +35,7 @@ class Rig:
     names: n joint names.
     parents: (n,) index of each joint's parent; -1 for none.
     joints: (n, 3) joint centres in the units of the file.
-    weights: (V, n).
+    weights: (V, n) share of each joint in the movement of each vertex.
     """
 
     names: tuple[str, ...]

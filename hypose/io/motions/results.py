@@ -429,7 +429,7 @@ class Checkpoint:
 
     @staticmethod
     def read(path: str | Path) -> Checkpoint:
-        """Read a checkpoint of any run."""
+        """Read a checkpoint of any run; InputError where the file is damaged or of another version of hypose."""
         path = Path(path)
         arrays = load_archive(path, "checkpoint", _AFRESH)
         try:

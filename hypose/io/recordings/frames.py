@@ -124,7 +124,7 @@ class PendingMasks:
         return Colours(codes, seen, edges) if seen.any() else None
 
     def begin_outlines(self, lanes: Sequence[Executor]) -> None:
-        """Start the computation of the outlines, each after the mask of its view."""
+        """Start the computation of the outlines, each after the mask of its view. lanes: executor of each view."""
         if not self._outlines:
             self._outlines = [lane.submit(_outline, f) for lane, f in zip(lanes, self._done, strict=True)]
 

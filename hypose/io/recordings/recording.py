@@ -282,11 +282,11 @@ class Recording:
     frame_range: first frame, and the one after the last; None for all.
     keypoint_set: name of the key-point set; None where there are no key points.
     keypoint_lag: key points of frame t belong to video frame t + keypoint_lag.
-    subject_height: m.
-    subject_mass: kg.
+    subject_height: m; None where it is not known.
+    subject_mass: kg; None where it is not known.
     keypoint_pixels: "calibration" or "image": the size of picture whose pixels the key points use.
     n_frames: number of frames that every view has.
-    calibration: path of the calibration file.
+    calibration: path of the calibration file; None without one.
     silhouettes: settings of the masks.
     people: known data of several people.
     notes: sentences for the user about accepted irregularities.

@@ -225,9 +225,11 @@ class Preparer:
         return self._lenses[stored]
 
     def differing_box(self, image: Image, glance: Glance) -> Box | None:
-        """Find the box (working size) around all foreground in a stored picture; None where there is none.
+        """Find the box around all foreground in a stored picture.
 
+        image: (h, w, 3) BGR as stored.
         glance: coarse test of pixels against the background.
+        Returns: y0, y1, x0, x1 in the undistorted picture of working size; None where there is no foreground.
         """
         image = self._enlarged(image)
         stored = (image.shape[1], image.shape[0])
@@ -352,12 +354,17 @@ class ViewSource:
             self._masks.chosen = objects
 
     def image(self, frame: int) -> Image:
-        """Read the undistorted picture of a frame at working size."""
+        """Read the undistorted picture (h, w, 3) BGR of a frame at working size.
+
+        Raises: InputError where the view has no pictures or the frame cannot be read.
+        """
         return self._prepare(self._stored(frame))
 
     def image_of_mask(self, frame: int) -> Image | None:
-        """Get the undistorted picture of a frame, valid at least within the mask just made for it; None without a
-        picture."""
+        """Get the undistorted picture (h, w, 3) BGR of a frame whose mask was made last.
+
+        Returns: the picture, valid at least within the mask; None where the view has no picture or it is damaged.
+        """
         if self._shown is not None and self._shown[0] == frame:
             return self._shown[1]
         try:

@@ -219,7 +219,7 @@ def open_realsense(serial: str | None = None) -> DepthFile:
 
     The frames end when the camera is disconnected; closing the iterator stops the camera.
 
-    serial: serial number, needed where there are several cameras.
+    serial: serial number of the camera; None for the only one.
     Raises: InputError where there is no such camera or it does not start.
     """
     library = _library()
@@ -509,7 +509,7 @@ def _number(name: str) -> int:
 
 
 def _unpacked(archive: zipfile.ZipFile, name: str) -> bytes:
-    """Read an entry of a zip after checking its stated size."""
+    """Read an entry of a zip; BadZipFile where its stated size is above 64 MiB."""
     if archive.getinfo(name).file_size > _PACKED_BYTES:
         raise zipfile.BadZipFile(name)
     return archive.read(name)
@@ -572,7 +572,7 @@ class _RealSense:
 
 
 class _Maps:
-    """A folder of depth maps as a `Film` that can be played."""
+    """A folder of depth maps (16-bit PNG, mm) as a `Film`, whose pictures are maps (h, w), float32 m."""
 
     frame_rate: float | None = None
 

@@ -183,7 +183,13 @@ def _read_bodies(path: Path, sensors: Mapping[str, _Sensor]) -> dict[str, _Bodie
 
 
 def _fill(sensor: _Sensor, bodies: _Bodies, folder: Path) -> None:
-    """Add the bodies to the sensor's rows in the order of frame numbers, which is the order of arrival."""
+    """Add the bodies to the sensor's rows in the order of frame numbers, which is the order of arrival.
+
+    sensor: its times are known, its rows are empty.
+    bodies: positions (J, 3), in the sensor's unit, and states (J,) by frame number and person.
+    folder: the recording folder, in which depth maps lie.
+    Raises: InputError where a depth map cannot be read.
+    """
     by_frame: dict[int, list[tuple[int, Array, NDArray[np.uint8]]]] = {}
     for (frame, person), (positions, state) in bodies.items():
         scaled = np.where(positions > -9000, positions * sensor.scale, positions)

@@ -119,7 +119,8 @@ class StreamRows:
     name: name of the sensor.
     joint_names: J names.
     times, ids: time (s) and number of the person of each body.
-    positions, state, joint_depth: (J, 3) m, (J,) and (J,) m of each body, as in `SensorStream`.
+    positions, state: (J, 3) m and (J,) of each body, as in `SensorStream`.
+    joint_depth: (J,) depth map at the joints' pixels of each body, m; empty where the sensor has no depth maps.
     """
 
     name: str

@@ -317,6 +317,7 @@ def _asked(address: str, seconds: float) -> http.client.HTTPResponse:
 class Film(Protocol):
     """Interface of everything that can be played: numbered pictures.
 
+    path: file or folder, for the error messages.
     frame_rate: Hz; None where not known.
     n_frames: number of pictures.
     """
