@@ -111,8 +111,11 @@ def gait(
 
 
 def _write_gait(folder: Path, motion: Motion, gait: Gait) -> list[Path]:
-    """Write events.csv, steps.csv, gait.csv and gait.c3d (joint centres with the events), and with a whole stride
-    cycles.csv and cycles.svg (joint angles over the cycle); return their paths.
+    """Write the gait: events.csv, steps.csv, gait.csv and gait.c3d (joint centres with the events), and with a whole
+    stride cycles.csv and cycles.svg (joint angles over the cycle).
+
+    motion: of which the gait is.
+    Returns: paths of the files.
     """
     import numpy as np
 
@@ -241,10 +244,13 @@ def play_motion(
     wait: Callable[[float], None] = time.sleep,
     clock: Callable[[], float] = time.monotonic,
 ) -> None:
-    """Send a motion with poses to an avatar at its own pace times `speed`, repeated with `loop`.
+    """Send a motion with poses to an avatar at its own pace.
 
     Late frames are skipped; lost frames repeat the last pose and are marked.
+    body: of the motion.
     send: sends the messages of a frame.
+    speed: factor of the pace.
+    loop: repeat until interrupted.
     wait, clock: replaced in tests.
     Raises: InputError where no frame has a pose.
     """

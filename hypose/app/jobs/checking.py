@@ -67,8 +67,11 @@ def _name(path: Path | None) -> str:
 
 
 def check_recording(recording: Recording, sheet: Path, samples: int, progress: ProgressCall = ignore) -> Findings:
-    """Check masks and visual hulls of `samples` frames spread over the recording, and write the contact sheet.
+    """Check masks and visual hulls of some frames spread over the recording, and write the contact sheet.
 
+    sheet: picture to write.
+    samples: number of frames.
+    Returns: facts and warnings.
     Raises: EvidenceError where no frame shows a person.
     """
     facts: list[str] = []
@@ -138,7 +141,12 @@ def examine_recording(
 
 
 def write_findings(path: Path, found: Findings, report: PersonReport | None) -> None:
-    """Write the findings as JSON for the studio: facts, warnings, findings, figures per view, name of the page."""
+    """Write the findings of a check as JSON for the studio: facts, warnings, findings, figures per view, name of the
+    page.
+
+    found: result of `check_recording`.
+    report: result of `examine_recording`; None without one.
+    """
     value = {
         "healthy": not found.warnings and (report is None or report.healthy),
         "facts": found.facts,
@@ -157,6 +165,10 @@ def write_findings(path: Path, found: Findings, report: PersonReport | None) -> 
 
 
 def _mask_warnings(silhouettes: Silhouettes, number: int) -> list[str]:
+    """List sentences on masks that are unusable, or cover too little or too much of the picture.
+
+    number: of the frame.
+    """
     out = []
     pixels = silhouettes.rig.sizes.prod(1)
     for c, name in enumerate(silhouettes.rig.names):
@@ -175,8 +187,12 @@ def _mask_warnings(silhouettes: Silhouettes, number: int) -> list[str]:
 def _hull_facts(
     silhouettes: Silhouettes, number: int, facts: list[str], warnings: list[str], several: bool
 ) -> tuple[float, np.ndarray] | None:
-    """Compute the height (m) of the visual hull and its IoU with each view's mask (C,); add sentences. None without a
-    hull.
+    """Compute the height of the visual hull and its overlap with the masks, and add sentences on them.
+
+    number: of the frame.
+    facts, warnings: receive the sentences.
+    several: several people are in the masks, so that all parts of the hull count.
+    Returns: height in m, and IoU with each view's mask (C,), NaN for unusable masks; None without a hull.
     """
     try:
         hull = visual_hull(silhouettes, largest=not several)
@@ -195,6 +211,11 @@ def _hull_facts(
 
 
 def _hull_warnings(recording: Recording, heights: np.ndarray, ious: np.ndarray) -> list[str]:
+    """List sentences on views that contradict the others, and on a hull of a height that no person has.
+
+    heights: (N,) of the hulls, m.
+    ious: (N, C) IoU of each hull with each view's mask; NaN where the mask is unusable.
+    """
     out = []
     for c, view in enumerate(recording.views):
         known = ious[:, c][np.isfinite(ious[:, c])]
@@ -228,7 +249,11 @@ def _keypoint_facts(source: FrameStream) -> list[str]:
 
 
 def write_sheet(recording: Recording, source: FrameStream, path: Path, count: int) -> None:
-    """Write a picture of `count` frames, one below the other, each with all views and the outlines of the masks."""
+    """Write a picture of some frames, one below the other, each with all views and the outlines of the masks.
+
+    source: frames of the recording.
+    count: number of frames, spread over the recording.
+    """
     rows = np.unique(np.linspace(0, len(source) - 1, min(count, len(source))).astype(int)).tolist()
     numbers = recording.frames
     with open_images(recording) as images:

@@ -39,7 +39,12 @@ def compare_files(
     joints: Mapping[str, Sequence[str]],
     subject: str | None = None,
 ) -> list[Compared]:
-    """Compare all pairs of a result and another motion; joints, subject: as for `read_other`."""
+    """Compare pairs of a result and another motion.
+
+    pairs: paths of a result and of what it is compared with.
+    joints, subject: as for `read_other`.
+    Raises: InputError where a file cannot be read or compared.
+    """
     return [Compared(a, b, compare_motions(load_result(a), read_other(b, joints, subject), options)) for a, b in pairs]
 
 
@@ -141,6 +146,7 @@ def write_comparison_page(path: Path, compared: Sequence[Compared], failed: Sequ
 
 
 def _table(rows: Sequence[Agreement]) -> str:
+    """Build the HTML table of joints or angles; columns with a star are without the constant offset."""
     head = ("", "unit", "frames", "median", "p95", "RMSE", "offset", "median*", "p95*", "RMSE*", "bias", "limits", "r",
             "inside 90 %")  # fmt: skip
     out = ["<table><tr>" + "".join(f"<th>{h}</th>" for h in head) + "</tr>"]

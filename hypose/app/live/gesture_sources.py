@@ -125,6 +125,11 @@ def _of_frames(name: str, lens: DepthLens, size: tuple[int, int], frames: Iterat
 
 
 def _simulated(who: str, gesture: str, seed: int) -> GestureSource:
+    """Open the simulated person.
+
+    who: number of the person, as text.
+    gesture: that the person does when a phase asks for it.
+    """
     from hypose.synthetic.gesture_scenes import live_person
 
     if not who.isdigit():

@@ -217,6 +217,7 @@ class LiveServer:
             self._note(f"Recording stops: {error}")
 
     def _allowed(self, now: float) -> bool:
+        """Count a line against the limit of received lines (a token bucket); return whether it is within it."""
         o = self.options
         if self._refilled > -math.inf:
             self._allowance = min(o.burst, self._allowance + (now - self._refilled) * o.lines_per_s)
@@ -227,6 +228,7 @@ class LiveServer:
         return True
 
     def _ignore(self, reason: str, now: float) -> str:
+        """Count an ignored line, and report it at most every 5 s; return the reason."""
         self.ignored += 1
         self._silent += 1
         if now - self._complained >= _COMPLAINT_S:
@@ -292,6 +294,7 @@ class LiveServer:
     # ---- WebSocket ----
 
     def _admit(self, connection: ServerConnection, request: Request) -> Response | None:
+        """Refuse a WebSocket request with another path, too many connections or a wrong token; None: it is accepted."""
         path, _, query = request.path.partition("?")
         if path not in ("/in", "/out"):
             return connection.respond(HTTPStatus.NOT_FOUND, "the paths are /in and /out\n")
@@ -347,6 +350,8 @@ class _Datagrams(asyncio.DatagramProtocol):
 def frame_json(frame: LiveFrame, latency: float) -> str:
     """Encode one frame as a line of JSON: per person joints (15) [x, y, z] m in the order of the hello message, and sd
     (15) m.
+
+    latency: from the time of the frame until now, s.
     """
     people = [
         {
