@@ -15,7 +15,7 @@ import pytest
 from hypose.app.reports import report
 from hypose.app.reports.report import drawn_of, report_html
 from hypose.app.studio.view_bundle import load_view, view_bundle
-from hypose.app.studio.view_pictures import ViewPictures
+from hypose.app.studio.view_pictures import OpenRecording
 from hypose.body.joint_angles import ANGLE_NAMES
 from hypose.calibration.findings import Finding
 from hypose.errors import InputError
@@ -138,7 +138,7 @@ def test_any_frame_is_the_right_one(folder):
         for i in range(80):  # every frame says in its grey value which it is
             writer.write(np.full((48, 64, 3), (i * 3) % 250, np.uint8))
     views = tuple(replace(v, video=path) for v in recording.views[:1]) + recording.views[1:]
-    pictures = ViewPictures(replace(recording, views=views), 0, 80)
+    pictures = OpenRecording(replace(recording, views=views), (0, 80))
     with open_video(path) as reader:
         true = [float(reader.read().mean()) for _ in range(80)]
     for row in (79, 3, 40, 41, 12, 70, 0, 55, 2):
@@ -150,7 +150,7 @@ def test_any_frame_is_the_right_one(folder):
 
 def test_outlines_lie_around_the_person(folder):
     recording, result = load_recording(folder.parents[1]), load_view(folder)
-    pictures = ViewPictures(recording, 0, 8)
+    pictures = OpenRecording(recording, (0, 8))
     lines = pictures.outlines(4)
     pictures.close()
     for camera, polygons in zip(recording.rig, lines, strict=True):
