@@ -191,20 +191,20 @@ def compare(c: CompareCommand) -> None:
     compare_job.write_comparison_page(folder / "compare.html", compared, failed)
     for file in dict.fromkeys(c.files):
         tell_untrusted(file)
-    for one in compared:
-        print_notes(one.found.notes)
-        if one.found.joints:
-            median, p95, rmse = one.found.left_mm
-            share = compare_job.mean_coverage(one.found)
+    for _, other, found in compared:
+        print_notes(found.notes)
+        if found.joints:
+            median, p95, rmse = found.left_mm
+            share = compare_job.mean_coverage(found)
             inside = f", {100 * share:.0f} % inside our 90 % regions" if share == share else ""
             say(
-                f"{one.other}: {len(one.found.joints)} joints, offsets aside: median {median:.1f} mm, 95 % within "
+                f"{other}: {len(found.joints)} joints, offsets aside: median {median:.1f} mm, 95 % within "
                 f"{p95:.1f} mm, RMSE {rmse:.1f} mm{inside}"
             )
-        if one.found.angles:
-            degrees = [a.rmse_left for a in one.found.angles if a.unit == "deg" and a.n]
+        if found.angles:
+            degrees = [a.rmse_left for a in found.angles if a.unit == "deg" and a.n]
             span = f"{min(degrees):.1f} to {max(degrees):.1f} degrees" if degrees else "-"
-            say(f"{one.other}: {len(degrees)} angles, offsets aside: RMSE {span}")
+            say(f"{other}: {len(degrees)} angles, offsets aside: RMSE {span}")
     say(f"Table: {folder / 'compare.csv'}")
     say(f"Page:  {folder / 'compare.html'}")
     for text in failed:

@@ -81,7 +81,9 @@ def check_recording(recording: Recording, sheet: Path, samples: int, progress: P
         facts += ["Several people stand in the masks; their hulls are looked at together."] if several else []
         facts += [f"note: {text}" for text in source.notes]
         rows = np.unique(np.linspace(0, len(source) - 1, min(samples, len(source))).astype(int)).tolist()
-        ious, heights, shown, why = [], [], _points_seen(source), ""
+        ious, heights, why = [], [], ""
+        points = np.stack([k.points for k in source.keypoints]) if source.keypoints else np.zeros((0, 0, 0, 3))
+        shown = bool((points[..., 2] > 0).any())
         for row in each(progress, "check", rows):
             frame = source.frame(row)
             for masks in frame.of(Silhouettes):
@@ -98,7 +100,10 @@ def check_recording(recording: Recording, sheet: Path, samples: int, progress: P
         if ious:
             contradicted = _hull_warnings(recording, np.array(heights), np.array(ious))
             warnings = [*([guessed] if guessed and contradicted else []), *warnings, *contradicted]
-        facts += _keypoint_facts(source)
+        if len(points):
+            shares = zip(source.rig.names, (points[..., 2] > 0.3).mean((0, 2)), strict=True)
+            listed = ", ".join(f"{name} {100 * share:.0f} %" for name, share in shares)
+            facts.append(f"Key points seen with confidence above 0.3: {listed}.")
         write_sheet(recording, source, sheet, min(len(rows), 3))
     if not shown:
         raise EvidenceError(
@@ -232,20 +237,6 @@ def _hull_warnings(recording: Recording, heights: np.ndarray, ious: np.ndarray) 
             "(calibration_unit) and which of its axes points up (world_up)."
         )
     return out
-
-
-def _points_seen(source: FrameStream) -> bool:
-    """Return whether any key point was found in any frame."""
-    return source.keypoints is not None and any(bool((k.points[..., 2] > 0).any()) for k in source.keypoints)
-
-
-def _keypoint_facts(source: FrameStream) -> list[str]:
-    if source.keypoints is None:
-        return []
-    confidence = np.stack([k.points[..., 2] for k in source.keypoints])
-    seen = (confidence > 0.3).mean((0, 2))
-    shares = ", ".join(f"{n} {100 * s:.0f} %" for n, s in zip(source.rig.names, seen, strict=True))
-    return [f"Key points seen with confidence above 0.3: {shares}."]
 
 
 def write_sheet(recording: Recording, source: FrameStream, path: Path, count: int) -> None:

@@ -5,7 +5,7 @@ lines.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import count
 
@@ -93,18 +93,13 @@ async def send(recording: SensorRecording, take: Callable[[str], object], rng: n
     sensors = recording.sensor_names
     phases = rng.uniform(0, 1 / FRAME_RATE, len(sensors))
     clocks = rng.uniform(0, 1000, len(sensors))
-    began = loop.time()
+    state, began = np.full(len(jt.COMMON), TRACKED, dtype=np.uint8), loop.time()
     for n in count():
         for k in np.argsort(phases).tolist():
             at = n / FRAME_RATE + float(phases[k])
             await asyncio.sleep(max(0.0, began + at - loop.time()))
-            take(_line(recording, n % len(recording), k, sensors, float(clocks[k]) + at))
-
-
-def _line(recording: SensorRecording, frame: int, sensor: int, names: Sequence[str], time: float) -> str:
-    positions = recording.positions[frame, sensor]
-    state = np.full(len(jt.COMMON), TRACKED, dtype=np.uint8)
-    return format_line(SensorReport(names[sensor], time, 0, jt.COMMON, positions, state))
+            joints = recording.positions[n % len(recording), k]
+            take(format_line(SensorReport(sensors[k], float(clocks[k]) + at, 0, jt.COMMON, joints, state)))
 
 
 def ring_sensors(angles_deg: ArrayLike, distance: float = 2.5, height: float = 1.1) -> Array:

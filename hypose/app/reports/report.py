@@ -186,11 +186,11 @@ def _cards(what: ViewResult) -> str:
         cards.append((f"{what.truth.mean_mm:.1f} mm", "mean joint error"))
     if what.seconds.get("track"):
         cards.append((f"{s.frames / what.seconds['track']:.1f}", "frames/s tracked"))
-    return '<div class="cards">' + "".join(_card(a, b) for a, b in cards) + "</div>"
-
-
-def _card(value: str, label: str) -> str:
-    return f'<div class="card"><b>{html.escape(value)}</b><span>{html.escape(label)}</span></div>'
+    return (
+        '<div class="cards">'
+        + "".join(f'<div class="card"><b>{a}</b><span>{html.escape(b)}</span></div>' for a, b in cards)
+        + "</div>"
+    )
 
 
 def _figure(svg: str, caption: str) -> str:

@@ -27,7 +27,7 @@ from hypose.io.recordings.recording_views import open_pictures
 from hypose.io.videos.video import VideoReader
 
 # BGR; also different for people with red-green colour blindness
-_LEFT, _RIGHT, MIDDLE = (40, 130, 240), (225, 140, 40), (235, 235, 235)
+_LEFT, _RIGHT, _MIDDLE = (40, 130, 240), (225, 140, 40), (235, 235, 235)
 BODY, _MASK, ALARM = (200, 190, 60), (190, 90, 230), (40, 40, 230)
 MAX_TILE, MAX_WIDTH = 960, 1920
 _BAR, _GREY = 26, 24
@@ -173,14 +173,6 @@ def jpeg(image: Image, width: int, quality: int = 82) -> bytes:
     return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
 
 
-def bones(body: Body) -> Iterator[tuple[int, int, tuple[int, int, int]]]:
-    """Yield (parent, child, BGR colour) of every bone."""
-    for j, p in enumerate(body.skeleton.parents.tolist()):
-        if p >= 0:
-            name = body.skeleton.joint_names[j]
-            yield p, j, _LEFT if name.startswith("left") else _RIGHT if name.startswith("right") else MIDDLE
-
-
 def draw_skeleton(image: Image, camera: Camera, body: Body, joints: Array) -> None:
     """Draw bones between joint centres: the left side orange, the right side blue.
 
@@ -193,8 +185,9 @@ def draw_skeleton(image: Image, camera: Camera, body: Body, joints: Array) -> No
     seen = np.isfinite(uv.sum(1))
     uv[~seen] = 0
     at = _fixed(uv)[:, 0].tolist()
-    for a, b, colour in bones(body):
-        if seen[a] and seen[b]:
+    for b, (name, a) in enumerate(zip(body.skeleton.joint_names, body.skeleton.parents.tolist(), strict=True)):
+        if a >= 0 and seen[a] and seen[b]:
+            colour = _LEFT if name.startswith("left") else _RIGHT if name.startswith("right") else _MIDDLE
             cv2.line(image, at[a], at[b], (20, 20, 20), width + 2, cv2.LINE_AA, _SHIFT)
             cv2.line(image, at[a], at[b], colour, width, cv2.LINE_AA, _SHIFT)
 
