@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from hypose.app import options
-from hypose.app.commands import commands_data, commands_results, commands_track
+from hypose.app.commands import commands_recordings, commands_results
 from hypose.app.jobs.correct import read_correction
 from hypose.app.studio.catalog import Catalog, Item
 from hypose.errors import HyposeError, InputError
@@ -62,17 +62,17 @@ _KINDS: Mapping[str, tuple[str, Callable[..., Any], str]] = {
     "in_step": ("Synchronise {}", options.SyncCommand, "offsets"),
     "check": ("Check {}", options.CheckCommand, "samples frames"),
     "refine": ("Refine the calibration of {}", options.CheckCommand, "using far focal height"),
-    "keypoints": ("Find the person in the videos of {}", commands_data.keypoints, "yes"),
-    "silhouettes": ("Silhouettes of {}", commands_data.silhouettes, "frames"),
+    "keypoints": ("Find the person in the videos of {}", commands_recordings.keypoints, "yes"),
+    "silhouettes": ("Silhouettes of {}", commands_recordings.silhouettes, "frames"),
     "subject": ("Measure the person in {}", options.SubjectCommand, "height mass start frames poses"),
     "track": (
         "Track {}",
         options.TrackCommand,
         "recipe refine evidence start height frames seed formats camera subject overlay",
     ),
-    "correct": ("Track {} again from frame {}", commands_track.correct, "until"),
+    "correct": ("Track {} again from frame {}", commands_recordings.correct, "until"),
     "export": ("Export {}", commands_results.export, "formats"),
-    "demo": ("Make a demo recording and track it", commands_track.demo, "seconds seed"),
+    "demo": ("Make a demo recording and track it", commands_recordings.demo, "seconds seed"),
     "fuse": ("Fuse {}", options.FuseCommand, ""),
 }
 """Title of each kind, the declaration of its command's options, and those which a page may set."""

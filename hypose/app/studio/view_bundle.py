@@ -12,6 +12,7 @@ import contextlib
 import json
 import math
 import struct
+import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field
@@ -106,6 +107,7 @@ class ViewResult:
     complete: every frame was tracked.
     rivals: other poses, where the method keeps any.
     assessment: of the result; None where there is none.
+    date: day on which the first recorded file was last written, YYYY-MM-DD; "" where not known.
     """
 
     title: str
@@ -123,6 +125,7 @@ class ViewResult:
     complete: bool = True
     rivals: Rivals | None = None
     assessment: Assessment | None = None
+    date: str = ""
 
 
 def pictured(recording: Recording) -> list[str]:
@@ -405,7 +408,10 @@ def in_recording(recording: Recording | None, motion: Motion, body: Body | None,
     if recording is None:
         return ViewResult(motion=motion, body=body, **more)
     shifts = [v.image_shift for v in recording.views]
-    cameras = {"rig": recording.rig, "image_shifts": shifts, "pictures": pictured(recording)}
+    cameras = {"rig": recording.rig, "image_shifts": shifts, "pictures": pictured(recording), "date": ""}
+    files = [v.source or v.masks or v.depth or v.keypoints for v in recording.views]
+    with contextlib.suppress(OSError, StopIteration):
+        cameras["date"] = time.strftime("%Y-%m-%d", time.localtime(next(filter(None, files)).stat().st_mtime))
     return ViewResult(**{"title": recording.name, **cameras, "motion": motion, "body": body, **more})
 
 
