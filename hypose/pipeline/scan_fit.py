@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import KDTree
 
-from hypose.body.anthropometry import body_of, entity, prior_mean
+from hypose.body.anthropometry import body_of, entity, prior_covariance, prior_mean
 from hypose.body.body import Body
 from hypose.body.skin_weights import vertex_normals
 from hypose.errors import InputError
@@ -30,6 +30,9 @@ _ROUGH = ShapeSettings(iterations=(4,), coarse=(3.0,))
 _FINE = ShapeSettings(iterations=(6, 8, 10), coarse=(2.0, 1.0, 0.6))
 _WEIGHT = 150.0
 """Weight of all samples of a scan together: errors of neighbouring samples are correlated."""
+UNLIKELY = 8.0
+"""Mahalanobis distance of proportions above which a scan is no person: heavy people have 6, a person squeezed to a pole
+10."""
 _SCALE = 0.02
 """Robust scale of a sample's distance, share of the stature."""
 
@@ -65,12 +68,14 @@ class ScanFit:
     body: body with the scan's proportions, at rest.
     pose: (D,) in the upright frame of the scan.
     distance: median distance between the two surfaces in both directions, m.
+    unlikely: Mahalanobis distance of the proportions from those of the population, the stature left out.
     far: share of the samples farther than 5 % of the stature.
     """
 
     body: Body
     pose: Array
     distance: float
+    unlikely: float
     far: float
 
 
@@ -188,7 +193,10 @@ def fit_template(surface: ScanSamples, template: Body, stances: list[ScanPose]) 
     own = np.concatenate([v, v[faces].mean(1)])
     gaps = np.concatenate([KDTree(points).query(own)[0], KDTree(own).query(points)[0]])
     far = float((gaps > 0.05 * np.ptp(points[:, 2])).mean())
-    return ScanFit(body_of(template, fit.log_factors), fit.poses[0], float(np.median(gaps)), far), stance
+    off = (fit.log_factors - prior_mean())[1:]
+    unlikely = float(np.sqrt(off @ np.linalg.solve(prior_covariance()[1:, 1:], off)))
+    body = body_of(template, fit.log_factors)
+    return ScanFit(body, fit.poses[0], float(np.median(gaps)), unlikely, far), stance
 
 
 def _scan_term(points: Array, normals: Array) -> DepthTerm:
