@@ -26,15 +26,13 @@ _ARMS = {"a": (0.75, 0.0, -0.66), "t": (1.0, 0.0, 0.0), "standing": (0.18, 0.0, 
 SCAN_POSES = tuple(_ARMS)
 """Poses in which a person may be scanned: A-pose, T-pose, standing with hanging arms, hands up."""
 
-_ROUGH = ShapeSettings(iterations=(4,), coarse=(3.0,))
-_FINE = ShapeSettings(iterations=(6, 8, 10), coarse=(2.0, 1.0, 0.6))
+_ROUGH = ShapeSettings(iterations=(4,), coarse=(4.0,))
+_FINE = ShapeSettings(iterations=(6, 8, 10), coarse=(2.7, 1.4, 0.8))
 _WEIGHT = 150.0
 """Weight of all samples of a scan together: errors of neighbouring samples are correlated."""
 UNLIKELY = 8.0
 """Mahalanobis distance of proportions above which a scan is no person: heavy people have 6, a person squeezed to a pole
 10."""
-_SCALE = 0.02
-"""Robust scale of a sample's distance, share of the stature."""
 
 
 @dataclass(frozen=True)
@@ -210,8 +208,7 @@ def _scan_term(points: Array, normals: Array) -> DepthTerm:
     first = np.searchsorted(sensor[order], np.arange(len(axes) + 1))
     weight = np.full(len(points), _WEIGHT / len(points))
     no_maps = np.zeros((6, 1, 1), np.float32), np.ones((6, 2), np.int64), np.zeros((6, 3, 4))
-    scale = _SCALE * float(np.ptp(points[:, 2]))
-    return DepthTerm(points[order], normals[order], weight, first, 1e3 * axes, *no_maps, scale_m=scale)
+    return DepthTerm(points[order], normals[order], weight, first, 1e3 * axes, *no_maps)
 
 
 def unposed(body: Body, pose: ArrayLike, points_world: ArrayLike, weights: ArrayLike) -> Array:
