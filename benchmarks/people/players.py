@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.bench_report import BenchOptions, BenchReport, Row, row
-from benchmarks.multiview.court import DISTURBED, court_scene
+from benchmarks.multiview.court import LATE, court_scene
 from hypose.body.default_body import human
 from hypose.body.motion import Motion
 from hypose.calibration.synchronisation import Resampled, offsets_from_motion
@@ -59,7 +59,7 @@ def run(seed: int, seconds: float) -> dict[str, Any]:
         "walker": replace(scene, subject=other, performance=walks, others=()),
     }
     together = FrameList(list(scene.mask_frames(1.0)), RATE)
-    lags = np.array([DISTURBED.desync[c % len(DISTURBED.desync)] for c in range(len(scene.rig))], dtype=np.float64)
+    lags = np.array([LATE.desync[c % len(LATE.desync)] for c in range(len(scene.rig))], dtype=np.float64)
     masks = [f.silhouettes for f in together.frames]
     late = offsets_from_motion(scene.given_rig.pinhole(), None, masks).frames
     out: dict[str, Any] = {"offset": float(np.abs((late - late.mean()) - (lags - lags.mean())).max())}
