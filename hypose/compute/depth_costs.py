@@ -92,7 +92,7 @@ def standing_depth(
     """
     q = plain(pose, np.float64)
     n = len(tree.parents)
-    parts = moving_parts(mesh, tree, plain(moving, np.bool_), None)
+    parts = moving_parts(mesh, tree, plain(moving, np.bool_))
     rotations, centres = np.empty((n, 3, 3)), np.empty((n, 3))
     drawn, cost = np.empty(seen.maps.shape, np.float32), np.zeros(len(seen.maps))
     given = tidy(tree), tidy(mesh), np.flatnonzero(parts.standing), seen, np.float32(most_m)

@@ -31,7 +31,6 @@ from hypose.compute.coverage import (
     row_stride,
 )
 from hypose.compute.lane_mesh import lane_scratch
-from hypose.compute.reach import draw_standing
 from hypose.compute.simd import load, splat, store, times_plus
 from hypose.compute.threads import over_chunks
 from hypose.errors import InputError, SolverError
@@ -84,7 +83,8 @@ def bone_maps(poses, first, tree, needed, frames, centres, axis, scratch, maps):
     """Compute the maps of the needed joints from the model at rest to the world about each pose's root, for LANES poses
     from first on (the last one repeated).
 
-    needed: (J,) joints to compute.
+    poses: (N, D).
+    needed: (J,) bool, joints to compute.
     frames, centres: (J + 1, 9, LANES) and (J, 3, LANES), kinematics in float64.
     axis, scratch: scratch.
     maps: (J, 12, LANES) f4 gets the rows of the (3, 4) maps.
@@ -160,6 +160,7 @@ def skin_vertex(maps, joint, weight, first, end, x, y, z, out, vertex):
 
 @kernel
 def _add_row(maps, at, x, y, z, w, total):
+    """Add one row of a map, from the flat index `at` on, times (x, y, z, w) to total, in all lanes."""
     total = times_plus(load(maps, at, LANES), x, total)
     total = times_plus(load(maps, at + LANES, LANES), y, total)
     total = times_plus(load(maps, at + 2 * LANES, LANES), z, total)
@@ -170,6 +171,8 @@ def _add_row(maps, at, x, y, z, w, total):
 def skin_lanes(poses, first, tree, mesh, turning, frames, centres, axis, scratch, maps, points):
     """Skin the mesh about each pose's root, into points (V, 3, LANES) f4.
 
+    poses, first: (N, D) poses, and the first of the LANES poses.
+    mesh: LaneMesh.
     turning: (J,) joints that have moved since the last call; the other arguments are as for `bone_maps`.
     """
     bone_maps(poses, first, tree, turning, frames, centres, axis, scratch, maps)
@@ -180,7 +183,10 @@ def skin_lanes(poses, first, tree, mesh, turning, frames, centres, axis, scratch
 
 @kernel
 def camera_lanes(projection, poses, first, p):
-    """Convert a projection (3, 4) f8 of world points to p (12, LANES) f4 for points about each pose's root."""
+    """Convert a projection (3, 4) f8 of world points to p (12, LANES) f4 for points about each pose's root.
+
+    poses, first: (N, D) poses, and the first of the LANES poses (the last one is repeated).
+    """
     last = poses.shape[0] - 1
     for r in range(3):
         for k in range(LANES):
@@ -196,6 +202,8 @@ def camera_lanes(projection, poses, first, p):
 def lane_windows(bounds, box, lanes, window, origin):
     """Compute the image window of each lane: the part of its silhouette's bounds in the box (x0, x1, y0, y1).
 
+    bounds: (5, LANES), by `coverage.project_vertices`.
+    lanes: number of lanes in use.
     window: (5, LANES) f4 gets origin x, y, first and end column, rows.
     origin: (LANES, 4) i8 gets x, y, columns, rows. Windows begin at a multiple of 8 columns, where the mask's bits
         begin a byte.
@@ -222,7 +230,12 @@ def lane_windows(bounds, box, lanes, window, origin):
 
 @kernel
 def draw_safely(mesh, points, p, lane, one_sided, x0, y0, width, height, difference):
-    """Draw one lane face by face, where the lists cannot hold it."""
+    """Draw one lane face by face, where the lists cannot hold it.
+
+    points: (V, 3, LANES) f4 vertices about the root.
+    p: (12, LANES) f4 cameras.
+    one_sided, x0, y0, width, height, difference: as for `coverage.emit_clipped_faces`.
+    """
     vertices, camera = np.empty((points.shape[0], 3), np.float32), np.empty((3, 4), np.float32)
     for i in range(points.shape[0]):
         for c in range(3):
@@ -457,8 +470,9 @@ def silhouette_xor(
     threads: number of threads; None: the default.
     faces: (F,) bool: only these triangles of the mesh, as seen from outside (body parts, where a hierarchical search
         has not placed the rest yet).
-    moving: (J,) bool: only these joints turn; everything else stands as in the last pose, and is drawn once.
-    rest: that drawing, made by `reach.standing` (then without boxes and faces).
+    moving: (J,) bool: only these joints turn; everything else stands as in the last pose, and is drawn once. Not
+        together with boxes or faces.
+    rest: that drawing, made by `reach.standing`; None: it is made.
     Returns: (N, C, 3) = (xor, model, intersection) pixels; zeros in views that are not usable.
     Raises: SolverError for poses that are not finite.
 
@@ -488,13 +502,9 @@ def silhouette_xor(
         areas = np.array([np.count_nonzero(m) for m in inside], dtype=np.int64)
     drawn, drawn_counts, turned = _nothing(prepared.bits.shape), np.zeros((c, 2), dtype=np.int64), None
     if turning is not None and n:
-        wanted, standing, corners, turned, _ = lane_mesh.moving_parts(mesh, tree, turning, wanted)
-        if rest is not None:
-            drawn, drawn_counts = rest
-        else:
-            drawn = np.zeros_like(prepared.bits)
-            draw_standing(q[-1], t, tidy(mesh), corners, standing, prepared, b, drawn, drawn_counts)
-            reach.hide(prepared, drawn, drawn_counts)
+        parts = lane_mesh.moving_parts(mesh, tree, turning)
+        wanted, turned = parts.moved, parts.turning
+        drawn, drawn_counts = rest or reach.standing(q[-1], tree, mesh, prepared, turning)
     elif prepared.hidden.size:
         drawn = prepared.hidden  # one more standing part, of another person: it counts nowhere
     m = lane_mesh.prepare_lanes(mesh, tree, wanted)
@@ -537,8 +547,8 @@ def limb_energies(
     q, turning = _finite(poses), plain(moving, np.bool_)
     q = np.where(turning[tree.joint_of_dof], q, q[-1:])
     prepared = tidy(prepared)
-    drawn, drawn_counts = reach.standing(q[-1], tree, mesh, prepared, turning) if rest is None else rest
-    parts = lane_mesh.moving_parts(mesh, tree, turning, None)
+    drawn, drawn_counts = rest or reach.standing(q[-1], tree, mesh, prepared, turning)
+    parts = lane_mesh.moving_parts(mesh, tree, turning)
     m = lane_mesh.prepare_lanes(mesh, tree, parts.moved)
     scratch = lane_scratch(m, prepared.masks.shape[1:])
     cells = np.zeros((len(use), -(-drawn.shape[1] // CELL) + 1, drawn.shape[2] + 1), dtype=np.int32)
@@ -549,6 +559,10 @@ def limb_energies(
 
 
 def _finite(poses: ArrayLike) -> Array:
+    """Return poses (N, D) as a plain array.
+
+    Raises: SolverError where a number is not finite, or above 1e6.
+    """
     q = plain(poses, np.float64)
     if q.size and not np.abs(q).max() < 1e6:
         bad = int(np.argmax(~(np.abs(q).max(1) < 1e6)))
@@ -558,4 +572,5 @@ def _finite(poses: ArrayLike) -> Array:
 
 @lru_cache(4)
 def _nothing(shape: tuple[int, ...]) -> NDArray[np.uint8]:
+    """Make the drawing (C, h, B) of no standing parts; it is shared and must not be changed."""
     return np.zeros(shape, dtype=np.uint8)
