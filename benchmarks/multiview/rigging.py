@@ -11,11 +11,11 @@ from benchmarks.bench_report import BenchOptions, BenchReport, Row, row
 from benchmarks.multiview.procedural import procedural_body
 from hypose.body.body import Body
 from hypose.body.default_body import JOINT_NAMES, human
-from hypose.body.fit_skeleton import SCAN_POSES, scan_pose
 from hypose.body.skin_weights import Bones, body_bones, heat_weights
 from hypose.geometry import Array
 from hypose.io.motions.meshes import PersonMesh
 from hypose.pipeline.mesh_subject import rig_mesh
+from hypose.pipeline.scan_fit import SCAN_POSES, scan_pose
 from hypose.synthetic.subjects import SyntheticSubject, load_subjects
 
 _LEGS = ((13, 14, 15), (16, 17, 18))

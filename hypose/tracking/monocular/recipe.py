@@ -26,8 +26,7 @@ from hypose.inference.resampling import keep
 from hypose.tracking.monocular.picture_search import PictureSearch
 from hypose.tracking.monocular.pool import OPTIMISED, accumulated, best_of
 from hypose.tracking.monocular.settings import MonoSettings, body_dofs
-from hypose.tracking.smooth_motion import Clip
-from hypose.tracking.smoothing import ClipSettings, smooth_poses
+from hypose.tracking.smoothing import Clip, ClipSettings, smooth_poses
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState, modes_of
 
 _HELD = 1e8
