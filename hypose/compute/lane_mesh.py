@@ -182,6 +182,9 @@ def lane_scratch(mesh: LaneMesh, image: tuple[int, int]) -> tuple[Any, ...]:
 def _make(j: int, v: int, f: int, e: int, rows: int, columns: int) -> tuple[Any, ...]:
     """Make the scratch arrays of LANES poses: 12 for placing and projecting, 8 for drawing; the difference image is
     zero between calls.
+
+    j, v, f, e: numbers of joints, vertices, faces and edges.
+    rows, columns: size of the images, px.
     """
     f4, i4, lanes = np.float32, np.int32, LANES
     return (

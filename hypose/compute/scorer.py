@@ -41,8 +41,11 @@ f4 = np.float32
 
 @kernel
 def turn_lanes(frame, axis, e, out):
-    """Compute out = frame @ exp of the rotation vectors axis (3, LANES), in every lane; frame, out, scratch e: (9,
-    LANES).
+    """Turn frames by rotation vectors in every lane: out = frame @ exp(axis).
+
+    frame, out: (9, LANES) rotation matrices, row by row.
+    axis: (3, LANES) rad.
+    e: (9, LANES), scratch.
     """
     for k in range(LANES):
         x, y, z = axis[0, k], axis[1, k], axis[2, k]
@@ -83,6 +86,8 @@ def bone_maps(poses, first, tree, needed, frames, centres, axis, scratch, maps):
     """Compute the maps of the needed joints from the model at rest to the world about each pose's root, for LANES poses
     from first on (the last one repeated).
 
+    first: index of the first pose.
+    tree: of the body.
     poses: (N, D).
     needed: (J,) bool, joints to compute.
     frames, centres: (J + 1, 9, LANES) and (J, 3, LANES), kinematics in float64.
@@ -171,6 +176,8 @@ def _add_row(maps, at, x, y, z, w, total):
 def skin_lanes(poses, first, tree, mesh, turning, frames, centres, axis, scratch, maps, points):
     """Skin the mesh about each pose's root, into points (V, 3, LANES) f4.
 
+    tree: of the body.
+    frames, centres, axis, scratch, maps: as for `bone_maps`.
     poses, first: (N, D) poses, and the first of the LANES poses.
     mesh: LaneMesh.
     turning: (J,) joints that have moved since the last call; the other arguments are as for `bone_maps`.
@@ -267,6 +274,10 @@ def _silhouette_xor(
     """Compare blocks first..last (of LANES poses) with the masks, inside boxes (C, 4), in the views that are usable
     (C,).
 
+    poses: (N, D).
+    tree, mesh: of the body, the mesh as LaneMesh.
+    prepared: masks of the frame.
+    box_areas: (C,) pixels of the masks in the boxes.
     moved_joints, turning: (J,) joints to compute for the first block, and for the others.
     drawn: (C, h, B) packed like the masks, pixels that belong to the body in every pose.
     drawn_counts: (C, 2) model and intersection pixels of these.
@@ -327,6 +338,7 @@ u1 = np.uint8
 def uncovered(prepared, drawn, cells):
     """Sum the pixels of the masks that are not drawn (C, h, B), both packed, over the cells above and to the left.
 
+    prepared: masks of the frame.
     cells: (C, R + 1, B + 1) i4, zero before, gets the sums.
     """
     for c in range(prepared.bits.shape[0]):
@@ -351,6 +363,8 @@ def uncovered(prepared, drawn, cells):
 def least_energies(poses, first, last, tree, mesh, turning, prepared, boxes, drawn_counts, cells, scratch, out):
     """Compute lower bounds of the cost, of blocks first..last (of LANES poses), into out (N, C).
 
+    poses: (N, D).
+    tree, mesh, turning, prepared, boxes, drawn_counts, scratch: as for `_silhouette_xor`.
     cells: of `uncovered`. The other arguments are as for `_silhouette_xor`, which has computed the joints that do not
         turn.
     """
@@ -465,6 +479,7 @@ def silhouette_xor(
 ) -> NDArray[np.int64]:
     """Compare silhouettes of the mesh at poses (N, D) with the frame's masks.
 
+    tree, mesh: of the body.
     prepared: masks of the frame.
     boxes: (C, 4) = x0, x1, y0, y1 (half open, px) within which pixels are counted; None: each view's whole image.
     threads: number of threads; None: the default.
@@ -534,6 +549,7 @@ def limb_energies(
 ) -> Array:
     """Compute the silhouette energies (eq. 2.8) of poses (N, D) in which only the joints `moving` (J,) turn.
 
+    tree, mesh: of the body.
     prepared: masks of the frame.
     rest: drawing of the standing parts; None: it is made.
     slack, more: poses whose energy is certainly above `slack` times that of the first pose, plus `more`, are not
