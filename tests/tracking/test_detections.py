@@ -120,7 +120,7 @@ def test_a_jumping_arm_is_found_again_by_its_detection(body, standing, frame_of,
     raised = standing.copy()
     raised[body.skeleton.dofs_of("left_elbow")] += 1.2
     ends = ends_of(body)
-    tracker = Tracker(body, recipe(name, body, particles=150), TrackerSettings(seed=2))
+    tracker = Tracker(body, recipe(name, body, particles=300), TrackerSettings(seed=2))
     state, estimate = tracker.start(standing), None
     for n, pose in enumerate([standing, raised, raised, raised]):
         hands = ends.positions(body, pose[None])[0, :3]
