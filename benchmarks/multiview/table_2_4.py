@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache, partial
 from typing import Any
 
@@ -46,26 +46,6 @@ ALL_SEEDS = ("apf", "hpf", "dd-hpf", "dd-hpf+")
 PAIRS = (("apf", "hpf"), ("hpf", "dd-hpf"), ("dd-hpf", "dd-hpf+"), ("apf", "dd-hpf+"))
 
 
-@dataclass(frozen=True)
-class ExtremityOutcome:
-    """One run. errors (T, 5) m: distance of each extremity (PARTS) from the truth; seconds_per_frame: of the
-    tracker."""
-
-    errors: Array
-    seconds_per_frame: float
-
-
-@dataclass(frozen=True)
-class Detected:
-    """Frames with detections, and how good those are: recall (3,) and error (3,) m of left hand, right hand, head (a
-    detection within 12 cm of the truth), and seconds per frame."""
-
-    frames: list[Frame]
-    recall: Array
-    error: Array
-    seconds_per_frame: float
-
-
 def table_2_4(options: BenchOptions) -> BenchReport:
     """Mean error of hands, head and feet of the presets on crossing arms, waving and punching, and paired differences.
 
@@ -91,7 +71,7 @@ def table_2_4(options: BenchOptions) -> BenchReport:
                 part = options.part(f"table-2.4.{seed}.{name}", partial(_tracked, name, action, seed, seconds))
                 found[name].append(1e3 * np.asarray(part["errors"], dtype=np.float64))
                 time_of[name].append(part["seconds_per_frame"])
-        detected.append(options.part(f"table-2.4.{seed}", lambda a=action, s=seed: _detections(a, s, seconds)))
+        detected.append(options.part(f"table-2.4.{seed}", lambda a=action, s=seed: _clip(a, s, seconds)[2]))
     errors = {name: [float(e.mean()) for e in of] for name, of in found.items()}
     rows = paired_rows("extremity_error_mm", errors, PAIRS, actions)
     for name, of in found.items():
@@ -122,22 +102,25 @@ def ixmas_scene(action: str, seed: int, seconds: float) -> Scene:
 
 
 @lru_cache(1)
-def _clip(action: str, seed: int, seconds: float) -> tuple[Scene, Detected, Body]:
-    """The clip of a seed with its detections, and the body of its subject."""
+def _clip(action: str, seed: int, seconds: float) -> tuple[Scene, list[Frame], dict[str, Any], Body]:
+    """The clip of a seed, its frames with detections, how good these are, and the body of its subject."""
     scene = ixmas_scene(action, seed, seconds)
-    return scene, detected_frames(scene), estimated_body(seed, BenchOptions())
+    return scene, *detected_frames(scene), estimated_body(seed, BenchOptions())
 
 
 def _tracked(name: str, action: str, seed: int, seconds: float) -> dict[str, Any]:
-    """One preset on the clip of a seed, as JSON has it."""
-    scene, detected, body = _clip(action, seed, seconds)
-    return dict(vars(track_ends(scene, detected.frames, PRESETS[name], seed, body)))
-
-
-def _detections(action: str, seed: int, seconds: float) -> dict[str, Any]:
-    """How good the detections of a clip are, as JSON has it."""
-    _, d, _ = _clip(action, seed, seconds)
-    return {"recall": d.recall, "error": d.error, "seconds_per_frame": d.seconds_per_frame}
+    """One preset on the clip of a seed, from the true start: errors (T, 5) m, the distances of the extremities (PARTS)
+    from the truth in every fifth frame, and seconds_per_frame."""
+    scene, frames, _, body = _clip(action, seed, seconds)
+    settings = TrackerSettings(seed=seed, frame_rate=scene.frame_rate)
+    tracker = Tracker(body, PRESETS[name](body, frame_rate=scene.frame_rate), settings)
+    begin = time.perf_counter()
+    start = tracker.start(known_subject(scene, body).start)
+    poses = [estimate.pose for _, estimate in tracker.follow(start, frames)]
+    took = (time.perf_counter() - begin) / len(frames)
+    judged = range(0, len(poses), JUDGED)
+    errors = [np.linalg.norm(estimated_ends(body, poses[t]) - true_ends(scene, t), axis=1) for t in judged]
+    return {"errors": np.array(errors), "seconds_per_frame": took}
 
 
 def true_ends(scene: Scene, index: int) -> Array:
@@ -158,8 +141,9 @@ def _joint(name: str) -> int:
     return JOINT_NAMES.index(name)
 
 
-def detected_frames(scene: Scene) -> Detected:
-    """Mask frames of a scene with the ends that skin colour shows."""
+def detected_frames(scene: Scene) -> tuple[list[Frame], dict[str, Any]]:
+    """Mask frames of a scene with the ends that skin colour shows; and how good those are, as JSON has it: recall (3,)
+    and error (3,) m of left hand, right hand, head (a detection within 12 cm of the truth), and seconds per frame."""
     start = known_subject(scene)
     centre, table = start.body.joints(start.start)[0], None
     frames, seen, distances, seconds = [], np.zeros(3), [[], [], []], 0.0
@@ -181,19 +165,4 @@ def detected_frames(scene: Scene) -> Detected:
                 seen[k] += 1
                 distances[k].append(float(d[k]))
     error = np.array([np.mean(d) if d else np.nan for d in distances])
-    return Detected(frames, seen / len(frames), error, seconds / len(frames))
-
-
-def track_ends(scene: Scene, frames: list[Frame], make: Make, seed: int, body: Body) -> ExtremityOutcome:
-    """One preset on one scene with a given body, from the true start; every fifth frame is judged."""
-    subject = known_subject(scene, body)
-    settings = TrackerSettings(seed=seed, frame_rate=scene.frame_rate)
-    tracker = Tracker(subject.body, make(subject.body, frame_rate=scene.frame_rate), settings)
-    begin = time.perf_counter()
-    poses = [estimate.pose for _, estimate in tracker.follow(tracker.start(subject.start), frames)]
-    seconds = (time.perf_counter() - begin) / len(frames)
-    distance = [
-        np.linalg.norm(estimated_ends(body, poses[t]) - true_ends(scene, t), axis=1)
-        for t in range(0, len(poses), JUDGED)
-    ]
-    return ExtremityOutcome(np.array(distance), seconds)
+    return frames, {"recall": seen / len(frames), "error": error, "seconds_per_frame": seconds / len(frames)}
