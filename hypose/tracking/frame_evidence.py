@@ -1,6 +1,7 @@
 """Prepare a frame's evidence once for all layers of a recipe, and compute the costs of poses on it.
 
-The costs are the silhouette XOR (Alcoverro 2014, eq. 2.8), the energies of all other cues, and the overlap with the masks.
+The costs are the silhouette XOR (Alcoverro 2014, eq. 2.8), the energies of all other cues, and the overlap with the
+masks.
 """
 
 from __future__ import annotations
