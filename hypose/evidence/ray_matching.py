@@ -39,12 +39,15 @@ class Views:
     def __len__(self) -> int:
         return len(self.centres)
 
-    def rays(self, pixels: Array) -> Array:
-        """Compute the unit directions (C, ..., 3), in the world, of the rays of pixels (C, ..., 2)."""
+    def rays(self, pixels: Array, which: NDArray[np.int64] | slice = slice(None)) -> Array:
+        """Compute the unit directions (M, ..., 3), in the world, of the rays of pixels (M, ..., 2).
+
+        which: (M,) view of each row (default: one row per view).
+        """
         shape = pixels.shape
         flat = pixels.reshape(shape[0], -1, 2)
         one = np.concatenate([flat, np.ones((*flat.shape[:2], 1))], -1)
-        d = one @ self.world_from_pixel.transpose(0, 2, 1)
+        d = one @ self.world_from_pixel[which].transpose(0, 2, 1)
         d /= np.sqrt((d * d).sum(-1, keepdims=True))
         return d.reshape(*shape[:-1], 3)
 
@@ -72,12 +75,10 @@ def distances(views: Views, expected: Array, found: Array, limit: float) -> Arra
     return np.where(found[:, None, ..., 2] > _LEAST_CONFIDENCE, np.minimum(e, limit), np.nan)
 
 
-def mean_of_known(values: Array, least: int, weights: Array | None = None) -> Array:
+def mean_of_known(values: Array, least: int) -> Array:
     """Average values (..., K) over the last axis without NaN; NOT_COMPARABLE_M where fewer than `least` are known."""
     known = np.isfinite(values)
-    w = known if weights is None else known * weights
-    n = w.sum(-1)
-    total = (np.where(known, values, 0.0) * w).sum(-1)
+    n, total = known.sum(-1), np.where(known, values, 0.0).sum(-1)
     return np.where(n >= least, total / np.maximum(n, 1e-9), NOT_COMPARABLE_M)
 
 
@@ -87,9 +88,7 @@ def between_rays(views: Views, which: NDArray[np.int64], found: Array, limit: fl
     which: (M,) view of each candidate; found: (M, K, 3); limit: m, at which single distances end.
     Returns: (M, M) m; NOT_COMPARABLE_M for candidates of one view, or with fewer than `least` common points.
     """
-    d = np.empty((*found.shape[:-1], 3))
-    for c in np.unique(which):
-        d[which == c] = _of_view(views, int(c), found[which == c])
+    d = views.rays(found[..., :2], which)
     centre = views.centres[which]
     u, v = d[:, None], d[None]
     n0 = u[..., 1] * v[..., 2] - u[..., 2] * v[..., 1]
@@ -103,12 +102,6 @@ def between_rays(views: Views, which: NDArray[np.int64], found: Array, limit: fl
     both = seen[:, None] & seen[None]
     out = mean_of_known(np.where(both, np.minimum(apart, limit), np.nan), least)
     return np.where(which[:, None] == which[None], NOT_COMPARABLE_M, out)
-
-
-def _of_view(views: Views, c: int, found: Array) -> Array:
-    one = np.concatenate([found[..., :2], np.ones((*found.shape[:-1], 1))], -1)
-    d = one @ views.world_from_pixel[c].T
-    return d / np.sqrt((d * d).sum(-1, keepdims=True))
 
 
 def meet(views: Views, found: Array, near: float, prior: Array | None = None) -> tuple[Array, NDArray[np.bool_]]:

@@ -14,8 +14,7 @@ import numpy as np
 
 from hypose.compute.losses import geman_mcclure, lorentzian
 from hypose.compute.shape_rows import outline_rows
-from hypose.evidence.depth_surface import DepthTerm
-from hypose.evidence.terms import ContourTerm, KeypointTerm
+from hypose.evidence.terms import ContourTerm, DepthTerm, KeypointTerm
 from hypose.fitting.problem import Posed, Rows
 from hypose.geometry import Array
 

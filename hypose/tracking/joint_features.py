@@ -21,9 +21,10 @@ from hypose.compute import reach
 from hypose.compute.arrays import PreparedMasks
 from hypose.compute.mask_runs import mask_of
 from hypose.compute.parts import draw_parts, parts_against_mask, projected
-from hypose.compute.scorer import silhouette_xor
+from hypose.evidence.cues import SilhouetteEvidence
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.evidence.prefetch import prepared_masks
+from hypose.evidence.terms import Limb
 from hypose.geometry import Array
 from hypose.tracking.arm_workspace import ArmReach, arm_reach, ends, in_practice
 from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, KeypointModel, check_sides_and_views, pixels_per_metre
@@ -291,8 +292,11 @@ def _rivals(body: Body, joints: Array, rivals: tuple[ArrayLike, ArrayLike] | Non
 
 
 def _loose(body: Body, pose: Array, masks: PreparedMasks, index: int) -> Array:
-    """Compute column "loose" (J,) of AUDITED by random small rotations of one arm; the arms take turns over the
-    frames."""
+    """Compute column "loose" (J,) of AUDITED by random small rotations of one arm; the arms take turns over the frames.
+
+    pose: (D,); masks: prepared for the scorer; index: of the frame.
+    Returns: (J,) m; NaN for an arm whose turn it is not, 0 for joints of no arm.
+    """
     s, mesh, out = body.skeleton, body.coarse.arrays, np.zeros(len(body.skeleton.joint_names))
     for k, arm in enumerate(_arms(body)):
         if (index - 2 * k) % _EVERY:
@@ -304,8 +308,7 @@ def _loose(body: Body, pose: Array, masks: PreparedMasks, index: int) -> Array:
         at = ends(arm.here(poses))  # elbow, wrist, hand
         away = np.linalg.norm(at[:-1] - at[-1:], axis=-1)
         rest = reach.standing(pose, s.tree, mesh, masks, arm.moving)
-        counts = silhouette_xor(poses, s.tree, mesh, masks, moving=arm.moving, rest=rest)
-        energy = (counts[:, masks.usable, 0] / masks.norm[masks.usable]).sum(1)
+        energy = SilhouetteEvidence(masks.usable, (), masks).energy(body, poses, Limb(arm.moving, rest))
         weight = np.exp(-np.maximum((energy[:-1] - energy[-1]) / _HARDLY, -1.0))
         out[list(arm.chain[1:])] = np.sqrt(weight @ away[:, :2] ** 2 / (1 + weight.sum()))
     return out
@@ -327,7 +330,11 @@ Chosen, like the rotations, on scenes of the seeds 600 to 617"""
 
 def _elsewhere(body: Body, pose: Array, masks: PreparedMasks, index: int) -> Array:
     """Compute columns "elsewhere" and "elsewhere_by" (J, 2) of AUDITED; because it is slow, the arms take turns over
-    frames."""
+    frames.
+
+    pose: (D,); masks: prepared for the scorer; index: of the frame.
+    Returns: (J, 2); NaN for an arm whose turn it is not, 0 for other joints and where no other arm fits.
+    """
     out = np.zeros((len(body.skeleton.joint_names), 2))
     s, mesh = body.skeleton, body.coarse.arrays
     for k, arm in enumerate(_arms(body)):
@@ -347,8 +354,7 @@ def _elsewhere(body: Body, pose: Array, masks: PreparedMasks, index: int) -> Arr
         few = np.argsort(score[good], kind="stable")[:_POOL]
         poses = np.repeat(pose[None], len(few) + 1, 0)
         poses[:-1, arm.own] = arm.poses[good[few]]  # the last one stays unchanged
-        counts = silhouette_xor(poses, s.tree, mesh, masks, moving=arm.moving, rest=rest)
-        energy = (counts[:, masks.usable, 0] / masks.norm[masks.usable]).sum(1)
+        energy = SilhouetteEvidence(masks.usable, (), masks).energy(body, poses, Limb(arm.moving, rest))
         ratio = energy[:-1] / max(float(energy[-1]), 1e-6) - 1
         weight = np.exp(-np.maximum(ratio, -0.05) / _SOFT)
         spread = np.sqrt(weight @ away[few] ** 2 / (1 + weight.sum()))
@@ -378,7 +384,10 @@ def _arms(body: Body) -> list[ArmReach]:
 
 
 def _points(body: Body, pose: Array, seen: Keypoints, model: KeypointModel) -> Array:
-    """Compute the eight columns (J, 8) of AUDITED from points_median to named."""
+    """Compute the eight columns (J, 8) of AUDITED from points_median to named.
+
+    pose: (D,); seen: key points of the frame; model: where they sit on the body.
+    """
     names, points = tuple(body.skeleton.joint_names), np.nan_to_num(seen.points)
     expected = model.positions(body, pose)
     uv = np.stack([camera.project_pinhole(expected) for camera in seen.rig])
