@@ -27,8 +27,9 @@ from benchmarks.one_camera.mono_runs import (
 )
 from benchmarks.synthetic.mono_motions import STRAIGHT_KNEE
 from benchmarks.synthetic.mono_scenes import MonoScene, arm_scene, body_scene
+from hypose.compute.mono_terms import GAUSSIAN
 from hypose.geometry import Image
-from hypose.tracking.monocular.evidence import grey
+from hypose.tracking.monocular.problem import grey
 from hypose.tracking.monocular.settings import MonoSettings
 
 Ablation = Callable[[MonoSettings], MonoSettings]
@@ -44,15 +45,15 @@ def _single(s: MonoSettings) -> MonoSettings:
 
 
 def _gaussian(s: MonoSettings) -> MonoSettings:
-    return s.robust("gaussian")
+    return s.robust(GAUSSIAN)
 
 
 def _no_flow(s: MonoSettings) -> MonoSettings:
-    return replace(s, flow=replace(s.flow, use=False))
+    return replace(s, flow=s.flow._replace(use=False))
 
 
 def _no_boundaries(s: MonoSettings) -> MonoSettings:
-    return replace(s, edge=replace(s.edge, motion_boundaries=False))
+    return replace(s, edge=s.edge._replace(motion_boundaries=False))
 
 
 def _isotropic(s: MonoSettings) -> MonoSettings:

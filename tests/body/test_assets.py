@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from benchmarks.multiview.procedural import Proportions, procedural_body
-from hypose.body.body import Body, Mesh
-from hypose.body.default_body import JOINT_NAMES, PARENTS, human, human_skeleton
-from hypose.errors import InputError
+from hypose.body.body import Mesh
+from hypose.body.default_body import JOINT_NAMES, PARENTS
 
 MIRROR = [
     JOINT_NAMES.index(n.replace("left_", "right_") if n.startswith("left_") else n.replace("right_", "left_"))
@@ -31,11 +29,6 @@ def template() -> dict[str, np.ndarray]:
 @pytest.fixture(scope="module")
 def subjects() -> dict[str, np.ndarray]:
     return asset("subjects.npz")
-
-
-@pytest.fixture(scope="module")
-def procedural() -> Body:
-    return procedural_body()
 
 
 def mesh_of(data: dict[str, np.ndarray], prefix: str) -> Mesh:
@@ -85,19 +78,6 @@ def test_template_mesh_is_its_own_mirror_image(template, level):
     assert faces == mirrored
     w = mesh.dense_weights(len(JOINT_NAMES))
     np.testing.assert_allclose(w[partner][:, MIRROR], w, atol=2e-4)  # four weights are rounded to 1e-4
-
-
-def test_template_sizes(template):
-    coarse, fine = mesh_of(template, "coarse_"), mesh_of(template, "fine_")
-    assert 400 <= len(coarse.vertices) <= 700
-    assert 2000 <= len(fine.vertices) <= 3000
-    full = float(template["volume"])
-    assert abs(coarse.volume / full - 1) < 0.01
-    assert abs(fine.volume / full - 1) < 0.01
-    assert 0.050 < full < 0.075
-    assert float(template["stature"]) == pytest.approx(1.70, abs=1e-3)
-    for mesh in (coarse, fine):
-        assert np.ptp(mesh.vertices[:, 2]) == pytest.approx(1.70, abs=0.02)
 
 
 @pytest.mark.parametrize("name", ["coarse_", "fine_"])
@@ -176,69 +156,3 @@ def test_subjects_are_closed_symmetric_people_of_their_stature(subjects):
     assert min(body_mass_index) < 19
     assert max(body_mass_index) > 27
     assert height[names.index("heavy")] ** -2 * subjects["volume"][names.index("heavy")] > 0.024
-
-
-def test_subjects_joints_come_from_their_own_bodies(subjects):
-    joints = subjects["joints"]
-    np.testing.assert_array_equal(joints[:, 0], 0)
-    vertices = np.cumsum(subjects["vertices_step"], axis=0) * float(subjects["vertex_scale"])
-    for k in (0, 2, 7, 15, 23):
-        mesh = mesh_of(
-            {"vertices": vertices[k], **{n: subjects[n] for n in ("faces", "skin_index", "skin_weight")}}, ""
-        )
-        assert inside(mesh, joints[k]).all()
-    # not one body scaled: segment lengths relative to the stature differ between people
-    thigh = np.linalg.norm(joints[:, JOINT_NAMES.index("left_knee")] - joints[:, JOINT_NAMES.index("left_hip")], axis=1)
-    arm = np.linalg.norm(
-        joints[:, JOINT_NAMES.index("left_elbow")] - joints[:, JOINT_NAMES.index("left_shoulder")], axis=1
-    )
-    for ratio in (thigh / subjects["height"], arm / subjects["height"]):
-        assert np.std(ratio) / np.mean(ratio) > 0.01
-        assert ratio.max() / ratio.min() < 1.35
-
-
-def test_cloth_lies_on_the_clothed_parts_only(subjects):
-    cloth, index, weight = (subjects[k] for k in ("cloth_weight", "skin_index", "skin_weight"))
-    assert cloth.min() >= 0
-    assert cloth.max() <= 1
-    main = np.take_along_axis(index, weight.argmax(1)[:, None], 1)[:, 0]
-    sure = weight.max(1) > 0.9
-    for name in ("head", "left_wrist", "right_wrist", "left_ankle", "right_ankle"):
-        assert cloth[sure & (main == JOINT_NAMES.index(name))].max() == 0
-    for name in ("pelvis", "spine", "chest", "left_shoulder", "left_elbow", "left_hip", "left_knee"):
-        assert cloth[sure & (main == JOINT_NAMES.index(name))].min() == 1
-
-
-def test_procedural_body_is_closed_and_human(procedural):
-    for mesh in (procedural.coarse, procedural.fine):
-        assert euler_number(mesh) == 2
-        np.testing.assert_allclose(mesh.skin_weight.sum(1), 1, atol=1e-12)
-        assert inside(mesh, procedural.skeleton.rest_joints).all()
-    assert procedural.stature == pytest.approx(Proportions().stature, abs=0.01)
-    assert abs(procedural.coarse.volume / procedural.fine.volume - 1) < 0.01
-    assert 0.045 < procedural.fine.volume < 0.08
-    assert len(procedural.coarse.vertices) == pytest.approx(550, abs=10)
-    assert set(procedural.landmarks.names) == set(human().landmarks.names)
-
-
-def test_procedural_body_obeys_its_proportions_and_repeats_exactly(procedural):
-    again = procedural_body()
-    np.testing.assert_array_equal(again.coarse.vertices, procedural.coarse.vertices)
-    np.testing.assert_array_equal(again.coarse.skin_weight, procedural.coarse.skin_weight)
-    tall = procedural_body(Proportions(thigh=0.47, girth=1.1).scaled(1.9), coarse=500, fine=1500)
-    assert tall.stature == pytest.approx(1.9, abs=0.015)
-    k = 1.9 / Proportions(thigh=0.47).stature
-    assert tall.segment_lengths()["left_thigh"] == pytest.approx(0.47 * k, rel=1e-9)
-    assert tall.segment_lengths()["right_upper_arm"] == pytest.approx(0.28 * k, rel=1e-9)
-    assert tall.fine.volume > procedural.fine.volume
-
-
-def test_impossible_proportions_are_refused():
-    with pytest.raises(InputError, match="Proportion thigh is -0.1"):
-        Proportions(thigh=-0.1)
-    with pytest.raises(InputError, match="between 0.5 and 2.5 m"):
-        Proportions().scaled(17.0)
-
-
-def test_template_and_procedural_skeleton_have_the_same_degrees_of_freedom(template, procedural):
-    assert procedural.skeleton.dof_names == human_skeleton(template["joints"]).dof_names

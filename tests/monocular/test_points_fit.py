@@ -8,7 +8,7 @@ from hypose.body.default_body import human
 from hypose.synthetic.scenes import look_at
 from hypose.tracking.contacts import soles_of
 from hypose.tracking.monocular.points import clicked_joints
-from hypose.tracking.monocular.points_fit import fit_proportions, image_jacobian, points_on_body
+from hypose.tracking.monocular.points_fit import fit_proportions
 from hypose.tracking.monocular.problem import floor_arrays
 from hypose.tracking.monocular.proportions import (
     FACTORS,
@@ -40,17 +40,6 @@ def points_of(body, pose):
     uv = CAMERA.project_pinhole(body.joints(pose))
     clicks = {n: (float(u), float(v)) for n in POINTS for u, v in [uv[body.skeleton.joint(n)]]}
     return lambda b: clicked_joints(b, clicks, 0.5)
-
-
-def test_the_jacobian_of_the_points_is_exact() -> None:
-    body = human()
-    pose = stance(body, 0)
-    points = points_of(body, pose)(body)
-    exact, h = image_jacobian(body, CAMERA, points, pose), 1e-6
-    for d in range(len(pose)):
-        step = h * (np.arange(len(pose)) == d)
-        up, down = (CAMERA.project_pinhole(points_on_body(body, pose + k * step, points)) for k in (1, -1))
-        np.testing.assert_allclose(exact[:, :, d], (up - down) / (2 * h), atol=1e-3)
 
 
 def test_more_pictures_measure_lengths_better() -> None:

@@ -23,7 +23,6 @@ from hypose.evidence.frame import Frame, Picture
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
 from hypose.tracking.frame_evidence import PreparedFrame
-from hypose.tracking.monocular.evidence import checked_picture, grey
 from hypose.tracking.monocular.flips import mirrored
 from hypose.tracking.monocular.points import MonoPoints, keypoints_on
 from hypose.tracking.monocular.pool import (
@@ -38,7 +37,17 @@ from hypose.tracking.monocular.pool import (
     prune,
     uncertain_samples,
 )
-from hypose.tracking.monocular.problem import Fixed, field_of, fixed_parts, frame_problem, with_prediction
+from hypose.tracking.monocular.problem import (
+    Fixed,
+    MonoSolution,
+    checked_picture,
+    field_of,
+    fixed_parts,
+    frame_problem,
+    grey,
+    newton_descent,
+    with_prediction,
+)
 from hypose.tracking.monocular.settings import MonoSettings, body_dofs
 from hypose.tracking.pose_covariance import PoseUncertainty, packed
 
@@ -53,6 +62,8 @@ flow."""
 
 @dataclass(frozen=True)
 class _Place:
+    """Parts of the search that depend on the camera: the fixed parts of the problem, and scratch memory per thread."""
+
     camera: Camera
     fixed: Fixed
     workspaces: list[MonoWorkspace]
@@ -197,6 +208,9 @@ class PictureSearch:
     ) -> Hypotheses:
         """Optimise poses on one still picture (edges, silhouette, points; no flow, no prediction).
 
+        frame: with the picture.
+        points: seen in it; None: none.
+
         Used for initialisation and for mirrored poses.
         poses: (N, D) start poses.
         iterations: of the Newton search.
@@ -211,8 +225,8 @@ class PictureSearch:
             place.fixed, picture, points, field_of(picture.image, self.settings), None, self.settings
         )
         found = self._solved(place, problem, poses, poses, iterations // 2, iterations, predict=False)
-        found = sorted(found, key=lambda s: s.cost)
-        cost, where = np.array([s.cost for s in found]), np.stack([s.pose for s in found])
+        found = sorted(found, key=lambda s: s.evidence)
+        cost, where = np.array([s.evidence for s in found]), np.stack([s.pose for s in found])
         still = np.zeros_like(where)
         pool = self._candidates(OPTIMISED, place.fixed, found, still, where, np.zeros(len(found)))
         covariance = self._covariances(place.fixed, pool)
@@ -257,19 +271,24 @@ class PictureSearch:
         iterations: int,
         *,
         predict: bool = True,
-    ) -> list[mono.MonoSolution]:
+    ) -> list[MonoSolution]:
         """Optimise every start (N, D) in several threads.
 
+        place: of the camera.
+        problem: evidence of the frame.
+        starts, before: (N, D) start poses, and poses in the previous picture.
+        coarse, iterations: as in `newton_descent`.
+        Returns: N solutions.
         predict: add to each a pull to its own start as the prediction.
         """
-        solutions: list[mono.MonoSolution | None] = [None] * len(starts)
+        solutions: list[MonoSolution | None] = [None] * len(starts)
         free = list(place.workspaces)
 
         def work(first: int, last: int) -> None:
             ws = free.pop()
             for n in range(first, last):
                 own = with_prediction(problem, starts[n], place.fixed.spread) if predict else problem
-                solutions[n] = mono.newton_descent(starts[n], before[n], own, coarse, iterations, ws)
+                solutions[n] = newton_descent(starts[n], before[n], own, coarse, iterations, ws)
             free.append(ws)
 
         over_chunks(work, len(starts), len(free))
@@ -279,11 +298,19 @@ class PictureSearch:
         self,
         role: str,
         fixed: Fixed,
-        found: Sequence[mono.MonoSolution],
+        found: Sequence[MonoSolution],
         velocities: Array,
         predictions: Array,
         history: Array,
     ) -> Hypotheses:
+        """Make candidates from N solutions.
+
+        role: origin of the candidates.
+        fixed: fixed parts of the problem.
+        found: the solutions.
+        velocities, predictions: (N, D) columns of the candidates.
+        history: (N,) cost accumulated before this frame.
+        """
         poses, gradient = np.stack([s.pose for s in found]), np.stack([s.gradient for s in found])
         at, cost = poses[:, fixed.model.active], np.array([s.evidence for s in found])
         held = ((at <= fixed.lower + 1e-6) & (gradient > 0)) | ((at >= fixed.upper - 1e-6) & (gradient < 0))
