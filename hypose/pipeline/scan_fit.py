@@ -17,7 +17,7 @@ from hypose.body.anthropometry import body_of, entity, prior_mean
 from hypose.body.body import Body
 from hypose.body.skin_weights import vertex_normals
 from hypose.errors import InputError
-from hypose.evidence.depth_surface import DepthTerm
+from hypose.evidence.terms import DepthTerm
 from hypose.geometry import Array, rotation_between, so3_exp, so3_log
 from hypose.tracking.shape_refinement import ShapeSettings, refine_shape
 
