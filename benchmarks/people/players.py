@@ -1,4 +1,4 @@
-"""`bench players`: both people on the court of table court-4, with cameras out of step, and in step again.
+"""Two people on the court of the rig court-4, with cameras out of step, and in step again.
 
 One serves, one walks; they are small in the images and nothing is given. The cameras are up to two frames late. Tracked
 as they are, and after `hypose sync` (from the same masks, which show both) has put them in step.
@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.bench_report import BenchOptions, BenchReport, Row, row
-from benchmarks.multiview.court import DISTURBED, court_scene
+from benchmarks.multiview.action_scenes import subject_of_seed
 from hypose.body.default_body import human
 from hypose.body.motion import Motion
 from hypose.calibration.synchronisation import Resampled, offsets_from_motion
@@ -26,10 +26,12 @@ from hypose.pipeline.run import TrackResult, track_source
 from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.track_options import TrackOptions
 from hypose.pipeline.tracked_people import TrackedPerson
+from hypose.synthetic.corruptions import Corruptions
 from hypose.synthetic.metrics import joint_errors, population_offsets
-from hypose.synthetic.scenes import Scene
+from hypose.synthetic.scenes import Scene, make_scene
 
 SECONDS, RATE = 4.0, 25.0
+DISTURBED = Corruptions(boundary_px=0.7, blobs=1.0, desync=(0, 1, 0, 2))
 SILENT_MM = 40.0
 """A mean error from which a verdict must not be good."""
 FIRST_SEED = 300
@@ -52,7 +54,7 @@ def players(options: BenchOptions) -> BenchReport:
 
 def run(seed: int, seconds: float) -> dict[str, Any]:
     """One clip: both people and each alone, late and in step."""
-    scene, _ = court_scene("serve", seed, seconds)
+    scene = make_scene("serve", subject_of_seed(seed), "court-4", seconds=seconds, seed=seed, corruption=DISTURBED)
     other, walks = scene.others[0]
     one = {
         "server": replace(scene, others=()),

@@ -51,7 +51,7 @@ def measured(monkeypatch, tmp_path):
         settings = {"clips": clips, "quick": False, "skipped": ["uu4cam"], "failed": failed or {}}
         rows = (Row("mean_error_mm", "walk", error, "mm"), Row("time_ratio", "walk", time, "1"))
         made = BenchReport(rows, settings)
-        known = {"golden": bench_list.Benchmark(lambda options: made, "other")}
+        known = {"golden": {"": bench_list.Benchmark(lambda options: made, "other")}}
         monkeypatch.setattr(bench_list, "benchmarks", lambda: known)
 
     return set_to

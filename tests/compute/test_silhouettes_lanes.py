@@ -153,7 +153,7 @@ def test_poses_near_the_camera_do_not_disturb_their_block(body, scene, rig):
 
 
 def test_the_coarse_mesh_ranks_poses_as_the_fine_one():
-    """500 poses 2 degrees and 1 cm around a standing pose; `./run bench silhouette-scorer` measures more (0.999)."""
+    """500 poses 2 degrees and 1 cm around a standing pose; `./run bench speed --case scorer` measures more (0.999)."""
     body, rng = human(), np.random.default_rng(3)
     rig = ring(4, f=640.0, size=(640, 480))
     pose = body.skeleton.rest_pose()
