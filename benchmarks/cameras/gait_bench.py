@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
-import ezc3d
 import numpy as np
 from numpy.typing import NDArray
 
@@ -32,7 +30,6 @@ from hypose.synthetic.metrics import JOINT_NAMES
 RATE, SECONDS = 60.0, 2.8
 _MATCHED = 0.2  # s
 _SURE = 1.645
-_LOADED_N = 20.0
 
 
 @dataclass
@@ -52,9 +49,7 @@ def gait(options: BenchOptions) -> BenchReport:
     step_length_mm: median error; coverage_90: share in the stated 90 % intervals; missed, invented: shares of events.
 
     CMU's walk (02_01) overground on the body of a seed, 2.8 s, three of the balancing clip's cameras, key points alone
-    that err like a detector's. force plates: the definition itself (heel farthest in front, toe farthest back) on the
-    markers of another captured walk, against the plates under its feet: frames, signed, of the events that lie on
-    them."""
+    that err like a detector's."""
     seeds = options.seed_range(10, quick=2)
     rig, found = balancing_rig(options), _Found()
     for k, seed in enumerate(seeds):
@@ -65,9 +60,9 @@ def gait(options: BenchOptions) -> BenchReport:
         found.lengths += [tuple(x) for x in one["lengths"]]
         found.missed, found.invented = found.missed + one["missed"], found.invented + one["invented"]
         found.there += one["there"]
-    rows = _rows(found)
-    rows += _plates(options.folder("mocap") / "walking2.c3d")
-    return BenchReport(tuple(rows), {"seeds": len(seeds), "first_seed": seeds.start, "seconds": SECONDS, "rate": RATE})
+    return BenchReport(
+        tuple(_rows(found)), {"seeds": len(seeds), "first_seed": seeds.start, "seconds": SECONDS, "rate": RATE}
+    )
 
 
 def _rows(found: _Found) -> list[Row]:
@@ -162,39 +157,3 @@ def _lengths(walk: Captured, truth: list[GaitEvent]) -> list[tuple[str, float, f
             k = min(len(facing) - 1, round(now.time * RATE))
             out.append((now.side, now.time, float((feet[now.side][0][k] - feet[before.side][0][k]) @ facing[k])))
     return out
-
-
-def _plates(path: Path) -> list[Row]:
-    """The definition on markers against force plates: events whose foot is on one plate alone, in frames of 60/s."""
-    c = ezc3d.c3d(str(path), extract_forceplat_data=True)
-    labels, rate = c["parameters"]["POINT"]["LABELS"]["value"], c["header"]["points"]["frame_rate"]
-    points = {n: c["data"]["points"][:3, k].T / 1e3 for k, n in enumerate(labels)}
-    pelvis = np.mean([points[n] for n in ("LASI", "RASI", "LPSI", "RPSI")], axis=0)
-    known = np.asarray(np.isfinite(pelvis).all(1))
-    times = np.arange(len(pelvis)) / rate
-    way = pelvis[known][-1] - pelvis[known][0]
-    facing = way * [1, 1, 0] / np.linalg.norm(way[:2])
-    analog = len(c["data"]["platform"][0]["force"][2]) / len(pelvis)
-    away: dict[str, list[float]] = {"strike": [], "off": []}
-    for plate in c["data"]["platform"]:
-        force = plate["force"][2] - np.median(plate["force"][2])
-        loaded = np.convolve(np.abs(force) > _LOADED_N, np.ones(41) / 41, "same") > 0.5
-        edges = np.flatnonzero(np.diff(loaded.astype(int))) / (analog * rate)
-        low, high = plate["corners"].T.min(0)[:2] / 1e3, plate["corners"].T.max(0)[:2] / 1e3
-        for kind, marker, sign, edge in (("strike", "CAL", 1.0, edges[0]), ("off", "MT1", -1.0, edges[-1])):
-            for side in "LR":
-                point = points[f"{side}{marker}"]
-                series = sign * (point - pelvis) @ facing
-                seen = known & np.isfinite(series)
-                found = turns(series, times, np.zeros(len(times)), rate, seen)
-                for t, _, _ in found:
-                    # the back of the heel may overhang by the width of a marker and half of a heel
-                    at = point[min(len(times) - 1, round(edge * rate))]
-                    on = (at[:2] > low - 0.04).all() and (at[:2] < high + 0.04).all()
-                    if abs(t - edge) < _MATCHED and on:
-                        away[kind].append(60 * (t - edge))
-    return [
-        Row(f"foot_{kind}_bias_frames", "force plates", float(np.mean(v)), "frames", n=len(v))
-        for kind, v in away.items()
-        if v
-    ]

@@ -396,7 +396,6 @@ def run_set(
     limits: Limits | None = None,
     *,
     keypoints: bool = True,
-    bystander: bool = False,
     progress=None,  # noqa: ANN001
 ) -> list[tuple[str, Planted, bool, int, tuple[Finding, ...]]]:
     """`count` healthy recordings and as many with a planted fault: (kind, recording, found, wrong findings, all)."""
@@ -408,7 +407,6 @@ def run_set(
         base = healthy(first_seed + k, keypoints=keypoints)
         faulty = planted(base, kinds[k % len(kinds)], first_seed + k)
         for kind, one in (("healthy", base), (faulty.name, faulty)):
-            one = with_bystander(one, first_seed + k) if bystander else one
             found = examine(one.observed, limits)[0].findings
             right, wrong = judged(one, found)
             out.append((kind, one, right, wrong, found))
@@ -417,13 +415,12 @@ def run_set(
 
 def doctor(options: BenchOptions) -> BenchReport:
     """Verdicts on planted faults and healthy recordings: precision = right findings / all findings, recall = faults
-    found with their kind and camera / faults planted. Cases: all (key points and masks), silhouettes (masks alone),
-    bystander (somebody else among the key points)."""
+    found with their kind and camera / faults planted. Cases: all (key points and masks), silhouettes (masks alone)."""
     seeds = options.seed_range(50, quick=6, first=FIRST_SEED)
     rows: list[Row] = []
     less = max(len(seeds) // 3, 3)
-    for case, keypoints, n in (("all", True, len(seeds)), ("silhouettes", False, less), ("bystander", True, less)):
-        done = run_set(seeds.start, n, keypoints=keypoints, bystander=case == "bystander", progress=options.progress)
+    for case, keypoints, n in (("all", True, len(seeds)), ("silhouettes", False, less)):
+        done = run_set(seeds.start, n, keypoints=keypoints, progress=options.progress)
         faults = [d for d in done if d[0] != "healthy"]
         healthy_ones = [d for d in done if d[0] == "healthy"]
         right = sum(d[2] for d in faults)

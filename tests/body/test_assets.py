@@ -1,4 +1,4 @@
-"""The baked bodies and the procedural one: closed, symmetric, outward, human in size, readable without pickle."""
+"""The baked bodies: closed, symmetric, outward, human in size, readable without pickle."""
 
 from importlib import resources
 
@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from benchmarks.multiview.procedural import Proportions, procedural_body
-from hypose.body.body import Body, Mesh
-from hypose.body.default_body import JOINT_NAMES, PARENTS, human, human_skeleton
-from hypose.errors import InputError
+from hypose.body.body import Mesh
+from hypose.body.default_body import JOINT_NAMES, PARENTS
 
 MIRROR = [
     JOINT_NAMES.index(n.replace("left_", "right_") if n.startswith("left_") else n.replace("right_", "left_"))
@@ -31,11 +29,6 @@ def template() -> dict[str, np.ndarray]:
 @pytest.fixture(scope="module")
 def subjects() -> dict[str, np.ndarray]:
     return asset("subjects.npz")
-
-
-@pytest.fixture(scope="module")
-def procedural() -> Body:
-    return procedural_body()
 
 
 def mesh_of(data: dict[str, np.ndarray], prefix: str) -> Mesh:
@@ -207,38 +200,3 @@ def test_cloth_lies_on_the_clothed_parts_only(subjects):
         assert cloth[sure & (main == JOINT_NAMES.index(name))].max() == 0
     for name in ("pelvis", "spine", "chest", "left_shoulder", "left_elbow", "left_hip", "left_knee"):
         assert cloth[sure & (main == JOINT_NAMES.index(name))].min() == 1
-
-
-def test_procedural_body_is_closed_and_human(procedural):
-    for mesh in (procedural.coarse, procedural.fine):
-        assert euler_number(mesh) == 2
-        np.testing.assert_allclose(mesh.skin_weight.sum(1), 1, atol=1e-12)
-        assert inside(mesh, procedural.skeleton.rest_joints).all()
-    assert procedural.stature == pytest.approx(Proportions().stature, abs=0.01)
-    assert abs(procedural.coarse.volume / procedural.fine.volume - 1) < 0.01
-    assert 0.045 < procedural.fine.volume < 0.08
-    assert len(procedural.coarse.vertices) == pytest.approx(550, abs=10)
-    assert set(procedural.landmarks.names) == set(human().landmarks.names)
-
-
-def test_procedural_body_obeys_its_proportions_and_repeats_exactly(procedural):
-    again = procedural_body()
-    np.testing.assert_array_equal(again.coarse.vertices, procedural.coarse.vertices)
-    np.testing.assert_array_equal(again.coarse.skin_weight, procedural.coarse.skin_weight)
-    tall = procedural_body(Proportions(thigh=0.47, girth=1.1).scaled(1.9), coarse=500, fine=1500)
-    assert tall.stature == pytest.approx(1.9, abs=0.015)
-    k = 1.9 / Proportions(thigh=0.47).stature
-    assert tall.segment_lengths()["left_thigh"] == pytest.approx(0.47 * k, rel=1e-9)
-    assert tall.segment_lengths()["right_upper_arm"] == pytest.approx(0.28 * k, rel=1e-9)
-    assert tall.fine.volume > procedural.fine.volume
-
-
-def test_impossible_proportions_are_refused():
-    with pytest.raises(InputError, match="Proportion thigh is -0.1"):
-        Proportions(thigh=-0.1)
-    with pytest.raises(InputError, match="between 0.5 and 2.5 m"):
-        Proportions().scaled(17.0)
-
-
-def test_template_and_procedural_skeleton_have_the_same_degrees_of_freedom(template, procedural):
-    assert procedural.skeleton.dof_names == human_skeleton(template["joints"]).dof_names
