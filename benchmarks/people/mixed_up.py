@@ -1,4 +1,4 @@
-"""`bench mixed-up`: a person tracked from key points in which people, views or sides are mixed up, ten ways.
+"""`bench mixed-up`: a person tracked from key points in which people, views or sides are mixed up, four ways.
 
 What is wrong is done to the detections as a program would write them, before the person is chosen. Masks show the
 person alone (level-1 corrupted). Nothing is given: body and start are found in the clip.
@@ -43,7 +43,7 @@ def mixed_up(options: BenchOptions) -> BenchReport:
     joints), beyond_130 and said (EVIDENCE: runs beyond 130 mm, and the share of them whose worst frame is doubted or
     lost, or in which it is said that somebody is left out)."""
     seeds = options.seed_range(3, first=FIRST_SEED)
-    ways = dict(list(WAYS.items())[::4]) if options.quick else WAYS
+    ways = dict(list(WAYS.items())[:1]) if options.quick else WAYS
     rows: list[Row] = []
     parts = [
         options.part(f"{seed}", lambda s=seed, k=k: _measured(s, ways, options, k, len(seeds)))
@@ -131,40 +131,12 @@ def _into(points: Array, camera: Camera, small: Camera) -> Array:
 # ---- what is mixed up ---------------------------------------------------------------------------------------
 
 
-def _exchanged_at_random(share: float) -> Callable[..., Candidates]:
-    def spoil(scene: Scene, other: Scene, rng: np.random.Generator) -> Candidates:
-        found, view = detections(scene), int(rng.integers(len(scene.rig)))
-        for frame in found:
-            if rng.random() < share:
-                frame[view] = [p[_TWIN] for p in frame[view]]
-        return found
-
-    return spoil
-
-
-def _exchanged_in_a_block(scene: Scene, other: Scene, rng: np.random.Generator) -> Candidates:
+def _sides_exchanged(scene: Scene, other: Scene, rng: np.random.Generator) -> Candidates:
+    """Left and right exchanged in one view in 30 % of the frames."""
     found, view = detections(scene), int(rng.integers(len(scene.rig)))
-    first = int(rng.integers(10, len(found) - 30))
-    for frame in found[first : first + 25]:
-        frame[view] = [p[_TWIN] for p in frame[view]]
-    return found
-
-
-def _legs_exchanged(scene: Scene, other: Scene, rng: np.random.Generator) -> Candidates:
-    found, view = detections(scene), int(rng.integers(len(scene.rig)))
-    legs = [i for i, n in enumerate(BODY_25) if n.endswith(("hip", "knee", "ankle", "toe", "heel")) and n != "mid_hip"]
-    first = int(rng.integers(10, len(found) - 30))
-    for frame in found[first : first + 25]:
-        for p in frame[view]:
-            p[legs] = p[[_TWIN[i] for i in legs]]
-    return found
-
-
-def _another_cameras(scene: Scene, other: Scene, rng: np.random.Generator) -> Candidates:
-    found = detections(scene)
-    view, of = (int(i) for i in rng.permutation(len(scene.rig))[:2])
     for frame in found:
-        frame[view] = [p.copy() for p in frame[of]]
+        if rng.random() < 0.3:
+            frame[view] = [p[_TWIN] for p in frame[view]]
     return found
 
 
@@ -176,60 +148,33 @@ def _two_exchanged(scene: Scene, other: Scene, rng: np.random.Generator) -> Cand
     return found
 
 
-def _bystander(instead: float) -> Callable[..., Candidates]:
-    """Somebody else in one view; in a share of the frames the person is not detected there."""
-
-    def spoil(scene: Scene, other: Scene, rng: np.random.Generator) -> Candidates:
-        found, view = detections(scene), int(rng.integers(len(scene.rig)))
-        for frame, theirs in zip(found, detections(other), strict=True):
-            frame[view] = [*theirs[view], *([] if rng.random() < instead else frame[view])]
-        return found
-
-    return spoil
-
-
-def _bystander_everywhere(scene: Scene, other: Scene, rng: np.random.Generator) -> Candidates:
-    """Somebody else in all views, first in the file as often as not, away for a third of the clip."""
-    found = detections(scene)
-    for t, (frame, theirs) in enumerate(zip(found, detections(other), strict=True)):
-        for c in range(len(frame)):
-            if t > len(found) // 3:
-                both = [*frame[c], *theirs[c]]
-                frame[c] = both if rng.random() < 0.5 else both[::-1]
+def _bystander(scene: Scene, other: Scene, rng: np.random.Generator) -> Candidates:
+    """Another person in one view; in 40 % of the frames the person is not detected there."""
+    found, view = detections(scene), int(rng.integers(len(scene.rig)))
+    for frame, theirs in zip(found, detections(other), strict=True):
+        frame[view] = [*theirs[view], *([] if rng.random() < 0.4 else frame[view])]
     return found
 
 
-def _mirror(views: int) -> Callable[..., Candidates]:
-    """The person's picture in a mirror on the wall, in some of the views: a reflected body, its sides exchanged."""
-
-    def spoil(scene: Scene, other: Scene, rng: np.random.Generator) -> Candidates:
-        found = detections(scene)
-        middle = scene.joints.mean((0, 1))
-        wall = middle[1] + 1.2
-        p = scene.performance
-        across, far = np.array([1.0, -1.0, 1.0]), np.array([0.0, 2 * wall, 0.0])
-        behind = replace(
-            p, joints=p.joints * across + far, root=p.root * across + far, rotations=np.diag(across) @ p.rotations
-        )
-        theirs = detections(replace(scene, performance=behind, seed=scene.seed + 900))
-        for frame, mirrored in zip(found, theirs, strict=True):
-            for c in range(views):
-                frame[c] = [mirrored[c][0][_TWIN], *frame[c]]
-        return found
-
-    return spoil
+def _mirror(scene: Scene, other: Scene, rng: np.random.Generator) -> Candidates:
+    """The person's picture in a mirror on the wall, in two views: a reflected body, its sides exchanged."""
+    found, p = detections(scene), scene.performance
+    wall = scene.joints.mean((0, 1))[1] + 1.2
+    across, far = np.array([1.0, -1.0, 1.0]), np.array([0.0, 2 * wall, 0.0])
+    behind = replace(
+        p, joints=p.joints * across + far, root=p.root * across + far, rotations=np.diag(across) @ p.rotations
+    )
+    theirs = detections(replace(scene, performance=behind, seed=scene.seed + 900))
+    for frame, mirrored in zip(found, theirs, strict=True):
+        for c in range(2):
+            frame[c] = [mirrored[c][0][_TWIN], *frame[c]]
+    return found
 
 
 WAYS: Mapping[str, Callable[..., Candidates]] = {
-    "sides exchanged, 10 %": _exchanged_at_random(0.1),
-    "sides exchanged, 30 %": _exchanged_at_random(0.3),
-    "sides exchanged, 1 s": _exchanged_in_a_block,
-    "legs exchanged, 1 s": _legs_exchanged,
-    "another camera's": _another_cameras,
+    "sides exchanged, 30 %": _sides_exchanged,
     "two cameras exchanged": _two_exchanged,
-    "bystander in one view": _bystander(0.0),
-    "bystander instead, 40 %": _bystander(0.4),
-    "bystander in all views": _bystander_everywhere,
-    "mirror in two views": _mirror(2),
+    "bystander instead, 40 %": _bystander,
+    "mirror in two views": _mirror,
 }
-"""Ten ways, in one view each where nothing else is said."""
+"""Four ways, in one view each where nothing else is said."""

@@ -1,10 +1,9 @@
-"""ASF/AMC: a skeleton by hand with known answers, the real walk, and files that are refused."""
+"""ASF/AMC: a skeleton by hand with known answers and the real walk."""
 
 import numpy as np
 import pytest
 
 from benchmarks.synthetic.asf import bone_ends, global_rotations, read_amc, read_asf
-from hypose.errors import InputError
 from hypose.geometry import so3_exp
 
 ASF = """# made by hand
@@ -118,67 +117,3 @@ def test_real_walk_is_a_walk(shared_data):
     toes = (ends[:, asf.index("ltoes")] - ends[:, asf.index("ltibia")]).mean(0)
     assert toes[2] > 0.1
     assert (ends[:, asf.index("lhipjoint"), 0] > ends[:, asf.index("rhipjoint"), 0]).all()
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        (":hierarchy", ":other", "lacks :bonedata or :hierarchy"),
-        ("direction 0 0 5", "direction 0 0", "'lower' needs a direction of three"),
-        ("direction 0 0 5", "direction 0 0 x", "line 19 holds something that is not"),
-        ("direction 0 0 5", "direction 0 0 nan", "line 19 holds a number that is not finite"),
-        ("    length 2\n", "", "lacks its length"),
-        ("dof rx\n", "dof tx\n", "'lower' has channels tx"),
-        ("name lower", "name upper", "'upper' occurs twice"),
-        ("upper lower", "upper upper", "'upper' has two parents"),
-        ("upper lower", "upper nothing", "'nothing', which :bonedata lacks"),
-        ("upper lower\n", "", "'lower' does not hang on the root"),
-        ("root upper stiff", "lower stiff", "does not hang on the root"),
-        ("axis 0 0 90 XYZ", "axis 0 0 90 XXZ", "order such as XYZ"),
-        ("TX TY TZ RX RY RZ", "TX TY TZ RX RY RW", "root's order"),
-        ("length 0.45", "length 0", "must be positive"),
-    ],
-)
-def test_malformed_skeletons_are_refused(files, old, new, message):
-    assert old in ASF
-    (files / "bad.asf").write_text(ASF.replace(old, new, 1))
-    with pytest.raises(InputError, match=message) as error:
-        read_asf(files / "bad.asf")
-    assert "\n" not in str(error.value)
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ("lower 40\n", "", "the last frame lacks a bone"),
-        ("lower 0\n", "", "line 10: the bone 'lower' differs"),
-        ("lower 40", "lower 40 50", "line 11: the bone 'lower' differs"),
-        ("lower 40", "lower forty", "line 11 holds something that is not"),
-        ("1\nroot", "root", "is neither a keyword nor a frame number"),
-    ],
-)
-def test_malformed_motions_are_refused(files, old, new, message):
-    (files / "bad.amc").write_text(AMC.replace(old, new, 1))
-    with pytest.raises(InputError, match=message):
-        read_amc(files / "bad.amc")
-
-
-@pytest.mark.parametrize("reader", [read_asf, read_amc])
-@pytest.mark.parametrize("content", [b"", b"\0" * 50, b"hello world\n", b":nothing\n"])
-def test_foreign_files_are_refused(tmp_path, reader, content):
-    (tmp_path / "x").write_bytes(content)
-    with pytest.raises(InputError, match="x"):
-        reader(tmp_path / "x")
-
-
-@pytest.mark.parametrize(
-    ("channels", "message"),
-    [
-        ({"root": 6, "tail": 1}, "moves the bone 'tail'"),
-        ({"root": 6, "upper": 2}, "for 'upper', the skeleton needs"),
-        ({"upper": 3}, "no root channels"),
-    ],
-)
-def test_motion_of_another_skeleton_is_refused(files, channels, message):
-    with pytest.raises(InputError, match=message):
-        global_rotations(read_asf(files / "a.asf"), {bone: np.zeros((1, n)) for bone, n in channels.items()})

@@ -5,7 +5,6 @@ from benchmarks.synthetic import sensors as sim
 from benchmarks.synthetic.treadmill import treadmill_recording
 from hypose.app.live.simulated_sensors import ring_sensors
 from hypose.fusion import joints as jt
-from hypose.fusion.register import measured_joint_depth
 
 
 @pytest.fixture(scope="module")
@@ -48,29 +47,6 @@ def test_what_is_hidden_is_inferred_and_wrong_what_is_seen_is_nearly_right(recor
     assert (recording.state[hidden & reported] == 1).mean() == pytest.approx(0.7, abs=0.04)
     assert (recording.state[~hidden & reported] == 1).mean() == pytest.approx(0.05, abs=0.02)
     assert np.isnan(recording.positions[recording.state == 0]).all()
-
-
-def test_the_depth_map_and_the_joints_depth_tell_the_same(recording):
-    size, fov = (320, 240), 58.0
-    depth = recording.depth_map(100, 1, size, fov)
-    k = sim.intrinsics(size, fov)
-    frame = recording.frames()[100]
-    alone = type(frame)(
-        frame.positions[1:2],
-        frame.state[1:2],
-        frame.times[1:2],
-        frame.joint_names,
-        ("b",),
-        depth[None].astype(np.float32),
-        k[None],
-    )
-    sampled, given = measured_joint_depth(alone)[0], recording.joint_depth[100, 1]
-    use = (sampled > 0) & (given > 0)
-    assert use.sum() > 8
-    # the sensor's noise and the pixel grid: most agree to two centimetres
-    assert np.median(np.abs(sampled - given)[use]) < 0.02
-    body = np.abs(recording.positions[100, 1, :, 2] - sampled)[use]
-    assert np.median(body) < 0.2
 
 
 def test_a_sensor_behind_exchanges_the_sides_in_episodes():
