@@ -27,6 +27,7 @@ from benchmarks.multiview.real_recordings import LIMBS, balancing_recording, cli
 from benchmarks.multiview.things_in_masks import with_thing
 from benchmarks.people.together import RIGS, SETTINGS
 from benchmarks.synthetic.depth_frames import depth_frames
+from benchmarks.synthetic.noisy_masks import noisy_scene
 from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.evidence.frame import Frame
@@ -44,7 +45,6 @@ from hypose.pipeline.sensor_skeletons import assess_fused
 from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.metrics import EVALUATED
-from hypose.synthetic.scenes import make_scene
 
 RATE = 25.0
 T = TypeVar("T")
@@ -147,7 +147,7 @@ def _crossing(seed: int, data: Path) -> Iterator[tuple[str, Outcome]]:
     count = round(1.4 * RATE)
     first = min(max(nearest - count // 2, 0), len(one) - count)
     scenes = [
-        cut(make_scene(p, s, RIGS["4"], seconds=len(one) / RATE, seed=seed + k, corruption=("level-1",)), first)
+        cut(noisy_scene(p, s, RIGS["4"], seconds=len(one) / RATE, seed=seed + k), first)
         for k, (s, p) in enumerate(performers)
     ]
     both = replace(scenes[0], others=((scenes[1].subject, scenes[1].performance),))

@@ -97,12 +97,15 @@ class Declared:
         raise InputError(f"{name or self.flag} {shown} is not possible; {self.option.allowed}.")
 
     def parse(self, text: str) -> Any:  # noqa: ANN401
-        """The value that a text stands for; a ValueError when it is of another kind, an InputError as `check`."""
-        if self.kind is bool:
-            if text.lower() not in _TRUTH:
-                raise ValueError(text)
-            return _TRUTH[text.lower()]
-        return self.check(self.kind(text), self.name)
+        """Convert a text to the value that it stands for.
+
+        Raises: InputError where the text is of another kind, or as for `check`.
+        """
+        try:
+            value = _TRUTH[text.lower()] if self.kind is bool else self.kind(text)
+        except (ValueError, KeyError):
+            raise InputError(f"{self.name} cannot be {text!r}; see docs/batch.md.") from None
+        return self.check(value, self.name)
 
 
 @functools.cache

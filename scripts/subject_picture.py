@@ -12,10 +12,11 @@ import numpy as np
 from PIL import Image as Pillow
 
 from benchmarks.multiview.body_measures import fit_scene
+from benchmarks.synthetic.noisy_masks import noisy_scene
 from hypose.body.body import Body
 from hypose.compute.parts import covered
 from hypose.geometry import Array
-from hypose.synthetic.scenes import Scene, make_scene
+from hypose.synthetic.scenes import Scene
 from hypose.synthetic.subjects import load_subjects
 
 OUT = Path(__file__).resolve().parent.parent / "docs/images/subject-fit.png"
@@ -24,7 +25,7 @@ BODY, OUTLINE = (60, 190, 250), (255, 60, 200)
 
 def main() -> None:
     """Estimate the heavy subject from 3 s of movement and draw one of the fitted frames in four views."""
-    scene = make_scene("combo", load_subjects()["heavy"], "humaneva-4", seconds=3.0, seed=1, corruption=("level-1",))
+    scene = noisy_scene("combo", load_subjects()["heavy"], "humaneva-4", seconds=3.0, seed=1)
     found, _ = fit_scene(scene, None)
     k = int(np.argmin(found.iou_before.mean(1)))
     rows = []

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 
 from benchmarks.bench_report import BenchOptions, BenchReport, Row
+from benchmarks.synthetic.noisy_masks import noisy_scene
 from hypose.calibration.diagnose_person import Finding
 from hypose.calibration.diagnose_points import mirrored_names
 from hypose.calibration.diagnostics import Observed, ViewFile, examine
@@ -47,12 +48,11 @@ def healthy(seed: int, *, late: Sequence[int] = (0,), keypoints: bool = True) ->
     the cameras are late, in turn."""
     rng = np.random.default_rng([seed, 77])
     motion, rig = _MOTIONS[seed % len(_MOTIONS)], _RIGS[int(rng.integers(len(_RIGS)))]
-    scene = make_scene(
+    scene = noisy_scene(
         motion,
         rig=rig,
         seconds=(_FRAMES + _LEAD + 1) / 25.0,
         seed=seed,
-        corruption=("level-1",),
         distorted=bool(rng.random() < 0.7),
     )
     what = replace(scene.corruption, desync=tuple(late), calibration_error=0.0)

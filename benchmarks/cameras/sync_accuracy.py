@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.bench_report import BenchOptions, BenchReport, Row
+from benchmarks.synthetic.noisy_masks import LEVELS, corrupt_mask
 from hypose.calibration.synchronisation import offsets_from_motion
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.frame import Silhouettes
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.geometry import Array
-from hypose.synthetic.corruptions import CORRUPTIONS, corrupt_mask
 from hypose.synthetic.scenes import Scene, keypoint_detections, make_scene
 
 _FINE, _RATE, _PAD = 10, 25.0, 8
@@ -52,7 +52,7 @@ def seen_masks(scene: Scene, shown: Array, scale: float = 0.5) -> list[Silhouett
         for c in range(len(rig)):
             clean = scene.clean_mask(c, int(shown[c, t]), scale)
             rng = np.random.default_rng([scene.seed, 502, c, t])
-            masks.append(corrupt_mask(clean, np.zeros_like(clean), CORRUPTIONS["level-1"], rng, scale))
+            masks.append(corrupt_mask(clean, np.zeros_like(clean), LEVELS["level-1"], rng, scale))
         out.append(make_silhouettes(masks, rig))
     return out
 

@@ -22,6 +22,7 @@ from benchmarks.depth_sensors.depth_passing import people_apart
 from benchmarks.multiview.action_scenes import captured, subject_of_seed
 from benchmarks.multiview.doubt_fit import auroc, ece
 from benchmarks.synthetic.depth_frames import depth_frames, empty_rooms, seen_before
+from benchmarks.synthetic.noisy_masks import LEVELS, corrupt_mask
 from benchmarks.synthetic.retarget import retarget
 from benchmarks.synthetic.sensors import SensorModel, simulate
 from hypose.body.default_body import human
@@ -41,7 +42,6 @@ from hypose.pipeline.import_depth import register_depth
 from hypose.pipeline.run import track_source
 from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.track_options import TrackOptions
-from hypose.synthetic.corruptions import corrupt_mask, corruptions
 from hypose.synthetic.depth_scenes import DepthScene, depth_rig, depth_scene, to_profile, turning
 from hypose.synthetic.metrics import EVALUATED, population_offsets, with_offsets
 from hypose.synthetic.motions import act
@@ -254,7 +254,7 @@ def _with_colour(seed: int, seconds: float, options: BenchOptions) -> dict[str, 
     scene = scene_of(seed, "depth-1", seconds, options)
     side = look_at("colour", (3.6, 0.0, 1.4), (0, 0, 0.95), 600.0, (640, 480))
     rig = CameraRig((*scene.rig, side))
-    what = corruptions("level-1")
+    what = LEVELS["level-1"]
     frames, p = [], scene.performance
     for frame in depth_frames(scene):
         vertices = scene.subject.skin(p.rotations[frame.index], p.root[frame.index])

@@ -164,7 +164,7 @@ def _verdicts(file: Path, frames: list[SensorJoints], found: dict[tuple[str, str
     """How `hypose fuse` ends: 1 or 0 per recording, of which that is so of any of its people."""
     hard = bool(set(_scenarios(file).values()) & {"4", "5", "6", "8"})
     with TemporaryDirectory() as folder:
-        people = run_fuse(read_skeletons(file), ResultsFolder(Path(folder)), FuseCommand(formats="csv")).people
+        people, *_ = run_fuse(read_skeletons(file), ResultsFolder(Path(folder)), FuseCommand(formats="csv"))
     words = [p.assessment.word for p in people]
     case = "occlusion or two people" if hard else "one person"
     found.setdefault(("not_good", case, "share"), []).append(float(any(w != GOOD for w in words)))

@@ -11,6 +11,7 @@ import numpy as np
 
 from benchmarks.bench_report import BenchOptions, BenchReport, Row, row
 from benchmarks.multiview.action_scenes import action_scene, subject_of_seed, track_scene
+from benchmarks.synthetic.noisy_masks import noisy_scene
 from hypose.body.anthropometry import Sizes, measure, sizes_of
 from hypose.body.body import Body
 from hypose.body.default_body import human
@@ -18,7 +19,7 @@ from hypose.compute.parts import covered
 from hypose.geometry import Array
 from hypose.pipeline.subject_from_motion import AnthropometryOptions, SubjectEstimate, estimate_subject
 from hypose.synthetic.performance import Angles, Performance, Stance, perform
-from hypose.synthetic.scenes import Scene, make_scene
+from hypose.synthetic.scenes import Scene
 from hypose.synthetic.subjects import SyntheticSubject, dress, load_subjects
 from hypose.tracking.subject import scaled_to_height
 
@@ -77,14 +78,14 @@ def anthropometry(options: BenchOptions) -> BenchReport:
 
 def motion_scene(subject: SyntheticSubject, seed: int) -> Scene:
     """3 s of movement of a dressed subject before five cameras."""
-    return make_scene("combo", subject, "ring-5", seconds=3.0, seed=seed, corruption=("level-1",))
+    return noisy_scene("combo", subject, "ring-5", seconds=3.0, seed=seed)
 
 
 def pose_scene(subject: SyntheticSubject, seed: int) -> Scene:
     """A held pose (hands-up, A or T by the seed), eight frames."""
     dressed = dress(subject, 0.02, np.random.default_rng([seed, 0]))
     held = held_pose(tuple(_POSES)[seed % 3], dressed)
-    return make_scene(held, dressed, "ring-5", seed=seed, corruption=("level-1",))
+    return noisy_scene(held, dressed, "ring-5", seed=seed)
 
 
 def held_pose(name: str, subject: SyntheticSubject, frames: int = 8, frame_rate: float = 25.0) -> Performance:
@@ -149,7 +150,7 @@ def clean_iou(scene: Scene, body: Body, poses: Array, indices: tuple[int, ...]) 
 
 def tracking_errors(seed: int, options: BenchOptions) -> dict[str, tuple[float, float]]:
     """Mean joint error m (template, fitted) on walk and box of a subject; see `anthropometry`."""
-    take = make_scene("combo", subject_of_seed(seed), "humaneva-4", seconds=3.0, seed=seed, corruption=("level-1",))
+    take = noisy_scene("combo", subject_of_seed(seed), "humaneva-4", seconds=3.0, seed=seed)
     estimate, _ = fit_scene(take, None)
     out = {}
     for action in ("walk", "box"):
@@ -157,7 +158,7 @@ def tracking_errors(seed: int, options: BenchOptions) -> dict[str, tuple[float, 
         frames = list(scene.mask_frames(1.0))
         errors = []
         for body in (None, estimate.body):
-            errors.append(track_scene(scene, frames, "default", seed, body).errors.mean)
+            errors.append(track_scene(scene, frames, "default", seed, body).errors.mean())
         out[action] = (errors[0], errors[1])
     return out
 

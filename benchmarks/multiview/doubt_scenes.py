@@ -19,6 +19,7 @@ from benchmarks.multiview.action_scenes import known_subject, subject_of_seed
 from benchmarks.multiview.product import aligned_joints, body_by_keypoints, estimated_body
 from benchmarks.multiview.real_recordings import balancing_recording
 from benchmarks.multiview.things_in_masks import with_thing
+from benchmarks.synthetic.noisy_masks import noisy_scene
 from benchmarks.synthetic.retarget import retarget
 from benchmarks.synthetic.spoilt_keypoints import SPOILS, moved_camera, spoilt
 from hypose.body.body import Body
@@ -35,7 +36,7 @@ from hypose.pipeline.run import track_source
 from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.depth_scenes import DepthScene
-from hypose.synthetic.scenes import Scene, keypoint_detections, make_scene
+from hypose.synthetic.scenes import Scene, keypoint_detections
 from hypose.tracking.covariance_calibration import apart_factors, beyond_usual, fitted_spread_table, kind_of
 from hypose.tracking.error_model import as_mixture, judged, without_mixture
 
@@ -181,9 +182,9 @@ def bare_scene(case: Case, seed: int, seconds: float = SECONDS) -> Scene:
             folder / "02.asf", folder / f"{case.motion}.amc", subject, 25.0, start=case.begin, seconds=seconds
         )
         cameras = _real_rig(options.folder("pose2sim_balancing")) if case.rig == "balancing" else case.rig
-        return make_scene(motion, subject, cameras, seed=seed, corruption=case.corruption)
+        return noisy_scene(motion, subject, cameras, seed=seed, corruption=case.corruption)
     how: dict[str, Any] = {"seed": seed, "corruption": case.corruption, "speed": case.speed}
-    scene = make_scene(case.motion, subject, case.rig, seconds=case.begin + seconds, **how)
+    scene = noisy_scene(case.motion, subject, case.rig, seconds=case.begin + seconds, **how)
     return cut(scene, round(case.begin * scene.frame_rate))
 
 

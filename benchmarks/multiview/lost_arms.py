@@ -15,6 +15,7 @@ from benchmarks.bench_report import BenchOptions, BenchReport, Row
 from benchmarks.multiview.action_scenes import ACTIONS, action_scene, known_subject, subject_of_seed
 from benchmarks.multiview.product import estimated_body
 from benchmarks.multiview.real_recordings import balancing_recording, in_memory
+from benchmarks.synthetic.noisy_masks import noisy_scene
 from hypose.body.body import Body
 from hypose.body.default_body import JOINT_NAMES, human
 from hypose.compute.part_colours import shown_parts
@@ -23,10 +24,10 @@ from hypose.evidence.frame import Colours, Frame
 from hypose.evidence.limb_maps import LABELS, LimbMaps, limb_of_joints
 from hypose.geometry import Array
 from hypose.pipeline.first_frame import SubjectOptions, find_subject
-from hypose.pipeline.passes import ClipState, tracker_of
+from hypose.pipeline.passes import ClipState, track_clip, tracker_of
 from hypose.pipeline.run import finish, track_source
 from hypose.pipeline.track import track
-from hypose.pipeline.track_loop import FrameList, track_frames
+from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.metrics import EVALUATED, population_offsets, with_offsets
 from hypose.synthetic.scenes import Scene, make_scene
@@ -90,7 +91,7 @@ def _seed(seed: int, others: Sequence[str], draws: int, options: BenchOptions) -
     for case in others:
         motion, rig = _OTHERS[case]
         subject = subject_of_seed(seed)
-        scenes[case] = make_scene(motion, subject, rig, seconds=_SECONDS, seed=seed, corruption=("level-1",))
+        scenes[case] = noisy_scene(motion, subject, rig, seconds=_SECONDS, seed=seed)
     out: dict[str, Any] = {}
     for case, scene in scenes.items():
         coloured = case.endswith(_COLOURED)
@@ -135,12 +136,10 @@ def _distances(scene: Scene, source: FrameList, body: Body, draw: int, colours: 
     """(T, 15) m: of the smoothed clip, and frame after frame."""
     subject, options = known_subject(scene, body), TrackOptions(seed=draw, own={"colours": True} if colours else {})
     tracker = tracker_of(subject, options, scene.frame_rate)
-    begin = tracker.start(subject.start)
-    done = track_frames(source, tracker, begin, subject, progress=_silent)
-    clip = ClipState(source, scene.frame_rate, options, subject=subject, tracker=tracker, tracked=done)
+    clip = track_clip(ClipState(source, scene.frame_rate, options, subject=subject, tracker=tracker))
     smoothed = finish(clip).motion.poses
-    assert smoothed is not None
-    tracked = np.stack([e.pose for e in done.estimates])
+    assert smoothed is not None and clip.tracked is not None
+    tracked = np.stack([e.pose for e in clip.tracked.estimates])
     return _errors(body, smoothed, scene), _errors(body, tracked, scene)
 
 
@@ -208,7 +207,3 @@ def _difference(case: str, joints: Sequence[Array]) -> Row:
     """By how much two of joints (T, J, 3) m differ at most."""
     most = max(np.linalg.norm(a - b, axis=-1).max() for a, b in itertools.combinations(joints, 2))
     return Row("draw_difference_mm", case, 1e3 * float(most), "mm", n=len(joints))
-
-
-def _silent(stage: str, done: int, total: int) -> None:
-    pass

@@ -9,10 +9,11 @@ import numpy as np
 
 from benchmarks.multiview.action_scenes import subject_of_seed
 from benchmarks.multiview.things_in_masks import with_thing
+from benchmarks.synthetic.noisy_masks import noisy_scene
 from hypose.evidence.frame import Frame
 from hypose.synthetic.motions import Take, sample_times
 from hypose.synthetic.performance import Angles, Performance, Stance, moved, perform
-from hypose.synthetic.scenes import Scene, camera_rig, make_scene
+from hypose.synthetic.scenes import Scene, camera_rig
 from hypose.synthetic.subjects import SyntheticSubject
 
 SCALE = 0.5
@@ -69,7 +70,7 @@ def start_scene(posture: str, cameras: str, seed: int, seconds: float = 1.4) -> 
     subject = subject_of_seed(seed)
     rng = np.random.default_rng([seed, list(POSTURES).index(posture), RIGS.index(cameras)])
     acted = performance(posture, subject, rng, seconds, 25.0)
-    return make_scene(acted, subject, camera_rig(cameras), seed=seed, corruption=("level-1",))
+    return noisy_scene(acted, subject, camera_rig(cameras), seed=seed)
 
 
 def frames_of(scene: Scene, chair: bool) -> list[Frame]:

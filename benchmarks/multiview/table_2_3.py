@@ -11,7 +11,15 @@ import numpy as np
 
 from benchmarks.bench_report import BenchOptions, BenchReport, Row
 from benchmarks.multiview import product
-from benchmarks.multiview.action_scenes import ACTIONS, Outcome, action_scene, captured, median_row, track_scene
+from benchmarks.multiview.action_scenes import (
+    ACTIONS,
+    LOST_M,
+    Outcome,
+    action_scene,
+    captured,
+    median_row,
+    track_scene,
+)
 from hypose.body.body import Body
 from hypose.evidence.frame import Frame
 from hypose.synthetic.metrics import joint_errors
@@ -76,13 +84,13 @@ def table_rows(found: Mapping[tuple[str, str], Sequence[Outcome]], actions: Sequ
                 runs = zip(*(found[name, a] for a in of), strict=False)
                 return [float(np.mean([read(o) for o in over_actions])) for over_actions in runs]
 
-            base = float(np.median(values(lambda o: 1e3 * o.errors.mean, presets[0])))
-            mean = values(lambda o: 1e3 * o.errors.mean)
+            base = float(np.median(values(lambda o: 1e3 * o.errors.mean(), presets[0])))
+            mean = values(lambda o: 1e3 * o.errors.mean())
             against = {"baseline": f"{presets[0]}/{action}", "baseline_value": base}
             rows.append(median_row("mean_error_mm", case, mean, "mm", **against))
-            rows.append(median_row("sd_error_mm", case, values(lambda o: 1e3 * o.errors.sd), "mm"))
-            rows.append(median_row("p95_error_mm", case, values(lambda o: 1e3 * o.errors.p95), "mm"))
-            rows.append(median_row("lost_share", case, values(lambda o: o.errors.lost_share), "1"))
+            rows.append(median_row("sd_error_mm", case, values(lambda o: 1e3 * o.errors.mean(1).std()), "mm"))
+            rows.append(median_row("p95_error_mm", case, values(lambda o: 1e3 * np.percentile(o.errors, 95)), "mm"))
+            rows.append(median_row("lost_share", case, values(lambda o: (o.errors.mean(1) > LOST_M).mean()), "1"))
             base = float(np.median(values(lambda o: o.seconds_per_frame, presets[0])))
             against = {"baseline": f"{presets[0]}/{action}", "baseline_value": base}
             rows.append(median_row("seconds_per_frame", case, values(lambda o: o.seconds_per_frame), "s", **against))

@@ -12,13 +12,14 @@ import numpy as np
 
 from benchmarks.bench_report import BenchOptions, BenchReport, Row
 from benchmarks.multiview.action_scenes import known_subject, median_row, subject_of_seed
+from benchmarks.synthetic.noisy_masks import noisy_scene
 from hypose.body.body import Body
 from hypose.evidence.body_parts import detect_ends, end_colors
 from hypose.evidence.frame import Frame
 from hypose.evidence.skin import skin_map
 from hypose.geometry import Array
 from hypose.inference.layer import Recipe
-from hypose.synthetic.scenes import Scene, make_scene
+from hypose.synthetic.scenes import Scene
 from hypose.tracking.published_recipes import apf, dd_hpf, dd_hpf_plus, dd_hpf_plus_5, hpf
 from hypose.tracking.recipes import dd_hpf_rivals
 from hypose.tracking.tracker import Tracker, TrackerSettings
@@ -98,14 +99,13 @@ def table_2_4(options: BenchOptions) -> BenchReport:
 
 def ixmas_scene(action: str, seed: int, seconds: float) -> Scene:
     """The scene of an action and a seed; see table_2_4."""
-    scene = make_scene(
+    scene = noisy_scene(
         action,
         subject_of_seed(seed),
         "ixmas-5",
         seconds=seconds,
         frame_rate=FRAME_RATE,
         seed=seed,
-        corruption=("level-1",),
     )
     return replace(scene, hands_only=True)
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from scipy.optimize import minimize
@@ -25,7 +24,7 @@ from hypose.inference.annealing import AnnealingRate, FixedAnnealingRate, Smooth
 from hypose.inference.estimates import TangentMean
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.kernels import GaussianDiffusion, RejectionSampling, layered_sigma
-from hypose.inference.layer import Layer, Recipe, search, stream
+from hypose.inference.layer import Layer, Recipe
 from hypose.inference.resampling import systematic
 from hypose.tracking.frame_evidence import PreparedFrame
 from hypose.tracking.recipes import THESIS
@@ -198,28 +197,6 @@ def powell_start(template: Body, pose: Array, frame: PreparedFrame, evaluations:
             state = state.copy()
             state[coordinates] = np.clip(state[coordinates] + step * found.x, low, high)
     return state
-
-
-def estimate_by_filter(
-    template: Body,
-    pose: Array,
-    frame: PreparedFrame,
-    *,
-    particles: int = 150,
-    seed: int = 0,
-    betas: Sequence[float] | None = None,
-) -> tuple[Body, Array, Array]:
-    """Body, factors (K,) and pose (D,) from one frame in a known pose: Powell limb by limb, then the layered filter.
-
-    The result is what explains the silhouettes best of the filter's mean, its best member and where it began."""
-    made = anthropometry_recipe(template, particles, betas=betas)
-    first = powell_start(template, pose, frame)
-    h = Hypotheses.uniform(np.repeat(first[None], made.particles, 0))
-    result = search(h, made, frame, partial(stream, seed, 0))
-    # the mean of a spread set may be worse than its best member, or than where it began
-    light = without_display(template)
-    found = min((result.estimate, result.weighted.best(), first), key=lambda x: shape_energy(light, x, frame))
-    return body_of(template, found[:K]), found[:K], found[K:]
 
 
 def without_display(body: Body) -> Body:

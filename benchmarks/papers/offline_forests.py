@@ -17,10 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.compute.compiled import kernel
-from hypose.compute.forests import HALF, MAX_NODES, SHIFT, PaddedDepth, best_test, f4, i4, uniform
+from hypose.compute.forests import HALF, MAX_NODES, SHIFT, PaddedDepth, best_test, f4, i4, pad_depth, uniform
 from hypose.errors import InputError
 from hypose.gestures.forest import Forest, ForestSettings
-from hypose.gestures.localise import pad
 from hypose.gestures.online import BACKGROUND, Example, LearnSettings, Pixels, PixelSampler
 
 STEP_MM = 6
@@ -93,7 +92,7 @@ def collect(
     patches, labels, picture = [], [], None
     near = sampler.settings.look.plan.near_mm
     for e in examples:
-        picture = pad(e.depth, e.lens, reach_mm, near, picture)
+        picture = pad_depth(e.depth, e.lens.fx, near, reach_mm, picture)
         for (rows, columns), label in chosen_pixels(sampler, e, positives, negatives):
             if len(rows):
                 patches.append(cut_patches(picture, picture.cells(rows, columns), STEP_MM))

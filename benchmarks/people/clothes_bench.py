@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from benchmarks.bench_report import BenchOptions, BenchReport, Row
 from benchmarks.multiview.action_scenes import subject_of_seed
 from benchmarks.people.together import out_of_view
+from benchmarks.synthetic.noisy_masks import noisy_scene
 from hypose.evidence.colours import colour_codes
 from hypose.evidence.frame import Colours, Frame
 from hypose.geometry import Array
@@ -26,7 +27,7 @@ from hypose.pipeline.track_options import TrackOptions
 from hypose.pipeline.tracked_people import TrackedPerson
 from hypose.synthetic.motions import act
 from hypose.synthetic.performance import Performance
-from hypose.synthetic.scenes import Scene, make_scene
+from hypose.synthetic.scenes import Scene
 
 FIRST_SEED = 330
 RATE = 25.0
@@ -82,7 +83,7 @@ def _twins(setting: str, seed: int) -> tuple[Scene, NDArray[np.bool_]]:
         side = np.where(back, _BESIDE_M, -_BESIDE_M)
         one, other = _shifted(here, side), _shifted(here, -side)
         there = np.tile(back | (here.times < _LEAVES), (2, 1))
-    scene = make_scene(one, twin, "ring-5", seed=seed, corruption=("level-1",))
+    scene = noisy_scene(one, twin, "ring-5", seed=seed)
     first, second = (out_of_view(p, ~t) for p, t in zip((one, other), there, strict=True))
     return replace(scene, performance=first, others=((scene.subject, second),)), there
 

@@ -15,6 +15,7 @@ import numpy as np
 from benchmarks.bench_report import BenchOptions, BenchReport, Row, row
 from benchmarks.multiview.action_scenes import subject_of_seed
 from benchmarks.multiview.product import aligned_joints
+from benchmarks.synthetic.noisy_masks import noisy_scene
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.evidence.frame import Frame, Keypoints
 from hypose.evidence.keypoints import BODY_25
@@ -101,7 +102,7 @@ def _tracked(scene: Scene, frames: list[Frame], evidence: str, seed: int, noted:
 def _scenes(seed: int) -> tuple[Scene, Scene]:
     """The person, and somebody else in the same room, 1.1 m aside."""
     motion, rig = _MOTIONS[seed % len(_MOTIONS)], "humaneva-4"
-    scene = make_scene(motion, subject_of_seed(seed), rig, seconds=_SECONDS, seed=seed, corruption=("level-1",))
+    scene = noisy_scene(motion, subject_of_seed(seed), rig, seconds=_SECONDS, seed=seed)
     other = make_scene("wave", subject_of_seed(seed + 3), rig, seconds=_SECONDS, seed=seed + 500)
     return scene, replace(other, performance=moved(other.performance, shift=(1.0, -0.5)))
 

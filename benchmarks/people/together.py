@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from benchmarks.bench_report import BenchOptions, BenchReport, Row, row
 from benchmarks.multiview.action_scenes import captured, subject_of_seed
+from benchmarks.synthetic.noisy_masks import noisy_scene
 from benchmarks.synthetic.retarget import retarget
 from hypose.body.default_body import human
 from hypose.body.motion import Motion
@@ -184,7 +185,7 @@ def run(name: str, views: str, seed: int, options: BenchOptions) -> dict[str, An
     performers = setting.make(seed, options.folder("mocap") if captured(options) else None)
     seconds = 1.6 if options.quick else SECONDS
     scenes = [
-        make_scene(p, s, RIGS[views], seconds=seconds, seed=1000 + 10 * seed + k, corruption=("level-1",))
+        noisy_scene(p, s, RIGS[views], seconds=seconds, seed=1000 + 10 * seed + k)
         for k, (s, p) in enumerate(performers)
     ]
     present = np.ones((len(scenes), len(scenes[0])), dtype=np.bool_)
@@ -276,7 +277,7 @@ def _errors(motion: Motion, scene: Scene) -> Array:
     assert motion.poses is not None
     rotations, _ = motion.skeleton.forward(motion.poses)
     offsets = population_offsets(human()) * scene.subject.stature
-    return 1e3 * joint_errors(motion.joints, scene.joints[: len(motion)], offsets, rotations).distances
+    return 1e3 * joint_errors(motion.joints, scene.joints[: len(motion)], offsets, rotations)
 
 
 def _judged(

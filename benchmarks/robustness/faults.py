@@ -10,6 +10,7 @@ import numpy as np
 from scipy.signal import medfilt
 
 from benchmarks.bench_report import BenchOptions, BenchReport, Row
+from benchmarks.synthetic.noisy_masks import noisy_scene
 from hypose.body.default_body import human
 from hypose.body.motion import Motion
 from hypose.evidence.frame import Frame
@@ -184,7 +185,7 @@ def _errors(scene: Scene, motion: Motion, truth: Array) -> Array:
     assert motion.poses is not None
     rotations, _ = motion.skeleton.forward(motion.poses)
     offsets = population_offsets(human()) * scene.subject.stature
-    return joint_errors(motion.joints, truth, offsets, rotations).distances.mean(1)
+    return joint_errors(motion.joints, truth, offsets, rotations).mean(1)
 
 
 def faults(options: BenchOptions) -> BenchReport:
@@ -199,7 +200,7 @@ def faults(options: BenchOptions) -> BenchReport:
     found: dict[str, list[dict[str, float]]] = {}
     for k, seed in enumerate(seeds):
         cameras = camera_rig("humaneva-4").scaled(0.5)
-        scene = make_scene("walk", "", cameras, seconds=6.0, seed=seed, corruption=("level-1",))
+        scene = noisy_scene("walk", "", cameras, seconds=6.0, seed=seed)
         frames = FrameList(list(scene.mask_frames()))
         wanted = SubjectOptions("hull", height=scene.subject.stature, frame_rate=_RATE)
         subject = find_subject(frames.frame, len(frames), wanted)

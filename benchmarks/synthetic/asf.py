@@ -132,6 +132,7 @@ def _composed(order: Sequence[str], angles: Sequence[ArrayLike]) -> Array:
 def _sections(path: str | Path) -> dict[str, list[list[str]]]:
     """Words of the lines below each :keyword, without those that begin and end a list."""
     out: dict[str, list[list[str]]] = {}
+    current = list[list[str]]()
     for line in text_lines(path, "an ASF skeleton"):
         words = line.split("#", 1)[0].split()
         if words and words[0].startswith(":"):

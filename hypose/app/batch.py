@@ -37,19 +37,8 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
 COLUMNS = (
-    *(
-        "recording",
-        "name",
-        "state",
-        "frames",
-        "lost",
-        "extrapolated",
-        "low_confidence",
-        "assessment",
-        "iou",
-        "worst_iou",
-    ),
-    *("sd_mm", "error_mm", "track_s", "key", "results", "message"),
+    *("recording", "name", "state", "frames", "lost", "extrapolated", "low_confidence", "assessment", "iou"),
+    *("worst_iou", "sd_mm", "error_mm", "track_s", "key", "results", "message"),
 )
 """Columns of results.csv; empty where unknown."""
 RETRIES = 2
@@ -106,22 +95,15 @@ def read_table(path: Path, more: Mapping[str, Any] = _FILES) -> list[Task]:
         raise InputError(f"{path}: {wrong}; the columns are recording, name, {', '.join(_COLUMNS_OF_TRACK)}.")
     tasks = []
     for row in reader:
-        where, options = f"{path}, line {reader.line_num}", {}
+        where = f"{path}, line {reader.line_num}"
         if "more" in row or not row["recording"].strip():
             raise InputError(f"{where}: the row must name a recording and have as many cells as the first line.")
-        for name, option in _COLUMNS_OF_TRACK.items():
-            text = (row.get(name) or "").strip()
-            try:
-                if text:
-                    options[option.name] = option.parse(text)
-            except ValueError:
-                raise InputError(f"{where}: {name} cannot be {text!r}; see docs/batch.md.") from None
-            except InputError as error:
-                raise InputError(f"{where}: {error}") from None
-        for name in options.keys() & {"subject", "calibration"}:
-            options[name] = type(options[name])(path.parent / Path(options[name]).expanduser())
-        recording = path.parent / Path(row["recording"].strip()).expanduser()
+        given = {name: text for name in _COLUMNS_OF_TRACK if (text := (row.get(name) or "").strip())}
         try:
+            options = {_COLUMNS_OF_TRACK[name].name: _COLUMNS_OF_TRACK[name].parse(v) for name, v in given.items()}
+            for name in options.keys() & {"subject", "calibration"}:
+                options[name] = type(options[name])(path.parent / Path(options[name]).expanduser())
+            recording = path.parent / Path(row["recording"].strip()).expanduser()
             command = TrackCommand(recording=recording, **{**more, **options})
         except InputError as error:
             raise InputError(f"{where}: {error}") from None

@@ -12,6 +12,7 @@ import errno
 import importlib
 import inspect
 import io
+import logging
 import os
 import sys
 import traceback
@@ -204,7 +205,7 @@ app = _Group(
     _ABOUT,
     [
         click.Option(["--version"], is_flag=True, callback=_version, is_eager=True, help="Print the version and exit."),
-        click.Option(["--debug"], is_flag=True, help="Show where an error came from (also: HYPOSE_DEBUG=1)."),
+        click.Option(["--debug"], is_flag=True, help="Log what is done, and where an error came from."),
     ],
 )
 
@@ -223,6 +224,9 @@ def run_cli(arguments: Sequence[str] | None = None, command: click.Command = app
     sys.setswitchinterval(5e-4)
     given = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in given or os.environ.get("HYPOSE_DEBUG", "") not in ("", "0")
+    if debug:
+        logging.basicConfig(format="%(relativeCreated)7d ms %(name)s: %(message)s")
+        logging.getLogger("hypose").setLevel(logging.DEBUG)
     # accepted in any place: who needs it is in a hurry
     given = [a for a in given if a != "--debug"]
     # a flag takes no value

@@ -174,6 +174,14 @@ class CalibrateCommand:
     height: Annotated[
         float | None, Option("How tall that person is, in metres.", *HEIGHT, unit="metres", group=_PERSON)
     ] = None
+    focal: Annotated[
+        tuple[str, ...],
+        Option(
+            "Focal length in pixels of all cameras, or CAMERA=PIXELS of each (repeated). [default: found out]",
+            value="PIXELS",
+            group=_PERSON,
+        ),
+    ] = ()
     largest: Annotated[
         float | None,
         Option(
@@ -361,7 +369,7 @@ class SynthCommand:
     frame_rate: Annotated[float, Option("Frames per second.", 1, 1000)] = 25.0
     corruption: Annotated[
         tuple[str, ...],
-        Option("What goes wrong: level-1, shadow, desync, ... (may be repeated).", value="NAME"),
+        Option("What goes wrong: table, desync, dead-camera, ... (may be repeated).", value="NAME"),
     ] = ()
     clothing: Annotated[float, Option("Thickness of the clothes in metres.", 0, 0.04, unit="metres")] = 0.02
     distorted: Annotated[bool, Option("Lenses without distortion.")] = True

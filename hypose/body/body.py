@@ -97,6 +97,25 @@ class Mesh:
         weights = np.bincount(place.ravel(), self.skin_weight.ravel(), v * n_joints)
         return np.asarray(weights, dtype=np.float64).reshape(v, n_joints)
 
+    @cached_property
+    def rings(self) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+        """Corners of the faces around each vertex.
+
+        Returns: first (V + 1,): the rows first[v] to first[v + 1] are those of vertex v; rows (3 F, 3): the two other
+            corners of a face, in its order, and the row of the face around the same vertex that shares the edge to the
+            first of them (its own row where no face does).
+        """
+        faces = np.asarray(self.faces)
+        corners, count = faces.ravel(), len(self.vertices)
+        order = np.argsort(corners, kind="stable")
+        first = np.searchsorted(corners[order], np.arange(count + 1)).astype(np.int64)
+        others = np.stack([np.roll(faces, -k, axis=1)[:, 1:] for k in range(3)], 1).reshape(-1, 2)[order]
+        begins, ends = (corners[order] * count + others[:, k] for k in (0, 1))
+        by_end = np.argsort(ends, kind="stable")
+        nearby = by_end[np.minimum(np.searchsorted(ends[by_end], begins), len(ends) - 1)]
+        nearby = np.where(ends[nearby] == begins, nearby, np.arange(len(ends)))
+        return first, np.ascontiguousarray(np.column_stack([others, nearby]), dtype=np.int32)
+
     @property
     def volume(self) -> float:
         """Enclosed volume, m^3 (positive where the faces are oriented outwards)."""
@@ -142,8 +161,12 @@ class Landmarks:
             raise InputError(f"There is no landmark {name!r}; the landmarks are {', '.join(self.names)}.")
         return self.names.index(name)
 
+    def positions(self, body: Body, poses: ArrayLike) -> Array:
+        """Compute the points (..., L, 3), m, in the world for poses (..., D) of a body."""
+        return body.skeleton.points(self.joint, self.offset, poses)
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, eq=False)  # compared by identity, so that results can be cached per body
 class Body:
     """Body that can be tracked.
 
@@ -179,9 +202,7 @@ class Body:
 
     def landmark_points(self, poses: ArrayLike) -> Array:
         """Compute the landmarks (..., L, 3) m in the world for poses (..., D)."""
-        r, p = self.skeleton.forward(poses)
-        k = self.landmarks.joint
-        return p[..., k, :] + np.einsum("...lij,lj->...li", r[..., k, :, :], self.landmarks.offset)
+        return self.landmarks.positions(self, poses)
 
     @property
     def stature(self) -> float:

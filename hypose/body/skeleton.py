@@ -14,9 +14,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hypose.compute import kinematics
 from hypose.compute.arrays import BALL, FIXED, HINGES, TreeArrays
-from hypose.compute.kinematics import forward_kinematics
+from hypose.compute.kinematics import forward_kinematics, joint_frames
 from hypose.errors import InputError
 from hypose.geometry import Array, nearest_branch, rotation_mean, so3_exp, so3_left_jacobian, so3_log
 
@@ -163,6 +162,16 @@ class Skeleton:
         j = len(self.joint_names)
         return r.reshape(*q.shape[:-1], j, 3, 3), p.reshape(*q.shape[:-1], j, 3)
 
+    def points(self, joint: NDArray[np.int64], offset: Array, poses: ArrayLike) -> Array:
+        """Compute the world positions (..., P, 3), m, of points fixed to joints, for poses (..., D).
+
+        joint: (P,) joint that carries each point.
+        offset: (P, 3) position in that joint's frame, m.
+        """
+        rotations, centres = self.forward(poses)
+        turned = np.einsum("...kab,kb->...ka", rotations[..., joint, :, :], offset)
+        return centres[..., joint, :] + turned
+
     def world_twists(self, poses: ArrayLike) -> Array:
         """Compute the twists (w, v) of all dof in the world at poses (..., D): a point x moves with w x x + v per unit
         of the dof.
@@ -219,7 +228,16 @@ class Skeleton:
         """Compute the derivatives (J, 3, D) of the joint centres by the pose (D,), the root's rotation as a small turn
         in the world.
         """
-        return kinematics.joint_jacobians(pose, self.tree)
+        q, n = np.array(pose, dtype=np.float64), len(self.joint_names)
+        rotations, centres, twists = np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((self.dof, 6))
+        joint_frames(q, self.tree, rotations, centres, twists)
+        twists[3:6] = np.eye(3, 6)
+        turn, shift, at = twists.T[:3], twists.T[3:], centres[..., None]
+        out = np.empty((n, 3, self.dof))
+        for i in range(3):  # much faster than np.cross
+            b, c = (i + 1) % 3, (i + 2) % 3
+            out[:, i] = turn[b] * at[:, c] - turn[c] * at[:, b] + shift[i]
+        return np.where(self.moves.T[:, None], out, 0.0)
 
     def joint_covariances(self, pose: ArrayLike, covariance: ArrayLike) -> Array:
         """Compute the covariances (J, 3, 3) m^2 of the joint centres, to first order.
@@ -231,6 +249,19 @@ class Skeleton:
         # einsum, not @: threaded BLAS costs more than matrices of this size
         half = np.einsum("jad,de->jae", jacobian, np.asarray(covariance, dtype=np.float64))
         return np.einsum("jae,jbe->jab", half, jacobian)
+
+    def informed_joint_covariances(self, pose: ArrayLike, information: Array, ridge: float = 1e-9) -> Array:
+        """Compute the covariances (J, 3, 3) m^2 of the joint centres from the information on a pose, to first order.
+
+        pose: (D,).
+        information: (D, D) inverse covariance of the pose, the root's rotation as a small turn in the world.
+        ridge: share of the information's diagonal, counted as 1 at least, that is added to it. Why: it makes the
+            matrix positive definite where a dof is not determined.
+        """
+        jacobian = self.joint_jacobians(pose)
+        known = information + np.diag(ridge * np.maximum(information.diagonal(), 1.0))
+        spread = np.linalg.solve(known, jacobian.reshape(-1, self.dof).T).T.reshape(jacobian.shape)
+        return np.einsum("jad,jbd->jab", jacobian, spread)
 
     def step_sigma(self, frame_rate: float) -> Array:
         """Return the usual motion per frame (D,) at a frame rate: `sigma` scaled by the duration of a frame, within 0.4

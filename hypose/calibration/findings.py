@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import permutations
 from typing import Any, Generic, TypeVar
 
@@ -170,14 +170,11 @@ values its maps cannot be trusted. With correct cameras they were at most 4 mm a
 _BEHIND_M = 0.3
 """Distance, m, by which a camera must see beyond a place to show that no person is there. Late cameras, and cameras
 that were moved a little, see the person up to half a step farther away."""
-_REFUTED, _CURED, _AS_LIKELY = 0.7, 0.35, 0.1
-"""Limits for the share of points on people beyond which another camera sees, in a third of the frames. _REFUTED:
-smallest share of a fault. _CURED: largest share after the cause is undone. _AS_LIKELY: difference up to which causes
-are equally likely. The share is at most 0.13 in correct recordings of one and two people, 0.32 with a camera that is
-150 mm and 3 degrees off, 0.93 to 0.97 with exchanged maps of a walking person (simulated, seeds 20 to 31), but at most
-0.26 with exchanged maps of a person who stays in the middle."""
-REFUTED_PLACES = frozenset({"places", "swapped", "mirrored"})
-"""Kinds of findings that mean wrong camera poses, so that one person may seem to be two."""
+_REFUTED = 0.7
+"""Smallest share of points on people beyond which another camera sees, in a third of the frames, of a fault. The share
+is at most 0.13 in correct recordings of one and two people, 0.32 with a camera that is 150 mm and 3
+degrees off, 0.93 to 0.97 with exchanged maps of a walking person (simulated, seeds 20 to 31),
+but at most 0.26 with exchanged maps of a person who stays in the middle."""
 _POINTS, _FRAMES = 20, 3
 """Least number of points in front of another camera in a frame, and of such frames, for a result."""
 _RIDDLED = 0.97
@@ -299,58 +296,16 @@ def _cameras(depths: Sequence[Depth]) -> list[int]:
 
 
 def _by_people(depths: Sequence[Depth]) -> Iterator[Finding]:
+    """Find depth cameras that see past the person whom another camera sees."""
     share = _share(depths)
-    if not share > _REFUTED:
-        return
-    names = [depths[0].rig.names[c] for c in _cameras(depths)]
-    trials = _trials(depths)
-    left = np.nan_to_num([_share(t.seen) for t in trials], nan=1.0)
-    who = " and ".join(names)
-    text = f"{who} do not see the person at one place: one sees past {100 * share:.0f} % of what the other sees of them"
-    best = min([_CURED, *(left + _AS_LIKELY)])
-    likely = [trials[k] for k in np.argsort(left, kind="stable") if left[k] < best]
-    if likely:  # exchanged maps of two cameras look like mirrored maps, rotated about the scene
-        text += f"; that is not so if {' or if '.join(t.words for t in likely)}"
-        cure = "check which it is, and " * (len(likely) > 1) + ", or ".join(t.cure for t in likely)
-        views = tuple(depths[0].rig.names[c] for c in likely[0].views) if len(likely) == 1 else tuple(names)
-        yield Finding(likely[0].kind if len(likely) == 1 else "places", views, text, cure, share)
-        return
-    cure = (
-        "check whether every camera has its own maps, not mirrored, of the same recording, and whether they all "
-        "began at the same time; hypose depth-import finds the cameras' places again"
-    )
-    yield Finding("places", tuple(names), text, cure, share)
-
-
-def _trials(depths: Sequence[Depth]) -> list[Trial[list[Depth]]]:
-    """List trials for mirrored maps of all cameras or of one, and for exchanged maps of two cameras."""
-    rig, usable = depths[0].rig, _cameras(depths)
-    out = list[Trial[list[Depth]]]()
-    for views in [usable, *([c] for c in usable if len(usable) > 1)]:
-        names = tuple(rig.names[c] for c in views)
-        whose = "all maps are" if len(views) > 1 else f"the maps of {names[0]} are"
-        cure = f"mirror the maps of {' and '.join(names)}, and of the empty room, left to right"
-        seen = [_mirrored(d, views) for d in depths]
-        out.append(Trial("mirrored", tuple(views), f"{whose} mirrored", cure, rig, seen))
-    for a, b in permutations(usable, 2):
-        if a < b and rig[a].size == rig[b].size:
-            names = rig.names[a], rig.names[b]
-            cure = f'exchange camera = "{names[0]}" and camera = "{names[1]}" in recording.toml'
-            words = f"the maps of {names[0]} are those of {names[1]} and the other way round"
-            out.append(Trial("swapped", (a, b), words, cure, rig, [_exchanged(d, a, b) for d in depths]))
-    return out
-
-
-def _mirrored(depth: Depth, views: Sequence[int]) -> Depth:
-    maps, person = depth.maps.copy(), depth.person.copy()
-    for c in views:
-        w = depth.rig[c].size[0]
-        maps[c, :, :w], person[c, :, :w] = depth.maps[c, :, w - 1 :: -1], depth.person[c, :, w - 1 :: -1]
-    return replace(depth, maps=maps, person=person)
-
-
-def _exchanged(depth: Depth, a: int, b: int) -> Depth:
-    cameras = list(depth.rig)
-    cameras[a] = replace(depth.rig[b], name=depth.rig.names[a])
-    cameras[b] = replace(depth.rig[a], name=depth.rig.names[b])
-    return replace(depth, rig=CameraRig(tuple(cameras)))
+    if share > _REFUTED:
+        names = tuple(depths[0].rig.names[c] for c in _cameras(depths))
+        text = (
+            f"{' and '.join(names)} do not see the person at one place: one sees past {100 * share:.0f} % of what the "
+            "other sees of them"
+        )
+        cure = (
+            "check whether every camera has its own maps of the same recording, not mirrored and not another camera's, "
+            "and whether they all began at the same time; hypose depth-import finds the cameras' places again"
+        )
+        yield Finding("places", names, text, cure, share)

@@ -13,7 +13,6 @@ from hypose.calibration.boards import Board
 from hypose.calibration.bundle import FOCAL_SD, CalibratedLens, board_poses, calibrate_lens
 from hypose.calibration.refine_points import transform_rig
 from hypose.calibration.rig import PoseComparison, RigCalibration, calibrate_rig
-from hypose.calibration.synchronisation import estimate_lags
 from hypose.calibration.views import BoardFootage, BoardProgress, CameraViews, diagnose, look_for_board
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import CalibrationError
@@ -295,7 +294,6 @@ def calibrate_from_boards(
     views = look_for_board(sources, board, o.max_frames, True, o.progress)
     both = (*lens_views, *views)
     _all_found(views, board, both)
-    lenses: tuple[CalibratedLens, ...] = ()
     try:
         lenses = tuple(_lens(i, views, lens_views, board, o) for i in range(len(views)))
         o.progress("solve", 0, 2)
@@ -311,8 +309,7 @@ def calibrate_from_boards(
     except BoardsNotFound:
         raise
     except CalibrationError as error:
-        late = _lag_hint(lenses, views, board)
-        raise BoardsNotFound(f"{error}{' ' if late else ''}{late}", both) from None
+        raise BoardsNotFound(str(error), both) from None
     o.progress("solve", 1, 2)
     frame, said = floor_frame(fit.rig, fit.boards, board, o.floor, all(v.still for v in views))
     rig, boards = place_on_floor(fit.rig, fit.boards, board, frame)
@@ -320,8 +317,6 @@ def calibrate_from_boards(
     o.progress("solve", 2, 2)
     notes = [*fit.notes, said] if said else list(fit.notes)
     warnings = _warnings(fit, lenses, lens_views or views)
-    if warnings and (late := _lag_hint(lenses, views, board)):
-        warnings.append(late)
     return BoardCalibration(rig, views, lens_views, fit, lenses, tuple(notes), tuple(warnings))
 
 
@@ -372,17 +367,6 @@ def _scaled(lens: Camera, view: CameraViews, whose: str) -> Camera:
             "mode."
         )
     return lens if view.size == lens.size else lens.scaled(view.size)
-
-
-def _lag_hint(lenses: Sequence[CalibratedLens], views: Sequence[CameraViews], board: Board) -> str:
-    """Format a sentence about videos that are clearly late; empty where there are none."""
-    if len(lenses) < len(views) or any(v.still for v in views):
-        return ""
-    lags = estimate_lags([n.camera for n in lenses], [v.sightings for v in views], board)
-    if not lags:
-        return ""
-    said = " ".join(f"--lag {views[c].name}={views[c].lag + lag}" for c, lag in lags.items())
-    return f"By the board's speed, videos are about this late: {said}; try that, or hypose sync."
 
 
 def _determined(fit: RigCalibration) -> None:

@@ -100,7 +100,7 @@ def calibrate_from_person(
     if len(points) < (2 if lenses_known else 3):
         raise CalibrationError(
             "Cameras are found from three views, or from two whose focal lengths are known: give these with "
-            "--intrinsics FILE, or film with a third camera."
+            "--intrinsics FILE or --focal PIXELS, or film with a third camera."
         )
     search = _Search(points, tuple(names), lenses, height, frame_rate, lenses_known, progress)
     rig, late = search.start(largest_s)
@@ -263,7 +263,7 @@ class _Search:
             (
                 sds.focal[focal] > _FOCAL_SD,
                 f"{rig.names[focal]}: the focal length stays uncertain by {100 * sds.focal[focal]:.0f} %; give focal "
-                f"lengths with --intrinsics FILE, or {WALK}.",
+                f"lengths with --intrinsics FILE or --focal PIXELS, or {WALK}.",
             ),
             (
                 sds.place_m[place] > _PLACE_SD,
@@ -279,7 +279,7 @@ class _Search:
         doubts = (
             (
                 len(rig) == 3 and not self.known,
-                "three cameras hardly tell their focal lengths: give them with --intrinsics FILE",
+                "three cameras hardly tell their focal lengths: give them with --intrinsics FILE or --focal PIXELS",
             ),
             (path < _SPREAD_M, f"the person stays within {path:.2f} m, which hardly tells places and offsets"),
             (widest < _NARROW_DEG, f"all cameras look from one side (within {widest:.0f} degrees)"),

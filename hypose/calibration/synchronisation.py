@@ -8,7 +8,7 @@ masks), which is right for parts that move less than their width between two fra
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from math import gcd
 from typing import Any, NamedTuple, Protocol
@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 from scipy.signal import butter, resample_poly, sosfiltfilt
 
-from hypose.calibration.boards import Board, BoardDetection
-from hypose.calibration.bundle import board_poses
 from hypose.calibration.sync_motion import (
     Curves,
     Offsets,
@@ -28,11 +26,11 @@ from hypose.calibration.sync_motion import (
     silhouette_curves,
     solve_offsets,
 )
-from hypose.cameras.camera import Camera, CameraRig
+from hypose.cameras.camera import CameraRig
 from hypose.compute.mask_distance import signed_distance
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
-from hypose.geometry import Array, transform
+from hypose.geometry import Array
 from hypose.io.videos.video import Sound
 
 WHOLE = 0.05
@@ -368,74 +366,3 @@ def light_event(brightness: Array, name: str) -> tuple[float, str]:
     excess = np.abs(b[low:high] - slow[low:high])
     excess[excess < 0.1 * excess.max()] = 0.0
     return float((np.arange(low, high) * excess).sum() / excess.sum()) + 0.5, "flash"
-
-
-# ---- lags ----------------------------------------------------------------------------------------------------------
-# By how many frames board videos are late against each other: the speed of the board, which is the same seen from
-# everywhere, is compared over time. Rough (about half the distance of the frames looked at); it serves to name the
-# cause when boards contradict each other.
-
-
-_LONGEST = 150  # frames
-_LEAST_MOMENTS = 12  # moments with a known speed in both cameras
-_CLEAR = 0.7  # correlation of the speeds at the right lag
-_BETTER = 0.1  # by how much it must exceed that without lag
-
-
-def estimate_lags(
-    cameras: Sequence[Camera], sightings: Sequence[Mapping[int, BoardDetection]], board: Board
-) -> dict[int, int]:
-    """Estimate which videos of a moving board are not synchronous, from the board's speed.
-
-    The reference is the camera that saw most boards. Frame i + lag of a late camera shows the same instant as frame i
-    of the reference.
-
-    sightings: detected boards per camera, by frame.
-    Returns: lag by camera index, frames, only for cameras that are clearly not synchronous.
-    """
-    speeds = [_speed(c, s, board) for c, s in zip(cameras, sightings, strict=True)]
-    base = int(np.argmax([len(s[0]) for s in speeds]))
-    out = {}
-    for c in range(len(cameras)):
-        if c == base or len(speeds[c][0]) < _LEAST_MOMENTS or len(speeds[base][0]) < _LEAST_MOMENTS:
-            continue
-        step = float(np.median(np.diff(speeds[base][0])))
-        tried = np.arange(-_LONGEST, _LONGEST + 1, max(1, round(step / 2)))
-        scores = np.array([_correlation(speeds[base], speeds[c], int(lag), 2.5 * step) for lag in tried])
-        if not np.isfinite(scores).any():
-            continue
-        best = int(np.nanargmax(scores))
-        none = _correlation(speeds[base], speeds[c], 0, 2.5 * step)
-        if scores[best] > _CLEAR and scores[best] > np.nan_to_num(none) + _BETTER and tried[best] != 0:
-            out[c] = int(tried[best])
-    return out
-
-
-def _speed(camera: Camera, sightings: Mapping[int, BoardDetection], board: Board) -> tuple[Array, Array]:
-    """Compute the speed of the board's middle between neighbouring detections: times (n,), frames, and m per frame
-    (n,)."""
-    frames = sorted(sightings)
-    if len(frames) < 3:
-        return np.zeros(0), np.zeros(0)
-    middle = board.points.mean(0)[None]
-    places = np.concatenate([transform(board_poses(camera, sightings[f], board.points)[0][0], middle) for f in frames])
-    gap = np.diff(frames)
-    near = gap <= 2 * np.median(gap)
-    speed = np.linalg.norm(np.diff(places, axis=0), axis=1) / gap
-    moments = np.array(frames[:-1]) + gap / 2
-    return moments[near], speed[near]
-
-
-def _correlation(base: tuple[Array, Array], other: tuple[Array, Array], lag: int, reach: float) -> float:
-    """Compute the correlation of the logarithms of two speeds, the second shifted by `lag` frames, where both are
-    known."""
-    when, value = base
-    t = when + lag
-    known = np.interp(t, other[0], other[1], left=np.nan, right=np.nan)
-    after = np.clip(np.searchsorted(other[0], t), 1, len(other[0]) - 1)
-    known[other[0][after] - other[0][after - 1] > reach] = np.nan  # a gap in which the board was not seen
-    ok = np.isfinite(known)
-    if ok.sum() < _LEAST_MOMENTS:
-        return float("nan")
-    a, b = np.log(value[ok] + 1e-3), np.log(known[ok] + 1e-3)
-    return float(np.corrcoef(a, b)[0, 1]) if a.std() * b.std() > 1e-9 else float("nan")

@@ -8,14 +8,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hypose.compute.arrays import BALL, MeshArrays, TreeArrays, plain, tidy
+from hypose.compute.arrays import MeshArrays, TreeArrays, plain, tidy
 from hypose.compute.compiled import kernel
 from hypose.compute.kinematics import (
     bone_map,
     camera_about_root,
+    frames_of,
     joint_frames,
-    multiply,
-    rotation_matrix,
     skin_about_root,
     skin_vertices,
 )
@@ -77,9 +76,8 @@ def depth_energy(
     """
     q = plain(poses, np.float64)
     out = np.zeros((len(q), len(seen.maps)))
-    score, given = _energies, (tidy(tree), tidy(mesh), *_against(seen, most_m))
-    if len(q):
-        over_chunks(lambda first, last: score(q, first, last, *given, out), len(q), threads, 16)
+    given = tidy(tree), tidy(mesh), seen, np.float32(most_m)
+    over_chunks(lambda first, last: _energies(q, first, last, *given, out), len(q), threads, 16)
     return out / np.maximum(seen.counts, 1)
 
 
@@ -97,9 +95,8 @@ def standing_depth(
     parts = moving_parts(mesh, tree, plain(moving, np.bool_), None)
     rotations, centres = np.empty((n, 3, 3)), np.empty((n, 3))
     drawn, cost = np.empty(seen.maps.shape, np.float32), np.zeros(len(seen.maps))
-    against = _against(seen, most_m)
-    still = np.flatnonzero(parts.standing)
-    _stand(q, tidy(tree), tidy(mesh), still, *against, rotations, centres, drawn, cost)
+    given = tidy(tree), tidy(mesh), np.flatnonzero(parts.standing), seen, np.float32(most_m)
+    _stand(q, *given, rotations, centres, drawn, cost)
     joints, faces = np.flatnonzero(parts.turning), np.flatnonzero(parts.moved)
     return StandingDepth(q, rotations, centres, joints, faces, parts.vertices, drawn, cost)
 
@@ -123,11 +120,8 @@ def limb_depth_energy(
     """
     q = plain(poses, np.float64)
     out = np.zeros((len(q), len(seen.maps)))
-    score, given = _limb_energies, (tidy(tree), tidy(mesh), standing)
-    against = _against(seen, most_m)
-    if len(q):
-        work = lambda first, last: score(q, first, last, *given, *against, rough, out)  # noqa: E731
-        over_chunks(work, len(q), threads, 96 if rough else 16)
+    given = tidy(tree), tidy(mesh), standing, seen, np.float32(most_m), rough
+    over_chunks(lambda first, last: _limb_energies(q, first, last, *given, out), len(q), threads, 96 if rough else 16)
     return out / np.maximum(seen.counts, 1)
 
 
@@ -151,17 +145,9 @@ def limb_shown(
         within the reach that lies more than apart_m in front of the whole body, or next to it.
     """
     out = np.zeros((len(seen.maps), 3))
-    maps, projections, sizes, apart = _against(seen, apart_m)
     at = plain(np.asarray(centre, dtype=np.float64) - standing.pose[:3], np.float64)
-    show = _limb_shown
-    show(tidy(tree), tidy(mesh), standing, maps, projections, sizes, at, float(reach_m), apart, out)
+    _limb_shown(tidy(tree), tidy(mesh), standing, seen, at, float(reach_m), np.float32(apart_m), out)
     return out
-
-
-def _against(
-    seen: SeenDepth, most_m: float
-) -> tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.int64], np.float32]:
-    return seen.maps, seen.projections, seen.sizes, np.float32(most_m)
 
 
 f4 = np.float32
@@ -189,12 +175,17 @@ def _cost(nearest, seen, most, box):
 
 
 @kernel
-def _roughly(faces, chosen, u, v, z, seen, most, standing, width, height):
+def _roughly(faces, chosen, about, seen, most, standing, size):
     """Estimate by how much the cost grows with the chosen faces in front of the standing parts (h, w) f4 1/m.
 
     Each face is compared at its middle and weighted by its area, without hiding other faces.
+    about: (4, V) projected vertices, by `_project`.
+    seen: (h, w) f4 measured depth, m.
+    most: largest difference that counts, m.
+    size: (2,) width and height of the picture.
+    Returns: the growth, m times pixels.
     """
-    grown = f4(0)
+    u, v, z, grown = about[0], about[1], about[2], f4(0)
     third, half = f4(1 / 3), f4(0.5)
     for k in range(chosen.shape[0]):
         f = chosen[k]
@@ -204,7 +195,7 @@ def _roughly(faces, chosen, u, v, z, seen, most, standing, width, height):
         if not twice > f4(0) or z[a] < f4(0.05) or z[b] < f4(0.05) or z[c] < f4(0.05):
             continue
         left, top = (xa + xb + xc) * third + half, (ya + yb + yc) * third + half
-        if not (left >= f4(0) and top >= f4(0) and left < f4(width) and top < f4(height)):
+        if not (left >= f4(0) and top >= f4(0) and left < f4(size[0]) and top < f4(size[1])):
             continue
         x, y = int(left), int(top)
         own, before = f4(3) / (z[a] + z[b] + z[c]), standing[y, x]
@@ -214,46 +205,14 @@ def _roughly(faces, chosen, u, v, z, seen, most, standing, width, height):
 
 
 @kernel
-def _turned(q, tree, joints, rotations, centres):
-    """Compute the frames of some joints, in the tree's order, at pose q (D,), from known frames of all others.
+def _project(p, vertices, chosen, seen, size, box):
+    """Project the chosen vertices (V, 3) with a camera p (3, 4) f4 about the root.
 
-    It does what `joint_frames` does, without the twists.
-    """
-    local, frame = np.empty((3, 3)), np.empty((3, 3))
-    for n in range(joints.shape[0]):
-        j = joints[n]
-        a = tree.parents[j]
-        r = rotations[a]
-        for i in range(3):
-            centres[j, i] = centres[a, i]
-            for k in range(3):
-                centres[j, i] += r[i, k] * (tree.joints[j, k] - tree.joints[a, k])
-                frame[i, k] = r[i, k]
-        first = tree.dof_start[j]
-        if tree.kind[j] == BALL:
-            rotation_matrix(q[first], q[first + 1], q[first + 2], local)
-            multiply(frame, local, rotations[j])
-            continue
-        for m in range(tree.dof_count[j]):
-            d = first + m
-            rotation_matrix(q[d] * tree.axes[d, 0], q[d] * tree.axes[d, 1], q[d] * tree.axes[d, 2], local)
-            multiply(frame, local, rotations[j])
-            for i in range(3):
-                for k in range(3):
-                    frame[i, k] = rotations[j, i, k]
-        for i in range(3):
-            for k in range(3):
-                rotations[j, i, k] = frame[i, k]
-
-
-@kernel
-def _project(p, vertices, chosen, u, v, z, inverse, size, box):
-    """Project the chosen vertices with a camera p (3, 4) f4 about the root.
-
-    u, v, z, inverse: (V,) get pixels, depths and inverse depths (0: nearer than NEAR).
-    size: (2,) of the picture.
+    seen: (4, V) gets the pixels u and v, the depths, m, and the inverse depths (0: nearer than NEAR).
+    size: (2,) width and height of the picture.
     box: (4,) gets x0, x1, y0, y1 of the part of the picture in which the vertices in front of NEAR lie.
     """
+    u, v, z, inverse = seen[0], seen[1], seen[2], seen[3]
     x0, x1, y0, y1 = f4(1e6), f4(-1e6), f4(1e6), f4(-1e6)
     for k in range(chosen.shape[0]):
         i = chosen[k]
@@ -270,75 +229,73 @@ def _project(p, vertices, chosen, u, v, z, inverse, size, box):
 
 
 @kernel
-def _energies(poses, first, last, tree, mesh, seen, projections, sizes, most, out):
-    """Compute the costs out (N, C) of the drawn poses first to last against seen (C, h, w) f4: sum of `_off`, over
-    most.
-    """
-    every, drawn = np.arange(mesh.faces.shape[0]), np.empty(seen.shape, np.float32)
-    rotations, centres = np.empty((tree.parents.shape[0], 3, 3)), np.empty((tree.parents.shape[0], 3))
-    for n in range(first, last):
-        _stand(poses[n], tree, mesh, every, seen, projections, sizes, most, rotations, centres, drawn, out[n])
+def _draw(about, faces, chosen, size, drawn):
+    """Draw the chosen faces, projected by `_project` into about (4, V), into drawn (h, w) f4, 1/m."""
+    draw_nearest(about[0], about[1], about[3], faces, chosen, True, drawn[: size[1], : size[0]], None)
 
 
 @kernel
-def _stand(q, tree, mesh, faces, seen, projections, sizes, most, rotations, centres, drawn, cost):
+def _energies(poses, first, last, tree, mesh, seen, most, out):
+    """Compute the costs out (N, C) of the drawn poses first to last against the maps: sum of `_off`, over most."""
+    every, drawn = np.arange(mesh.faces.shape[0]), np.empty(seen.maps.shape, np.float32)
+    rotations, centres = np.empty((tree.parents.shape[0], 3, 3)), np.empty((tree.parents.shape[0], 3))
+    for n in range(first, last):
+        _stand(poses[n], tree, mesh, every, seen, most, rotations, centres, drawn, out[n])
+
+
+@kernel
+def _stand(q, tree, mesh, faces, seen, most, rotations, centres, drawn, cost):
     """Draw some faces of the body at pose q (D,) and compute their cost; all outputs are overwritten.
 
-    rotations, centres: (J, 3, 3) and (J, 3) get the joint frames.
+    seen: SeenDepth.
+    rotations, centres: (J, 3, 3) and (J, 3) get the joint frames, about the root.
     drawn: (C, h, w) f4 gets the inverse depth, 1/m.
-    cost: (C,) gets the cost against seen (C, h, w) f4, over most.
+    cost: (C,) gets the cost against the maps, over most.
     """
-    n_vertices = mesh.vertices.shape[0]
-    every, vertices = np.arange(n_vertices), np.empty((n_vertices, 3), np.float32)
-    u, v, z = np.empty(n_vertices, np.float32), np.empty(n_vertices, np.float32), np.empty(n_vertices, np.float32)
-    inverse, box, p = np.empty(n_vertices, np.float32), np.empty(4, np.int64), np.empty((3, 4), np.float32)
+    every, vertices = np.arange(mesh.vertices.shape[0]), np.empty(mesh.vertices.shape, np.float32)
+    about, box, p = np.empty((4, every.shape[0]), np.float32), np.empty(4, np.int64), np.empty((3, 4), np.float32)
     joint_frames(q, tree, rotations, centres, np.empty((q.shape[0], 6)))
     skin_about_root(rotations, centres, tree, mesh, vertices)
     drawn[:] = f4(0)
-    for c in range(seen.shape[0]):
-        camera_about_root(projections[c], q, p)
-        _project(p, vertices, every, u, v, z, inverse, sizes[c], box)
-        draw_nearest(u, v, inverse, mesh.faces, faces, True, drawn[c, : sizes[c, 1], : sizes[c, 0]], None)
-        cost[c] = _cost(drawn[c], seen[c], most, box) / most
+    for c in range(seen.maps.shape[0]):
+        camera_about_root(seen.projections[c], q, p)
+        _project(p, vertices, every, about, seen.sizes[c], box)
+        _draw(about, mesh.faces, faces, seen.sizes[c], drawn[c])
+        cost[c] = _cost(drawn[c], seen.maps[c], most, box) / most
 
 
 @kernel
-def _limb_energies(poses, first, last, tree, mesh, standing, seen, projections, sizes, most, rough, out):
+def _limb_energies(poses, first, last, tree, mesh, standing, seen, most, rough, out):
     """Compute the costs out (N, C), as `_energies`, of poses that differ only in one limb from the standing parts.
 
     rough: estimate by `_roughly` instead of drawing.
     """
-    joints, moving, moved = standing.joints, standing.faces, standing.vertices
-    n_vertices = mesh.vertices.shape[0]
+    joints, moved, twists = standing.joints, standing.vertices, np.empty((poses.shape[1], 6))
     rotations, centres, drawn = standing.rotations.copy(), standing.centres.copy(), standing.drawn
-    maps, vertices = np.empty((tree.parents.shape[0], 12), np.float32), np.empty((n_vertices, 3), np.float32)
-    u, v, z = np.empty(n_vertices, np.float32), np.empty(n_vertices, np.float32), np.empty(n_vertices, np.float32)
-    inverse, box, p = (
-        np.empty(n_vertices, np.float32),
-        np.empty(4, np.int64),
-        np.empty((seen.shape[0], 3, 4), np.float32),
-    )
-    for c in range(seen.shape[0]):
-        camera_about_root(projections[c], standing.pose, p[c])
+    maps, vertices = np.empty((tree.parents.shape[0], 12), np.float32), np.empty(mesh.vertices.shape, np.float32)
+    about, box = np.empty((4, vertices.shape[0]), np.float32), np.empty(4, np.int64)
+    p = np.empty((seen.maps.shape[0], 3, 4), np.float32)
+    for c in range(p.shape[0]):
+        camera_about_root(seen.projections[c], standing.pose, p[c])
     for j in range(tree.parents.shape[0]):
         bone_map(rotations[j], centres[j], tree.joints[j], maps[j])
     if not rough:
         drawn = drawn.copy()
     for n in range(first, last):
-        _turned(poses[n], tree, joints, rotations, centres)
+        frames_of(poses[n], tree, joints, rotations, centres, twists)
         for k in range(joints.shape[0]):
             j = joints[k]
             bone_map(rotations[j], centres[j], tree.joints[j], maps[j])
         skin_vertices(maps, mesh, moved, vertices)
-        for c in range(seen.shape[0]):
-            width, height = sizes[c, 0], sizes[c, 1]
-            _project(p[c], vertices, moved, u, v, z, inverse, sizes[c], box)
+        for c in range(p.shape[0]):
+            size, measured = seen.sizes[c], seen.maps[c]
+            _project(p[c], vertices, moved, about, size, box)
             if rough:
-                grown = _roughly(mesh.faces, moving, u, v, z, seen[c], most, drawn[c], width, height)
+                grown = _roughly(mesh.faces, standing.faces, about, measured, most, drawn[c], size)
                 out[n, c] = standing.cost[c] + grown / most
                 continue
-            draw_nearest(u, v, inverse, mesh.faces, moving, True, drawn[c, :height, :width], None)
-            grown = _cost(drawn[c], seen[c], most, box) - _cost(standing.drawn[c], seen[c], most, box)
+            _draw(about, mesh.faces, standing.faces, size, drawn[c])
+            grown = _cost(drawn[c], measured, most, box) - _cost(standing.drawn[c], measured, most, box)
             out[n, c] = standing.cost[c] + grown / most
             for y in range(box[2], box[3]):
                 for x in range(box[0], box[1]):
@@ -346,36 +303,34 @@ def _limb_energies(poses, first, last, tree, mesh, standing, seen, projections, 
 
 
 @kernel
-def _limb_shown(tree, mesh, standing, seen, projections, sizes, centre, reach, apart, out):
+def _limb_shown(tree, mesh, standing, seen, centre, reach, apart, out):
     """Measure the visible areas of a limb into out (C, 3), zero before, as `limb_shown`.
 
     centre: (3,) m from the root.
     reach, apart: m.
     """
-    n_vertices = mesh.vertices.shape[0]
-    maps, vertices = np.empty((tree.parents.shape[0], 12), np.float32), np.empty((n_vertices, 3), np.float32)
-    u, v, z = np.empty(n_vertices, np.float32), np.empty(n_vertices, np.float32), np.empty(n_vertices, np.float32)
-    inverse, box, p = np.empty(n_vertices, np.float32), np.empty(4, np.int64), np.empty((3, 4), np.float32)
+    maps, vertices = np.empty((tree.parents.shape[0], 12), np.float32), np.empty(mesh.vertices.shape, np.float32)
+    about, box = np.empty((4, vertices.shape[0]), np.float32), np.empty(4, np.int64)
+    p, at = np.empty((3, 4), np.float32), np.empty(3)
     for j in range(tree.parents.shape[0]):
         bone_map(standing.rotations[j], standing.centres[j], tree.joints[j], maps[j])
     skin_vertices(maps, mesh, standing.vertices, vertices)
-    for c in range(seen.shape[0]):
-        whole, width, height = standing.drawn[c].copy(), sizes[c, 0], sizes[c, 1]
-        camera_about_root(projections[c], standing.pose, p)
-        _project(p, vertices, standing.vertices, u, v, z, inverse, sizes[c], box)
-        draw_nearest(u, v, inverse, mesh.faces, standing.faces, True, whole[:height, :width], None)
-        away = p[2, 0] * centre[0] + p[2, 1] * centre[1] + p[2, 2] * centre[2] + p[2, 3]
-        across = p[0, 0] * centre[0] + p[0, 1] * centre[1] + p[0, 2] * centre[2] + p[0, 3]
-        down = p[1, 0] * centre[0] + p[1, 1] * centre[1] + p[1, 2] * centre[2] + p[1, 3]
-        away = max(away, 0.05)
-        left, top = across / away, down / away
+    for c in range(seen.maps.shape[0]):
+        whole, width, height = standing.drawn[c].copy(), seen.sizes[c, 0], seen.sizes[c, 1]
+        camera_about_root(seen.projections[c], standing.pose, p)
+        _project(p, vertices, standing.vertices, about, seen.sizes[c], box)
+        _draw(about, mesh.faces, standing.faces, seen.sizes[c], whole)
+        for k in range(3):
+            at[k] = p[k, 0] * centre[0] + p[k, 1] * centre[1] + p[k, 2] * centre[2] + p[k, 3]
+        away = max(at[2], 0.05)
+        left, top = at[0] / away, at[1] / away
         along_axis = p[0, 0] * p[2, 0] + p[0, 1] * p[2, 1] + p[0, 2] * p[2, 2]  # the last row has unit length
         squared = p[0, 0] * p[0, 0] + p[0, 1] * p[0, 1] + p[0, 2] * p[0, 2] - along_axis * along_axis
         metre = math.sqrt(squared) / away
         within = reach * reach * metre * metre
         for y in range(height):
             for x in range(width):
-                other, own = seen[c, y, x], _NO_SURFACE
+                other, own = seen.maps[c, y, x], _NO_SURFACE
                 if whole[y, x] > f4(0):
                     own = f4(1) / whole[y, x]
                 if whole[y, x] > standing.drawn[c, y, x]:

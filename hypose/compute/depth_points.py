@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hypose.compute.arrays import plain
-from hypose.compute.compiled import kernel
 from hypose.geometry import Array
 
 Box = tuple[int, int, int, int]
@@ -18,6 +15,9 @@ f4 = np.float32
 _AROUND = 2
 """px around a point that are read."""
 _LEAST_COSINE = 0.05
+_NINE = np.ones((3, 3), np.uint8)
+_CROSS = np.array([[0, 0], [0, 1], [0, -1], [1, 0], [-1, 0]])
+"""Rows and columns from a pixel to itself and to those right of it, left, below and above."""
 
 
 def points_of_surface(
@@ -32,15 +32,46 @@ def points_of_surface(
     jump_m: least difference between neighbouring pixels of two surfaces, m.
     count: largest number of points.
     Returns: points (N, 3) m and unit outward normals (N, 3) in the camera's frame, and the cosine (N,) between normal
-        and ray. A point is the median of 3 x 3 px without a hole or a jump, so that values between both sides of an
-        edge are excluded.
+        and ray; N is at most count, 0 where nothing is found. A point is the median of 3 x 3 px without a hole or a
+        jump, so that values between both sides of an edge are excluded; its normal is that of the neighbouring medians,
+        which must lie on the surface too.
     """
-    lens = np.asarray(k, dtype=np.float64)[[0, 1, 0, 1], [0, 1, 2, 2]]
-    points, normals, cosines = np.empty((count, 3)), np.empty((count, 3)), np.empty(count)
-    at = np.array(box, dtype=np.int64)
-    find = _surface_points
-    n = find(plain(depth, np.float32), plain(person, np.uint8), at, lens, float(jump_m), points, normals, cosines)
-    return points[:n], normals[:n], cosines[:n]
+    h, w = depth.shape
+    x0, y0 = max(box[0], _AROUND), max(box[1], _AROUND)
+    x1, y1 = min(box[2], w - _AROUND), min(box[3], h - _AROUND)
+    if x0 >= x1 or y0 >= y1:
+        return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)
+    # with two more pixels around the box, so that nothing depends on how OpenCV extends a picture
+    part = np.ascontiguousarray(depth[y0 - _AROUND : y1 + _AROUND, x0 - _AROUND : x1 + _AROUND])
+    low, high = cv2.erode(part, _NINE), cv2.dilate(part, _NINE)
+    of_person = person[y0 - _AROUND : y1 + _AROUND, x0 - _AROUND : x1 + _AROUND] != 0
+    sound = (low > 0) & (high - low < f4(jump_m)) & of_person
+    y, x = np.nonzero(sound[_AROUND:-_AROUND, _AROUND:-_AROUND])
+    y, x = y + _AROUND, x + _AROUND
+    middle, lens = cv2.medianBlur(part, 3), np.asarray(k, dtype=np.float64)[[0, 1, 0, 1], [0, 1, 2, 2]]
+    # the pixels in equal parts, in row order: of each part the first one is taken whose surface is smooth
+    count = min(len(y), count)
+    ends = np.arange(count + 1) * len(y) // max(count, 1)
+    at, last = ends[:-1].copy(), ends[1:]
+    points, normals, cosines = np.empty((count, 3)), np.empty((count, 3)), np.full(count, -np.inf)
+    left = np.arange(count)
+    while len(left):
+        v, u = y[at[left]] + _CROSS[:, :1], x[at[left]] + _CROSS[:, 1:]
+        z = middle[v, u]
+        smooth = ((z > 0) & (np.abs(z - z[0]) < f4(jump_m))).all(0)
+        across, down = (u + (x0 - _AROUND) - lens[2]) / lens[0] * z, (v + (y0 - _AROUND) - lens[3]) / lens[1] * z
+        place = np.stack([across, down, z], -1)
+        normal = np.cross(place[3] - place[4], place[1] - place[2])  # x right, y down: it points to the camera
+        length = np.linalg.norm(normal, axis=1)
+        cosine = -(normal * place[0]).sum(1) / np.maximum(length * np.linalg.norm(place[0], axis=1), 1e-12)
+        good = smooth & (cosine > _LEAST_COSINE)
+        found = left[good]
+        points[found], cosines[found] = place[0, good], cosine[good]
+        normals[found] = normal[good] / length[good, None]
+        at[left] += 1
+        left = left[~good & (at[left] < last[left])]
+    made = cosines > 0
+    return points[made], normals[made], cosines[made]
 
 
 def before_room(
@@ -112,104 +143,3 @@ def holes_filled(mask: NDArray[np.uint8], depth: NDArray[np.float32], solid: NDA
     own = (mask != 0).view(np.uint8)
     five, three = (cv2.morphologyEx(own, cv2.MORPH_CLOSE, np.ones((n, n), np.uint8)) for n in (5, 3))
     return own | (np.where(solid, five, three) & (depth <= 0))
-
-
-@kernel
-def _median(depth, y, x, nine):
-    """Compute the median of the 3 x 3 px about (x, y)."""
-    n = 0
-    for i in range(y - 1, y + 2):
-        for j in range(x - 1, x + 2):
-            value, k = depth[i, j], n
-            while k > 0 and nine[k - 1] > value:
-                nine[k] = nine[k - 1]
-                k -= 1
-            nine[k] = value
-            n += 1
-    return nine[4]
-
-
-@kernel
-def _sound(depth, person, x0, y0, x1, y1, jump, found):
-    """Find the person's pixels in a box whose 3 x 3 px lie on one surface: no hole and no jump.
-
-    found: (M,) gets their numbers y * w + x.
-    Returns: number of pixels.
-    """
-    w = depth.shape[1]
-    low, high = np.empty(w, np.float32), np.empty(w, np.float32)
-    n = 0
-    for y in range(y0, y1):
-        above, row, below = depth[y - 1], depth[y], depth[y + 1]
-        for x in range(x0 - 1, x1 + 1):
-            low[x] = min(min(above[x], below[x]), row[x])
-            high[x] = max(max(above[x], below[x]), row[x])
-        for x in range(x0, x1):
-            if person[y, x] != 0:
-                least = min(min(low[x - 1], low[x + 1]), low[x])
-                if least > f4(0) and max(max(high[x - 1], high[x + 1]), high[x]) - least < jump:
-                    found[n] = y * w + x
-                    n += 1
-    return n
-
-
-@kernel
-def _surface_points(depth, person, box, lens, jump, points, normals, cosines):
-    """Sample points of the person's surface as `points_of_surface`; return how many were found.
-
-    box: x0, y0, x1, y1 around the person.
-    lens: fx, fy, cx, cy.
-    points, normals, cosines: (N, 3) m, (N, 3) and (N,) get the result.
-
-    The normal of a point is that of the neighbouring medians, which must lie on the surface too.
-    """
-    height, width = depth.shape
-    x0, y0 = max(box[0], _AROUND), max(box[1], _AROUND)
-    x1, y1 = min(box[2], width - _AROUND), min(box[3], height - _AROUND)
-    if x0 >= x1 or y0 >= y1:
-        return 0
-    found = np.empty((x1 - x0) * (y1 - y0), np.int64)
-    n = _sound(depth, person, x0, y0, x1, y1, f4(jump), found)
-    count = min(n, points.shape[0])
-    nine, neighbours = np.empty(9, np.float32), np.empty((5, 3))
-    made = 0
-    for k in range(count):
-        for i in range(k * n // count, (k + 1) * n // count):
-            y, x = found[i] // width, found[i] % width
-            z = _median(depth, y, x, nine)
-            smooth = True
-            for m in range(5):  # itself, right, left, below, above
-                v, u = y + (1 if m == 3 else -1 if m == 4 else 0), x + (1 if m == 1 else -1 if m == 2 else 0)
-                own = z if m == 0 else _median(depth, v, u, nine)
-                if not own > f4(0) or abs(own - z) >= f4(jump):
-                    smooth = False
-                    break
-                neighbours[m, 0], neighbours[m, 1] = (u - lens[2]) / lens[0] * own, (v - lens[3]) / lens[1] * own
-                neighbours[m, 2] = own
-            if not smooth:
-                continue
-            ax, ay, az = (
-                neighbours[1, 0] - neighbours[2, 0],
-                neighbours[1, 1] - neighbours[2, 1],
-                neighbours[1, 2] - neighbours[2, 2],
-            )
-            bx, by, bz = (
-                neighbours[3, 0] - neighbours[4, 0],
-                neighbours[3, 1] - neighbours[4, 1],
-                neighbours[3, 2] - neighbours[4, 2],
-            )
-            # x right, y down: the product looks away from the camera
-            nx, ny, nz = az * by - ay * bz, ax * bz - az * bx, ay * bx - ax * by
-            length = math.sqrt(nx * nx + ny * ny + nz * nz)
-            if not length > 1e-12:
-                continue
-            px, py, pz = neighbours[0, 0], neighbours[0, 1], neighbours[0, 2]
-            cosine = -(nx * px + ny * py + nz * pz) / (length * math.sqrt(px * px + py * py + pz * pz))
-            if not cosine > _LEAST_COSINE:
-                continue
-            points[made, 0], points[made, 1], points[made, 2] = px, py, pz
-            normals[made, 0], normals[made, 1], normals[made, 2] = nx / length, ny / length, nz / length
-            cosines[made] = cosine
-            made += 1
-            break
-    return made

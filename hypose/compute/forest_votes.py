@@ -10,40 +10,23 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from hypose.compute.compiled import kernel
-from hypose.compute.forests import FAR_MM, PaddedDepth, f4, i4, response, u8
+from hypose.compute.forests import PaddedDepth, f4, i4, response, u8
 
 PROBABILITY = 10000
 """Probabilities are whole multiples of 1 / PROBABILITY."""
 
 
-@kernel
-def _pack(test, left, count, size, records, shares):
-    """Write the scanning layout of trees; probabilities in ten-thousandths, and a node without samples is background.
-
-    records: (trees, N, 8) i2 gets test, left child, share of class 1, 0.
-    shares: (trees, N, C) u2 gets the shares of all classes.
-    """
-    classes = count.shape[2]
-    for t in range(left.shape[0]):
-        for n in range(size[t]):
-            total = np.float64(0.0)
-            for c in range(classes):
-                total += count[t, n, c]
-            for j in range(5):
-                records[t, n, j] = test[t, n, j]
-            records[t, n, 5] = left[t, n]
-            for c in range(classes):
-                p = count[t, n, c] / total if total > 0 else (1.0 if c == 0 else 0.0)
-                shares[t, n, c] = int(p * PROBABILITY + 0.5)
-            records[t, n, 6] = shares[t, n, 1]
-
-
 @kernel(inline=True)
 def _leaf(flat, width, c, d, s, lo, hi, records, base):
+    """Find the leaf that cell c reaches in the tree whose root is record `base`; return its record.
+
+    The other arguments are as for `forests.response`.
+    """
     n = base
     while True:
         child = records[n, u8(5)]
@@ -57,7 +40,12 @@ def _leaf(flat, width, c, d, s, lo, hi, records, base):
 
 @kernel
 def _leaves(flat, width, cells, focal, clip, records, trees, out):
-    """Find the leaf that each cell of the padded picture reaches in each tree, into out (S, trees) i4."""
+    """Find the leaf that each cell (S,) of the padded picture reaches in each tree, into out (S, trees) i4.
+
+    flat, width, focal: padded picture, its width, and the focal length, px.
+    clip: clipping distance, mm.
+    records: (R, 8) i2 of all trees, one after the other, with as many records each.
+    """
     nodes = u8(records.shape[0] // trees)
     for i in range(cells.shape[0]):
         c = u8(cells[i])
@@ -69,22 +57,24 @@ def _leaves(flat, width, cells, focal, clip, records, trees, out):
 
 
 @kernel(inline=True)
-def _place(raster, i, j, stride):
-    """Return the index of grid cell (i, j) in the flat picture; -1 where it is outside or its depth is not within
-    near..far.
+def _place(picture, span, i, j, stride):
+    """Return the index of grid cell (i, j) in the flat picture; -1 where it is outside or its depth is not in the span.
+
+    span: nearest and farthest depth, mm.
     """
     y, x = i * stride + stride // 2, j * stride + stride // 2
-    if y >= raster.rows or x >= raster.columns:
+    if y >= picture.rows or x >= picture.columns:
         return -1
-    c = (y + raster.border) * raster.width + x + raster.border
-    d = raster.flat[u8(c)]
-    return c if raster.near <= d <= raster.far else -1
+    c = (y + picture.border) * picture.width + x + picture.border
+    d = picture.flat[u8(c)]
+    return c if span[0] <= d <= span[1] else -1
 
 
 @kernel
-def _coarse_pass(raster, records, table, first, least, stride, wanted):
+def _coarse_pass(picture, span, records, table, first, least, stride, wanted):
     """Scan a coarse grid with the first trees only, and mark the cells worth a full scan.
 
+    picture, span: padded depth picture, and the nearest and farthest depth to scan, mm.
     records: (R, 8) i2 of all forests.
     table: (G, 4) i8: first record, nodes per tree, trees, clipping distance.
     wanted: (ceil(rows / stride), ...) u4 gets bit g where the mean of forest g's first trees' shares, at the cell or at
@@ -94,17 +84,17 @@ def _coarse_pass(raster, records, table, first, least, stride, wanted):
     wanted[:] = 0
     for i in range(rows):
         for j in range(columns):
-            c = _place(raster, i, j, stride)
+            c = _place(picture, span, i, j, stride)
             if c < 0:
                 continue
-            d = i4(raster.flat[u8(c)])
-            s = f4(raster.focal / d)
+            d = i4(picture.flat[u8(c)])
+            s = f4(picture.focal / d)
             for g in range(table.shape[0]):
                 base, nodes, trees, clip = u8(table[g, 0]), u8(table[g, 1]), min(first, table[g, 2]), i4(table[g, 3])
                 a = 0
                 for _ in range(trees):
                     a += records[
-                        _leaf(raster.flat, raster.width, u8(c), d, s, d - clip, d + clip, records, base), u8(6)
+                        _leaf(picture.flat, picture.width, u8(c), d, s, d - clip, d + clip, records, base), u8(6)
                     ]
                     base += nodes
                 if a >= least * PROBABILITY * trees:
@@ -114,10 +104,10 @@ def _coarse_pass(raster, records, table, first, least, stride, wanted):
 
 
 @kernel
-def _scan(raster, records, table, first, least, stride, wanted, ratio, out):
+def _scan(picture, span, records, table, first, least, stride, wanted, ratio, out):
     """Compute the mean share of class 1 of each forest on the grid, into out (G, ceil(rows / stride), ...) f4.
 
-    records, table: as in `_coarse_pass`.
+    picture, span, records, table: as in `_coarse_pass`.
     first, least: a cell is rejected where the mean over the first trees stays below `least`, or that over twice as many
         below 1.5 `least` (first = 0: no rejection).
     wanted, ratio: result of `_coarse_pass`, and grid cells per coarse cell (0: not used).
@@ -132,18 +122,18 @@ def _scan(raster, records, table, first, least, stride, wanted, ratio, out):
             bits = wanted[i // ratio, j // ratio] if ratio > 0 else np.uint32(0xFFFFFFFF)
             if bits == 0:
                 continue
-            c = _place(raster, i, j, stride)
+            c = _place(picture, span, i, j, stride)
             if c < 0:
                 continue
-            d = i4(raster.flat[u8(c)])
-            s = f4(raster.focal / d)
+            d = i4(picture.flat[u8(c)])
+            s = f4(picture.focal / d)
             for g in range(table.shape[0]):
                 if (bits >> np.uint32(g)) & np.uint32(1) == 0:
                     continue
                 base, nodes, trees, clip = u8(table[g, 0]), u8(table[g, 1]), table[g, 2], i4(table[g, 3])
                 lo, hi, a = d - clip, d + clip, 0
                 for t in range(trees):
-                    a += records[_leaf(raster.flat, raster.width, u8(c), d, s, lo, hi, records, base), u8(6)]
+                    a += records[_leaf(picture.flat, picture.width, u8(c), d, s, lo, hi, records, base), u8(6)]
                     base += nodes
                     if (t + 1 == first and a < limit1) or (t + 1 == 2 * first and a < limit2):
                         a = 0
@@ -152,10 +142,14 @@ def _scan(raster, records, table, first, least, stride, wanted, ratio, out):
 
 
 @kernel
-def _scan_classes(raster, records, shares, trees, clip, first, least, stride, out):
+def _scan_classes(picture, span, records, shares, trees, clip, first, least, stride, out):
     """Compute the mean share of the winning class, into out (C - 1, rows, columns) f4: where a gesture wins over the
     background and the other gestures, else 0.
 
+    picture, span: as in `_coarse_pass`.
+    records, shares: (R, 8) i2 and (R, C) u2 of one forest with this number of trees.
+    clip: its clipping distance, mm.
+    first, least: as in `_scan`.
     Cells are rejected early by the summed share of all gestures, as in `_scan`.
     """
     rows, columns = out.shape[1:]
@@ -166,14 +160,14 @@ def _scan_classes(raster, records, shares, trees, clip, first, least, stride, ou
     out[:] = 0
     for i in range(rows):
         for j in range(columns):
-            c = _place(raster, i, j, stride)
+            c = _place(picture, span, i, j, stride)
             if c < 0:
                 continue
-            d = i4(raster.flat[u8(c)])
-            s, base, kept = f4(raster.focal / d), u8(0), True
+            d = i4(picture.flat[u8(c)])
+            s, base, kept = f4(picture.focal / d), u8(0), True
             sums[:] = 0
             for t in range(trees):
-                n = _leaf(raster.flat, raster.width, u8(c), d, s, d - clip, d + clip, records, base)
+                n = _leaf(picture.flat, picture.width, u8(c), d, s, d - clip, d + clip, records, base)
                 for k in range(classes):
                     sums[k] += shares[n, k]
                 base += nodes
@@ -190,49 +184,6 @@ def _scan_classes(raster, records, shares, trees, clip, first, least, stride, ou
                     out[best - 1, i, j] = sums[best] * scale
 
 
-@kernel
-def _parzen(raster, stride, scores, majority, sigma, sums, out):
-    """Compute the density of the votes on the grid, into out (rows, columns) f4: m^2 of surface per grid cell around
-    it.
-
-    majority: a cell votes where scores > majority.
-    sigma: of the Gaussian kernel of unit sum, cells; cut at 3 sigma.
-    sums: (rows, columns), scratch.
-    Returns: index of the largest value.
-    Deviation: the weight of a vote is score^3 x (z stride / focal)^2, where the thesis counts votes. This is the
-    surface for which it stands, so that the sum over a gesture does not depend on its distance. The cube lets the
-    confident middle of a gesture decide where it is, not the weak votes along a limb.
-    """
-    rows, columns = scores.shape
-    r = int(3 * sigma + 0.5)
-    kernel = np.exp(-0.5 * (np.arange(-r, r + 1) / sigma) ** 2)
-    kernel = (kernel / kernel.sum()).astype(np.float32)
-    sums[:] = 0
-    out[:] = 0
-    unit = f4((0.001 * stride / raster.focal) ** 2)
-    for i in range(rows):
-        for j in range(columns):
-            p = scores[i, j]
-            if p > majority:
-                y, x = i * stride + stride // 2 + raster.border, j * stride + stride // 2 + raster.border
-                d = f4(raster.flat[u8(y * raster.width + x)])
-                v = p * p * p * d * d * unit
-                for q in range(max(-r, -j), min(r, columns - 1 - j) + 1):
-                    sums[i, j + q] += v * kernel[q + r]
-    for i in range(rows):
-        for j in range(columns):
-            v = sums[i, j]
-            if v != 0:
-                for q in range(max(-r, -i), min(r, rows - 1 - i) + 1):
-                    out[i + q, j] += v * kernel[q + r]
-    best, at = f4(-1.0), 0
-    for i in range(rows):
-        for j in range(columns):
-            if out[i, j] > best:
-                best, at = out[i, j], i * columns + j
-    return at
-
-
 class Packed(NamedTuple):
     """Forest in the memory layout for scanning.
 
@@ -244,34 +195,22 @@ class Packed(NamedTuple):
     shares: NDArray[np.uint16]
 
 
-class Raster(NamedTuple):
-    """Padded picture as the scan reads it.
-
-    flat: (n,) int16 mm.
-    width, border: of the padded picture, px.
-    rows, columns: of the picture.
-    near, far: range of the depths that are scanned, mm.
-    focal: focal length, px.
-    """
-
-    flat: NDArray[np.int16]
-    width: int
-    border: int
-    rows: int
-    columns: int
-    near: int
-    far: int
-    focal: float
-
-
 def pack(
     test: NDArray[np.int16], left: NDArray[np.int16], count: NDArray[np.uint32], size: NDArray[np.int32]
 ) -> Packed:
-    """Convert trees to the scanning layout: test (nt, N, 5), left (nt, N), count (nt, N, C), size (nt,)."""
+    """Convert nt trees of up to N nodes to the scanning layout; a node without samples is background.
+
+    test: (nt, N, 5) tests of the nodes.
+    left: (nt, N) left children, -1 for a leaf.
+    count: (nt, N, C) samples per class.
+    size: (nt,) number of nodes in use.
+    """
     n = int(size.max())
+    number = count[:, :n].astype(np.float64)
+    number[number.sum(2) == 0, 0] = 1.0
+    shares = (number / number.sum(2, keepdims=True) * PROBABILITY + 0.5).astype(np.uint16)
     records = np.zeros((len(left), n, 8), np.int16)
-    shares = np.zeros((len(left), n, count.shape[2]), np.uint16)
-    _pack(test, left, count, size, records, shares)
+    records[..., :5], records[..., 5], records[..., 6] = test[:, :n], left[:, :n], shares[..., 1]
     return Packed(records, shares)
 
 
@@ -308,15 +247,14 @@ class ScanPlan:
     coarse: int = 2
 
 
-def grid_shape(shape: tuple[int, int], stride: int) -> tuple[int, int]:
+def _grid_shape(picture: PaddedDepth, stride: int) -> tuple[int, int]:
     """Return rows and columns of the scanning grid; cell (i, j) stands for pixel (i, j) stride + stride // 2."""
-    return -(-shape[0] // stride), -(-shape[1] // stride)
+    return -(-picture.rows // stride), -(-picture.columns // stride)
 
 
-def _raster(picture: PaddedDepth, near_mm: int, far_mm: int) -> Raster:
-    h, w = picture.shape
-    near = max(near_mm, picture.near_mm)
-    return Raster(picture.flat, picture.width, picture.border, h, w, near, far_mm, picture.focal)
+def _span(picture: PaddedDepth, plan: ScanPlan) -> tuple[int, int]:
+    """Return the nearest and the farthest depth to scan, mm: those of the plan that tests can reach."""
+    return max(plan.near_mm, picture.near_mm), plan.far_mm
 
 
 MOST_FORESTS = 32
@@ -331,20 +269,20 @@ def scan(picture: PaddedDepth, packed: Sequence[Packed], clip_mm: Sequence[int],
     plan: where to scan.
     Returns: (G, rows, columns), 0 where rejected. All forests share one coarse pass and one walk over the picture.
     """
-    raster = _raster(picture, plan.near_mm, plan.far_mm)
+    span = _span(picture, plan)
     records = [p.records.reshape(-1, 8) for p in packed]
     starts = np.cumsum([0, *(len(r) for r in records)])
     table = np.array(
         [(a, p.records.shape[1], len(p.records), c) for a, p, c in zip(starts, packed, clip_mm, strict=False)], np.int64
     )
     joined = records[0] if len(records) == 1 else np.concatenate(records)
-    shape = grid_shape(picture.shape, plan.stride)
+    shape = _grid_shape(picture, plan.stride)
     out, wanted = np.empty((len(packed), *shape), np.float32), np.zeros((1, 1), np.uint32)
     wide = plan.coarse if plan.first else 0
     if wide:
-        wanted = np.empty(grid_shape(picture.shape, plan.stride * wide), np.uint32)
-        _coarse_pass(raster, joined, table, plan.first, plan.least, plan.stride * wide, wanted)
-    _scan(raster, joined, table, plan.first, plan.least, plan.stride, wanted, wide, out)
+        wanted = np.empty(_grid_shape(picture, plan.stride * wide), np.uint32)
+        _coarse_pass(picture, span, joined, table, plan.first, plan.least, plan.stride * wide, wanted)
+    _scan(picture, span, joined, table, plan.first, plan.least, plan.stride, wanted, wide, out)
     return out
 
 
@@ -355,11 +293,10 @@ def scan_classes(picture: PaddedDepth, packed: Packed, clip_mm: int, plan: ScanP
     packed, clip_mm: forest of C classes, and its clipping distance.
     plan: where to scan.
     """
-    raster = _raster(picture, plan.near_mm, plan.far_mm)
     shares = packed.shares.reshape(-1, packed.shares.shape[2])
-    out = np.empty((shares.shape[1] - 1, *grid_shape(picture.shape, plan.stride)), np.float32)
-    records, trees = packed.records.reshape(-1, 8), len(packed.records)
-    _scan_classes(raster, records, shares, trees, clip_mm, plan.first, plan.least, plan.stride, out)
+    out = np.empty((shares.shape[1] - 1, *_grid_shape(picture, plan.stride)), np.float32)
+    given = packed.records.reshape(-1, 8), shares, len(packed.records), clip_mm
+    _scan_classes(picture, _span(picture, plan), *given, plan.first, plan.least, plan.stride, out)
     return out
 
 
@@ -374,7 +311,16 @@ def parzen(
     majority: share that a cell needs to vote.
     sigma_px: standard deviation of the Gaussian kernel, px.
     Returns: m^2 of voting surface per cell (rows, columns), and the flat index of the largest value.
+    Deviation: the weight of a vote is share^3 x (z stride / focal)^2, where the thesis counts votes. This is the
+        surface for which it stands, so that the sum over a gesture does not depend on its distance. The cube lets the
+        confident middle of a gesture decide where it is, not the weak votes along a limb.
     """
-    sums, out = np.empty_like(scores), np.empty_like(scores)
-    raster = _raster(picture, 0, FAR_MM)
-    return out, int(_parzen(raster, stride, scores, majority, sigma_px / stride, sums, out))
+    rows, columns = (np.arange(n) * stride + stride // 2 for n in scores.shape)
+    depth = picture.flat[picture.cells(rows[:, None], columns[None])] * np.float32(0.001 * stride / picture.focal)
+    votes = np.where(scores > majority, scores**3 * depth**2, np.float32(0))
+    sigma = sigma_px / stride
+    reach = int(3 * sigma + 0.5)
+    gauss = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
+    gauss = (gauss / gauss.sum()).astype(np.float32)
+    out = cv2.sepFilter2D(votes, -1, gauss, gauss, borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(out, dtype=np.float32), int(np.argmax(out))

@@ -12,7 +12,6 @@ floor(m f / d + 0.5) pixels.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -62,36 +61,25 @@ class GrowingArrays(NamedTuple):
     tally: NDArray[np.int64]
 
 
-@dataclass(frozen=True)
-class PaddedDepth:
+class PaddedDepth(NamedTuple):
     """Depth picture with a border of FAR_MM.
 
-    values: (h + 2 border, w + 2 border) int16 mm.
-    border: px.
+    flat: (n,) int16 mm, rows of the padded picture, one after the other.
+    width: of the padded picture, px.
+    border: px on each side.
+    rows, columns: size of the picture without border, px.
     focal: focal length, px.
     near_mm, reach_mm: tests of up to reach_mm may be read at pixels that are not nearer than near_mm.
     """
 
-    values: NDArray[np.int16]
+    flat: NDArray[np.int16]
+    width: int
     border: int
+    rows: int
+    columns: int
     focal: float
     near_mm: int
     reach_mm: int
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Height and width of the picture without border."""
-        return self.values.shape[0] - 2 * self.border, self.values.shape[1] - 2 * self.border
-
-    @property
-    def flat(self) -> NDArray[np.int16]:
-        """The values as one row."""
-        return self.values.reshape(-1)
-
-    @property
-    def width(self) -> int:
-        """Width of the padded picture."""
-        return self.values.shape[1]
 
     def cells(self, rows: ArrayLike, columns: ArrayLike) -> NDArray[np.int64]:
         """Compute the indices (S,) in `flat` of pixels (rows (S,), columns (S,))."""
@@ -102,21 +90,20 @@ class PaddedDepth:
 def pad_depth(
     depth: DepthImage, focal: float, near_mm: int, reach_mm: int, reuse: PaddedDepth | None = None
 ) -> PaddedDepth:
-    """Pad a depth picture (h, w) uint16 mm with a border of FAR_MM.
+    """Pad a depth picture (h, w) uint16 mm with a border of FAR_MM; holes and far depths become FAR_MM too.
 
     focal: focal length, px.
     near_mm, reach_mm: the border is wide enough for tests of reach_mm at the depth near_mm.
-    reuse: padded picture that is overwritten where it has the same shape and border.
+    reuse: padded picture whose memory is overwritten where it has the same shape and border.
     """
     border = math.ceil(reach_mm * focal / near_mm) + 2
     h, w = depth.shape
-    shape = (h + 2 * border, w + 2 * border)
-    if reuse is not None and reuse.values.shape == shape and reuse.border == border:
-        values = reuse.values
-    else:
-        values = np.full(shape, FAR_MM, np.int16)
-    _pad(np.require(depth, np.uint16, ["C", "W", "A"]), border, values)
-    return PaddedDepth(values, border, float(focal), int(near_mm), int(reach_mm))
+    about = w + 2 * border, border, h, w
+    same = reuse is not None and reuse[1:5] == about
+    flat = reuse.flat if same else np.full((h + 2 * border) * (w + 2 * border), FAR_MM, np.int16)
+    inner = flat.reshape(-1, w + 2 * border)[border : border + h, border : border + w]
+    inner[:] = np.where((depth == 0) | (depth > FAR_MM), np.uint16(FAR_MM), depth)
+    return PaddedDepth(flat, *about, float(focal), int(near_mm), int(reach_mm))
 
 
 def grow(
@@ -139,22 +126,8 @@ def grow(
     clip_mm, rate, alpha, beta, deepest: as in `gestures.forest.ForestSettings`.
     spread_mm: range of the thresholds, mm.
     """
-    _grow(
-        picture.flat,
-        picture.width,
-        cells,
-        labels,
-        picture.focal,
-        picture.near_mm,
-        clip_mm,
-        picture.reach_mm,
-        spread_mm,
-        rate,
-        alpha,
-        beta,
-        deepest,
-        arrays,
-    )
+    limits = clip_mm, picture.reach_mm, spread_mm, rate, alpha, beta, deepest
+    _grow(picture.flat, picture.width, cells, labels, picture.focal, picture.near_mm, *limits, arrays)
 
 
 f4 = np.float32
@@ -162,18 +135,6 @@ u8 = np.uint64
 i4 = np.int32
 SHIFT = 4096  # makes the truncation of a negative number a floor
 HALF = f4(4096.5)
-
-
-@kernel
-def _pad(depth, border, out):
-    """Copy depth (h, w) u2 mm into the padded out (h + 2 border, w + 2 border) i2, with holes and far
-    depths as FAR_MM.
-    """
-    for y in range(depth.shape[0]):
-        line, made = depth[y], out[y + border]
-        for x in range(depth.shape[1]):
-            v = line[x]
-            made[x + border] = FAR_MM if v == 0 or v > FAR_MM else v
 
 
 @kernel(inline=True)
@@ -217,6 +178,7 @@ def uniform(state, t):
 
 @kernel
 def _poisson(state, t, rate):
+    """Draw a Poisson number of mean `rate`, at most 100, of tree t."""
     k, p = 0, math.exp(-rate)
     total, u = p, uniform(state, t)
     while u > total and k < 100:
@@ -228,13 +190,17 @@ def _poisson(state, t, rate):
 
 @kernel(inline=True)
 def _offset(state, t, half):
+    """Draw a whole number from -half to half, mm, of tree t."""
     return int(uniform(state, t) * (2 * half + 1)) - half
 
 
 @kernel
 def draw_test(state, t, half, spread, test):
-    """Draw a random test (5,): offsets uniform in the square, half of them against the pixel itself.
+    """Draw a random test (5,) into `test`: offsets uniform in the square, half of them against the pixel itself.
 
+    state, t: states of the random numbers, and the tree.
+    half: largest offset, mm.
+    spread: largest threshold, mm.
     The threshold is a product of two uniform numbers, so that small differences are the most frequent.
     """
     test[0], test[1] = _offset(state, t, half), _offset(state, t, half)
@@ -247,6 +213,7 @@ def draw_test(state, t, half, spread, test):
 
 @kernel
 def _entropy(counts, n):
+    """Compute the entropy in bits of counts (C,) with the sum n; 0 for n = 0."""
     h = 0.0
     if n > 0:
         for c in range(counts.shape[0]):
@@ -302,6 +269,7 @@ def _open(g, t, n, half, spread):
 
 @kernel
 def _close(g, t, n, slot):
+    """Take the slot from leaf n of tree t, and mark it as free."""
     g.slot[t, n] = -1
     g.free[t, g.n_free[t]] = slot
     g.n_free[t] += 1
@@ -328,11 +296,16 @@ def _split(g, t, n, slot, q):
 
 @kernel
 def _grow(flat, width, cells, labels, focal, near, clip, half, spread, rate, alpha, beta, deepest, g):
-    """Update a growing forest with samples by Algorithm 6.
+    """Update a growing forest with samples by Algorithm 6 (Alcoverro 2014).
 
+    flat, width: padded picture, and its width.
     cells: (S,) i8 of the flat padded picture.
     labels: (S,) i4 classes.
-    g: GrowingArrays.
+    focal: focal length, px.
+    near: nearest depth of a sample, mm; nearer ones are omitted, and those without depth.
+    clip, half, spread: clipping distance of depths, reach of the tests, range of the thresholds, mm.
+    rate, alpha, beta, deepest: as in `gestures.forest.ForestSettings`.
+    g: GrowingArrays, changed in place.
     Deviations: a leaf gets candidates only after two samples of each of two classes, and counts |S_j| from then on. A
     slot without a gainful test after 3 alpha samples is returned and drawn again. The Poisson number of repeats is
     added at once, so that a split waits for all of them. The numbers of nodes and of leaves with candidates are

@@ -1,4 +1,4 @@
-"""Compute joint frames, world twists, skinned vertices, and covariances of joint centres."""
+"""Compute joint frames, world twists and skinned vertices."""
 
 from __future__ import annotations
 
@@ -10,13 +10,6 @@ from numpy.typing import ArrayLike
 from hypose.compute.arrays import BALL, HINGES, MeshArrays, TreeArrays, plain, tidy
 from hypose.compute.compiled import kernel
 from hypose.geometry import Array
-
-
-@kernel
-def rotation_matrix(x, y, z, rotation):
-    """Compute the rotation (3, 3) of the rotation vector (x, y, z) by Rodrigues' formula."""
-    a, b, _, t2 = _rodrigues(x, y, z)
-    _turning(x, y, z, t2, a, b, rotation)
 
 
 @kernel
@@ -71,15 +64,25 @@ def joint_frames(q, tree, rotations, centres, twists):
     centres: (J, 3) gets the centres minus q[0:3].
     twists: (D, 6) gets (w, v): a point x (minus q[0:3]) moves with w x x + v per unit of the dof.
     """
-    local = np.empty((3, 3))
-    jacobian = np.empty((3, 3))
-    turned = np.empty((3, 3))
-    frame = np.empty((3, 3))
     twists[:] = 0.0
     for i in range(3):
         for k in range(3):
             twists[i, 3 + k] = tree.axes[i, k]
-    for j in range(tree.parents.shape[0]):
+    frames_of(q, tree, np.arange(tree.parents.shape[0]), rotations, centres, twists)
+
+
+@kernel
+def frames_of(q, tree, joints, rotations, centres, twists):
+    """Compute frames and twists of some joints, from known frames of all others; see `joint_frames`.
+
+    joints: (K,) indices, parents before their children.
+    """
+    local = np.empty((3, 3))
+    jacobian = np.empty((3, 3))
+    turned = np.empty((3, 3))
+    frame = np.empty((3, 3))
+    for m in range(joints.shape[0]):
+        j = joints[m]
         a = tree.parents[j]
         if a < 0:
             for i in range(3):
@@ -212,29 +215,6 @@ def camera_about_root(projection, q, out):
         out[r, 3] = projection[r, 0] * q[0] + projection[r, 1] * q[1] + projection[r, 2] * q[2] + projection[r, 3]
 
 
-@kernel
-def _joint_jacobians(q, tree, out):
-    """Compute the derivatives of the joint centres, the root's rotation as a small turn in the world, into out (J, 3,
-    D), zero before.
-    """
-    n_dof, n_joints = q.shape[0], tree.parents.shape[0]
-    rotations, centres, twists = np.empty((n_joints, 3, 3)), np.empty((n_joints, 3)), np.empty((n_dof, 6))
-    joint_frames(q, tree, rotations, centres, twists)
-    twists[3:6] = 0.0  # the root turns about the axes of the world through its centre
-    for k in range(3):
-        twists[3 + k, k] = 1.0
-    for j in range(n_joints):
-        a = j
-        while a >= 0:
-            for d in range(n_dof):
-                if tree.joint_of_dof[d] == a:
-                    t = twists[d]
-                    for i in range(3):
-                        b, c = (i + 1) % 3, (i + 2) % 3
-                        out[j, i, d] = t[b] * centres[j, c] - t[c] * centres[j, b] + t[3 + i]
-            a = tree.parents[a]
-
-
 def forward_kinematics(poses: ArrayLike, tree: TreeArrays) -> tuple[Array, Array]:
     """Compute the rotations world_from_joint (N, J, 3, 3) and joint centres (N, J, 3) m of poses (N, D)."""
     q = plain(poses, np.float64)
@@ -250,27 +230,3 @@ def skin(rotations: ArrayLike, centres: ArrayLike, tree: TreeArrays, mesh: MeshA
     out = np.empty((len(r), len(mesh.vertices), 3))
     skin_batch(r, c, tidy(tree), tidy(mesh), out)
     return out
-
-
-def joint_jacobians(pose: ArrayLike, tree: TreeArrays) -> Array:
-    """Compute the derivatives (J, 3, D) of the joint centres by a pose (D,), the root's rotation as a small turn in the
-    world.
-    """
-    q = plain(pose, np.float64)
-    out = np.zeros((len(tree.parents), 3, len(q)))
-    _joint_jacobians(q, tidy(tree), out)
-    return out
-
-
-def joint_covariances(pose: ArrayLike, tree: TreeArrays, information: Array, ridge: float = 1e-9) -> Array:
-    """Compute the covariances (J, 3, 3) m^2 of the joint centres: G C G^T with G the Jacobian of the centre.
-
-    pose: (D,).
-    information: (D, D) inverse covariance of the pose; C is the inverse of (information + ridge).
-    ridge: relative to the diagonal of the information, which counts as 1 at least; makes it positive definite.
-    """
-    jacobian = joint_jacobians(pose, tree)
-    flat = jacobian.reshape(-1, jacobian.shape[2])
-    known = information + np.diag(ridge * np.maximum(information.diagonal(), 1.0))
-    spread = np.linalg.solve(known, flat.T).T.reshape(jacobian.shape)
-    return np.einsum("jad,jbd->jab", jacobian, spread)

@@ -43,22 +43,22 @@ class Cleaning(NamedTuple):
 
 
 class MaskRuns(NamedTuple):
-    """Mask as the runs of its rows, in about a thousand bytes.
+    """Mask as the runs of set pixels of its rows, in a few thousand bytes.
 
-    code: the runs (see `draw`).
+    code: (n, 3) row, first column and column after the last one of each run, from the top left to the bottom right.
     shape: (h, w) of the mask.
     box: y0, y1, x0, x1 around the mask (zeros where it is empty).
     area: px.
     """
 
-    code: NDArray[np.uint8]
+    code: NDArray[np.uint16]
     shape: tuple[int, int]
     box: tuple[int, int, int, int]
     area: int
 
 
 def no_bits(h: int, w: int) -> Bits:
-    """Make the bits of an empty mask (h, w)."""
+    """Allocate the bits of an empty mask of h rows and w columns."""
     return np.zeros(((w + 63) // 64, h), np.uint64)
 
 
@@ -84,7 +84,7 @@ def clean(bits: Bits, shape: tuple[int, int], how: Cleaning) -> MaskRuns:
     Returns: the cleaned mask as runs.
     """
     about = np.zeros(5, np.int64)
-    spans = square_spans(how.open_px), disc_spans(how.close_px)
+    spans = element_spans(how.open_px), element_spans(how.close_px, True)
     rules = how.close_px + 1, int(how.hole_px), float(how.keep_share), float(min(how.keep_gap, 1e9))
     code = _clean(bits, shape[1], *spans, *rules, about)
     y0, y1, x0, x1, area = about.tolist()
@@ -103,33 +103,24 @@ def draw(runs: MaskRuns, out: Mask | None = None, corner: tuple[int, int] = (0, 
     out: picture in which pixels are set, whose first pixel is the corner (y, x) of the mask; None: a new mask (h, w).
     """
     made = np.zeros(runs.shape, np.uint8) if out is None else out
-    y0, y1, x0, _ = runs.box
-    _draw(runs.code, y0, y1, x0, made, *corner)
+    _draw(runs.code, made, *corner)
     return made
 
 
-@lru_cache(maxsize=256)
-def square_spans(size: int) -> NDArray[np.int64]:
-    """Make the spans (n, 4) of a square; none for a size below 2, which changes nothing."""
-    return _spans(np.ones((size, size), np.uint8))
-
-
-@lru_cache(maxsize=256)
-def disc_spans(size: int) -> NDArray[np.int64]:
-    """Make the spans (n, 4) of OpenCV's disc; none for a size below 2."""
-    return _spans(disc(size)) if size > 1 else _spans(np.ones((size, size), np.uint8))
-
-
 def disc(size: int) -> Mask:
-    """Return OpenCV's disc (size, size), 1 inside."""
+    """Make OpenCV's disc (size, size), 1 inside; size: diameter, px."""
     return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)), dtype=np.uint8)
 
 
-def _spans(element: Mask) -> NDArray[np.int64]:
-    """Convert an element to spans: successive rows with the same columns are one span; its centre is n // 2, as in
-    OpenCV.
+@lru_cache(maxsize=256)
+def element_spans(size: int, round_: bool = False) -> NDArray[np.int64]:
+    """Convert a structuring element to spans (n, 4), as the module describes them.
+
+    size: side of a square or diameter of OpenCV's disc, px; below 2 there are no spans, and nothing changes.
+    round_: a disc, not a square.
+    Successive rows with the same columns are one span; the centre is at size // 2, as in OpenCV.
     """
-    size, spans = len(element), list[list[int]]()
+    element, spans = disc(size) if round_ and size > 1 else np.ones((size, size)), list[list[int]]()
     for y, row in enumerate(element if size > 1 else ()):
         x = np.flatnonzero(row) - size // 2
         if spans and spans[-1][2:] == [x[0], x[-1]]:
@@ -240,14 +231,6 @@ def opened(bits, spans, box, out):
 
 
 @kernel
-def _closed(bits, spans, box, out):
-    """Close bits in the box by the spans, into out."""
-    more = np.zeros_like(bits)
-    grown(bits, spans, box, u8(0), more)
-    grown(more, spans, box, ALL, out)
-
-
-@kernel
 def _bounds(bits, box):
     """Fill the box around the set pixels; return whether there are any."""
     words, h = bits.shape
@@ -297,6 +280,7 @@ def _fill(bits, y, x0, x1):
 
 @kernel
 def _root(parent, i):
+    """Find the first run of the region of run i, and shorten the path to it in `parent` (n,)."""
     while parent[i] != i:
         parent[i] = parent[parent[i]]
         i = parent[i]
@@ -399,52 +383,6 @@ def _regions_near(n, runs, parent, keep_share, keep_gap, kept, about):
 
 
 @kernel
-def _put(code, at, value):
-    """Write a number >= 0, seven bits per byte, the lowest first; return the next index."""
-    while value > 127:
-        code[at] = (value & 127) | 128
-        value >>= 7
-        at += 1
-    code[at] = value
-    return at + 1
-
-
-@kernel
-def _put_step(code, at, step):
-    return _put(code, at, 2 * step if step >= 0 else -2 * step - 1)
-
-
-@kernel
-def _write(n, runs, kept, about, code):
-    """Write the code (u1) of the kept runs, as `_draw` reads it; return its length."""
-    before, now = np.zeros(n + 1, np.int64), np.zeros(n + 1, np.int64)  # starts of the runs in a row
-    ends, ends_now = np.zeros(n + 1, np.int64), np.zeros(n + 1, np.int64)
-    at, i, known = 0, 0, 0
-    for y in range(about[0], about[1]):
-        while i < n and runs[i, 0] < y:
-            i += 1
-        count, k = 0, i
-        while k < n and runs[k, 0] == y:
-            count += kept[k]
-            k += 1
-        at = _put(code, at, count)
-        j, last = 0, about[2]
-        while i < k:
-            if kept[i]:
-                start, end = runs[i, 1], runs[i, 2]
-                at = _put_step(code, at, start - (before[j] if j < known else last))
-                at = _put_step(code, at, end - (ends[j] if j < known else start))
-                now[j], ends_now[j] = start, end
-                last = end
-                j += 1
-            i += 1
-        known = count
-        before, now = now, before
-        ends, ends_now = ends_now, ends
-    return at
-
-
-@kernel
 def _clean(bits, width, opening, closing, margin, hole_px, keep_share, keep_gap, about):
     """Clean the bits (words, h) of a mask (h, width), which are changed: open, close, fill holes, keep the largest
     region and those near it; see `clean`.
@@ -457,7 +395,7 @@ def _clean(bits, width, opening, closing, margin, hole_px, keep_share, keep_gap,
     box = np.zeros(4, np.int64)
     if not _bounds(bits, box):
         about[:] = 0
-        return np.zeros(0, np.uint8)
+        return np.zeros((0, 3), np.uint16)
     box[0], box[1] = max(box[0] - margin, 0), min(box[1] + margin, bits.shape[1])
     box[2], box[3] = max(box[2] - margin, 0), min(box[3] + margin, width)
     if opening.shape[0] > 0:
@@ -465,8 +403,9 @@ def _clean(bits, width, opening, closing, margin, hole_px, keep_share, keep_gap,
         opened(bits, opening, box, done)
         bits = done
     if closing.shape[0] > 0:
-        done = np.zeros_like(bits)
-        _closed(bits, closing, box, done)
+        more, done = np.zeros_like(bits), np.zeros_like(bits)
+        grown(bits, closing, box, u8(0), more)
+        grown(more, closing, box, ALL, done)
         bits = done
     most = _most_runs(bits, box)
     runs, parent = np.empty((most, 3), np.int32), np.empty(most, np.int32)
@@ -475,58 +414,19 @@ def _clean(bits, width, opening, closing, margin, hole_px, keep_share, keep_gap,
     n = _label(bits, box, u8(0), 1, runs, parent)
     if n == 0:
         about[:] = 0
-        return np.zeros(0, np.uint8)
+        return np.zeros((0, 3), np.uint16)
     kept = np.zeros(n, np.bool_)
     _regions_near(n, runs, parent, keep_share, keep_gap, kept, about)
-    code = np.empty(3 * (box[1] - box[0]) + 6 * n, np.uint8)
-    return code[: _write(n, runs, kept, about, code)].copy()
+    return runs[:n][kept].astype(np.uint16)
 
 
 @kernel
-def _get(code, at):
-    """Read a number that `_put` wrote; return it and the next index."""
-    value, shift = 0, 0
-    while code[at] > 127:
-        value |= (np.int64(code[at]) & 127) << shift
-        shift += 7
-        at += 1
-    return value | np.int64(code[at]) << shift, at + 1
-
-
-@kernel
-def _draw(code, y0, y1, x0, out, top, left):
-    """Set the pixels of out (h, w) u1, whose first pixel is (top, left) of the mask, where the runs of a code are.
-
-    y0, x0: row and column with which the code begins.
-
-    The code is, for each row up to y1, the number of its runs, and for each of them the differences of its start and
-    its end from those of the run of the same number in the row before; where that row has fewer runs, the difference of
-    its start from the end before, and its length. Numbers have seven bits per byte, the lowest first; signed numbers
-    have the sign in their lowest bit.
-    """
+def _draw(code, out, top, left):
+    """Set the pixels of the runs `code` (n, 3) in out (h, w) u1, whose first pixel is (top, left) of the mask."""
     h, w = out.shape
-    most = 1
-    starts, ends = np.zeros(most, np.int64), np.zeros(most, np.int64)
-    at, known = 0, 0
-    for y in range(y0, y1):
-        count, at = _get(code, at)
-        if count > most:
-            more, more_ends = np.zeros(2 * count, np.int64), np.zeros(2 * count, np.int64)
-            for j in range(known):
-                more[j], more_ends[j] = starts[j], ends[j]
-            most, starts, ends = 2 * count, more, more_ends
-        last = x0
-        for j in range(count):
-            for side in range(2):
-                value, at = _get(code, at)
-                step = -((value + 1) >> 1) if value & 1 else value >> 1
-                if side == 0:
-                    starts[j] = step + (starts[j] if j < known else last)
-                else:
-                    ends[j] = step + (ends[j] if j < known else starts[j])
-            last = ends[j]
-            if top <= y < top + h:
-                row = out[y - top]
-                for x in range(max(starts[j] - left, 0), min(ends[j] - left, w)):
-                    row[x] = 1
-        known = count
+    for i in range(code.shape[0]):
+        y, start, end = np.int64(code[i, 0]) - top, np.int64(code[i, 1]) - left, np.int64(code[i, 2]) - left
+        if 0 <= y < h:
+            row = out[y]
+            for x in range(max(start, 0), min(end, w)):
+                row[x] = 1

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from hypose.compute.arrays import plain
 from hypose.compute.compiled import kernel
 from hypose.compute.coverage import NEAR, cover_faces, fill_strip, row_stride
-from hypose.compute.mask_runs import Bits, grown, mask_of, opened, square_spans, u8
+from hypose.compute.mask_runs import Bits, element_spans, grown, mask_of, opened, u8
 from hypose.compute.simd import lowest_bit, popcount
 from hypose.geometry import Array
 
@@ -109,7 +109,7 @@ def parts_against_mask(
     uv, r, width = plain(points, np.float64), plain(radius, np.float64), -(-(x1 - x0) // step)
     counts, bare = np.zeros((3, len(drawn)), np.int64), np.zeros(len(uv), np.int64)
     shown = plain(bits, np.uint8), _NONE if hidden is None else plain(hidden, np.uint8)
-    _against_mask(*shown, y0, x0, step, width, square_spans(3), drawn, uv, r, counts, bare)
+    _against_mask(*shown, y0, x0, step, width, element_spans(3), drawn, uv, r, counts, bare)
     return PartView(*counts, bare, drawn[0])
 
 

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hypose.compute.arrays import plain
 from hypose.compute.compiled import kernel
-from hypose.compute.mask_runs import Bits, close_to, no_bits, opened, square_spans
+from hypose.compute.mask_runs import Bits, close_to, element_spans, no_bits, opened
 from hypose.compute.simd import at_least, bits, cast, load, ramp, shuffle, splat, store, where
 from hypose.errors import InputError
 from hypose.geometry import Image
@@ -217,7 +217,7 @@ def not_the_room(image: Image, room: BackgroundLevels, box: Box | None = None) -
     y0, y1, x0, x1 = box or (0, h, 0, w)
     limits = (np.float32(room.darkest), np.float32(room.lightest), np.float32(room.chroma))
     bits = no_bits(h, w)
-    _differ(plain(image, np.uint8), *room[:3], bool(room.shadow), *limits, y0, y1, x0, x1, square_spans(3), bits)
+    _differ(plain(image, np.uint8), *room[:3], bool(room.shadow), *limits, y0, y1, x0, x1, element_spans(3), bits)
     return bits
 
 
@@ -386,7 +386,6 @@ _blue, _green, _red = (shuffle(range(c, _BYTES, 3)) for c in range(3))
 _by_colour = shuffle((0, 3, 1, 4, 2, 5, 6, 7))
 """Reorder two pixels and two more bytes: blue of both, green of both, red of both."""
 _repeated, _even, _odd = shuffle((0, 1) * 4), shuffle(range(0, 8, 2)), shuffle(range(1, 8, 2))
-_next = shuffle((1, 2, 3, 3))
 
 
 @kernel
@@ -472,23 +471,3 @@ def darker(picture, room, at, darkest, lightest, chroma):
     s = (b * x + g * y + r * z) / at_least(x * x + y * y + z * z, f4(1))
     b, g, r = b - s * x, g - s * y, r - s * z
     return u8(bits((s > darkest) & (s < lightest) & (b * b + g * g + r * r < chroma)))
-
-
-@kernel
-def mean_outside(picture, at, below, low, high, bound):
-    """Test whether the mean of 2 x 2 pixels lies in some colour outside low..high (u1) at byte bound (four bytes are
-    read).
-
-    at, below: byte of the first pixel, and bytes to the lower ones.
-    """
-    upper, lower = _two_pixels(picture, at), _two_pixels(picture, at + below)
-    value = (upper + lower + u2(2)) >> 2
-    other = (value < cast(load(low, bound, 4), u2)) | (value > cast(load(high, bound, 4), u2))
-    return (bits(other) & 7) != 0
-
-
-@kernel
-def _two_pixels(picture, at):
-    """Add a pixel and the one on its right; a fourth number is undefined."""
-    right = load(picture, at + 2, 4)  # reads no byte after these pixels
-    return cast(load(picture, at, 4), u2) + cast(_next(right, right), u2)

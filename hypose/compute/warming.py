@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from hypose.compute import glance, mask_runs, mono, picture_to_mask, reach, shape_rows
+from hypose.compute import mask_runs, mono, picture_to_mask, reach, shape_rows
 from hypose.compute.arrays import (
     BALL,
     FIXED,
@@ -40,7 +40,7 @@ from hypose.compute.arrays import (
     prepare_masks,
 )
 from hypose.compute.compiled import cache_file, failures, make_folder
-from hypose.compute.kinematics import forward_kinematics, joint_covariances, skin
+from hypose.compute.kinematics import forward_kinematics, skin
 from hypose.compute.mask_distance import shrink_mask, signed_distance
 from hypose.compute.parts import covered, draw_parts, parts_against_mask, projected, touched_area
 from hypose.compute.rows import outline_points
@@ -134,7 +134,6 @@ def _evidence(depth: DepthArrays | None = None) -> tuple[np.ndarray, tuple[Any, 
 def _solver() -> None:
     q, given, ws = _evidence()
     solve(q, *given, SolveLimits(1, 0, 1e-3, 1e-2, 4), ws)
-    joint_covariances(q, given[0], np.eye(6))
 
 
 def _depth() -> None:
@@ -156,7 +155,7 @@ KERNEL_GROUPS: dict[str, tuple[Callable[[], None], ...]] = {
     "scorer": (_scorer, _points),
     "outlines": (_outlines, picture_to_mask.warm_up_masks, mask_runs.warm_up, _parts),
     "shape": (lambda: shape_rows.warm_up(_toy()[1]),),
-    "pictures": (picture_to_mask.warm_up, mask_runs.warm_up, glance.warm_up),
+    "pictures": (picture_to_mask.warm_up, mask_runs.warm_up),
     "monocular": (_monocular,),
     "depth": (_depth,),
 }

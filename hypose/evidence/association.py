@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.cameras.camera import CameraRig
+from hypose.evidence.keypoints import other_sides
 from hypose.evidence.person_tracks import PersonTrack
 from hypose.evidence.ray_matching import NOT_COMPARABLE_M, Views, between_rays, distances, mean_of_known, meet
 from hypose.geometry import Array
@@ -150,7 +151,7 @@ class Association:
         self.names, self.settings, self._columns = tuple(names), settings or AssociationSettings(), columns
         self._views, self._k = Views(rig), len(names)
         column = {n: i for i, n in enumerate(names)}
-        self._twin = np.array([column.get(_other_side(n), i) for i, n in enumerate(names)], dtype=np.int64)
+        self._twin = other_sides(names)
         self._group = np.full(self._k, len(_GROUPS), dtype=np.int64)
         for i, n in enumerate(names):
             part = n.split("_", 1)[-1]
@@ -497,12 +498,6 @@ class Association:
             if t.needed == 0:
                 t.needed = self._trial
         self._alive = [t for t in alive if t not in self._ended]
-
-
-def _other_side(name: str) -> str:
-    if name.startswith("left_"):
-        return "right_" + name[5:]
-    return "left_" + name[6:] if name.startswith("right_") else name
 
 
 def _apart(a: Array, b: Array) -> float:

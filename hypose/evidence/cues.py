@@ -60,17 +60,15 @@ class PoseMemory(Generic[_Found]):
     """Cache of results for single poses of a body."""
 
     def __init__(self) -> None:
-        # bodies are kept too, so that no new body gets the identity of a deleted one
-        self._found: dict[tuple[int, bytes], tuple[Body, _Found]] = {}
+        self._found: dict[tuple[Body, bytes], _Found] = {}
 
     def get(self, body: Body, pose: Array) -> _Found | None:
         """Look up the result of a pose (D,); None where there is none."""
-        known = self._found.get((id(body), pose.tobytes()))
-        return None if known is None else known[1]
+        return self._found.get((body, pose.tobytes()))
 
     def keep(self, body: Body, pose: Array, found: _Found) -> _Found:
         """Store a result and return it."""
-        self._found[id(body), pose.tobytes()] = body, found
+        self._found[body, pose.tobytes()] = found
         return found
 
     def same(self, body: Body, pose: Array, other: Array) -> None:
@@ -163,8 +161,8 @@ class KeypointEvidence(Evidence):
     def cost(self, body: Body, poses: Array) -> Array:
         """Compute the robust cost (N,) of poses (N, D), as the solver does; a difference of 1 is 1 in
         log-likelihood."""
-        term, (rotations, centres) = self.term, body.skeleton.forward(poses)
-        x = centres[:, term.joint] + np.einsum("nkab,kb->nka", rotations[:, term.joint], term.offset)
+        term = self.term
+        x = body.skeleton.points(term.joint, term.offset, poses)
         h = np.einsum("cij,nkj->ncki", term.projections[:, :, :3], x) + term.projections[:, None, :, 3]
         with np.errstate(divide="ignore", invalid="ignore"):
             away = np.linalg.norm(h[..., :2] / h[..., 2:] - term.points[..., :2], axis=-1)

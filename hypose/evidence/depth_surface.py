@@ -70,7 +70,7 @@ class DepthTerm(Term):
     def arrays(self, body: Body) -> DepthArrays | None:
         """Build the solver's arrays; None where there are no points."""
         scales = float(self.scale_m), float(self.free_share), float(self.free_scale_m), float(self.slack_m)
-        return DepthArrays._make((*self._flat, *rings(body), *scales)) if len(self.points) else None
+        return DepthArrays._make((*self._flat, *body.coarse.rings, *scales)) if len(self.points) else None
 
     @cached_property
     def _flat(self) -> tuple[NDArray, ...]:
@@ -112,31 +112,3 @@ def shrunk(projections: Array, step: int) -> Array:
     out = np.array(projections, dtype=np.float64)
     out[:, :2] /= step
     return out
-
-
-_RINGS: dict[int, tuple[Body, NDArray[np.int64], NDArray[np.int32]]] = {}
-
-
-def rings(body: Body) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-    """List the faces around each vertex of the coarse mesh; cached for the last bodies.
-
-    Returns: first (V + 1,) ranges of each vertex; (3 F, 3) rows: the two other corners in the face's order, and the row
-        of the face around this vertex that shares the edge to the first of them (its own row where none does).
-    """
-    kept = _RINGS.get(id(body.coarse))
-    if kept is None or kept[0].coarse is not body.coarse:
-        while len(_RINGS) > 15:
-            _RINGS.pop(next(iter(_RINGS)))
-        faces = np.asarray(body.coarse.faces)
-        corners = faces.ravel()
-        order = np.argsort(corners, kind="stable")
-        count = len(body.coarse.vertices)
-        first = np.searchsorted(corners[order], np.arange(count + 1)).astype(np.int64)
-        others = np.stack([np.roll(faces, -k, axis=1)[:, 1:] for k in range(3)], 1).reshape(-1, 2)[order]
-        begins, ends = (corners[order] * count + others[:, k] for k in (0, 1))
-        by_end = np.argsort(ends, kind="stable")
-        nearby = by_end[np.minimum(np.searchsorted(ends[by_end], begins), len(ends) - 1)]
-        nearby = np.where(ends[nearby] == begins, nearby, np.arange(len(ends)))
-        ring = np.column_stack([others, nearby])
-        kept = _RINGS[id(body.coarse)] = body, first, np.ascontiguousarray(ring, dtype=np.int32)
-    return kept[1], kept[2]

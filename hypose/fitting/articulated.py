@@ -295,16 +295,12 @@ def with_rows(known: Evaluation, pose: Array, body: Body, rows: Sequence[RowTerm
     Returns: the new evaluation; its counts get one more line with the number of points.
     Raises: InputError where residuals have the wrong shape.
     """
-    (rotations, centres), twists, moves = (
-        body.skeleton.forward(pose),
-        body.skeleton.world_twists(pose),
-        body.skeleton.moves,
-    )
+    twists, moves = body.skeleton.world_twists(pose), body.skeleton.moves
     cost, gradient, hessian, count = known.cost, known.gradient.copy(), known.hessian.copy(), 0
     for term in rows:
         joint = np.asarray(term.joint, dtype=np.int64)
         offset = np.zeros((len(joint), 3)) if term.offset is None else np.asarray(term.offset, dtype=np.float64)
-        points = centres[joint] + np.einsum("pab,pb->pa", rotations[joint], offset)
+        points = body.skeleton.points(joint, offset, pose)
         r, slope = (np.asarray(x, dtype=np.float64) for x in term.residuals(points))
         if r.ndim != 2 or len(r) != len(joint) or slope.shape != (*r.shape, 3):
             raise InputError(

@@ -77,8 +77,7 @@ def rows_of_keypoints(
     least_depth_m: least depth of a point before the camera, m.
     Returns: two rows (u, v) per point.
     """
-    rotations, centres = at.body.skeleton.forward(at.pose)
-    places = centres[term.joint] + np.einsum("kab,kb->ka", rotations[term.joint], term.offset)
+    places = at.body.skeleton.points(term.joint, term.offset, at.pose)
     homogeneous = np.einsum("cij,kj->cki", projections[:, :, :3], places) + projections[:, None, :, 3]
     seen = (term.points[..., 2] > term.min_confidence) & (homogeneous[..., 2] > least_depth_m)
     view, k = np.nonzero(seen)

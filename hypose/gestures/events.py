@@ -11,7 +11,6 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.errors import InputError
 from hypose.geometry import Array
 from hypose.gestures.localise import Localisation
 
@@ -25,7 +24,6 @@ class EventSettings:
     hold_s: s for which it must be shown to start.
     let_go_s: s for which it must be released to end.
     refractory_s: s after the end in which the same gesture does not start.
-    Raises: InputError where a value is outside its range.
     """
 
     threshold: float
@@ -33,16 +31,6 @@ class EventSettings:
     hold_s: float = 0.15
     let_go_s: float = 0.15
     refractory_s: float = 0.5
-
-    def __post_init__(self) -> None:
-        if not (
-            self.threshold > 0 and 0 < self.release <= 1 and min(self.hold_s, self.let_go_s, self.refractory_s) >= 0
-        ):
-            raise InputError(
-                f"A threshold of {self.threshold} with release {self.release}, hold {self.hold_s} s, let go "
-                f"{self.let_go_s} s and rest {self.refractory_s} s is not possible; the threshold must be positive, "
-                "the release 0 to 1, times not negative."
-            )
 
 
 @dataclass(frozen=True)

@@ -104,17 +104,6 @@ class Forest:
         """Memory layout of the forest for scanning pictures."""
         return forest_votes.pack(self.test, self.left, self.seen, self.size)
 
-    def probabilities(self, picture: PaddedDepth, rows: NDArray, columns: NDArray) -> NDArray[np.float64]:
-        """Compute the class probabilities at pixels: the mean shares over the trees (eq. 3.1).
-
-        picture: padded depth picture.
-        rows, columns: (S,) pixels; without depth there the result is meaningless.
-        Returns: (S, C).
-        """
-        reached = forest_votes.leaves(picture, picture.cells(rows, columns), self.packed, self.settings.clip)
-        shares = self.packed.shares[np.arange(len(self.left))[None], reached]
-        return shares.mean(1) / 10000.0
-
 
 def new_arrays(settings: ForestSettings, classes: int, rng: np.random.Generator) -> GrowingArrays:
     """Make the arrays of a growing forest that has only roots; each tree gets its own random numbers from rng.

@@ -97,20 +97,6 @@ class Scratch:
     densities: dict[int, NDArray[np.float32]] | None = None
 
 
-def pad(
-    depth: DepthImage, lens: DepthLens, reach_mm: int, near_mm: int, reuse: PaddedDepth | None = None
-) -> PaddedDepth:
-    """Pad a depth picture so that forests can read it.
-
-    depth: (h, w) picture, mm.
-    lens: a lens of any focal length; the picture may have any size.
-    reach_mm: reach of the forest's tests.
-    near_mm: smaller depths count as holes.
-    reuse: padded picture whose memory may be reused.
-    """
-    return forests.pad_depth(depth, lens.fx, near_mm, reach_mm, reuse)
-
-
 Density = tuple[NDArray[np.float32], int]
 """Density of the votes on the scanning grid (rows, columns), m^2 of surface per cell, and the flat index of its
 maximum.
@@ -162,7 +148,7 @@ def densities(
         raise InputError(
             f"{len(forest_list)} forests are too many for one search; give at most {forest_votes.MOST_FORESTS}."
         )
-    picture = scratch.picture = pad(depth, lens, reach, s.plan.near_mm, scratch.picture)
+    picture = scratch.picture = forests.pad_depth(depth, lens.fx, s.plan.near_mm, reach, scratch.picture)
     if len(forest_list) > 1 or forest_list[0].classes == 2:
         clips = [f.settings.clip for f in forest_list]
         maps = forest_votes.scan(picture, [f.packed for f in forest_list], clips, s.plan)

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.compute.forest_votes import ScanPlan
-from hypose.compute.forests import DepthImage
+from hypose.compute.forests import DepthImage, pad_depth
 from hypose.errors import InputError
 from hypose.gestures.depth_pictures import DepthLens, check_settings, surface_depth
 from hypose.gestures.forest import ForestSettings, GrowingForest
-from hypose.gestures.localise import Localisation, LocaliseSettings, Scratch, localise, pad
+from hypose.gestures.localise import Localisation, LocaliseSettings, Scratch, localise
 
 BACKGROUND = 0
 Pixels = tuple[NDArray[np.int64], NDArray[np.int64]]
@@ -243,7 +243,8 @@ class Learner:
         s = self.settings.look
         if look:
             return tuple(localise(depth, lens, [self.forest], s, self.scratch))
-        self.scratch.picture = pad(depth, lens, self.forest.settings.reach_mm, s.plan.near_mm, self.scratch.picture)
+        reach_mm = self.forest.settings.reach_mm
+        self.scratch.picture = pad_depth(depth, lens.fx, s.plan.near_mm, reach_mm, self.scratch.picture)
         return ()
 
     def _mine(self, depth: DepthImage, lens: DepthLens, found: Localisation, counts: list[int]) -> bool:

@@ -30,7 +30,7 @@ from hypose.io.motions.marker_files import Markers
 from hypose.io.motions.results import load_archive
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.track_options import CompareOptions
-from hypose.synthetic.metrics import CARRIERS, coverage, joint_errors, population_offsets
+from hypose.synthetic.metrics import CARRIERS, EVALUATED_JOINTS, coverage, joint_errors, population_offsets
 
 # ---- compared files ------------------------------------------------------------------------------------------------
 # Read motions of other programs: results of hypose, C3D, TRC, and MOT or STO of OpenSim, as points and angles with
@@ -618,4 +618,4 @@ def compare_with_truth(path: str | Path, motion: Motion, first: int = 0) -> Trut
     rotations, _ = motion.skeleton.forward(motion.poses[: len(joints)])
     errors = joint_errors(found, joints, population_offsets(human()) * stature, rotations)
     parents = human().skeleton.parents.tolist()
-    return Truth(errors.distances, errors.names, joints[:, 0], NOTE, joints=joints, parents=parents)
+    return Truth(errors, EVALUATED_JOINTS, joints[:, 0], NOTE, joints=joints, parents=parents)

@@ -18,7 +18,7 @@ from hypose.calibration.diagnose_masks import focal_by_masks, focal_by_points, f
 from hypose.calibration.diagnose_person import height_findings, up_by_cameras, wrong_set, wrong_way_up
 from hypose.calibration.diagnose_points import best_trial, disagreement, gross_finding, late_views, timing_findings
 from hypose.calibration.diagnostics import gross_silhouettes
-from hypose.calibration.findings import INVALID, REFUTED_PLACES, Finding, Limits, depth_findings
+from hypose.calibration.findings import INVALID, Finding, Limits, depth_findings
 from hypose.calibration.sync_motion import mask_tracks
 from hypose.cameras.camera import PARALLEL, triangulate, widest_angle
 from hypose.errors import EvidenceError, HyposeError
@@ -88,7 +88,7 @@ def of_measured(stature: float) -> tuple[Finding, ...]:
 
 def places_refuted(found: Sequence[Finding]) -> bool:
     """Return whether a finding refutes the places of the cameras; then people cannot be separated."""
-    return any(f.fault and f.kind in REFUTED_PLACES for f in found)
+    return any(f.fault and f.kind in ("places", "swapped", "mirrored") for f in found)
 
 
 def sentences(found: Sequence[Finding], severity: str = INVALID) -> tuple[str, ...]:

@@ -7,9 +7,12 @@ and returns a changed copy. `run_pass` records in the clip's trace which joints 
 from __future__ import annotations
 
 import contextlib
+import logging
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,6 +24,7 @@ from hypose.calibration.findings import INVALID, REVIEW, Finding
 from hypose.errors import EvidenceError, HyposeError
 from hypose.evidence.cues import OwnEvidence
 from hypose.evidence.frame import Frame, Keypoints
+from hypose.evidence.prefetch import look_ahead
 from hypose.geometry import Array
 from hypose.inference.layer import Recipe
 from hypose.io.motions.results import ResultsFolder, provenance_identity, save_modes, save_motion
@@ -43,15 +47,7 @@ from hypose.pipeline.one_camera import (
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.subject_from_motion import height_sentence, measured_height
 from hypose.pipeline.trace import Change, list_changes, with_trace
-from hypose.pipeline.track_loop import (
-    FrameList,
-    FrameSource,
-    Keep,
-    StageProgress,
-    Tracked,
-    track_frames,
-    tracked_before,
-)
+from hypose.pipeline.track_loop import Followed, FrameList, FrameSource, StageProgress, TrackingSession
 from hypose.pipeline.track_options import TrackOptions
 from hypose.tracking.arm_hypotheses import SEARCH_ROLES
 from hypose.tracking.covariance_calibration import (
@@ -67,10 +63,34 @@ from hypose.tracking.keypoint_clip import track_keypoint_clip
 from hypose.tracking.keypoint_evidence import keypoint_model
 from hypose.tracking.pose_covariance import unpacked
 from hypose.tracking.recipes import recipe
+from hypose.tracking.several import Member
 from hypose.tracking.smooth_motion import Clip, Smoothed
-from hypose.tracking.tracker import RECOVERED, Tracker, TrackerSettings, modes_of, motion_of
+from hypose.tracking.tracker import (
+    RECOVERED,
+    FrameEstimate,
+    Tracker,
+    TrackerSettings,
+    TrackerState,
+    modes_of,
+    motion_of,
+)
 
 MODES = "modes.npz"
+_LOG = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Tracked:
+    """Result of tracking frame by frame.
+
+    estimates: of the frames that are done.
+    state: state of the tracker after the last of them.
+    complete: every frame was tracked.
+    """
+
+    estimates: list[FrameEstimate]
+    state: TrackerState
+    complete: bool = True
 
 
 @dataclass(frozen=True)
@@ -177,14 +197,19 @@ def run_pass(step: Pass, clip: ClipState) -> ClipState:
 
     Only passes that have a row in `REASONS` move joints; nothing is recorded for the others.
     """
-    if (reason := REASONS.get(step.__name__)) is None:
-        return step(clip)
-    before, after = clip.joints, step(clip)
-    now = after.joints
-    if before is None or now is None or len(before) != len(now):
-        return after
-    names, moved = after.who.body.skeleton.joint_names, np.linalg.norm(now - before, axis=-1)
-    return replace(after, trace=(*after.trace, *list_changes(step.__name__, names, moved, reason)))
+    reason, begin = REASONS.get(step.__name__), time.perf_counter()
+    before = None if reason is None else clip.joints
+    after = step(clip)
+    now = None if reason is None else after.joints
+    if reason is not None and before is not None and now is not None and len(before) == len(now):
+        names, moved = after.who.body.skeleton.joint_names, np.linalg.norm(now - before, axis=-1)
+        after = replace(after, trace=(*after.trace, *list_changes(step.__name__, names, moved, reason)))
+    _LOG.debug("%s: %.2f s", step.__name__, time.perf_counter() - begin)
+    for change in after.trace[len(clip.trace) :]:
+        _LOG.debug("%s moved %s by %.3f m in frames %s", change.stage, change.joint, change.moved, change.frames)
+    for finding in after.findings[len(clip.findings) :]:
+        _LOG.debug("%s found %s: %s", step.__name__, finding.kind, finding.text)
+    return after
 
 
 # ---- before tracking ---------------------------------------------------------------------------------------
@@ -273,29 +298,35 @@ def track_clip(clip: ClipState) -> ClipState:
 
     Raises: HyposeError where a frame fails; the frames before it are written to the results folder first.
     """
-    results, key = clip.results, provenance_identity(clip.record)
     if clip.options.whole_clip and clip.method is None:
         return _solve_keypoints(clip)
-    keep = None if results is None else Keep(results.checkpoint, key, clip.options.checkpoint_every)
-    before = tracked_before(results.checkpoint, key) if clip.resume and results is not None else None
-    clip = _track(clip, keep, before)
-    done = clip.tracked
-    assert done is not None
-    if done.error is not None and results is not None:
+    return _track(clip, None if clip.results is None else clip.results.checkpoint)
+
+
+def _track(clip: ClipState, checkpoint: Path | None = None) -> ClipState:
+    """Track frame by frame from the subject's start pose.
+
+    checkpoint: file of the state, from which an interrupted run continues; None: nothing is written.
+    """
+    tracker, subject, source = clip.with_tracker, clip.who, clip.source
+    begin = tracker.start(subject.start if subject.rivals is None else subject.rivals)
+    one = Followed("", subject, Member(tracker, begin))
+    about = {"identity": provenance_identity(clip.record), "every": clip.options.checkpoint_every}
+    session = TrackingSession([one], True, clip.frame_rate, checkpoint, **about)
+    if clip.resume and checkpoint is not None:
+        session.load(checkpoint, lambda name: one)
+    rest = range(session.done, len(source))
+    last = source.frame(rest.start - 1) if rest and rest.start else None
+    with contextlib.closing(look_ahead(tracked_frames(source, rest, tracker.recipe.needs, subject))) as frames:
+        error = session.track(frames, last, len(source), clip.progress)
+    clip = replace(clip, tracked=Tracked(one.estimates, one.member.state, session.done == len(source)))
+    if error is not None and clip.results is not None:
         with contextlib.suppress(HyposeError):  # the first error is the one to report
             keep_motion(to_motion(clip))
-        raise type(done.error)(
-            f"{done.error} The {len(done.estimates)} frames before are kept in {results.path}; see --resume."
-        ) from done.error
+        raise type(error)(
+            f"{error} The {session.done} frames before are kept in {clip.results.path}; see --resume."
+        ) from error
     return clip
-
-
-def _track(clip: ClipState, keep: Keep | None = None, before: Tracked | None = None) -> ClipState:
-    """Track frame by frame from the subject's start pose."""
-    tracker, subject = clip.with_tracker, clip.who
-    begin = tracker.start(subject.start if subject.rivals is None else subject.rivals)
-    kept = {"keep": keep, "before": before, "progress": clip.progress}
-    return replace(clip, tracked=track_frames(clip.source, tracker, begin, subject, **kept))
 
 
 def _solve_keypoints(clip: ClipState) -> ClipState:

@@ -22,18 +22,17 @@ from hypose.evidence import depth_people
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.evidence.hull import common_view_bounds
 from hypose.evidence.hull_people import HullPerson, fewest_views
-from hypose.evidence.prefetch import pack_once
 from hypose.geometry import Array
 from hypose.io.motions.results import ResultsFolder, provenance_identity, save_motion
 from hypose.pipeline.first_frame import SubjectOptions, TrackedSubject, find_subject, keep_subject, kept_subject
-from hypose.pipeline.frame_anomalies import as_now, in_words, looked_at, mask_change
+from hypose.pipeline.frame_anomalies import in_words, looked_at
 from hypose.pipeline.input_checks import check_depth_inputs, sentences
-from hypose.pipeline.passes import ClipState, tracker_of
+from hypose.pipeline.passes import ClipState, Tracked, tracker_of
 from hypose.pipeline.person_paths import KeypointPeople, Path, PointFrames, follow_places, lasting, padded
 from hypose.pipeline.rough_bodies import RoughTrack, fitted_again, frame_of_person, least_hidden, rough_bodies
 from hypose.pipeline.run import finish, track_source
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.track_loop import Deferred, FrameSource, StageProgress, Tracked
+from hypose.pipeline.track_loop import Deferred, Followed, FrameSource, StageProgress, TrackingSession
 from hypose.pipeline.track_management import (
     back_again,
     birth_candidates,
@@ -48,22 +47,19 @@ from hypose.pipeline.track_management import (
 )
 from hypose.pipeline.track_options import TrackOptions
 from hypose.pipeline.tracked_people import (
-    Followed,
     OwnFrames,
     PeopleResult,
     TrackedPerson,
     Wanted,
     free_name,
-    kept_people,
     makes_room,
     names_at_places,
     said_of,
     said_of_places,
-    save_people,
     seen_by_themselves,
 )
 from hypose.tracking.contacts import runs
-from hypose.tracking.several import Member, step_together
+from hypose.tracking.several import Member
 from hypose.tracking.tracker import Tracker
 
 
@@ -107,22 +103,24 @@ class PeopleRun:
             return self._by_points()
         if self.options.looks_at == "both" and self.points is None:
             raise InputError("The evidence 'both' needs key points, and this recording has none; use silhouettes.")
-        people, coming = [], list[Array]()
-        if self.resume and self.results is not None:
-            people, coming = kept_people(self.results, self.under, self.record, self._tracker)
-        if not people:
+        session = self._session()
+        if self.results is None or not self.resume or not session.load(self.results.checkpoint, self._kept):
             self.progress("look", 0, 1)
-            people = self._begun()
+            session.people = self._begun()
             self.progress("look", 1, 1)
-        complete = self._track(people, coming)
-        if not people[0].estimates:
-            raise KeyboardInterrupt
+        total, first = len(self.source), session.done
+        frames = (self.source.frame(t) for t in range(first, total))
+        error = session.track(frames, self.source.frame(first - 1) if first else None, total, self.progress)
+        people, complete = session.people, session.done == total
         asked = [p for p in people if p.asked_for]
         done = [self._finished(p, people, complete) for p in asked]
+        if error is not None and self.results is not None:
+            kept = f"The {session.done} frames before are kept in {self.results.path}; see --resume."
+            raise type(error)(f"{error} {kept}") from error
         if complete and self.results is not None:
             self.results.checkpoint.unlink(missing_ok=True)
         absent = [w.not_found for w in self.wanted if all(w.name != p.name for p in people)]
-        said = (*said_of(done, self.frame_rate), *unfollowed(coming), *absent)
+        said = (*said_of(done, self.frame_rate), *unfollowed(session.coming), *absent)
         said += said_of_places(self.wanted, len(people))
         return PeopleResult(tuple(done), complete, said, len(people) - len(asked))
 
@@ -350,35 +348,21 @@ class PeopleRun:
 
     # ---- the loop ----------------------------------------------------------------------------------------------
 
-    def _track(self, people: list[Followed], coming: list[Array]) -> bool:
-        """Track all frames that are not done; return False after an interruption. `coming` (possible new people) is
-        changed in place.
-        """
-        total, look = len(self.source), self._look_every
-        first = saved = len(people[0].estimates)
-        before = self.source.frame(first - 1) if first else None
-        try:
-            for t in range(first, total):
-                self.progress("track", t, total)
-                frame = self.source.frame(t)
-                self._step(people, frame, before, t)
-                before = frame
-                if t % look == 0:
-                    reported = Deferred(self.progress)
-                    coming[:] = self._look(people, frame, t, coming, reported)
-                    reported.settle()
-                if self.results is not None and t + 1 - saved >= max(self.options.checkpoint_every, saved // 20):
-                    save_people(self.results, self.record, people, coming)
-                    saved = t + 1
-            self.progress("track", total, total)
-        except KeyboardInterrupt:
-            done = min(len(p.estimates) for p in people)  # the interruption may have come in the middle of a frame
-            for p in people:
-                p.cut(done)
-            if done and self.results is not None:
-                save_people(self.results, self.record, people, coming)
-            return False
-        return True
+    def _session(self) -> TrackingSession:
+        """Make the session that tracks all people; the people are added to it when they are known."""
+        kept = None if self.results is None else self.results.checkpoint
+        about = {"identity": provenance_identity(self.record), "every": self.options.checkpoint_every}
+        session = TrackingSession([], False, self.frame_rate, kept, **about)
+        if self._points is not None:
+            session.keypoints = lambda t: [self._points_of(p, session.people, t) for p in session.people]
+        session.manage = lambda frame, seen: self._manage(session, frame, seen)
+        return session
+
+    def _kept(self, name: str) -> Followed | None:
+        """Load a person's subject as an interrupted run kept it; None where it is not there."""
+        results = self._results_of(name)
+        subject = None if results is None else kept_subject(results, provenance_identity(self.record))
+        return None if subject is None else self._placed(name, subject)
 
     @property
     def _points(self) -> KeypointPeople | None:
@@ -396,32 +380,21 @@ class PeopleRun:
         p.track = found[0]
         return found[1]
 
-    def _step(self, people: list[Followed], frame: Frame, before: Frame | None, t: int) -> None:
-        points = None if self._points is None else [self._points_of(p, people, t) for p in people]
-        members, estimates, seen = step_together([p.member for p in people], frame, points)
-        for masks in frame.of(Silhouettes):
-            pack_once(masks)
-        change = mask_change(frame, before)  # of the complete masks, since the ignored part changes too
-        looked = [
-            looked_at(m.tracker, estimate, own, None if before is None else as_now(own, before), change)
-            for m, estimate, own in zip(members, estimates, seen, strict=True)
-        ]
-        for p, member, estimate, own in zip(people, members, looked, seen, strict=True):
-            there = p.member.present
-            p.gone = p.gone + 1 if member.state.lost or member.state.blind > 0 else 0
-            if there and p.gone > SETTINGS.people_gone_s * self.frame_rate:
-                member, there = replace(member, present=False), False
-                since = len(p.present) - p.gone + 1
-                p.present[since:] = [False] * len(p.present[since:])
-                p.hidden[since:] = [False] * len(p.hidden[since:])
-            p.member, shown = member, own.visible_share
-            p.estimates.append(estimate)
-            p.present.append(there)
-            p.hidden.append(bool(there and len(shown) and (shown > SETTINGS.rough_hidden).sum() < frame.fewest_views))
-        if t % self._look_every == 0:
+    def _manage(self, session: TrackingSession, frame: Frame, seen: Sequence[Frame]) -> None:
+        """Manage the tracks after a frame: people who were exchanged, found twice, who come and who return.
+
+        seen: the frame as each person's tracker saw it.
+        """
+        people, t, look = session.people, session.done - 1, (session.done - 1) % self._look_every == 0
+        if look:
+            session.settle()
             for p, q, since in update_appearance(people, seen):
                 swap_identities(p, q, since)
         part_doubles(people, max(2, round(SETTINGS.people_together_s * self.frame_rate)))
+        if look:
+            reported = Deferred(self.progress)
+            session.coming = self._look(people, frame, t, session.coming, reported)
+            reported.settle()
 
     @property
     def _look_every(self) -> int:

@@ -31,7 +31,8 @@ from hypose.pipeline.person_paths import Path
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.start_choice import best_ways, way_of
 from hypose.pipeline.subject_from_motion import different_poses
-from hypose.pipeline.tracked_people import Followed, Wanted
+from hypose.pipeline.track_loop import Followed
+from hypose.pipeline.tracked_people import Wanted
 from hypose.tracking.costs import mean_overlap
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.refinement import refine

@@ -74,9 +74,7 @@ class SkeletonRows:
         used = np.flatnonzero(self.weight[n] > 0) if n is not None else np.zeros(0, np.int64)
         if n is None or not len(used):
             return np.zeros(len(poses))
-        rotations, centres = body.skeleton.forward(poses)
-        joint = self.joint[used]
-        at = centres[:, joint] + np.einsum("nkab,kb->nka", rotations[:, joint], self.offset[used])
+        at = body.skeleton.points(self.joint[used], self.offset[used], poses)
         squared = ((at - self.points[n, used]) ** 2).sum(-1) / (2 * SETTINGS.sensor_scale_m) ** 2
         return KEYPOINT_SHARE * 2 * (self.weight[n, used] * np.log1p(squared)).sum(-1)
 

@@ -16,7 +16,7 @@ from hypose.evidence.shared_masks import Other, without
 from hypose.geometry import Array
 from hypose.pipeline.first_frame import TrackedSubject
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.tracked_people import Followed
+from hypose.pipeline.track_loop import Followed
 from hypose.tracking.appearance import Appearance, appearance_in, no_appearance
 from hypose.tracking.costs import mean_overlap
 from hypose.tracking.frame_evidence import PreparedFrame, prepare

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,17 +14,14 @@ from hypose.evidence import depth_people
 from hypose.evidence.frame import Frame
 from hypose.evidence.shared_masks import SOLVED_WIDENING, Other
 from hypose.geometry import Array
-from hypose.io.motions.results import Checkpoint, ResultsFolder, provenance_identity
 from hypose.pipeline.assessment import Assessment, assess
-from hypose.pipeline.first_frame import TrackedSubject, kept_subject
 from hypose.pipeline.person_paths import KeypointPeople, per_frame
 from hypose.pipeline.run import TrackResult
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.track_loop import FrameSource
-from hypose.tracking.appearance import AppearanceModel
+from hypose.pipeline.track_loop import Followed, FrameSource
 from hypose.tracking.contacts import runs
-from hypose.tracking.several import Member, shape_of
-from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState, estimates_from_arrays, estimates_to_arrays
+from hypose.tracking.several import shape_of
+from hypose.tracking.tracker import FrameEstimate
 
 
 @dataclass(frozen=True)
@@ -164,54 +160,6 @@ def free_name(taken: Sequence[str], wanted: Sequence[Wanted]) -> str:
     return next(n for n in (f"person-{k}" for k in range(1, 10_000)) if n not in used)
 
 
-@dataclass(eq=False)
-class Followed:
-    """State of a person who is tracked.
-
-    subject: body and start.
-    member: tracker and its state.
-    results: folder of the person's results; None: nothing is written.
-    asked_for: the result is wanted.
-    estimates, present, hidden: of each frame so far, as in TrackedPerson.
-    gone: frames since the person was last seen.
-    track: number of the person's track of key points.
-    appearance: model of the clothes.
-    said: notes for the report.
-    """
-
-    name: str
-    subject: TrackedSubject
-    member: Member
-    results: ResultsFolder | None = None
-    asked_for: bool = True
-    estimates: list[FrameEstimate] = field(default_factory=list)
-    present: list[bool] = field(default_factory=list)
-    hidden: list[bool] = field(default_factory=list)
-    gone: int = 0
-    track: int | None = None
-    appearance: AppearanceModel = field(default_factory=AppearanceModel)
-    said: list[str] = field(default_factory=list)
-
-    @property
-    def last_seen(self) -> tuple[Array, int] | None:
-        """Pose (D,) in the last frame in which the person was there, and the frames since then; None: never."""
-        for since, (estimate, there) in enumerate(zip(self.estimates[::-1], self.present[::-1], strict=True)):
-            if there:
-                return estimate.pose, since
-        return None
-
-    def was_not(self, since: int, reported: str) -> None:
-        """Mark that from frame `since` on another person was tracked instead; reported: how that is known."""
-        last = len(self.estimates)
-        self.estimates[since:] = [replace(e, lost=True) for e in self.estimates[since:]]
-        self.hidden[since:] = [True] * (last - since)
-        self.said.append(f"another person was taken for them from frame {since} to {last - 1}, {reported}")
-
-    def cut(self, frames: int) -> None:
-        """Delete everything after the first `frames` frames."""
-        del self.estimates[frames:], self.present[frames:], self.hidden[frames:]
-
-
 def makes_room(count: int | None, name: str | None, people: Sequence[Followed], wanted: Sequence[Wanted]) -> bool:
     """Return whether the result of a new person is wanted.
 
@@ -245,63 +193,6 @@ def seen_by_themselves(p: Followed, people: Sequence[Followed], late: int) -> li
             seen[:, 1] = np.nan
             out[t] = replace(out[t], seen=seen)
     return out
-
-
-def save_people(
-    results: ResultsFolder, record: Mapping[str, Any], people: Sequence[Followed], coming: Sequence[Array]
-) -> None:
-    """Write the checkpoint of all people.
-
-    coming: (4,) per possible new person of the last look.
-    """
-    arrays: dict[str, np.ndarray] = {"coming": np.array(coming, dtype=np.float64).reshape(-1, 4)}
-    for k, p in enumerate(people):
-        arrays |= {f"{k}_{n}": v for n, v in p.member.state.to_arrays().items()}
-        arrays |= {f"{k}_done_{n}": v for n, v in estimates_to_arrays(p.estimates).items()}
-        arrays |= {f"{k}_present": np.array(p.present), f"{k}_hidden": np.array(p.hidden)}
-        arrays |= {f"{k}_{n}": v for n, v in p.appearance.arrays().items()}
-    meta = {
-        "people": [
-            {
-                "name": p.name,
-                "there": p.member.present,
-                "gone": p.gone,
-                "track": p.track,
-                "asked_for": p.asked_for,
-                "clothes": p.appearance.about,
-                "said": p.said,
-            }
-            for p in people
-        ]
-    }
-    Checkpoint(len(people[0].estimates), arrays, meta, provenance_identity(record)).save(results.checkpoint)
-
-
-def kept_people(
-    results: ResultsFolder, under: str, record: Mapping[str, Any], tracker_of: Callable[[TrackedSubject], Tracker]
-) -> tuple[list[Followed], list[Array]]:
-    """Load what `save_people` wrote, with the subjects in the folder `under`; empty lists where nothing of the same run
-    is there, or a body is missing.
-    """
-    if not results.checkpoint.exists():
-        return [], []
-    saved, people = Checkpoint.load(results.checkpoint, provenance_identity(record)), list[Followed]()
-    for k, about in enumerate(saved.meta.get("people", ())):
-        own_results = ResultsFolder(results.path / under / about["name"])
-        subject = kept_subject(own_results, provenance_identity(record))
-        if subject is None:
-            return [], []
-        own = {n.removeprefix(f"{k}_"): v for n, v in saved.arrays.items() if n.startswith(f"{k}_")}
-        done = {n.removeprefix("done_"): v for n, v in own.items() if n.startswith("done_")}
-        state = TrackerState.from_arrays({n: v for n, v in own.items() if not n.startswith("done_")})
-        member = Member(tracker_of(subject), state, bool(about["there"]))
-        flags = own["present"].tolist(), own["hidden"].tolist()
-        kept = Followed(about["name"], subject, member, own_results, about["asked_for"], estimates_from_arrays(done))
-        kept.present, kept.hidden = flags
-        kept.gone, kept.track = int(about["gone"]), about["track"]
-        kept.appearance, kept.said = AppearanceModel.of_arrays(own, about["clothes"]), list(about["said"])
-        people.append(kept)
-    return people, list(saved.arrays.get("coming", ()))
 
 
 class OwnFrames:

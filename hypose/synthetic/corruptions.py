@@ -1,12 +1,9 @@
-"""Faults of real recordings, by name: in the images, the masks, the timing and the calibration. Simulated key points
-too.
-"""
+"""Faults of real recordings, by name: in the images, the timing and the calibration. Simulated key points too."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from statistics import NormalDist
 
 import cv2
 import numpy as np
@@ -16,18 +13,14 @@ from hypose.body.default_body import JOINT_NAMES
 from hypose.cameras.camera import CameraRig
 from hypose.errors import InputError
 from hypose.evidence.keypoints import BODY_25
-from hypose.geometry import Array, Mask, se3, so3_exp
+from hypose.geometry import Array, se3, so3_exp
 from hypose.synthetic.subjects import SyntheticSubject
 
 
 @dataclass(frozen=True)
 class Corruptions:
-    """Faults of a synthetic recording; the defaults corrupt nothing. Lengths in px refer to the camera's own image
-    size.
+    """Faults of a synthetic recording; the defaults corrupt nothing.
 
-    boundary_px: sd of the smooth displacement of a mask's outline, px.
-    holes, blobs: mean number of missing and of false pieces per mask (ellipses of 4-14 px).
-    shadow: share of the cast shadow that is segmented as the person, 0..1 (RGB frames always contain the shadow).
     occluder: "", "table" or "treadmill", in front of the person in several views; it belongs to the room.
     dropped: share of frames that a camera does not deliver (its last image is repeated).
     dead_camera: index of a camera whose images are black from a third of the recording on, -1 for none.
@@ -36,10 +29,6 @@ class Corruptions:
     calibration_error: relative sd; 0.01 changes focal lengths and positions by 1 %.
     """
 
-    boundary_px: float = 0.0
-    holes: float = 0.0
-    blobs: float = 0.0
-    shadow: float = 0.0
     occluder: str = ""
     dropped: float = 0.0
     dead_camera: int = -1
@@ -48,13 +37,6 @@ class Corruptions:
 
 
 CORRUPTIONS: dict[str, Corruptions] = {
-    "clean": Corruptions(),
-    "level-1": Corruptions(boundary_px=1.5, holes=1.0, blobs=1.5, shadow=0.2),
-    "level-2": Corruptions(boundary_px=3.0, holes=3.0, blobs=4.0, shadow=0.5),
-    "jitter": Corruptions(boundary_px=1.5),
-    "shadow": Corruptions(shadow=0.5),
-    "holes": Corruptions(holes=3.0),
-    "false-blobs": Corruptions(blobs=4.0),
     "table": Corruptions(occluder="table"),
     "treadmill": Corruptions(occluder="treadmill"),
     "dropped-frames": Corruptions(dropped=0.08),
@@ -63,9 +45,7 @@ CORRUPTIONS: dict[str, Corruptions] = {
     "calibration-error": Corruptions(calibration_error=0.01),
     "bad-calibration": Corruptions(calibration_error=0.03),
 }
-"""Corruptions by name. level-1 is what a decent background model leaves in a good room, level-2 what a
-bad one leaves.
-"""
+"""Corruptions by name."""
 
 
 def corruptions(*names: str) -> Corruptions:
@@ -90,49 +70,6 @@ def smooth_noise(rng: np.random.Generator, shape: tuple[int, int], cell: float) 
     coarse = rng.normal(size=(h // s + 3, w // s + 3)).astype(np.float32)
     fine = cv2.resize(coarse, ((w // s + 3) * s, (h // s + 3) * s), interpolation=cv2.INTER_CUBIC)
     return np.asarray(fine[:h, :w], dtype=np.float32)
-
-
-def corrupt_mask(mask: Mask, shadow: Mask, what: Corruptions, rng: np.random.Generator, scale: float = 1.0) -> Mask:
-    """Corrupt a mask as a background model would.
-
-    mask, shadow: (h, w) uint8 0/1, the true silhouette and the person's cast shadow (without the silhouette).
-    what: faults to apply.
-    scale: working size / camera size, by which lengths in px are multiplied.
-    Returns: a new (h, w) mask.
-    """
-    out = mask.copy()
-    x, y, w, h = cv2.boundingRect(mask)
-    margin = int(np.ceil(4 * what.boundary_px * scale)) + 2
-    near = (slice(max(y - margin, 0), y + h + margin), slice(max(x - margin, 0), x + w + margin))
-    if what.boundary_px > 0 and w > 0:
-        part = mask[near]
-        inside = cv2.distanceTransform(part, cv2.DIST_L2, 5)
-        outside = cv2.distanceTransform(1 - part, cv2.DIST_L2, 5)
-        noise = smooth_noise(rng, part.shape, 8 * scale)
-        # distances to the nearest pixel centre of the other kind: half a pixel more than to the outline
-        signed = np.where(part > 0, inside - 0.5, 0.5 - outside)
-        out[near] = signed + what.boundary_px * scale * noise > 0
-    rows, columns = np.nonzero(mask[near])
-    rows, columns = rows + near[0].start, columns + near[1].start
-    for value, mean in ((0, what.holes), (1, what.blobs)):
-        for _ in range(int(rng.poisson(mean)) if mean > 0 else 0):
-            if len(rows):
-                k = int(rng.integers(len(rows)))
-                centre = np.array([columns[k], rows[k]], dtype=np.float64)
-            else:
-                centre = rng.uniform(0, 1, 2) * mask.shape[::-1]
-            if value:
-                centre = centre + rng.normal(0, 60 * scale, 2)  # near the person or farther away
-            axes = np.maximum(np.round(rng.integers(4, 14, 2) * scale), 1).astype(int)
-            at = (round(float(centre[0])), round(float(centre[1])))
-            cv2.ellipse(out, at, (int(axes[0]), int(axes[1])), float(rng.uniform(0, 180)), 0, 360, value, -1)
-    x, y, w, h = cv2.boundingRect(shadow)
-    if what.shadow > 0 and w > 0:
-        there = (slice(y, y + h), slice(x, x + w))
-        # patches: above the threshold that leaves this share of the noise (its sd is 0.8 after interpolation)
-        threshold = 0.8 * NormalDist().inv_cdf(1 - what.shadow) if what.shadow < 1 else -np.inf
-        out[there] |= (shadow[there] > 0) & (smooth_noise(rng, (h, w), 24 * scale) > threshold)
-    return out
 
 
 def box_mesh(low: tuple[float, float, float], high: tuple[float, float, float]) -> tuple[Array, NDArray[np.int32]]:

@@ -4,13 +4,11 @@ Lengths are in metres (reports print millimetres). Arrays of joints are (T, J, 3
 
 An error is the Euclidean distance between an estimated and a true joint centre. Two bodies rarely define a joint at the
 same anatomical place, so that definitions are aligned once, by a fixed offset per joint in the frame of a segment,
-never per frame: `definition_offsets`, from two neutral rest bodies, once for all subjects and sequences, so that no
+never per frame: `population_offsets`, from two neutral rest bodies, once for all subjects and sequences, so that no
 information about the subject or the sequence enters.
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -30,22 +28,17 @@ EVALUATED_JOINTS: tuple[str, ...] = (
 """The 15 joints of the mean error (HumanEva also averages over 15 virtual markers)."""
 EVALUATED: NDArray[np.int64] = np.array([JOINT_NAMES.index(n) for n in EVALUATED_JOINTS])
 """Indices of the evaluated joints among the 19 joints."""
-LOST_M = 0.120
-"""m; a frame whose mean error is larger counts as lost."""
 # The segment whose frame carries a joint's offset: the one that ends in the joint (an elbow is fixed to
 # the upper arm), the joint's own for the root. The head joint is carried by the head.
 CARRIERS = np.array([j if JOINT_NAMES[j] in ("pelvis", "head") else int(PARENTS[j]) for j in range(len(JOINT_NAMES))])
 """(19,) the joint whose frame carries the definition offset of each joint."""
 
 
-def definition_offsets(
-    estimated_rest: ArrayLike, true_rest: ArrayLike, estimated_stature: float, true_stature: float
-) -> Array:
-    """Compute where the truth defines each joint relative to the estimate's body, per metre of stature.
+def population_offsets(body: Body) -> Array:
+    """Compute where the truth defines each joint relative to an estimated body, per metre of stature.
 
-    estimated_rest, true_rest: (19, 3) m, rest joints of two NEUTRAL bodies in the model frame (e.g. the tracker's
-        template and the mean of all subjects), measured once.
-    estimated_stature, true_stature: m.
+    body: the tracker's template as shipped, not fitted to a person: it is compared with the subject "neutral" once, the
+        same for every subject and sequence.
     Returns: (19, 3) offsets in the rest frame. Multiply by the subject's stature and give to `joint_errors`; no other
         information about a subject or a sequence is used.
 
@@ -53,24 +46,17 @@ def definition_offsets(
     than 10 degrees apart in the two bodies is turned to the same direction first, because that is posture, not
     definition.
     """
-    a = np.asarray(estimated_rest, dtype=np.float64) / estimated_stature
-    b = np.asarray(true_rest, dtype=np.float64) / true_stature
-    b = _posed_like(b, a)
+    neutral = load_subjects()["neutral"]
+    a = body.skeleton.rest_joints / body.stature
+    b = _posed_like(neutral.joints / neutral.stature, a)
     a, b = a - a[EVALUATED].mean(0), b - b[EVALUATED].mean(0)
     return b - a
 
 
-def population_offsets(body: Body) -> Array:
-    """Compute the `definition_offsets` of a body against the subject "neutral", per metre of stature.
-
-    body: the tracker's template as shipped, not fitted to a person: measured once, the same for every subject and
-        sequence.
-    """
-    neutral = load_subjects()["neutral"]
-    return definition_offsets(body.skeleton.rest_joints, neutral.joints, body.stature, neutral.stature)
-
-
 def _posed_like(joints: Array, other: Array) -> Array:
+    """Turn the limb segments of joints (19, 3) that differ in direction by more than 10 degrees from those of other
+    joints (19, 3) to their direction; lengths stay.
+    """
     out = joints.copy()
     for first in (6, 10, 13, 16):
         for a in (first, first + 1):
@@ -94,75 +80,26 @@ def with_offsets(estimated: ArrayLike, rotations: ArrayLike, offsets: ArrayLike)
     return e + np.einsum("tjab,jb->tja", r[:, CARRIERS], o)
 
 
-@dataclass(frozen=True)
-class JointErrors:
-    """Errors of joints over frames, with their statistics; NaN is ignored in all statistics.
-
-    distances: (T, J) m; frames with NaN in the truth or the estimate are NaN.
-    names: of the J joints.
-    """
-
-    distances: Array
-    names: tuple[str, ...]
-
-    @property
-    def frame_means(self) -> Array:
-        """(T,) m, mean over the joints; NaN where none is known."""
-        known = np.isfinite(self.distances)
-        with np.errstate(invalid="ignore"):
-            return np.where(known, self.distances, 0.0).sum(1) / known.sum(1)
-
-    @property
-    def mean(self) -> float:
-        """Mean over frames of the mean over joints, m (HumanEva's error)."""
-        return float(np.nanmean(self.frame_means))
-
-    @property
-    def sd(self) -> float:
-        """Standard deviation over the frames of the mean over joints, m (the number in brackets in the papers)."""
-        return float(np.nanstd(self.frame_means))
-
-    @property
-    def median(self) -> float:
-        """Median over all joints and frames, m."""
-        return float(np.nanmedian(self.distances))
-
-    @property
-    def p95(self) -> float:
-        """95th percentile over all joints and frames, m: it shows one lost hand, which the mean does not."""
-        return float(np.nanpercentile(self.distances, 95))
-
-    @property
-    def lost_share(self) -> float:
-        """Share of the frames (0..1) whose mean exceeds LOST_M (120 mm)."""
-        m = self.frame_means
-        return float((m[np.isfinite(m)] > LOST_M).mean())
-
-
 def joint_errors(
-    estimated: ArrayLike,
-    truth: ArrayLike,
-    offsets: ArrayLike | None = None,
-    rotations: ArrayLike | None = None,
-    joints: ArrayLike | None = None,
-) -> JointErrors:
+    estimated: ArrayLike, truth: ArrayLike, offsets: ArrayLike | None = None, rotations: ArrayLike | None = None
+) -> Array:
     """Compute the distances between estimated and true joints in world coordinates, without aligning any frame.
 
     estimated, truth: (T, 19, 3) m.
-    offsets: (19, 3) m, definition offsets added to the estimate in its carrying segments.
+    offsets: (19, 3) m, definition offsets added to the estimate in its carrying segments, or None.
     rotations: (T, 19, 3, 3) world_from_joint of the estimate, needed with offsets.
-    joints: indices of the joints that count; None: EVALUATED (15).
-    Raises: InputError where shapes differ, or offsets are given without rotations.
+    Returns: (T, 15) m, distances of the joints EVALUATED_JOINTS; NaN where the truth or the estimate is NaN.
+    Raises: InputError where shapes differ.
     """
     e, t = np.asarray(estimated, dtype=np.float64), np.asarray(truth, dtype=np.float64)
-    _check_joints(e, t)
-    if offsets is not None:
-        if rotations is None:
-            raise InputError("Offsets of joint definitions turn with the segments: give the estimate's rotations too.")
+    if e.shape != t.shape or e.ndim != 3 or e.shape[1:] != (len(JOINT_NAMES), 3):
+        raise InputError(
+            f"Estimate and truth must both be (frames, {len(JOINT_NAMES)}, 3), got {e.shape} and {t.shape}; "
+            "compare the same frames of both."
+        )
+    if offsets is not None and rotations is not None:
         e = with_offsets(e, rotations, offsets)
-    keep = EVALUATED if joints is None else np.asarray(joints, dtype=np.int64)
-    distances = np.linalg.norm(e[:, keep] - t[:, keep], axis=-1)
-    return JointErrors(distances, tuple(JOINT_NAMES[j] for j in keep))
+    return np.linalg.norm(e[:, EVALUATED] - t[:, EVALUATED], axis=-1)
 
 
 def coverage(
@@ -192,11 +129,3 @@ def coverage(
         with np.errstate(invalid="ignore", divide="ignore"):
             out[level] = inside.sum(0) / known.sum(0)
     return out
-
-
-def _check_joints(e: Array, t: Array) -> None:
-    if e.shape != t.shape or e.ndim != 3 or e.shape[1:] != (len(JOINT_NAMES), 3):
-        raise InputError(
-            f"Estimate and truth must both be (frames, {len(JOINT_NAMES)}, 3), got {e.shape} and {t.shape}; "
-            "compare the same frames of both."
-        )

@@ -1,7 +1,7 @@
 """Scene: a subject that moves in front of cameras, with exact truth and the evidence that the cameras would give.
 
 Truth: times, joints (T, 19, 3), rotations (T, 19, 3, 3), vertices on demand. Evidence: `mask_frames` (silhouettes from
-    the truth, corrupted) or `rgb_frames` (colour pictures for the real background model). The same seed gives the same
+    the truth) or `rgb_frames` (colour pictures for the real background model). The same seed gives the same
     scene, picture for picture, in any order of calls.
 """
 
@@ -21,10 +21,9 @@ from hypose.compute.zbuffer import rasterize
 from hypose.errors import InputError
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.keypoints import BODY_25, to_keypoints
-from hypose.geometry import Array, Image, se3
+from hypose.geometry import Array, Image, Mask, se3
 from hypose.synthetic.corruptions import (
     Corruptions,
-    corrupt_mask,
     corruptions,
     disturb_rig,
     dropped_frames,
@@ -45,7 +44,6 @@ from hypose.synthetic.render_rgb import (
     noise_bank,
     render_person,
     render_room,
-    shadow_mask,
 )
 from hypose.synthetic.subjects import SyntheticSubject, dress, load_subjects
 
@@ -190,56 +188,70 @@ class Scene(OfPerformance):
         """Return whether the camera's images are black at frame `index`."""
         return view == self.corruption.dead_camera and index >= len(self) // 3
 
-    def clean_mask(self, view: int, index: int, scale: float = 1.0) -> NDArray[np.uint8]:
+    @property
+    def people(self) -> tuple[tuple[SyntheticSubject, Performance], ...]:
+        """The tracked subject and the others in view, each with the motion."""
+        return (self.subject, self.performance), *self.others
+
+    def skins(self, index: int) -> Iterator[tuple[SyntheticSubject, Array]]:
+        """Yield all people with their vertices (V, 3) m in frame `index`; a shorter motion stays at its last frame."""
+        for subject, p in self.people:
+            k = min(index, len(p) - 1)
+            yield subject, subject.skin(p.rotations[k], p.root[k])
+
+    def clean_mask(self, view: int, index: int, scale: float = 1.0) -> Mask:
         """Render the mask (h, w) 0/1 of the subject alone in frame `index` of camera `view`, without faults.
 
         It is undistorted, at `scale` times the camera's size, and cut only by the occluder.
         """
-        camera = self.rig.pinhole().scaled(scale)[view]
-        return _mask(camera, self.subject, self.vertices(index), self._occluder_depth(view, scale))
+        return self._mask(view, self.subject, self.vertices(index), scale)
+
+    def mask(self, view: int, index: int, scale: float = 1.0) -> Mask:
+        """Render the mask (h, w) 0/1 of all people in the picture that camera `view` shows as its frame `index`.
+
+        It is undistorted, at `scale` times the camera's size, and cut by the occluder.
+        """
+        masks = [self._mask(view, body, skin, scale) for body, skin in self.skins(self.shown(view, index))]
+        return np.bitwise_or.reduce(masks)
 
     def mask_frames(self, scale: float = 1.0, *, keypoints: bool = False) -> Iterator[Frame]:
-        """Yield frames with corrupted silhouettes made from the truth, undistorted, at `scale` times the cameras' size.
+        """Yield frames with the silhouettes of all people (`mask`).
 
+        scale: size of the masks relative to the cameras' pictures.
         keypoints: whether to add noisy 2D key points (`keypoint_detections`).
-
         Views without an image (dropped, dead) are marked unusable with the reason.
         """
         given = self.given_rig.pinhole().scaled(scale)
-        cameras = self.rig.pinhole().scaled(scale)
-        w, h = cameras.sizes.max(0)
-        points = [keypoint_detections(self, c) for c in range(len(cameras))] if keypoints else []
+        w, h = given.sizes.max(0)
+        points = [keypoint_detections(self, c) for c in range(len(given))] if keypoints else []
         for t in range(len(self)):
-            masks = np.zeros((len(cameras), h, w), np.uint8)
-            usable, reasons = np.ones(len(cameras), bool), [""] * len(cameras)
-            for c, camera in enumerate(cameras):
+            masks = np.zeros((len(given), h, w), np.uint8)
+            reasons = [""] * len(given)
+            for c in range(len(given)):
                 if self.dead(c, t) or self._dropped[c, t]:
-                    usable[c] = False
                     reasons[c] = "black image" if self.dead(c, t) else "no frame"
                     continue
-                mask = self._corrupted(c, t, camera, scale)
+                mask = self.mask(c, t, scale)
                 masks[c, : mask.shape[0], : mask.shape[1]] = mask
-                if not mask.any():
-                    usable[c], reasons[c] = False, "empty mask"
-            found = None
-            if keypoints:
-                found = to_keypoints([p[t] for p in points], BODY_25, self.given_rig, given)
+                reasons[c] = "" if mask.any() else "empty mask"
+            found = to_keypoints([p[t] for p in points], BODY_25, self.given_rig, given) if keypoints else None
+            usable = np.array([not r for r in reasons])
             yield Frame(float(self.times[t]), t, Silhouettes(masks, given, usable, tuple(reasons)), found)
 
-    def _corrupted(self, view: int, index: int, camera: Camera, scale: float) -> NDArray[np.uint8]:
-        s = self.shown(view, index)
-        hidden = self._occluder_depth(view, scale)
-        mask = shadow = np.zeros(camera.size[::-1], np.uint8)
-        for subject, p in ((self.subject, self.performance), *self.others):
-            k = min(s, len(p) - 1)
-            v = subject.skin(p.rotations[k], p.root[k])
-            mask = mask | _mask(camera, subject, v, hidden)
-            if self.corruption.shadow > 0:
-                shadow = shadow | shadow_mask(camera, subject.faces, v)
-        if hidden is not None:
-            shadow = shadow * ~np.isfinite(hidden)
-        rng = np.random.default_rng([self.seed, _MASKS, view, index])
-        return corrupt_mask(mask, shadow.astype(np.uint8) & (1 - mask), self.corruption, rng, scale)
+    def occluder_depth(self, view: int, scale: float) -> NDArray[np.float32] | None:
+        """Render the depth (h, w) m of the occluder, infinite elsewhere; None without an occluder."""
+        mesh = occluder_mesh(self.corruption.occluder)
+        if mesh is None:
+            return None
+        camera = self.rig.pinhole().scaled(scale)[view]
+        return rasterize(*_projected(camera, mesh[0]), mesh[1], camera.size)[0]
+
+    def _mask(self, view: int, subject: SyntheticSubject, vertices: Array, scale: float) -> Mask:
+        camera, hidden = self.rig.pinhole().scaled(scale)[view], self.occluder_depth(view, scale)
+        uv, z = _projected(camera, vertices)
+        if hidden is None:
+            return covered(uv, z, subject.faces, camera.size[::-1])
+        return (rasterize(uv, z, subject.faces, camera.size)[0] < hidden).astype(np.uint8)
 
     def rgb_frames(self, view: int) -> Iterator[Image]:
         """Yield the T pictures (h, w, 3) uint8 BGR of camera `view`, with its lens distortion."""
@@ -255,13 +267,12 @@ class Scene(OfPerformance):
             return np.zeros((camera.size[1], camera.size[0], 3), np.uint8)
         while index > 0 and self._dropped[view, index]:
             index -= 1
-        backdrop, s = self._backdrop(view), self.shown(view, index)
+        backdrop, s = self._backdrops[view], self.shown(view, index)
         picture = backdrop.image.copy()
         people = []
-        for k, (subject, p) in enumerate(((self.subject, self.performance), *self.others)):
-            t = min(s, len(p) - 1)
-            distance = float(np.linalg.norm(p.root[t] - camera.position))
-            people.append((-distance, k, subject, subject.skin(p.rotations[t], p.root[t])))
+        for k, ((subject, vertices), (_, p)) in enumerate(zip(self.skins(s), self.people, strict=True)):
+            distance = float(np.linalg.norm(p.root[min(s, len(p) - 1)] - camera.position))
+            people.append((-distance, k, subject, vertices))
         for _, k, subject, vertices in sorted(people, key=lambda x: x[:2]):  # the farthest first
             render_person(picture, backdrop, camera, subject, self._outfits[k], vertices, self.sensor.samples)
         return self._develop(picture, view, float(self.times[s]), index + 1)
@@ -282,7 +293,7 @@ class Scene(OfPerformance):
         index: negative number that determines the noise.
         paint: draws something into the picture (h, w, 3) before the noise, or None.
         """
-        picture = self._backdrop(view).image.copy()
+        picture = self._backdrops[view].image.copy()
         if paint is not None:
             paint(picture)
         return self._develop(picture, view, time, index)
@@ -302,22 +313,16 @@ class Scene(OfPerformance):
         reach = float(np.abs(self.rig.positions[:, :2]).max())
         return make_room(np.random.default_rng([self.seed, _ROOM]), max(reach, 3.0))
 
-    def _backdrop(self, view: int) -> Backdrop:
-        if view not in self._backdrops:
-            mesh = occluder_mesh(self.corruption.occluder)
-            self._backdrops[view] = render_room(self._room, self.rig[view], mesh)
-        return self._backdrops[view]
-
     @cached_property
-    def _backdrops(self) -> dict[int, Backdrop]:
-        return {}
+    def _backdrops(self) -> list[Backdrop]:
+        occluder = occluder_mesh(self.corruption.occluder)
+        return [render_room(self._room, camera, occluder) for camera in self.rig]
 
     @cached_property
     def _outfits(self) -> list[Outfit]:
-        people = [self.subject, *(s for s, _ in self.others)]
         return [
             make_outfit(s, np.random.default_rng([self.seed, _CLOTHES, 1, k]), self.hands_only)
-            for k, s in enumerate(people)
+            for k, (s, _) in enumerate(self.people)
         ]
 
     @cached_property
@@ -326,34 +331,10 @@ class Scene(OfPerformance):
         rng = np.random.default_rng([self.seed, _NOISE])
         return noise_bank((int(size[0]), int(size[1])), self.sensor.noise_sd, rng)
 
-    @cached_property
-    def _occluder_depths(self) -> dict[tuple[int, float], NDArray[np.float32]]:
-        return {}
-
-    def _occluder_depth(self, view: int, scale: float) -> NDArray[np.float32] | None:
-        mesh = occluder_mesh(self.corruption.occluder)
-        if mesh is None:
-            return None
-        known = self._occluder_depths
-        if (view, scale) not in known:
-            camera = self.rig.pinhole().scaled(scale)[view]
-            known[view, scale] = rasterize(*_projected(camera, mesh[0]), mesh[1], camera.size)[0]
-        return known[view, scale]
-
 
 def _projected(camera: Camera, vertices: Array) -> tuple[Array, Array]:
     z = vertices @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
     return camera.project_pinhole(vertices), z
-
-
-def _mask(
-    camera: Camera, subject: SyntheticSubject, vertices: Array, hidden: NDArray[np.float32] | None
-) -> NDArray[np.uint8]:
-    uv, z = _projected(camera, vertices)
-    if hidden is None:
-        return covered(uv, z, subject.faces, camera.size[::-1])
-    depth = rasterize(uv, z, subject.faces, camera.size)[0]
-    return (depth < hidden).astype(np.uint8)
 
 
 def keypoint_detections(scene: Scene, view: int, noise_px: float = 4.0) -> Array:

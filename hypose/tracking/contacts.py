@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.body.body import Body
+from hypose.body.body import Body, Landmarks
 from hypose.evidence.terms import PointTerm
 from hypose.geometry import Array
 
@@ -39,25 +39,15 @@ class ContactSettings:
     hold: float = 0.01
 
 
-@dataclass(frozen=True)
-class Soles:
-    """Points on the soles of a body: heel and ball of the left foot, then of the right foot.
+_SOLES = ("left_heel", "left_ball", "right_heel", "right_ball")
 
-    joint: (4,) joint of each point; offset: (4, 3) position in the joint's frame, m.
+
+def soles_of(body: Body) -> Landmarks:
+    """Locate heel and ball of the left foot, then of the right foot, as 4 points fixed to the ankles.
+
+    They are the middle of the hindmost fifth and of the foremost 30 % of the sole: the skin of the foot in the lowest
+    2 cm at rest.
     """
-
-    joint: NDArray[np.int64]
-    offset: Array
-
-    def positions(self, body: Body, poses: Array) -> Array:
-        """Compute the world positions (T, 4, 3), m, at poses (T, D)."""
-        rotations, centres = body.skeleton.forward(poses)
-        return centres[:, self.joint] + np.einsum("tkab,kb->tka", rotations[:, self.joint], self.offset)
-
-
-def soles_of(body: Body) -> Soles:
-    """Locate heel and ball of each foot: the middle of the hindmost and foremost skin of the sole (lowest 2 cm at
-    rest)."""
     joint, offset = [], []
     for side in ("left", "right"):
         j = body.skeleton.joint(f"{side}_ankle")
@@ -68,7 +58,7 @@ def soles_of(body: Body) -> Soles:
         for part in (hind, fore):
             joint.append(j)
             offset.append(sole[part].mean(0) - body.skeleton.rest_joints[j])
-    return Soles(np.array(joint), np.array(offset))
+    return Landmarks(_SOLES, np.array(joint), np.array(offset))
 
 
 @dataclass(frozen=True)
@@ -117,7 +107,9 @@ def find_contacts(
     return Contacts(touching, place, floor)
 
 
-def contact_terms(contacts: Contacts, soles: Soles, settings: ContactSettings | None = None) -> list[list[PointTerm]]:
+def contact_terms(
+    contacts: Contacts, soles: Landmarks, settings: ContactSettings | None = None
+) -> list[list[PointTerm]]:
     """Build the solver terms that hold the soles at their contacts, one list per frame."""
     o = settings or ContactSettings()
     return [

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.body.body import Body
+from hypose.body.body import Body, Landmarks
 from hypose.evidence.body_parts import UNNAMED, assign_ends
 from hypose.evidence.frame import Detections, Keypoints
 from hypose.evidence.keypoints import triangulate_keypoints
@@ -31,24 +31,7 @@ LIMITS = np.array([0.35, 0.35, 0.25])
 _KEYPOINT_OF = {"left_wrist": 3, "right_wrist": 4, "left_ankle": 5, "right_ankle": 6}
 
 
-@dataclass(frozen=True)
-class Ends:
-    """Places of the ends on a body, in the order of END_NAMES.
-
-    joint: (7,) joint of each end; offset: (7, 3) position in that joint's frame, m.
-    """
-
-    joint: NDArray[np.int64]
-    offset: Array
-
-    def positions(self, body: Body, poses: Array) -> Array:
-        """Compute the world positions (N, 7, 3) of the ends, m, at poses (N, D)."""
-        rotations, centres = body.skeleton.forward(poses)
-        turned = np.einsum("njab,jb->nja", rotations[:, self.joint], self.offset)
-        return centres[:, self.joint] + turned
-
-
-def ends_of(body: Body) -> Ends:
+def ends_of(body: Body) -> Landmarks:
     """Locate the ends on a body: hands, head (middle of their skin), wrists and ankles (the joints).
 
     Hands are put at three quarters of the way to the skin's middle, because a visual hull keeps little of the fingers:
@@ -63,10 +46,10 @@ def ends_of(body: Body) -> Ends:
         joint.append(j)
         middle = part.mean(0) - rest[j] if skin and len(part) else np.zeros(3)
         offset.append(0.75 * middle if name.endswith("hand") else middle)
-    return Ends(np.array(joint), np.array(offset))
+    return Landmarks(END_NAMES, np.array(joint), np.array(offset))
 
 
-def found_ends(body: Body, ends: Ends, frame: PreparedFrame) -> dict[int, Array]:
+def found_ends(body: Body, ends: Landmarks, frame: PreparedFrame) -> dict[int, Array]:
     """Find the ends that are detected in a frame.
 
     `Frame.detections` are used where there are any: named ones directly, unnamed ones assigned to hands and head by eq.
@@ -115,7 +98,7 @@ class DetectedLimb:
     axis: Array
 
 
-def limb_to(body: Body, ends: Ends, end: int) -> DetectedLimb | None:
+def limb_to(body: Body, ends: Landmarks, end: int) -> DetectedLimb | None:
     """Build the limb that carries an end (index in END_NAMES); None for the head."""
     name = END_NAMES[end]
     if name == "head":
@@ -198,7 +181,7 @@ class DetectorDriven:
     """
 
     body: Body
-    ends: Ends
+    ends: Landmarks
     base: Kernel
     end: tuple[int, ...]
     sigma: Array
@@ -283,7 +266,7 @@ class DetectionCost:
     """
 
     body: Body
-    ends: Ends
+    ends: Landmarks
     energy: Energy
     kappa: float
 

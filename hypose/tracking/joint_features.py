@@ -10,7 +10,6 @@ each other; the rest has one direction in each view and stays, while the noise o
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 
 import cv2
@@ -20,7 +19,6 @@ from numpy.typing import ArrayLike, NDArray
 from hypose.body.body import Body
 from hypose.compute import reach
 from hypose.compute.arrays import PreparedMasks
-from hypose.compute.kinematics import skin
 from hypose.compute.mask_runs import mask_of
 from hypose.compute.parts import draw_parts, parts_against_mask, projected
 from hypose.compute.scorer import silhouette_xor
@@ -174,7 +172,9 @@ def more_than_body(audit: ArrayLike, n_views: ArrayLike) -> float:
     return float(np.median(bare)) if len(bare) else 0.0
 
 
+@lru_cache(4)
 def _face_parts(body: Body) -> NDArray[np.uint8]:
+    """Find the part (index in _PARTS) of each face (F,) of the body's coarse mesh; cached per body."""
     part, *_ = _layout(tuple(body.skeleton.joint_names))
     corner = part[body.coarse.main_joint][body.coarse.faces]
     return np.where(corner[:, 1] == corner[:, 2], corner[:, 1], corner[:, 0]).astype(np.uint8)
@@ -198,12 +198,12 @@ def audit_frame(
     """
     names = tuple(body.skeleton.joint_names)
     out = np.full((len(names), len(AUDITED)), np.nan, np.float32)
-    rotations, joints = body.skeleton.forward(pose)
+    joints = body.joints(pose)
     for silhouettes in frame.of(Silhouettes):
         if not silhouettes.usable.any():
             continue
         masks = prepared_masks(silhouettes)
-        _masks(body, rotations, joints, silhouettes, masks, frame.index % _RARELY == 0, out)
+        _masks(body, pose, silhouettes, masks, frame.index % _RARELY == 0, out)
         if frame.fewest_views == 1:
             out[:, 7:9] = _elsewhere(body, pose, masks, frame.index)
         else:
@@ -212,14 +212,13 @@ def audit_frame(
     out[:, 10] = exchanged
     for points in frame.of(Keypoints):
         if model is not None and model.names == points.names:
-            out[:, 11:-1] = _points(names, rotations, joints, points, model)
+            out[:, 11:-1] = _points(body, pose, points, model)
     return out
 
 
 def _masks(
     body: Body,
-    rotations: Array,
-    joints: Array,
+    pose: Array,
     silhouettes: Silhouettes,
     masks: PreparedMasks,
     apart_too: bool,
@@ -228,11 +227,12 @@ def _masks(
     """Fill the columns of out (J, A) that come from masks, except "loose" and "elsewhere"; "apart" only where
     apart_too.
 
-    rotations: (J, 3, 3) and joints: (J, 3) of the posed body.
+    pose: (D,) of the body.
+    masks: the silhouettes, prepared for the scorer.
     """
     part, limb, roots, reach = _layout(tuple(body.skeleton.joint_names))
-    vertices = skin(rotations[None], joints[None], body.skeleton.tree, body.coarse.arrays)[0]
-    points, part_of_face = np.concatenate([vertices, joints, joints[roots]]), _kept(body).part_of_face
+    vertices, joints = body.skin(pose), body.joints(pose)
+    points, part_of_face = np.concatenate([vertices, joints, joints[roots]]), _face_parts(body)
     views = np.flatnonzero(silhouettes.usable)
     shifts, square = np.full((len(views), 2), np.nan), np.ones((len(views), 1))
     bare, exposed, outside = (np.zeros((len(views), n)) for n in (len(reach), len(_PARTS), len(_PARTS)))
@@ -294,7 +294,7 @@ def _loose(body: Body, pose: Array, masks: PreparedMasks, index: int) -> Array:
     """Compute column "loose" (J,) of AUDITED by random small rotations of one arm; the arms take turns over the
     frames."""
     s, mesh, out = body.skeleton, body.coarse.arrays, np.zeros(len(body.skeleton.joint_names))
-    for k, arm in enumerate(_kept(body).arms):
+    for k, arm in enumerate(_arms(body)):
         if (index - 2 * k) % _EVERY:
             out[list(arm.chain)] = np.nan
             continue
@@ -330,7 +330,7 @@ def _elsewhere(body: Body, pose: Array, masks: PreparedMasks, index: int) -> Arr
     frames."""
     out = np.zeros((len(body.skeleton.joint_names), 2))
     s, mesh = body.skeleton, body.coarse.arrays
-    for k, arm in enumerate(_kept(body).arms):
+    for k, arm in enumerate(_arms(body)):
         out[list(arm.chain)] = 0.0 if (index - 2 * k) % _EVERY == 0 else np.nan
         if np.isnan(out[arm.chain[0], 0]):
             continue
@@ -366,40 +366,23 @@ _RATIO, _SOFT = 0.15, 0.02
 """of energies: arms that fit worse by more than _RATIO do not count; those worse by _SOFT count 1 / e as much"""
 
 
-@dataclass(frozen=True)
-class _Kept:
-    """Values computed once per body: the reach tables of its arms, and the part of each face (F,)."""
-
-    body: Body
-    arms: tuple[ArmReach, ...]
-    part_of_face: NDArray[np.uint8]
-
-
-_KEPT: dict[int, _Kept] = {}
-
-
-def _kept(body: Body) -> _Kept:
-    """Return the values of a body from the cache, or compute them."""
-    kept = _KEPT.get(id(body))
-    if kept is None or kept.body is not body:
-        while len(_KEPT) > 3:
-            _KEPT.pop(next(iter(_KEPT)))
-        s = body.skeleton
-        found = []
-        for side in ("left", "right"):
-            joints = tuple(f"{side}_{n}" for n in ("clavicle", "shoulder", "elbow"))
-            if all(f"{side}_{n}" in s.joint_names for n in ("clavicle", "shoulder", "elbow", "wrist")):
-                found.append(arm_reach(body, joints, *in_practice(s)))
-        kept = _KEPT[id(body)] = _Kept(body, tuple(found), _face_parts(body))
-    return kept
+@lru_cache(4)
+def _arms(body: Body) -> list[ArmReach]:
+    """Build the reach tables of the body's arms that are complete; cached per body."""
+    s, found = body.skeleton, []
+    for side in ("left", "right"):
+        joints = tuple(f"{side}_{n}" for n in ("clavicle", "shoulder", "elbow"))
+        if {*joints, f"{side}_wrist"} <= {*s.joint_names}:
+            found.append(arm_reach(body, joints, *in_practice(s)))
+    return found
 
 
-def _points(names: tuple[str, ...], rotations: Array, joints: Array, seen: Keypoints, model: KeypointModel) -> Array:
+def _points(body: Body, pose: Array, seen: Keypoints, model: KeypointModel) -> Array:
     """Compute the eight columns (J, 8) of AUDITED from points_median to named."""
-    points = np.nan_to_num(seen.points)
-    expected = joints[model.joint] + np.einsum("kab,kb->ka", rotations[model.joint], model.offset)
+    names, points = tuple(body.skeleton.joint_names), np.nan_to_num(seen.points)
+    expected = model.positions(body, pose)
     uv = np.stack([camera.project_pinhole(expected) for camera in seen.rig])
-    size = pixels_per_metre(seen, joints[0])
+    size = pixels_per_metre(seen, body.joints(pose)[0])
     points[~(points[..., 2] > MIN_CONFIDENCE)] = 0.0
     sides = np.zeros((len(names), 2))
     for limb, below in _BELOW.items():

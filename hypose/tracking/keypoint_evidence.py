@@ -60,9 +60,7 @@ class KeypointModel:
 
     def positions(self, body: Body, poses: Array) -> Array:
         """Compute the world positions (..., K, 3) of the points, m, at poses (..., D)."""
-        rotations, centres = body.skeleton.forward(poses)
-        turned = np.einsum("...kab,kb->...ka", rotations[..., self.joint, :, :], self.offset)
-        return centres[..., self.joint, :] + turned
+        return body.skeleton.points(self.joint, self.offset, poses)
 
     def worse(self, views: int) -> Array:
         """Return the noise factors (C,) >= 1 of the views; 1 where they are unknown, or were measured for another

@@ -18,6 +18,7 @@ from hypose.body.body import Body
 from hypose.body.skeleton import Skeleton
 from hypose.compute.threads import over_chunks
 from hypose.evidence.cues import KeypointEvidence
+from hypose.evidence.keypoints import other_sides
 from hypose.evidence.terms import PointTerm
 from hypose.fitting.articulated import SolveSettings, fit_pose
 from hypose.geometry import Array
@@ -38,7 +39,7 @@ def turned_around(body: Body, pose: Array) -> Array:
     """
     s = body.skeleton
     joints = body.joints(pose[None])[0]
-    wanted = joints[[s.joint(_other_side(name)) for name in s.joint_names]]
+    wanted = joints[other_sides(s.joint_names)]
     start = s.clamp(turn_pose(pose, np.pi))
     start[:3] += wanted.mean(0) - body.joints(start[None])[0].mean(0)
     return _with_joints_at(body, wanted, start)
@@ -55,7 +56,7 @@ def limbs_exchanged(body: Body, pose: Array, limb: str = "legs", *, roots: bool 
     parts = _PARTS[limb]
     moved = parts if roots else parts[1:]
     joints = body.joints(pose[None])[0]
-    wanted = joints[[s.joint(_other_side(n) if n.endswith(moved) else n) for n in s.joint_names]]
+    wanted = np.where([[n.endswith(moved)] for n in s.joint_names], joints[other_sides(s.joint_names)], joints)
     start = pose.copy()
     for part in parts:
         left, right = (s.dofs_of(f"{side}_{part}") for side in ("left", "right"))
@@ -143,9 +144,3 @@ def _with_joints_at(body: Body, wanted: Array, start: Array) -> Array:
     count = len(wanted)
     points = PointTerm(wanted, np.ones(count), np.arange(count), np.zeros((count, 3)), 0.03)
     return fit_pose(body, start, [points], priors=(anatomical_prior(body.skeleton),), options=_TO_JOINTS).pose
-
-
-def _other_side(name: str) -> str:
-    if name.startswith("left"):
-        return name.replace("left", "right", 1)
-    return name.replace("right", "left", 1) if name.startswith("right") else name

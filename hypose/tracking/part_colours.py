@@ -49,8 +49,7 @@ def pictured_arms(
     body, chains = frame.body, [arm.chain for arm in arms]
     joint = np.array([j for _, elbow, wrist in chains for j in (elbow, wrist, wrist)])
     offset = np.concatenate([[np.zeros(3), np.zeros(3), 0.6 * arm.tip] for arm in arms])
-    rotations, centres = body.skeleton.forward(found)
-    at = centres[joint] + np.einsum("kij,kj->ki", rotations[joint], offset)
+    at = body.skeleton.points(joint, offset, found)
     return found, PointTerm(at, np.full(len(joint), settings.strength), joint, offset, settings.hold)
 
 

@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from hypose.body.body import Body
 from hypose.body.motion import Modes
-from hypose.compute.kinematics import joint_covariances
 from hypose.fitting.articulated import SolveSettings
 from hypose.geometry import Array, so3_exp, so3_log
 from hypose.inference.hypotheses import Hypotheses
@@ -93,7 +92,7 @@ def joint_covariance_of(body: Body, pose: Array, information: Array, evidence: s
     evidence: kind of evidence in the cost, a key of CURVATURE_FACTOR.
     """
     factor = _factors(evidence, tuple(body.skeleton.joint_names))
-    curvature = joint_covariances(pose, body.skeleton.tree, information)
+    curvature = body.skeleton.informed_joint_covariances(pose, information)
     return (factor[:, None, None] ** 2 * curvature + FLOOR**2 * np.eye(3)).astype(np.float32)
 
 

@@ -7,7 +7,7 @@ last one where they have been solved.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -57,12 +57,16 @@ def step_together(
     frame: Frame,
     keypoints: Sequence[Keypoints | None] | None = None,
     others: Sequence[Other] = (),
+    step: Callable[[int, Frame], tuple[Member, FrameEstimate | None]] | None = None,
 ) -> tuple[list[Member], list[FrameEstimate], list[Frame]]:
     """Track all people in one frame.
 
     keypoints: those of each person, already assigned; None: the frame's key points are not used.
     others: further people who are there but not tracked.
-    Returns: the next members; their estimates; the frame as each person saw it, without what others hide.
+    step: called as step(index of the person, the frame as that person sees it) instead of the person's tracker; it
+        returns the next member and the estimate, None where the person is given up.
+    Returns: the next members; the estimates of those who are not given up; the frame as each person saw it, without
+        what others hide.
     """
     count, after = len(members), list(members)
     estimates: list[FrameEstimate | None] = [None] * count
@@ -84,8 +88,13 @@ def step_together(
             lost = m.state.lost or m.state.blind > BLIND
             own = own_frame(own, shapes[i], [*others, *nearby], anywhere=lost)
             pack_once(own.the(Silhouettes))  # the tracker and the later audit both use them
-        state, estimate = m.tracker.step(m.state, own)
-        after[i], estimates[i], seen[i], done[i] = replace(m, state=state), estimate, own, True
-        for rig in () if done.all() else rigs:
-            shapes[i] = m.shape(rig, estimate.pose)
+        if step is None:
+            state, estimate = m.tracker.step(m.state, own)
+            after[i] = replace(m, state=state)
+        else:
+            after[i], estimate = step(i, own)
+        estimates[i], seen[i], done[i] = estimate, own, True
+        if estimate is not None and not done.all():
+            for rig in rigs:
+                shapes[i] = after[i].shape(rig, estimate.pose)
     return after, [e for e in estimates if e is not None], seen

@@ -140,10 +140,9 @@ def _sized(template: Body, start: Start, floor: float) -> list[Start]:
 
 def _solved(starts: Sequence[Start], frame: PreparedFrame, height: float | None, options: SolveSettings) -> list[Start]:
     """Solve the starts from their poses; those of one body in several threads."""
-    bodies = {id(s.body): s.body for s in starts}
     out: list[Start] = []
-    for key, body in bodies.items():
-        poses = np.stack([s.pose for s in starts if id(s.body) == key])
+    for body in dict.fromkeys(s.body for s in starts):
+        poses = np.stack([s.pose for s in starts if s.body is body])
         own = _own(frame, body, poses[0])
         poses = np.stack([f.pose for f in refine(body, poses, own, options)])
         costs = mask_cost(body, poses, own) + strain(body.skeleton, poses) + _odd(body.stature, height)
@@ -356,27 +355,10 @@ _TO_JOINTS = SolveSettings(iterations=30, coarse_iterations=15)
 _SIDES = ("left", "right")
 
 
+@lru_cache(4)
 def postures(body: Body) -> Array:
     """Build the start postures (N, D) of a body at the origin, facing -y, within its limits; cached per body."""
-    return _postures(_Key(body))
-
-
-class _Key:
-    """Cache key of a body by its identity."""
-
-    def __init__(self, body: Body) -> None:
-        self.body = body
-
-    def __hash__(self) -> int:
-        return id(self.body)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Key) and other.body is self.body
-
-
-@lru_cache(4)
-def _postures(key: _Key) -> Array:
-    body, out = key.body, []
+    out = []
     for legs, all_ in _TOGETHER:
         out += [_posed(body, legs, arms, arms) for arms in all_]
     for legs, rest in (("standing", "hanging"), ("sitting", "on thighs")):

@@ -103,17 +103,6 @@ def test_a_bad_recording_does_not_stop_the_others(hypose, study, tmp_path):
     assert code == 1 and "1 refused" in out and "nowhere, default: " in err
 
 
-def test_bad_options_end_in_a_sentence(hypose, study, tmp_path):
-    path = table(study, tmp_path)
-    assert hypose("batch", tmp_path / "none.csv")[0] == 2
-    code, _, err = hypose("batch", path, "--workers", "0")
-    assert code == 2 and "give 1 to 1024" in err
-    code, _, err = hypose("batch", path, "--scheduler", "tcp://127.0.0.1:1", "--workers", "2")
-    assert code == 2 and "leave --workers" in err
-    code, _, err = hypose("batch", path, "--formats", "fbx")
-    assert code == 2 and "fbx" in err
-
-
 @pytest.mark.parametrize("given", ["table", "folders"])
 def test_a_dry_run_counts_and_touches_nothing(hypose, study, tmp_path, given):
     paths = [table(study, tmp_path)] if given == "table" else sorted(study.iterdir())

@@ -40,37 +40,6 @@ def test_depth_maps_are_brought_in_step(hypose, tmp_path):
     assert made.n_frames == 5 and made.views[0].background is not None
 
 
-@pytest.mark.parametrize(
-    ("arguments", "sentence"),
-    [
-        (("--by", "smell"), "choose motion, sound or flash"),
-        (("--offsets", "1,2"), "4 numbers of frames are needed"),
-        (("--offsets", "0,40,0,0"), "have no frame in common"),
-        (("--offsets", "1,a,2,3"), "are no numbers"),
-        (("--largest", "0"), "is not possible"),
-        ((), "at least 16 consecutive frames"),
-        (("--by", "flash"), "at least 12 frames are needed"),
-    ],
-)
-def test_bad_input_of_sync_is_told_in_a_sentence(hypose, tiny, arguments, sentence):
-    code, _, err = hypose("sync", tiny, *arguments)
-    assert code == 2 and sentence in err and "Traceback" not in err
-
-
-@pytest.mark.parametrize(
-    ("arguments", "sentence"),
-    [
-        (("--from", "tea"), "choose auto, keypoints, silhouettes or both"),
-        (("--refine", "--from", "keypoints"), "has no key points"),
-        (("--height", "17"), "give 0.4 to 2.8 metres"),
-        (("--keep", "cam9"), "no camera cam9"),
-    ],
-)
-def test_bad_input_of_check_is_told_in_a_sentence(hypose, recording, arguments, sentence):
-    code, _, err = hypose("check", recording, "--samples", "1", "--frames", "0", *arguments)
-    assert code == 2 and sentence in err and "Traceback" not in err
-
-
 def test_an_existing_calibration_is_never_overwritten(hypose, recording):
     before = (recording / "calibration.toml").read_bytes()
     code, _, err = hypose("check", recording, "--refine", "--to", recording / "calibration.toml")

@@ -74,28 +74,6 @@ def test_points(pictures, tmp_path, capsys):
     np.testing.assert_allclose(read_any(tmp_path / "o.toml")[0].positions, rig.positions, atol=1e-4)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ([], "Give board videos"),
-        (["x", "--convert", "y"], "Give board videos"),
-        (["x"], "Say which board it is"),
-        (["x", "--chessboard", "8x6"], "Say how large the board's squares are"),
-        (["x", "--chessboard", "8by6", "--square", "3cm"], "'8by6' is not understood; write COLUMNSxROWS"),
-        (["x", "--chessboard", "8x6", "--square", "115"], "write a number with its unit"),
-        (["x", "--charuco", "8x6", "--square", "3cm"], "Say how large the ChArUco board's markers are"),
-        (["x", "--chessboard", "8x6", "--square", "3cm"], "x does not exist; give the board videos"),
-        (["--convert", "none.toml"], "none.toml does not exist"),
-        (["--convert", "none.toml", "--out", "a.json"], "cannot be written: name the calibration"),
-        (["--points", "none.toml"], "none.toml does not exist"),
-    ],
-)
-def test_errors_are_sentences(arguments, message, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    code, _, said = run(capsys, *arguments)
-    assert code == 2 and message in said and "Traceback" not in said
-
-
 @pytest.mark.parametrize(("text", "metres"), [("115mm", 0.115), ("4.5 cm", 0.045), ("1in", 0.0254), (".1m", 0.1)])
 def test_lengths(text, metres):
     assert parse_length(text, "--square") == pytest.approx(metres)

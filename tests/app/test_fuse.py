@@ -172,30 +172,6 @@ def test_a_real_recording(hypose, shared_data, tmp_path):
     assert (tmp_path / "out" / "motion.trc").is_file() or (tmp_path / "out" / "person-1" / "motion.trc").is_file()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "sentence"),
-    [
-        ((), "nothing to fuse"),
-        (("absent",), "does not exist"),
-        (("REC", "--method", "magic"), "--method magic is not possible"),
-        (("REC", "--formats", "bvh"), "needs poses"),
-        (("REC", "--formats", "doc"), "no export format"),
-        (("REC", "--reference", "s9"), "has no sensor 's9'"),
-        (("REC", "--rate", "0"), "not possible"),
-        (("REC", "--up", "left"), "--up left"),
-        (("REC", "--live"), "leave one of the two out"),
-        (("--live", "--udp", "99999"), "is not possible; give 0 to 65535"),
-        (("--live", "--osc", "nowhere"), "HOST:PORT"),
-        (("--live", "--token", "abc"), "8 to 128"),
-    ],
-)
-def test_what_cannot_be_done_is_refused_in_a_sentence(hypose, rng, tmp_path, arguments, sentence):
-    write_folder(recorded(rng, seconds=1), tmp_path / "rec")
-    code, _, err = hypose("fuse", *[tmp_path / "rec" if a == "REC" else a for a in arguments])
-    assert code == 2
-    assert sentence in err and "Traceback" not in err
-
-
 def test_recordings_of_different_persons_are_refused(hypose, rng, tmp_path):
     made = recorded(rng, seconds=3)
     from dataclasses import replace

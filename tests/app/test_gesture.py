@@ -1,35 +1,41 @@
 """`hypose gesture`: a session of the simulated person, learned, watched, exported; what is wrong is named."""
 
-import contextlib
 import json
+import shutil
 import socket
+import sys
 import threading
+import time
 
 import numpy as np
 import pytest
+from websockets.sync.client import connect
 
 from hypose.app.cli import run_cli
-from hypose.app.live.gesture_sources import open_source
+from hypose.app.jobs.gesture_job import Watched, gesture_lines, new_learner, run_session, watch
+from hypose.app.live.gesture_sources import GestureSource, Taken, open_source
+from hypose.app.live.servers import SocketListeners
 from hypose.errors import EvidenceError, InputError
-from hypose.gestures.forest import ForestSettings
-from hypose.gestures.localise import LocaliseSettings
+from hypose.gestures.depth_pictures import DepthLens
+from hypose.gestures.events import Event, EventSettings
+from hypose.gestures.localise import Localisation, LocaliseSettings
 from hypose.gestures.model import GestureModel
-from hypose.gestures.online import Learner
+from hypose.gestures.trainer import SessionSettings
 from hypose.pipeline.gesture_files import SessionWriter, read_recording, save_model
 from tests.conftest import HANG_S
 
 
-def hypose(*arguments):
+def run(capsys, *arguments):
+    """(exit code, stdout, stderr) of `hypose gesture`."""
     with pytest.raises(SystemExit) as stopped:
-        run_cli([str(a) for a in arguments])
-    assert stopped.value.code in (None, 0)
+        run_cli(["gesture", *map(str, arguments)])
+    printed = capsys.readouterr()
+    return stopped.value.code or 0, printed.out, " ".join(printed.err.split())
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """A session of a few frames (phases shortened) recorded and learned once."""
-    from hypose.app.jobs.gesture_job import new_learner, run_session
-    from hypose.gestures.session import SessionSettings
 
     root = tmp_path_factory.mktemp("gesture")
     source = open_source("simulated:1", "pause", 3)
@@ -47,109 +53,96 @@ def test_a_session_is_recorded_with_its_phases(folder):
     assert r.size == (640, 480) and r.lens.fx == 575.8
 
 
-def test_learning_from_the_recording_gives_the_same_forest(folder, tmp_path):
-    hypose("gesture", "train", tmp_path / "again.npz", "--gesture", "pause", "--recording", folder / "session")
-    with np.load(folder / "pause.npz") as a, np.load(tmp_path / "again.npz") as b:
-        for name in set(a.files) - {"description"}:
-            np.testing.assert_array_equal(a[name], b[name], err_msg=name)
-        one, two = (json.loads(str(d["description"])) for d in (a, b))
-        assert one["thresholds"] == two["thresholds"]
+def test_learning_from_the_recording_gives_the_same_forest_and_goes_on(folder, tmp_path, capsys):
+    train = ("train", "--gesture", "pause", "--recording", folder / "session")
+    assert run(capsys, *train, tmp_path / "again.npz")[0] == 0
+    assert run(capsys, *train, tmp_path / "more.npz", "--resume", folder / "pause.npz")[0] == 0
+    a, b, more = (np.load(path) for path in (folder / "pause.npz", tmp_path / "again.npz", tmp_path / "more.npz"))
+    for name in set(a.files) - {"description"}:
+        np.testing.assert_array_equal(a[name], b[name], err_msg=name)
+    one, two = (json.loads(str(d["description"])) for d in (a, b))
+    assert one["thresholds"] == two["thresholds"] and more["seen"].sum() > a["seen"].sum()
 
 
-def test_run_writes_json_lines_and_osc(folder, capsys):
-    receiver = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    receiver.bind(("127.0.0.1", 0))
-    receiver.settimeout(5)
-    port = receiver.getsockname()[1]
-    arguments = ["--source", folder / "session", "--threshold", "2", "--hold", "0.1", "--osc", f"127.0.0.1:{port}"]
-    hypose("gesture", "run", folder / "pause.npz", *arguments)
-    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+def test_run_writes_json_lines_and_osc_and_a_command_is_run(folder, tmp_path, capsys):
+    script, log = tmp_path / "note.py", tmp_path / "log.txt"
+    script.write_text(f"import sys; open({str(log)!r}, 'a').write(' '.join(sys.argv[1:]) + '\\n')")
+    command = f"'{sys.executable}' '{script}' {{gesture}}={{event}}"
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
+        receiver.bind(("127.0.0.1", 0))
+        receiver.settimeout(5)
+        osc = f"127.0.0.1:{receiver.getsockname()[1]}"
+        given = (
+            "--source",
+            folder / "session",
+            "--threshold",
+            "2",
+            "--hold",
+            "0.1",
+            "--osc",
+            osc,
+            "--command",
+            command,
+        )
+        code, out, err = run(capsys, "run", folder / "pause.npz", *given)
+        assert code == 0, err
+        data = receiver.recv(2048)
+    lines = [json.loads(line) for line in out.splitlines()]
     assert lines and lines[0]["event"] == "start" and lines[0]["gesture"] == "pause"
     assert len(lines[0]["position"]) == 3 and 0.5 < lines[0]["position"][2] < 4
-    data = receiver.recv(2048)
-    receiver.close()
     assert data.startswith(b"#bundle\0") and b"/gesture/pause\0" in data and b"/wek/outputs\0" in data
+    until = time.monotonic() + HANG_S
+    while not log.exists() or "pause=start" not in log.read_text().split():  # nothing waits for a command
+        assert time.monotonic() < until
+        time.sleep(0.05)
 
 
 def test_eval(folder, capsys):
-    hypose("gesture", "eval", folder / "pause.npz", folder / "session")
-    values = json.loads(capsys.readouterr().out)
+    values = json.loads(run(capsys, "eval", folder / "pause.npz", folder / "session")[1])
     assert values["positives"] > 0 and values["ap_5cm"] > 0.5
 
 
-def test_growing_goes_on(folder, tmp_path):
-    session = folder / "session"
-    hypose(
-        "gesture",
-        "train",
-        tmp_path / "more.npz",
-        "--gesture",
-        "pause",
-        "--recording",
-        session,
-        "--resume",
-        folder / "pause.npz",
-    )
-    with np.load(folder / "pause.npz") as a, np.load(tmp_path / "more.npz") as b:
-        assert b["seen"].sum() > a["seen"].sum()
-
-
 def test_a_model_that_is_replaced_is_told_and_that_of_another_gesture_refused(folder, tmp_path, capsys):
-    model = tmp_path / "pause.npz"
-    train = "gesture", "train", model, "--gesture"
-    hypose(*train, "pause", "--recording", folder / "session")
-    assert "will be replaced" not in capsys.readouterr().err
-    hypose(*train, "pause", "--recording", folder / "session")
-    said = capsys.readouterr().err
-    assert "holds a model of pause already, which will be replaced" in said and f"--resume {model}" in said
-    hypose(*train, "pause", "--recording", folder / "session", "--resume", model)
-    assert "will be replaced" not in capsys.readouterr().err
-    before = model.read_bytes()
-    assert "is the model of pause, not of wave" in refused(capsys, *train, "wave", "--recording", folder / "session")
-    assert model.read_bytes() == before
+    model = shutil.copy(folder / "pause.npz", tmp_path / "pause.npz")
+    before, train = model.read_bytes(), ("train", model, "--recording", folder / "session", "--gesture")
+    code, _, err = run(capsys, *train, "wave")
+    assert code == 2 and "is the model of pause, not of wave" in err and model.read_bytes() == before
+    code, _, err = run(capsys, *train, "pause")
+    assert code == 0 and "holds a model of pause already, which will be replaced" in err and f"--resume {model}" in err
+    assert "will be replaced" not in run(capsys, *train, "pause", "--resume", model)[2]
     model.write_bytes(before[:2000])
-    assert "no model that can be read" in refused(capsys, *train, "pause", "--recording", folder / "session")
+    assert "no model that can be read" in run(capsys, *train, "pause")[2]
 
 
-def refused(capsys, *arguments):
-    with pytest.raises(SystemExit) as stopped:
-        run_cli([str(a) for a in arguments])
-    assert stopped.value.code == 2
-    text = capsys.readouterr().err
-    assert "Traceback" not in text
-    return " ".join(text.split())
-
-
-def test_bad_input_ends_in_a_sentence(folder, tmp_path, capsys):
-    model, session = folder / "pause.npz", folder / "session"
-    broken = tmp_path / "broken.npz"
-    broken.write_bytes(model.read_bytes()[:2000])
-    assert "damaged" in refused(capsys, "gesture", "run", broken)
-    assert "does not exist" in refused(capsys, "gesture", "run", tmp_path / "none.npz")
-    assert "no depth source" in refused(capsys, "gesture", "run", model, "--source", "nowhere")
-    assert "HOST:PORT" in refused(capsys, "gesture", "run", model, "--osc", "here", "--threshold", "1")
-    assert "no such program" in refused(
-        capsys, "gesture", "run", model, "--command", "nothing-here", "--threshold", "1"
-    )
-    assert "same gesture" in refused(capsys, "gesture", "run", model, model, "--threshold", "1", "--source", session)
-    assert "--adaptation-rate" in refused(capsys, "gesture", "run", model, "--adaptation-rate", "0")
-    assert "no gesture 'tee'" in refused(
-        capsys, "gesture", "train", tmp_path / "x.npz", "--gesture", "tee", "--recording", session
-    )
-    assert "not of tee" in refused(
-        capsys, "gesture", "train", tmp_path / "x.npz", "--gesture", "tee", "--resume", model
-    )
-    two = ["gesture", "train", tmp_path / "x.npz", "--gesture", "pause", "--recording", session]
-    assert "--record is" in refused(capsys, *two, "--record", tmp_path / "r")
-    assert ".npz" in refused(capsys, "gesture", "train", tmp_path / "x", "--gesture", "tee")
-    assert "cannot do" in refused(capsys, "gesture", "record", tmp_path / "r", "--gesture", "fly")
-    assert "RealSense" in refused(capsys, "gesture", "run", model, "--source", "realsense", "--threshold", "1")
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        ("run BROKEN", "damaged"),
+        ("run none.npz", "does not exist"),
+        ("run MODEL --source nowhere", "no depth source"),
+        ("run MODEL --osc here --threshold 1", "HOST:PORT"),
+        ("run MODEL --command nothing-here --threshold 1", "no such program"),
+        ("run MODEL --command 'echo --threshold 1", "quotes"),
+        ("run MODEL MODEL --threshold 1 --source SESSION", "same gesture"),
+        ("run MODEL --adaptation-rate 0", "--adaptation-rate"),
+        ("run MODEL --source realsense --threshold 1", "RealSense"),
+        ("train x.npz --gesture tee --recording SESSION", "no gesture 'tee'"),
+        ("train x.npz --gesture tee --resume MODEL", "not of tee"),
+        ("train x.npz --gesture pause --recording SESSION --record r", "--record is"),
+        ("train x --gesture tee", ".npz"),
+        ("record r --gesture fly", "cannot do"),
+    ],
+)
+def test_bad_input_ends_in_a_sentence(folder, tmp_path, monkeypatch, capsys, arguments, sentence):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "broken.npz").write_bytes((folder / "pause.npz").read_bytes()[:2000])
+    places = {"BROKEN": "broken.npz", "MODEL": folder / "pause.npz", "SESSION": folder / "session"}
+    code, _, err = run(capsys, *(places.get(a, a) for a in arguments.split()))
+    assert code == 2 and sentence in err and "Traceback" not in err, err
 
 
 def blank(depth_mm, frames=60):
     """A camera that sees one depth everywhere."""
-    from hypose.app.live.gesture_sources import GestureSource, Taken
-    from hypose.gestures.depth_pictures import DepthLens
 
     times = iter(range(frames))
     picture = np.full((64, 64), depth_mm, np.uint16)
@@ -163,9 +156,6 @@ def blank(depth_mm, frames=60):
 
 @pytest.mark.parametrize("depth_mm", [0, 8000])
 def test_nothing_within_reach_is_said(depth_mm):
-    from hypose.app.jobs.gesture_job import new_learner, run_session, watch
-    from hypose.gestures.events import EventSettings
-    from hypose.gestures.session import SessionSettings
 
     settings = SessionSettings(do_gesture_s=1.0, positive_s=2.0, release_s=0.2, negative_s=1.0, rounds=2)
     with pytest.raises(InputError, match="none had depth between 0.5 and 4 m in the box"):
@@ -181,53 +171,37 @@ def test_nothing_within_reach_is_said(depth_mm):
 
 
 def test_recordings_without_a_usable_gesture_are_refused(tmp_path, capsys):
-    from hypose.gestures.depth_pictures import DepthLens
 
     writer = SessionWriter(tmp_path / "far", ["tee"], DepthLens(100, 100, 31.5, 31.5), (64, 64))
     for k in range(6):
         picture = np.full((64, 64), 8000 if k % 2 else 2000, np.uint16)
         writer.add(0.1 * k, picture, "positive" if k % 2 else "negative", k + 1, k % 2, (32.0, 32.0))
     writer.close()
-    arguments = ["gesture", "train", tmp_path / "m.npz", "--gesture", "tee", "--recording", tmp_path / "far"]
-    assert "no frame of 'tee' with depth between 0.5 and 4 m" in refused(capsys, *arguments)
+    arguments = ["train", tmp_path / "m.npz", "--gesture", "tee", "--recording", tmp_path / "far"]
+    assert "no frame of 'tee' with depth between 0.5 and 4 m" in run(capsys, *arguments)[2]
     assert not (tmp_path / "m.npz").exists()
-    learner = Learner.new(np.random.default_rng(0), ForestSettings())
+    learner = new_learner(0)
     save_model(GestureModel(("tee",), learner.forest, (1.0,), LocaliseSettings(), learner), tmp_path / "tee.npz")
-    refusal = refused(capsys, "gesture", "eval", tmp_path / "tee.npz", tmp_path / "far")
+    refusal = run(capsys, "eval", tmp_path / "tee.npz", tmp_path / "far")[2]
     assert "no frame of 'tee' with depth between 0.5 and 4 m" in refusal
 
 
-def test_websocket_listeners_get_scores_and_events():
-    from websockets.sync.client import connect
-
-    from hypose.app.jobs.gesture_job import Watched, WebSocketOut
-    from hypose.gestures.events import Event
-    from hypose.gestures.localise import Localisation
-
-    out = WebSocketOut(0, ["tee"])
+def test_a_frame_as_lines_for_listeners():
     frame = Watched(1.5, [Localisation(1, 3.0, 4.0, 12.0, None)], [Event("start", 1, 1.5, 3.0, 4.0, None, 12.0)])
-    with connect(f"ws://127.0.0.1:{out.port}") as listener:
-        for _ in range(30_000):  # the listener is entered by another thread
-            out.send(frame)
-            try:
-                texts = [listener.recv(timeout=0.05) for _ in range(2)]
-                break
-            except TimeoutError:
-                continue
-        assert json.loads(texts[0]) == {"time": 1.5, "scores": {"tee": 12.0}}
-        assert json.loads(texts[1])["event"] == "start"
-    out.send(frame)  # the listener has left
+    scores, event = map(json.loads, gesture_lines(frame, ["tee"]))
+    assert scores == {"time": 1.5, "scores": {"tee": 12.0}} and event["event"] == "start"
+
+
+def test_listeners_of_a_page_elsewhere_are_refused_and_silent_ones_cost_no_threads():
+    out = SocketListeners(0, 8)
     held = [socket.create_connection(("127.0.0.1", out.port), timeout=HANG_S) for _ in range(300)]
     threads = threading.active_count()
-    with connect(f"ws://127.0.0.1:{out.port}") as listener:  # silent connections keep nobody out, and cost no threads
+    with connect(f"ws://127.0.0.1:{out.port}") as listener:
         assert threading.active_count() - threads <= 2
-        for _ in range(30_000):
-            out.send(frame)
-            with contextlib.suppress(TimeoutError):
-                assert json.loads(listener.recv(timeout=0.05))["time"] == 1.5
-                break
-        else:
-            raise AssertionError("the listener hears nothing")
+        while not out.outbox.queues:  # the listener is entered by another thread
+            time.sleep(0.01)
+        out.post("news")
+        assert listener.recv(timeout=HANG_S) == "news"
     for s in held:
         s.close()
     with pytest.raises(Exception, match="403|rejected"):

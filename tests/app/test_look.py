@@ -9,10 +9,7 @@ import pytest
 
 from hypose.app import __main__ as module_entry
 from hypose.app.reports.report import report_html
-from hypose.app.reports.result_pictures import (
-    image_points,
-    mask_outline,
-)
+from hypose.app.reports.result_pictures import as_shown, mask_outline
 from hypose.app.studio.view_bundle import ViewResult
 from hypose.body.default_body import human
 from hypose.compute.parts import covered
@@ -61,7 +58,7 @@ def test_masks_can_be_given_back(hypose, recording):
 
 
 def test_synth_writes_what_was_asked_for(hypose, tmp_path):
-    arguments = ("--motion", "wave", "--subject", "1", "--rig", "ring-2", "--seconds", "0.12", "--corruption", "shadow")
+    arguments = ("--motion", "wave", "--subject", "1", "--rig", "ring-2", "--seconds", "0.12", "--corruption", "desync")
     code, out, err = hypose("synth", tmp_path / "scene", *arguments, "--keypoints", "--frame-rate", "50")
     assert code == 0, err
     assert "6 frames, 2 cameras" in out
@@ -129,7 +126,7 @@ def test_points_are_drawn_with_distortion_scale_and_shift(rng):
     points = rng.uniform(-0.7, 0.7, (20, 3)) + [0, 0, 1]
     view = ViewSettings("v", image_shift=(3.0, -2.0))
     expected = camera.scaled((320, 240)).project(points) - np.array([3.0, -2.0]) / 2
-    np.testing.assert_allclose(image_points(view, camera, points, (320, 240)), expected, atol=1e-9)
+    np.testing.assert_allclose(as_shown(view, camera, (320, 240)).project(points), expected, atol=1e-9)
     assert np.linalg.norm(camera.project(points) - camera.project_pinhole(points), axis=1).max() > 1
 
 
@@ -147,7 +144,7 @@ def test_the_outline_of_an_undistorted_mask_lies_on_the_recorded_person():
     mask = shape(working.project_pinhole(vertices), working.size)
     recorded = shape(camera.project(vertices), camera.size)
     distance = cv2.distanceTransform(1 - recorded, cv2.DIST_L2, 5) + cv2.distanceTransform(recorded, cv2.DIST_L2, 5)
-    outlines = mask_outline(ViewSettings("v"), camera, working, mask, camera.size)
+    outlines = mask_outline(camera, working, mask)
     uv = np.rint(np.concatenate(outlines)[:, 0] / 16).astype(int)
     assert len(uv) > 100
     off = distance[uv[:, 1], uv[:, 0]]

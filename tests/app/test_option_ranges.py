@@ -58,21 +58,3 @@ def test_a_number_out_of_range_is_one_sentence(hypose, tmp_path, monkeypatch, co
         if value not in ("0", "1_0", "٣"):
             assert option in err.splitlines()[-1] or option in ("--floor", "--offset") and value == "-3", (value, err)
     assert sorted(p.name for p in tmp_path.rglob("*")) == ["full", "thesis.txt"]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "sentence"),
-    [
-        (("check", "nowhere", "--samples", "-3"), "--samples -3 is not possible; give 1 to 10000."),
-        (("track", "nowhere", "--floor", "nan"), "--floor nan is not possible; give -100 to 100 metres."),
-        (("track", "nowhere", "--seed", "-1"), "--seed -1 is not possible; give 0 or more."),
-        (("demo", "--seconds", "0"), "--seconds 0 is not possible; give more than 0 and at most 3600 seconds."),
-        (
-            ("gesture", "run", "nowhere", "--threshold", "-1"),
-            "--threshold -1 is not possible; give more than 0 and at most 1000000 cm².",
-        ),
-    ],
-)
-def test_the_sentence_says_what_can_be_given(hypose, arguments, sentence):
-    code, _, err = hypose(*arguments)
-    assert code == 2 and err.strip() == f"error: {sentence}"

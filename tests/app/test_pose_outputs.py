@@ -6,6 +6,7 @@ import runpy
 import socket
 import threading
 import time
+from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
@@ -21,7 +22,7 @@ from hypose.pipeline.live.engine import LiveStatus
 from hypose.pipeline.live.feeds import FeedStatus
 from tests.conftest import HANG_S, ROOT
 from tests.live_scenes import Beside, follow, people_for, seen
-from tests.osc_packets import parse_osc
+from tests.osc_packets import parse_osc, udp_sink
 
 CAMERAS = ("cam1", "cam2", "cam3", "cam4")
 J = len(JOINT_NAMES)
@@ -65,14 +66,10 @@ def test_a_pose_in_json(followed):
     assert value["cameras"] == ["cam1", "cam3", "cam4"]
     assert value["joints"] == pytest.approx(pose.joints, abs=1e-5) and np.shape(value["joints"]) == (J, 3)
     assert len(value["sd"]) == len(value["wrong"]) == J
-    assert read_covariance(value["covariance"]) == pytest.approx(pose.motion.joint_covariance[0], rel=0.01, abs=1e-7)
+    covariance = np.asarray(value["covariance"])[:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]  # from xx, xy, xz, yy, yz, zz
+    assert covariance == pytest.approx(pose.motion.joint_covariance[0], rel=0.01, abs=1e-7)
     assert all(0 < s < 1 for s in value["sd"]) and all(0 <= w <= 1 for w in value["wrong"])
     assert set(value["low_confidence"]) <= set(JOINT_NAMES)
-
-
-def read_covariance(upper):
-    """(J, 3, 3) from xx, xy, xz, yy, yz, zz of each."""
-    return np.asarray(upper)[:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
 
 
 STATUS = LiveStatus(
@@ -92,36 +89,33 @@ STATUS = LiveStatus(
 # ---- by WebSocket ----
 
 
-def test_json_by_websocket(followed):
-    out = outputs(ws=0)
-    try:
-        base = f"ws://127.0.0.1:{out.listeners.port}"
-        with connect(base + "/out?x=1") as text:
-            assert read(text.recv(HANG_S)) == {
-                "type": "hello",
-                "version": 1,
-                "joints": list(JOINT_NAMES),
-                "cameras": list(CAMERAS),
-                "rate": 25.0,
-            }
-            for frame, pose in followed:
-                out.seen(seen(frame, pose))
-                value = read(text.recv(HANG_S))
-                assert value["n"] == pose.frame
-                assert value["latency_ms"] == pytest.approx(1e3 * (5.0 - frame.time - 0.01), abs=0.01)
-            out.status(STATUS)
-            assert read(text.recv(HANG_S))["type"] == "status"
-            out.seen(seen(followed[0][0], None))  # nobody: nothing is told
-            with pytest.raises(TimeoutError):
-                text.recv(0.05)
-    finally:
-        out.close()
+@pytest.fixture
+def out():
+    """Outputs to a WebSocket on a free port."""
+    with closing(outputs(ws=0)) as out:
+        yield out
+
+
+def test_json_by_websocket(followed, out):
+    with connect(f"ws://127.0.0.1:{out.listeners.port}/out?x=1") as text:
+        hello = {"type": "hello", "version": 1, "joints": list(JOINT_NAMES), "cameras": list(CAMERAS), "rate": 25.0}
+        assert read(text.recv(HANG_S)) == hello
+        for frame, pose in followed:
+            out.seen(seen(frame, pose))
+            value = read(text.recv(HANG_S))
+            assert value["n"] == pose.frame
+            assert value["latency_ms"] == pytest.approx(1e3 * (5.0 - frame.time - 0.01), abs=0.01)
+        out.status(STATUS)
+        assert read(text.recv(HANG_S))["type"] == "status"
+        out.seen(seen(followed[0][0], None))  # without a person nothing is sent
+        with pytest.raises(TimeoutError):
+            text.recv(0.05)
 
 
 def test_the_receiver_of_the_documentation(followed, tmp_path, capsys):
+    out = outputs(ws=0)
     text = (ROOT / "docs" / "cameras-live.md").read_text(encoding="utf-8")
     program = next(p for p in text.split("```python\n")[1:] if "/out" in p).split("```")[0]
-    out = outputs(ws=0)
     (tmp_path / "receiver.py").write_text(program.replace("9872", str(out.listeners.port)))
     receiver = threading.Thread(target=runpy.run_path, args=(tmp_path / "receiver.py",))
     receiver.start()
@@ -136,50 +130,39 @@ def test_the_receiver_of_the_documentation(followed, tmp_path, capsys):
 
 
 @pytest.mark.parametrize("path", ["/", "/in", "/out/x", "/Out"])
-def test_other_paths_are_refused(path):
-    out = outputs(ws=0)
-    try:
-        with connect(f"ws://127.0.0.1:{out.listeners.port}{path}") as there, pytest.raises(ConnectionClosed) as closed:
-            there.recv(HANG_S)
-        assert closed.value.rcvd.code == 1008 and "no such path" in closed.value.rcvd.reason
-    finally:
-        out.close()
+def test_other_paths_are_refused(out, path):
+    with connect(f"ws://127.0.0.1:{out.listeners.port}{path}") as there, pytest.raises(ConnectionClosed) as closed:
+        there.recv(HANG_S)
+    assert closed.value.rcvd.code == 1008 and "no such path" in closed.value.rcvd.reason
 
 
-def test_who_does_not_read_costs_nobody_a_pose(followed):
-    out = outputs(ws=0)
+def test_who_does_not_read_costs_the_others_no_pose(followed, out):
     ask = "GET /out HTTP/1.1\r\nHost: x\r\nConnection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n"
-    try:
-        with socket.create_connection(("127.0.0.1", out.listeners.port)) as silent:
-            silent.sendall(f"{ask}Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n".encode())
-            assert silent.recv(12) == b"HTTP/1.1 101"
-            with connect(f"ws://127.0.0.1:{out.listeners.port}/out") as reading:
-                reading.recv(HANG_S)
-                for _ in range(150):  # what the system keeps for who does not read is full
-                    out.listeners.post("x" * 100_000)
-                    assert len(reading.recv(HANG_S)) == 100_000
-                assert out.listeners.outbox.dropped > 50
-                dropped = out.listeners.outbox.dropped
-                for frame, pose in followed:
-                    out.seen(seen(frame, pose))
-                    assert read(reading.recv(HANG_S))["n"] == pose.frame
-                assert out.listeners.outbox.dropped == dropped + len(followed)
-    finally:
-        out.close()
+    address, outbox = ("127.0.0.1", out.listeners.port), out.listeners.outbox
+    with socket.create_connection(address) as silent, connect(f"ws://127.0.0.1:{address[1]}/out") as reading:
+        silent.sendall(f"{ask}Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n".encode())
+        assert silent.recv(12) == b"HTTP/1.1 101"
+        reading.recv(HANG_S)
+        for _ in range(150):  # what the system keeps for a listener that does not read is full
+            out.listeners.post("x" * 100_000)
+            assert len(reading.recv(HANG_S)) == 100_000
+        assert (dropped := outbox.dropped) > 50
+        for frame, pose in followed:
+            out.seen(seen(frame, pose))
+            assert read(reading.recv(HANG_S))["n"] == pose.frame
+        assert outbox.dropped == dropped + len(followed)
 
 
 def test_a_taken_port_and_bad_targets_are_one_sentence_and_nothing_stays_open(followed):
     out = outputs(ws=0)
     port = out.listeners.port
-    try:
-        with pytest.raises(InputError, match=f"Port {port} cannot be used .*; choose another with --ws"):
-            outputs(ws=port, udp="127.0.0.1:9")
-    finally:
-        out.close()
+    with pytest.raises(InputError, match=f"Port {port} cannot be used .*; choose another with --ws"):
+        outputs(ws=port, udp="127.0.0.1:9")
+    out.close()
     outputs(ws=port).close()
     for option in ("udp", "osc", "vmc"):
-        for address in ("nowhere", "127.0.0.1:", "127.0.0.1:70000", ":9000"):
-            with pytest.raises(InputError, match=f"--{option} "):
+        for address in ("nowhere", "127.0.0.1", "127.0.0.1:", "127.0.0.1:0", "127.0.0.1:70000", ":9000", "no.such.:1"):
+            with pytest.raises(InputError, match=f"--{option} .* cannot be reached; give HOST:PORT"):
                 outputs(**{option: address})
 
 
@@ -187,19 +170,10 @@ def test_a_taken_port_and_bad_targets_are_one_sentence_and_nothing_stays_open(fo
 
 
 def received(followed, option):
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sink:
-        sink.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
-        sink.bind(("127.0.0.1", 0))
-        out = outputs(**{option: f"127.0.0.1:{sink.getsockname()[1]}"})
+    packets = []
+    with udp_sink(packets) as address, closing(outputs(**{option: address})) as out:
         reported(out, followed)
-        out.close()
-        packets = []
-        sink.setblocking(False)
-        try:
-            while True:
-                packets.append(sink.recv(65536))
-        except BlockingIOError:
-            return packets
+    return packets
 
 
 def test_a_line_per_pose_by_udp(followed):

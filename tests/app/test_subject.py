@@ -52,24 +52,3 @@ def test_a_recording_gives_sizes_a_body_and_a_picture(hypose, tiny, tmp_path):
     true = load_subjects()["neutral"].stature
     assert sizes["stature"]["cm"] == pytest.approx(100 * true, abs=6)
     assert (out / "subject.png").read_bytes()[:4] == b"\x89PNG"
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ((), "Give either a recording's folder or --mesh"),
-        (("--start", "lying"), "--start lying is not possible"),
-        (("--poses", "0"), "--poses 0 is not possible"),
-        (("--height", "170"), "--height 170 is not possible; give 0.5 to 2.5 metres"),
-    ],
-)
-def test_wrong_options(hypose, tiny, arguments, message):
-    where = (tiny,) if arguments else ()
-    code, _, err = hypose("subject", *where, *arguments)
-    assert code == 2 and "Traceback" not in err
-    assert message in " ".join(err.split()), err
-
-
-def test_a_missing_body_is_named(hypose, tiny, tmp_path):
-    code, _, err = hypose("track", tiny, "--subject", tmp_path / "nobody", "--out", tmp_path / "out")
-    assert code == 2 and "nobody" in err and "Traceback" not in err

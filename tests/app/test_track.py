@@ -38,7 +38,7 @@ def test_the_motion_is_that_of_the_recording(tracked, tiny):
     assert not motion.lost.any() and not motion.extrapolated.any()
     with np.load(tiny / "truth.npz") as truth:
         errors = joint_errors(motion.joints, truth["joints"])
-    assert errors.mean < 0.08  # the person is 60 px tall
+    assert errors.mean() < 0.08  # the person is 60 px tall
 
 
 def test_motion_files_agree_with_the_motion(tracked):

@@ -119,28 +119,3 @@ def test_without_smoothing_the_motion_is_the_best_mode(tiny, clicks, tracked, tm
     assert "stand on a floor at z = 0 m" in (out / "report.html").read_text()
     motion, modes = load_motion(out / "motion.npz"), load_modes(out / "modes.npz")
     np.testing.assert_allclose(modes.joints[:, 0], motion.joints, atol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "sentence"),
-    [
-        (("--recipe", "monocular", "--camera", "cam9"), "has no camera 'cam9'; it has cam1, cam2, cam3, cam4"),
-        (("--recipe", "monocular"), "has 4 cameras (cam1, cam2, cam3, cam4); name one with --camera"),
-        (("--camera", "cam2"), "has one camera, cam2, and this needs two or more; track one with --recipe monocular"),
-        ((*MONO, "--recipe", "hpf"), "has one camera, cam2, and this needs two or more"),
-        (("--floor", "0"), "The recipe 'default' has no option 'floor'; leave it out, or choose the recipe monocular"),
-        (
-            ("--evidence", "edges"),
-            "has no evidence 'edges'; choose silhouettes, keypoints or both",
-        ),
-        (MONO, "has no key points and no clicks were given"),
-        ((*MONO, "--start", "t"), "--start t is no file of clicked joints"),
-        ((*MONO, "--evidence", "keypoints"), "has no key points; add keypoints"),
-        ((*MONO, "--floor", "low"), "Invalid value for '--floor'"),
-    ],
-)
-def test_what_does_not_go_is_said_in_a_sentence(tiny, tmp_path, hypose, arguments, sentence) -> None:
-    code, _, printed = hypose("track", tiny, *arguments, "--out", tmp_path / "results")
-    assert code == 2
-    assert sentence in " ".join(printed.split())
-    assert "Traceback" not in printed

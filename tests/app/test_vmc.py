@@ -1,14 +1,11 @@
 """Avatars by VMC: packets decoded as a receiver does, the bones point where the limbs do."""
 
-import socket
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from hypose.app.cli import run_cli
 from hypose.app.commands.commands_results import play_motion
-from hypose.app.live.osc import OscTarget, osc_bundles
+from hypose.app.live.osc import osc_bundles
 from hypose.app.live.vmc import VMC_BONES
 from hypose.body.default_body import human
 from hypose.body.motion import Motion, isotropic
@@ -16,8 +13,9 @@ from hypose.errors import InputError
 from hypose.fusion.fuse import points_motion
 from hypose.fusion.joints import COMMON
 from hypose.io.motions.results import save_body, save_motion
+from tests.app.conftest import fails
 from tests.depth_sensors import walker
-from tests.osc_packets import parse_osc
+from tests.osc_packets import parse_osc, udp_sink
 
 UNITY_BONES = ["Hips", "Spine", "Chest", "Neck", "Head"] + [
     f"{s}{b}"
@@ -125,49 +123,29 @@ def test_a_motion_without_poses_is_refused(moving):
         play_motion(Motion(**{**motion.__dict__, "poses": None}), body, lambda m: None)
 
 
-@pytest.mark.parametrize(
-    "address", ["nowhere", "127.0.0.1", "127.0.0.1:0", ":39539", "127.0.0.1:seven", "no.such.host.:1"]
-)
-def test_an_address_that_is_none_is_refused(address):
-    with pytest.raises(InputError, match="--vmc .* cannot be reached; give HOST:PORT"):
-        OscTarget(address, "--vmc")
-
-
-def run_play(capsys, *arguments):
-    with pytest.raises(SystemExit) as ended:
-        run_cli(["play", *map(str, arguments)])
-    return ended.value.code or 0, capsys.readouterr()
-
-
-def test_the_command_plays_results(moving, tmp_path, capsys):
+def test_the_command_plays_results(moving, tmp_path, hypose):
     motion, body = moving
     save_motion(motion, tmp_path / "motion.npz")
     save_body(body, tmp_path / "body.npz")
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
-        listener.bind(("127.0.0.1", 0))
-        listener.settimeout(20)
-        code, said = run_play(capsys, tmp_path, "--vmc", f"127.0.0.1:{listener.getsockname()[1]}", "--speed", 10)
-        assert code == 0 and "6 frames at 30 Hz" in said.out
-        assert parse_osc(listener.recv(65536))[0] == ("/VMC/Ext/OK", [1, 3, 0, 1])
+    packets = []
+    with udp_sink(packets) as address:
+        code, out, _ = hypose("play", tmp_path, "--vmc", address, "--speed", 10)
+    assert code == 0 and "6 frames at 30 Hz" in out
+    assert parse_osc(packets[0])[0] == ("/VMC/Ext/OK", [1, 3, 0, 1])
 
 
-def test_results_of_depth_sensors_are_posed_first(tmp_path, capsys):
+def test_results_of_depth_sensors_are_posed_first(tmp_path, hypose):
     joints, none = np.stack([walker(n / 30) for n in range(12)]), np.zeros(12, bool)
     sd, times = np.full((12, 15), 0.01), np.arange(12) / 30
     motion = points_motion(COMMON, joints, sd, times, none, np.full(12, 2), np.full(18, 0.3), {})
     save_motion(motion, tmp_path / "motion.npz")
-    code, said = run_play(capsys, tmp_path, "--speed", 10)
-    assert code == 0 and "12 frames" in said.out
+    code, out, _ = hypose("play", tmp_path, "--speed", 10)
+    assert code == 0 and "12 frames" in out
 
 
-def test_what_cannot_be_played_is_told(moving, tmp_path, capsys):
-    assert "does not exist" in run_play(capsys, tmp_path / "none")[1].err
-    for name in ("anna", "ben"):
-        save_motion(moving[0], tmp_path / name / "motion.npz")
-    code, said = run_play(capsys, tmp_path)
-    assert code == 2 and "holds the results of anna, ben" in said.err
-    save_motion(moving[0], tmp_path / "rec" / "results" / "default" / "motion.npz")
-    code, said = run_play(capsys, tmp_path / "rec")
-    assert code == 2 and "is a recording, not a result" in said.err and "default" in said.err
-    code, said = run_play(capsys, tmp_path / "anna")
-    assert code == 2 and "body.npz" in said.err
+def test_what_cannot_be_played_is_told(moving, tmp_path, hypose):
+    for place in ("anna", "ben", "rec/results/default"):
+        save_motion(moving[0], tmp_path / place / "motion.npz")
+    fails(hypose("play", tmp_path), "holds the results of anna, ben")
+    fails(hypose("play", tmp_path / "rec"), "is a recording, not a result", "default")
+    fails(hypose("play", tmp_path / "anna"), "body.npz")

@@ -6,7 +6,7 @@ import pytest
 from benchmarks.multiview import table_2_4
 from benchmarks.multiview.action_scenes import Outcome
 from benchmarks.multiview.table_2_3 import table_rows
-from hypose.synthetic.metrics import EVALUATED_JOINTS, JointErrors
+from hypose.synthetic.metrics import EVALUATED_JOINTS
 
 
 def rows_by_name(rows):
@@ -15,7 +15,7 @@ def rows_by_name(rows):
 
 def test_table_2_3_takes_the_mean_over_actions_then_the_median_over_seeds():
     def outcome(mm: float) -> Outcome:
-        return Outcome(JointErrors(np.full((4, len(EVALUATED_JOINTS)), 1e-3 * mm), EVALUATED_JOINTS), 0.1)
+        return Outcome(np.full((4, len(EVALUATED_JOINTS)), 1e-3 * mm), 0.1)
 
     found = {
         ("apf", "walk"): [outcome(x) for x in (50, 60, 70)],

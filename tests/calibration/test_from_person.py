@@ -8,12 +8,14 @@ import pytest
 from benchmarks.cameras.boardless import errors, without_poses
 from benchmarks.synthetic.wandering import RATE, WanderingSettings, wandering
 from hypose.app.cli import run_cli
+from hypose.app.jobs.person_job import with_focal_lengths
 from hypose.calibration.from_person import calibrate_from_person
 from hypose.calibration.sync_motion import Curves
 from hypose.calibration.two_views import epipolar_curves, rival_offsets, start_rig
-from hypose.errors import CalibrationError
+from hypose.errors import CalibrationError, InputError
 from hypose.evidence.keypoints import BODY_25
 from hypose.io.calibrations.calibration_formats import read_any, write_any
+from hypose.io.videos.video import VideoWriter
 
 
 def _solve(scene, known, largest_s=None):
@@ -135,8 +137,8 @@ def exit_code(arguments):
     return left.value.code or 0
 
 
-def _recording(folder, scene):
-    """A recording of key points alone."""
+def _recording(folder, scene, videos=False):
+    """A recording of key points, with or without videos of a dark room."""
     lines = ['keypoint_set = "BODY_25"', f"frame_rate = {RATE}"]
     for camera, view in zip(scene.rig, scene.points, strict=True):
         (folder / camera.name).mkdir(parents=True)
@@ -144,23 +146,25 @@ def _recording(folder, scene):
             people = {"people": [{"pose_keypoints_2d": p.ravel().round(2).tolist()}]}
             (folder / camera.name / f"{camera.name}_{t:012d}_keypoints.json").write_text(json.dumps(people))
         lines += ["[[view]]", f'name = "{camera.name}"', f'keypoints = "{camera.name}"']
+        if videos:
+            with VideoWriter(folder / f"{camera.name}.mp4", RATE, camera.size) as writer:
+                for _ in scene.points[0]:
+                    writer.write(np.zeros((*camera.size[::-1], 3), np.uint8))
+            lines.append(f'video = "{camera.name}.mp4"')
     (folder / "recording.toml").write_text("\n".join(lines))
     write_any(without_poses(scene.rig, True), folder / "lenses.toml")
     return folder
 
 
-def test_the_command_writes_calibration_and_offsets(tmp_path, capsys):
+@pytest.mark.parametrize("option", ["--intrinsics", "--focal"])
+def test_the_command_writes_calibration_and_offsets(tmp_path, capsys, option):
     scene = wandering(4, WanderingSettings(cameras=3, seconds=4.0, largest=4.0))
-    folder = _recording(tmp_path / "walk", scene)
-    command = [
-        "calibrate",
-        str(folder),
-        "--from-person",
-        "--largest",
-        "0.3",
-        "--intrinsics",
-        str(folder / "lenses.toml"),
-    ]
+    folder = _recording(tmp_path / "walk", scene, option == "--focal")
+    command = ["calibrate", str(folder), "--from-person", "--largest", "0.3"]
+    if option == "--focal":
+        command += [f"--focal={c.name}={c.K[0, 0]:.1f}" for c in scene.rig]
+    else:
+        command += ["--intrinsics", str(folder / "lenses.toml")]
     assert exit_code(command) == 2 and "--height 1.72" in capsys.readouterr().err
     assert exit_code([*command, "--height", f"{scene.height:.3f}"]) == 0
     said = capsys.readouterr().out
@@ -173,6 +177,14 @@ def test_the_command_writes_calibration_and_offsets(tmp_path, capsys):
     before = (folder / "calibration.toml").read_bytes()
     assert exit_code([*command, "--height", "1.7"]) == 2 and "never overwritten" in capsys.readouterr().err
     assert (folder / "calibration.toml").read_bytes() == before
+
+
+@pytest.mark.parametrize("given, named", [(["cam9=900"], "cam1, cam2"), (["cam1=big"], "PIXELS"), (["cam1=9"], "cam2")])
+def test_focal_lengths_that_do_not_fit_the_cameras(given, named):
+    rig = without_poses(wandering(0, WanderingSettings(cameras=2, seconds=1.0)).rig, False)
+    with pytest.raises(InputError, match=named):
+        with_focal_lengths(rig, given)
+    assert [c.K[1, 1] for c in with_focal_lengths(rig, ["900", "cam2=1000.5"])] == [900, 1000.5]
 
 
 def test_a_refusal_writes_nothing(tmp_path, capsys):

@@ -7,11 +7,10 @@ import pytest
 
 from benchmarks.cameras.board_accuracy import solve_scene
 from benchmarks.synthetic.calibration_boards import compare_rigs, film_board, ring_of_cameras
-from hypose.calibration.boards import Board, BoardDetection
+from hypose.calibration.boards import Board
 from hypose.calibration.bundle import CalibratedLens, calibrate_lens
 from hypose.calibration.from_boards import floor_frame, place_on_floor
 from hypose.calibration.rig import calibrate_rig
-from hypose.calibration.synchronisation import estimate_lags
 from hypose.cameras.camera import CameraRig
 from hypose.errors import CalibrationError
 from hypose.geometry import se3, so3_exp
@@ -102,22 +101,3 @@ def test_without_a_floor_up_is_that_of_the_cameras(rng):
     down = np.stack([c.camera_from_world[1, 2] for c in rig])
     assert (down < -0.7).all()  # images stand upright: their y axes point down in the world
     assert min((b[:3, :3] @ EVEN.points.T + b[:3, 3:])[2].min() for b in placed.values()) == pytest.approx(0, abs=1e-9)
-
-
-def test_late_videos_are_named(rng):
-    rig = ring_of_cameras(rng, 2, radius=2.5)
-    t = np.arange(160) / 25
-    place = 0.25 * np.stack([np.sin(1.3 * t), np.sin(2.1 * t + 1), 0.6 * np.sin(1.7 * t)], 1)
-    seen = [{}, {}]
-    for c, camera in enumerate(rig):
-        look = camera.camera_from_world[:3, :3].T
-        for f in range(150):
-            moment = f - (7 if c else 0)
-            if moment < 0:
-                continue
-            pose = se3(look @ so3_exp([0.3, 0.2, 0]), place[moment] + [0, 0, 0.3])
-            uv = camera.project(EVEN.points @ pose[:3, :3].T + pose[:3, 3])
-            seen[c][f] = BoardDetection(np.arange(48), uv + rng.normal(0, 0.1, uv.shape), 2.0)
-    ((camera_number, lag),) = estimate_lags(list(rig), seen, EVEN).items()
-    assert abs(abs(lag) - 7) <= 1 and (lag > 0) == (camera_number == 1)
-    assert estimate_lags(list(rig), [seen[0], {f - 7: s for f, s in seen[1].items()}], EVEN) == {}

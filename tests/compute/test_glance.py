@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from hypose.compute.glance import AMONG, MARGIN, STEP, differing_box, glance_at, stored_pixels
+from hypose.compute.glance import AMONG, MARGIN, STEP, differing_box, glance_at, stored_places
 from hypose.compute.picture_to_mask import BackgroundLevels, make_lens, shrink_undistort
 
 SIZE = (160, 120)
@@ -28,16 +28,16 @@ def walls(rng):
 
 
 def look(picture, mean):
-    at = stored_pixels((picture.shape[1], picture.shape[0]), *maps())
-    box = differing_box(picture, at, glance_at(room_of(mean)), SIZE)
-    glance, first = glance_at(room_of(mean)), np.maximum(at, 0)
-    y, x = first // picture.shape[1], first % picture.shape[1]
+    places = stored_places((picture.shape[1], picture.shape[0]), *maps())
+    glance = glance_at(room_of(mean))
+    y, x = (np.floor(a).astype(int) for a in (places.y, places.x))
     value = (sum(picture[y + i, x + j].astype(int) for i in (0, 1) for j in (0, 1)) + 2) >> 2
-    found = ((value < glance.low[..., :3]) | (value > glance.high[..., :3])).any(2) & (at >= 0)
+    found = ((value < glance.low) | (value > glance.high)).any(2) & ~places.outside
     company = cv2.boxFilter(found.astype(np.uint8), -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
     left, top, w, h = cv2.boundingRect((found & (company >= AMONG)).astype(np.uint8))
     ends = STEP * (top + h) + MARGIN, STEP * (left + w) + MARGIN
     wanted = max(STEP * top - MARGIN, 0), min(ends[0], SIZE[1]), max(STEP * left - MARGIN, 0), min(ends[1], SIZE[0])
+    box = differing_box(picture, places, glance, SIZE)
     assert box == (wanted if h else None)
     return box
 

@@ -106,10 +106,3 @@ def test_cleaned_masks_are_those_of_opencv(rng, size, how):
         plain, fast = runs_of(cleaned(mask, how)), clean(bits_of(mask), shape, how)
         assert np.array_equal(draw(fast), draw(plain))
         assert (fast.box, fast.area) == (plain.box, plain.area)
-
-
-def test_a_person_takes_about_a_thousand_bytes():
-    mask = np.zeros((360, 480), np.uint8)
-    cv2.ellipse(mask, (240, 180), (60, 150), 20, 0, 360, 1, -1)
-    cv2.circle(mask, (240, 180), 20, 0, -1)
-    assert len(runs_of(mask).code) < 1200

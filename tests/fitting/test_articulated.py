@@ -8,7 +8,6 @@ import pytest
 from hypose import fitting
 from hypose.compute import solver
 from hypose.compute.arrays import PriorArrays
-from hypose.compute.kinematics import joint_covariances
 from hypose.errors import InputError, SolverError
 from hypose.evidence.frame import Silhouettes
 from hypose.evidence.terms import KeypointTerm, PointTerm, contour_term
@@ -264,7 +263,7 @@ def test_what_is_known_of_a_pose_is_the_same_on_both_branches_of_its_rotation():
     one, two = (fitting.fit_pose(BODY, q, [term], options=still) for q in (pose, other))
     np.testing.assert_allclose(two.pose, other)
     np.testing.assert_allclose(one.information, two.information, rtol=1e-9, atol=1e-6)
-    around = [joint_covariances(q, SKELETON.tree, one.information + np.eye(len(q))) for q in (pose, other)]
+    around = [SKELETON.informed_joint_covariances(q, one.information + np.eye(len(q))) for q in (pose, other)]
     np.testing.assert_allclose(*around, rtol=1e-9, atol=1e-12)
 
 
@@ -272,7 +271,7 @@ def test_covariances_of_joints_are_those_of_the_pose(rng):
     pose = random_pose(BODY, rng, 0.25)
     half = rng.standard_normal((len(pose), len(pose)))
     hessian = half @ half.T + np.eye(len(pose))
-    found = joint_covariances(pose, SKELETON.tree, hessian, 0.0)
+    found = SKELETON.informed_joint_covariances(pose, hessian, 0.0)
     jacobians = SKELETON.joint_jacobians(pose)
     covariance = np.linalg.inv(hessian)
     wanted = jacobians @ covariance @ jacobians.swapaxes(1, 2)

@@ -5,10 +5,9 @@ import pytest
 
 from hypose.errors import InputError
 from hypose.gestures.forest import ForestSettings, GrowingForest
-from hypose.gestures.localise import pad
 from tests import forest_reference as runtime
 
-from .toys import LENS, grown, more, samples, toy
+from .toys import LENS, grown, more, padded, probabilities, samples, toy
 
 
 def exported(forest):
@@ -24,8 +23,8 @@ def test_compiled_walk_equals_the_definition(clip):
     rng = np.random.default_rng(5)
     depth, _, _ = toy(rng)
     rows, columns = np.nonzero(depth)  # every pixel that has depth, the border included
-    picture = pad(depth, LENS, 150, 500)
-    mine = forest.probabilities(picture, rows, columns)
+    picture = padded(depth)
+    mine = probabilities(forest, picture, rows, columns)
     theirs = runtime.shares(exported(forest), depth, rows, columns, LENS.fx)
     np.testing.assert_allclose(mine, theirs, atol=1e-12)
     assert mine[:, 1].max() > 0.8  # it has learned something, so that the comparison has leaves to compare
@@ -72,7 +71,7 @@ def test_holes_and_pixels_nearer_than_the_border_allows_teach_nothing():
     forest = GrowingForest.new(ForestSettings(), 2, rng)
     depth = np.zeros((64, 64), np.uint16)
     depth[32:] = 300
-    forest.learn(pad(depth, LENS, 150, 500), np.arange(64), np.full(64, 5), np.ones(64, int))
+    forest.learn(padded(depth), np.arange(64), np.full(64, 5), np.ones(64, int))
     assert forest.arrays.seen.sum() == 0
 
 
@@ -84,10 +83,10 @@ def test_several_classes():
         rows, columns, labels = samples(rng, (int(where[0]), int(where[1])), square)
         a, b, side = square
         labels[(labels == 0) & (rows >= a) & (rows < a + side) & (columns >= b) & (columns < b + side)] = 2
-        forest.learn(pad(depth, LENS, 150, 500), rows, columns, labels)
+        forest.learn(padded(depth), rows, columns, labels)
     depth, (x, y), (a, b, side) = toy(rng, holes=False)
     rows, columns = np.array([int(y), min(a + side // 2, 149), 2]), np.array([int(x), min(b + side // 2, 199), 2])
-    p = forest.freeze().probabilities(pad(depth, LENS, 150, 500), rows, columns)
+    p = probabilities(forest.freeze(), padded(depth), rows, columns)
     assert p.argmax(1).tolist() == [1, 2, 0]
     np.testing.assert_allclose(p.sum(1), 1, atol=1e-3)
 

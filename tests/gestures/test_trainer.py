@@ -8,8 +8,7 @@ from benchmarks.papers.offline_forests import chosen_pixels
 from hypose.gestures.forest import ForestSettings
 from hypose.gestures.localise import localise
 from hypose.gestures.online import Example, Learner, LearnSettings, PixelSampler
-from hypose.gestures.session import SessionSettings
-from hypose.gestures.trainer import Trainer, balanced
+from hypose.gestures.trainer import SessionSettings, Trainer, balanced
 
 from .test_model import toy_examples
 from .toys import LENS

@@ -2,9 +2,10 @@
 
 import numpy as np
 
+from hypose.compute import forest_votes
+from hypose.compute.forests import pad_depth
 from hypose.gestures.depth_pictures import DepthLens
 from hypose.gestures.forest import ForestSettings, GrowingForest
-from hypose.gestures.localise import pad
 
 LENS = DepthLens(200.0, 200.0, 99.5, 74.5)
 SHAPE = (150, 200)
@@ -24,6 +25,17 @@ def toy(rng, distance=1200, holes=True):
     if holes:
         depth[rng.random(SHAPE) < 0.02] = 0
     return depth, (float(x), float(y)), (a, b, side)
+
+
+def padded(depth, reach_mm=150, reuse=None):
+    """The picture as forests read it."""
+    return pad_depth(depth, LENS.fx, 500, reach_mm, reuse)
+
+
+def probabilities(forest, picture, rows, columns):
+    """(S, C) mean shares of the leaves that pixels reach, eq. 3.1."""
+    reached = forest_votes.leaves(picture, picture.cells(rows, columns), forest.packed, forest.settings.clip)
+    return forest.packed.shares[np.arange(len(forest.left))[None], reached].mean(1) / 10000
 
 
 def samples(rng, where, square, n=12):
@@ -50,5 +62,5 @@ def more(forest, rng, frames):
     picture = None
     for _ in range(frames):
         depth, where, square = toy(rng, int(rng.integers(900, 1600)))
-        picture = pad(depth, LENS, forest.settings.reach_mm, 500, picture)
+        picture = padded(depth, forest.settings.reach_mm, picture)
         forest.learn(picture, *samples(rng, (int(where[0]), int(where[1])), square))

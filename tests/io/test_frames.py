@@ -23,7 +23,6 @@ from hypose.io.recordings.frames import (
     FrameSettings,
     FrameStream,
     PackedMask,
-    build_backgrounds,
     working_rig,
     write_masks,
 )
@@ -233,20 +232,6 @@ def test_key_points_of_image_pixels_are_scaled(film, tmp_path):
     r = replace(recording, rig=big, views=views, keypoint_set="BODY_25", keypoint_pixels="image")
     with FrameStream(r, FrameSettings(longer_side=320, silhouettes=None)) as stream:
         assert stream.frame(3).keypoints.points[1, 0, 0] == pytest.approx(53, abs=1e-6)
-
-
-def test_background_from_the_tracked_model_alone(film):
-    recording, truth = film
-    views = tuple(replace(v, background=None) for v in recording.views)
-
-    def covers(view, frame):
-        return cv2.dilate(truth[view, frame], np.ones((9, 9), np.uint8))
-
-    with_model = FrameStream(replace(recording, views=views), OPTIONS, covers=covers)
-    with with_model as stream:
-        got = [iou(m, truth[c, 4]) for c, m in enumerate(stream.frame(4).silhouettes.masks)]
-    assert min(got) > 0.85
-    assert "who stands still" in build_backgrounds(replace(recording, views=views), OPTIONS)[0].note
 
 
 # ---- real recordings -----------------------------------------------------------------------------------------

@@ -87,9 +87,7 @@ def test_key_points_of_other_programs_are_numbered_by_the_stored_frames(tmp_path
         (tmp_path / "pose").mkdir(exist_ok=True)
         (tmp_path / "pose" / f"x_{k:04d}_keypoints.json").write_text(json.dumps({"people": people}))
     found = recording(tmp_path, [STEADY, WAYS["lost"]], 'keypoints = "pose"\n')
-    steady, lost = (
-        np.array([k.frame(n, (64, 48))[0, 0, 0] for n in range(80)]) for k in keypoints_of_recording(found)[0]
-    )
+    steady, lost = (np.array([k.frame(n, (64, 48))[0, 0, 0] for n in range(80)]) for k in keypoints_of_recording(found))
     stored = np.searchsorted(WAYS["lost"], STEADY[:80] + 1e-6, side="right") - 1
     assert np.allclose(steady, 1 + 0.5 * np.arange(80)) and np.allclose(lost, 1 + 0.5 * stored)
 

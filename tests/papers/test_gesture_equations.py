@@ -11,9 +11,9 @@ from benchmarks.papers.offline_forests import OfflineSettings, Pool, train_offli
 from hypose.compute import forest_votes, forests
 from hypose.compute.forests import UNCLIPPED_MM
 from hypose.gestures.forest import ForestSettings, GrowingForest
-from hypose.gestures.localise import LocaliseSettings, Scratch, pad, settle
-from hypose.gestures.session import Session, SessionSettings, advance, update_maximum
-from tests.gestures.toys import LENS, grown, samples, toy
+from hypose.gestures.localise import LocaliseSettings, Scratch, settle
+from hypose.gestures.trainer import Session, SessionSettings, advance, update_maximum
+from tests.gestures.toys import LENS, grown, padded, probabilities, samples, toy
 
 FAR = 10000
 
@@ -38,7 +38,7 @@ def f_printed(depth, y, x, u, v, kappa):
 @pytest.mark.parametrize("kappa", [150, 300, UNCLIPPED_MM])
 def test_equations_3_3_and_3_6_what_a_test_reads(kappa, rng):
     depth, _, _ = toy(rng)
-    picture = pad(depth, LENS, 150, 500)
+    picture = padded(depth)
     rows, columns = (rng.integers(0, n, 400) for n in depth.shape)
     different = 0
     for y, x, cell in zip(rows, columns, picture.cells(rows, columns), strict=True):
@@ -48,9 +48,7 @@ def test_equations_3_3_and_3_6_what_a_test_reads(kappa, rng):
         u, v = rng.integers(-150, 151, 2), rng.integers(-150, 151, 2)
         v = v if rng.random() < 0.5 else 0 * v
         scale = np.float32(LENS.fx / d)
-        found = forests.response(
-            picture.values.ravel(), picture.values.shape[1], np.uint64(cell), d, scale, d - kappa, d + kappa, *u, *v
-        )
+        found = forests.response(picture.flat, picture.width, np.uint64(cell), d, scale, d - kappa, d + kappa, *u, *v)
         # single precision may round an offset to the next pixel
         different += found != f_printed(depth, int(y), int(x), u, v, kappa)
     assert different <= 4
@@ -61,7 +59,7 @@ def test_equation_3_1_probabilities_are_means_over_the_leaves_that_are_reached(r
     depth, _, _ = toy(rng)
     rows, columns = np.nonzero(depth)
     chosen = rng.choice(len(rows), 150, replace=False)
-    found = forest.probabilities(pad(depth, LENS, 150, 500), rows[chosen], columns[chosen])
+    found = probabilities(forest, padded(depth), rows[chosen], columns[chosen])
     near = 0
     for y, x, p in zip(rows[chosen].tolist(), columns[chosen].tolist(), found, strict=True):
         shares = []
@@ -177,7 +175,7 @@ def test_algorithm_6_an_online_forest_grows_as_printed(rng):
     for _ in range(25):
         depth, (x, y), square = toy(rng, 1000)
         rows, columns, labels = samples(rng, (int(x), int(y)), square, 6)
-        forest.learn(pad(depth, LENS, settings.reach_mm, 500), rows, columns, labels)
+        forest.learn(padded(depth, settings.reach_mm), rows, columns, labels)
         for r, c, label in zip(rows.tolist(), columns.tolist(), labels.tolist(), strict=True):
             if depth[r, c] < 500:
                 continue

@@ -96,5 +96,5 @@ def test_frames_in_the_middle_keep_their_numbers(folder):
     with FrameStream(again) as stream:
         assert stream.frame(5).silhouettes.usable.all()
         assert not stream.frame(2).silhouettes.usable.any()
-    view = keypoints_of_recording(again)[0][0]
+    view = keypoints_of_recording(again)[0]
     assert view.first == 0 and len(view.frame(5, SIZE)) == 1 and view.frame(2, SIZE) is None

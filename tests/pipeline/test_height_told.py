@@ -3,18 +3,18 @@
 import numpy as np
 import pytest
 
+from benchmarks.synthetic.noisy_masks import noisy_scene
 from hypose.body.default_body import human
 from hypose.pipeline.assessment import UNTRUSTED
 from hypose.pipeline.run import track_source
 from hypose.pipeline.subject_from_motion import measured_height
 from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.track_options import TrackOptions
-from hypose.synthetic.scenes import make_scene
 
 
 @pytest.fixture(scope="module")
 def scene():
-    return make_scene("wave", rig="ring-3", seconds=1.6, seed=53, corruption=("level-1",))
+    return noisy_scene("wave", rig="ring-3", seconds=1.6, seed=53)
 
 
 @pytest.mark.slow

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.synthetic.noisy_masks import noisy_scene
 from benchmarks.synthetic.spoilt_keypoints import noisy, spoilt
 from hypose.calibration.diagnose_masks import focal_by_points, focal_findings
 from hypose.calibration.diagnose_points import mirrored_names
@@ -22,7 +23,7 @@ BALANCING = Path(__file__).parents[3] / "shared" / "data" / "pose2sim_balancing"
 
 @pytest.fixture(scope="module")
 def frames():
-    scene = make_scene("walk", rig="humaneva-4", seconds=1.0, seed=40, corruption=("level-1",))
+    scene = noisy_scene("walk", rig="humaneva-4", seconds=1.0, seed=40)
     return list(scene.mask_frames(0.5, keypoints=True))
 
 
@@ -62,7 +63,7 @@ def kinds(frames, evidence="keypoints", height=None):
 @pytest.mark.parametrize("seed", [41, 42])
 @pytest.mark.parametrize("motion", ["walk", "sit_down", "serve"])
 def test_what_is_right_is_left_alone(motion, seed):
-    scene = make_scene(motion, rig="humaneva-4", seconds=1.0, seed=seed, corruption=("level-1",))
+    scene = noisy_scene(motion, rig="humaneva-4", seconds=1.0, seed=seed)
     frames = list(scene.mask_frames(0.5, keypoints=True))
     assert [kinds(frames, evidence) for evidence in ("silhouettes", "keypoints", "both")] == [[], [], []]
 
@@ -173,7 +174,7 @@ def test_a_real_recording_is_left_alone_and_told_when_its_set_is_wrong():
 @pytest.mark.slow
 @pytest.mark.parametrize(("evidence", "factor"), [("silhouettes", 0.88), ("keypoints", 1.13)])
 def test_all_focal_lengths_wrong_are_told_where_the_person_walks(evidence, factor):
-    scene = make_scene("walk", rig="humaneva-4", seconds=3.0, seed=43, corruption=("level-1",))
+    scene = noisy_scene("walk", rig="humaneva-4", seconds=3.0, seed=43)
     frames = list(scene.mask_frames(0.5, keypoints=True))
     assert kinds(frames, evidence) == []
     zoomed = np.array([[factor, 1, 1], [1, factor, 1], [1, 1, 1]])
@@ -190,7 +191,7 @@ def test_a_wrong_focal_length_of_two_views_cannot_be_told(frames):
 
 
 def test_a_height_that_is_known_tells_what_the_views_do_not():
-    scene = make_scene("walk", rig="humaneva-4", seconds=1.0, seed=40, corruption=("level-1",))
+    scene = noisy_scene("walk", rig="humaneva-4", seconds=1.0, seed=40)
     tall = float(np.ptp(scene.subject.vertices[:, 2]))
     right = [replace(f, silhouettes=None) for f in scene.mask_frames(0.5, keypoints=True)]
     assert check_inputs(FrameList(right), "keypoints", tall) == ()

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from benchmarks.synthetic.noisy_masks import noisy_scene
 from hypose.evidence.frame import Frame
 from hypose.pipeline.assessment import GOOD, assess
 from hypose.pipeline.run import track_source
@@ -10,7 +11,6 @@ from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.metrics import EVALUATED, population_offsets, with_offsets
 from hypose.synthetic.performance import Angles, Stance, moved, perform
-from hypose.synthetic.scenes import make_scene
 from hypose.synthetic.subjects import load_subjects
 from hypose.tracking.error_model import judged
 from hypose.tracking.joint_features import audit_frame
@@ -33,7 +33,7 @@ def dancer():
     times = np.arange(2) / 25
     course = {name: np.full(2, float(v)) for name, v in POSE.items()}
     dance = moved(perform(Angles("dance", times, course, Stance(0.15, -0.25, 0.12)), subject), 2.1)
-    scene = make_scene(dance, subject, "ring-8", seed=11, corruption=("level-1",))
+    scene = noisy_scene(dance, subject, "ring-8", seed=11)
     frame = next(scene.mask_frames(0.5))
     return scene, frame, track_source(FrameList([frame]), 25.0, TrackOptions())
 

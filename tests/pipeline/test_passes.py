@@ -70,17 +70,19 @@ def test_a_fault_planted_in_a_pass_is_named(stage, frames, subject, tmp_path, mo
 
 
 def test_a_fault_planted_in_the_search_of_a_frame_is_named(frames, subject, tmp_path, monkeypatch):
-    own = passes.track_frames
+    own = passes.track_clip
 
-    def spoilt(*arguments, **more):
-        done, j = own(*arguments, **more), subject.body.skeleton.joint_names.index(JOINT)
+    def spoilt(clip):
+        clip, j = own(clip), subject.body.skeleton.joint_names.index(JOINT)
+        estimates = clip.tracked.estimates
         for t in FRAMES:
-            moved = done.estimates[t].moved.copy()
+            moved = estimates[t].moved.copy()
             moved[j] = 0.4
-            done.estimates[t] = replace(done.estimates[t], moved=moved, origin="by limb search")
-        return done
+            estimates[t] = replace(estimates[t], moved=moved, origin="by limb search")
+        return clip
 
-    monkeypatch.setattr(passes, "track_frames", spoilt)
+    planned = tuple(spoilt if step is own else step for step in passes.PASSES)
+    monkeypatch.setattr("hypose.pipeline.run.PASSES", planned)
     lines = explained(frames, subject, tmp_path)
     assert any(line.startswith("  track_clip: up to 400 mm in frames 5 to 7: the limb search") for line in lines)
 

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
+from benchmarks.synthetic.noisy_masks import noisy_scene
 from hypose.pipeline.first_frame import SubjectOptions, find_subject
-from hypose.synthetic.scenes import make_scene
 
 
 @pytest.mark.slow
 def test_the_body_of_somebody_who_walks_is_found_in_its_size():
-    scene = make_scene("walk", "neutral", "humaneva-4", seconds=2.4, seed=1, corruption=("level-1",))
+    scene = noisy_scene("walk", "neutral", "humaneva-4", seconds=2.4, seed=1)
     frames = list(scene.mask_frames(1.0))
     found = find_subject(lambda k: frames[k], len(frames), SubjectOptions("hull", frame_rate=25.0))
     assert found.body.stature == pytest.approx(scene.subject.stature, rel=0.03)

@@ -1,11 +1,14 @@
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
+from benchmarks.synthetic.noisy_masks import noisy
 from hypose.body.default_body import JOINT_NAMES
 from hypose.errors import InputError
 from hypose.synthetic.motions import act
+from hypose.synthetic.render_rgb import Sensor, shadow_mask
 from hypose.synthetic.scenes import RIG_NAMES, camera_rig, make_scene
 
 RIGS = [n.replace("ring-N", "ring-6") for n in RIG_NAMES]
@@ -56,7 +59,7 @@ def test_true_joints_lie_inside_the_clean_silhouettes(person, name):
 
 
 def test_same_seed_same_scene_in_any_order(person):
-    a, b = scene(person, ("level-1",)), scene(person, ("level-1",))
+    a, b = noisy(scene(person)), noisy(scene(person))
     fa, fb = list(a.mask_frames(0.5)), list(b.mask_frames(0.5))
     assert all(np.array_equal(x.silhouettes.masks, y.silhouettes.masks) for x, y in zip(fa, fb, strict=True))
     late = b.rgb_frame(1, 7)
@@ -114,16 +117,12 @@ def test_calibration_error_disturbs_only_what_the_user_gets(person):
 
 
 def test_pictures_differ_from_the_empty_room_exactly_where_body_and_shadow_are(person):
-    from hypose.synthetic.render_rgb import Sensor, shadow_mask
-
     s = replace(scene(person), sensor=Sensor(noise_sd=0.0, drift=0.0))
     for c in (0, 3):
         room = s.background_frames(c, 1)[0].astype(int)
         changed = np.abs(s.rgb_frame(c, 6).astype(int) - room).max(2) > 6
         body = s.clean_mask(c, 6) > 0
         shadow = shadow_mask(s.rig[c], s.subject.faces, s.vertices(6)) > 0
-        import cv2
-
         near = cv2.dilate((body | shadow).astype(np.uint8), np.ones((9, 9), np.uint8)) > 0
         assert not (changed & ~near).any()
         assert (changed & body).sum() > 0.9 * body.sum()
@@ -131,8 +130,6 @@ def test_pictures_differ_from_the_empty_room_exactly_where_body_and_shadow_are(p
 
 
 def test_distorted_pictures_agree_with_the_undistorted_masks(person):
-    import cv2
-
     s = scene(person, distorted=True)
     camera = s.rig[1]
     maps = camera.undistort_maps(camera.size)

@@ -38,15 +38,17 @@ def record(
     seed: Seed = 0,
 ) -> None:
     """Record a session with its prompts without learning; train from it later."""
-    from hypose.app.jobs.gesture_job import record_session, typed_commands
+    from hypose.app.jobs.gesture_job import follow_session, new_learner, typed_commands
     from hypose.app.live.gesture_sources import open_source
     from hypose.gestures.model import check_gesture_name
-    from hypose.gestures.session import SessionSettings
+    from hypose.gestures.trainer import SessionSettings, Trainer
 
     check_gesture_name(gesture)
-    settings, opened = SessionSettings(rounds=rounds), open_source(source, gesture, seed)
+    trainer, opened = Trainer(new_learner(0), SessionSettings(rounds=rounds)), open_source(source, gesture, seed)
     print_note(_LETTERS)
-    record_session(opened, gesture, settings, record=out, commands=typed_commands(), say=print_note)
+    about = {"record": out, "commands": typed_commands(), "say": print_note, "learn": False}
+    for _ in follow_session(opened, gesture, trainer, **about):
+        pass
     say(f"Recorded: {out}")
 
 
@@ -73,7 +75,7 @@ def gesture_train(
     )
     from hypose.app.live.gesture_sources import open_source
     from hypose.gestures.model import check_gesture_name
-    from hypose.gestures.session import SessionSettings
+    from hypose.gestures.trainer import SessionSettings
     from hypose.io.files import check_writable
     from hypose.pipeline.gesture_files import read_recording, save_model
 
@@ -123,37 +125,34 @@ def gesture_run(
     seed: Seed = 0,
 ) -> None:
     """Watch for gestures without a screen: events as JSON lines on stdout, and to the outputs that the options name."""
-    from hypose.app.jobs.gesture_job import (
-        CommandOut,
-        OscOut,
-        Out,
-        WebSocketOut,
-        event_line,
-        looking,
-        thresholds,
-        watch,
-    )
+    from hypose.app.jobs import gesture_job
     from hypose.app.live.gesture_sources import open_source
+    from hypose.app.live.osc import OscTarget
+    from hypose.app.live.servers import SocketListeners
     from hypose.gestures.events import EventSettings
     from hypose.pipeline.gesture_files import load_model
 
     loaded = [load_model(m) for m in models]
-    limits = [EventSettings(t, hold_s=hold, refractory_s=rest) for t in thresholds(loaded, threshold)]
-    names = [n for m in loaded for n in m.names]
+    least = gesture_job.thresholds(loaded, threshold)
+    limits = [EventSettings(t, hold_s=hold, refractory_s=rest) for t in least]
+    names, settings = [n for m in loaded for n in m.names], gesture_job.looking(loaded, adaptation_rate)
     with stopping(), contextlib.ExitStack() as opened:
-        outs: list[Out] = []
-        if osc is not None:
-            outs.append(opened.enter_context(contextlib.closing(OscOut(osc, names, [s.threshold for s in limits]))))
+        target = None if osc is None else opened.enter_context(contextlib.closing(OscTarget(osc)))
+        listeners = None
         if ws is not None:
-            outs.append(opened.enter_context(contextlib.closing(WebSocketOut(ws, names))))
-        if command is not None:
-            outs.append(opened.enter_context(contextlib.closing(CommandOut(command, names))))
+            listeners = opened.enter_context(contextlib.closing(SocketListeners(ws, gesture_job.WAITING)))
+        begun = None if command is None else gesture_job.EventCommand(command, names)
         pictures = open_source(source, names[0], seed)
-        for k, watched in enumerate(watch(pictures, loaded, looking(loaded, adaptation_rate), limits, print_note), 1):
+        for k, watched in enumerate(gesture_job.watch(pictures, loaded, settings, limits, print_note), 1):
             for event in watched.events:
-                print(event_line(event, names), flush=True)
-            for out in outs:
-                out.send(watched)
+                print(gesture_job.event_line(event, names), flush=True)
+            if target is not None:
+                target.send(gesture_job.gesture_osc(watched, names, least))
+            if listeners is not None:
+                for line in gesture_job.gesture_lines(watched, names):
+                    listeners.post(line)
+            if begun is not None:
+                begun.run(watched)
             if frames and k >= frames:
                 break
 

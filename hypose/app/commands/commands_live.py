@@ -133,7 +133,7 @@ class _StatusReporter:
     def status(self, status: LiveStatus) -> None:
         """Print what has changed."""
         if status.phase != self._phase:
-            print_note(f"{status.phase.capitalize()}.")
+            print_note(status.phase.replace("_", " ").capitalize() + ".")
         failed = () if self._recorder is None or not self._recorder.failed else (self._recorder.failed,)
         words = (*status.words, *failed)
         known = {_SINCE.sub("", text) for text in self._words}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,12 +11,7 @@ from rich.table import Table
 
 from hypose.app.commands.console import ProgressCall, each, ignore, titled_table
 from hypose.app.reports.calibration_pages import residual_picture, write_check_page
-from hypose.app.reports.result_pictures import (
-    Drawing,
-    draw_all,
-    open_images,
-    tile_layout,
-)
+from hypose.app.reports.result_pictures import Canvas, Drawing, open_images
 from hypose.calibration.diagnostics import Cured, PersonReport, examine
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.frame import Silhouettes
@@ -34,6 +28,7 @@ from hypose.pipeline.recording_diagnostics import observe_recording
 _LOW_IOU = 0.6  # hull against mask: below this a view contradicts the others
 _HEIGHTS = (0.5, 2.6)  # m: what a person's hull can measure
 _FIGURES = ("name", "residual_px", "left_out_px", "tangency_px")
+_SHEET_WIDTH = 1600  # px
 _LARGE, _SMALL = 0.5, 0.001  # share of the picture that a mask of one person covers at most and at least
 
 
@@ -247,26 +242,17 @@ def write_sheet(recording: Recording, source: FrameStream, path: Path, count: in
     """Write a picture of `count` frames, one below the other, each with all views and the outlines of the masks."""
     rows = np.unique(np.linspace(0, len(source) - 1, min(count, len(source))).astype(int)).tolist()
     numbers = recording.frames
-    images = open_images(recording)
-    try:
-        plan = tile_layout([v.size for v in images])
-        pictures = []
+    with open_images(recording) as images:
+        canvas, pictures = Canvas(recording, images), []
         for row in rows:
             what = Drawing(None, None, source.frame(row).silhouettes, f"frame {numbers[row]}")
-            pictures.append(draw_all([v.read(numbers[row]) for v in images], recording, plan, None, what))
-    finally:
-        for view in images:
-            view.close()
-    write_image(path, _stack(pictures))
-
-
-def _stack(pictures: Sequence[Image]) -> Image:
+            pictures.append(canvas.draw([v.read(numbers[row]) for v in images], None, what).copy())
     picture = np.concatenate(pictures)
     h, w = picture.shape[:2]
-    scale = min(1.0, 1600 / w)
-    if scale < 1:
-        picture = cv2.resize(picture, (round(w * scale), round(h * scale)), interpolation=cv2.INTER_AREA)
-    return np.asarray(picture, np.uint8)
+    if w > _SHEET_WIDTH:
+        size = _SHEET_WIDTH, round(h * _SHEET_WIDTH / w)
+        picture = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)
+    write_image(path, picture)
 
 
 def check_picture(path: Path, option: str) -> None:

@@ -67,20 +67,6 @@ class PersonResult:
     assessment: Assessment
 
 
-@dataclass(frozen=True)
-class FuseOutcome:
-    """Result of a fusion.
-
-    people: in the order of appearance.
-    notes: for the user.
-    complete: False after Ctrl-C.
-    """
-
-    people: tuple[PersonResult, ...]
-    notes: tuple[str, ...]
-    complete: bool
-
-
 def fuse(c: FuseCommand) -> None:
     """Fuse skeletons of sensors: live, with cameras, or from a recording (`hypose fuse`)."""
     if c.live:
@@ -110,42 +96,38 @@ def fuse(c: FuseCommand) -> None:
     results = ResultsFolder(c.out) if c.out is not None else ResultsFolder.of(folder, name)
     nothing = "Stopped before anything was fused, so nothing was kept. Start again with the same command."
     with stopping(nothing), claimed(results.path), Stages() as progress:
-        outcome = run_fuse(loaded, results, c, progress)
-    _closing(outcome, loaded.name, len(loaded.streams), results.path)
-    if not outcome.complete:
+        people, notes, complete = run_fuse(loaded, results, c, progress)
+    print_notes(notes)
+    if not complete:
+        kept = ", ".join(str(f) for p in people for f in p.files)
+        say(f"Stopped. Kept: {kept or 'nothing'}. Start again with the same command.")
         raise Exit(130)
-    if all(p.motion.lost.all() for p in outcome.people):
-        require_found(outcome.people[0].motion, loaded.name, results.path)
-    names = [f"person-{n + 1}" if len(outcome.people) > 1 else "" for n in range(len(outcome.people))]
-    print_assessments({name: p.assessment for name, p in zip(names, outcome.people, strict=True)})
-
-
-def _closing(outcome: FuseOutcome, name: str, sensors: int, folder: Path) -> None:
-    print_notes(outcome.notes)
-    if not outcome.complete:
-        kept = [str(f) for p in outcome.people for f in p.files]
-        say(f"Stopped. Kept: {', '.join(kept) if kept else 'nothing'}. Start again with the same command.")
-        return
-    for n, p in enumerate(outcome.people):
+    for n, p in enumerate(people, 1):
         m = p.motion
-        who = f"{name}, person {n + 1}" if len(outcome.people) > 1 else name
         parts = [
-            f"{len(m)} frames of {sensors} sensors at {m.frame_rate:g} Hz",
+            f"{len(m)} frames of {len(loaded.streams)} sensors at {m.frame_rate:g} Hz",
             f"{int(m.lost.sum())} lost",
             f"{float(m.n_views.mean()):.1f} sensors on average",
         ]
         if np.isfinite(m.joint_sd).any():
             parts.append(f"median joint sd {1000 * float(np.nanmedian(m.joint_sd)):.1f} mm")
-        say(f"{who}: " + ", ".join(parts))
-    say(f"Results: {folder}")
+        say(f"{loaded.name}{f', person {n}' if len(people) > 1 else ''}: " + ", ".join(parts))
+    say(f"Results: {results.path}")
+    if all(p.motion.lost.all() for p in people):
+        require_found(people[0].motion, loaded.name, results.path)
+    print_assessments({f"person-{n}" if len(people) > 1 else "": p.assessment for n, p in enumerate(people, 1)})
 
 
 def run_fuse(
     recording: SkeletonRecording, results: ResultsFolder, c: FuseCommand, progress: ProgressCall = ignore
-) -> FuseOutcome:
+) -> tuple[list[PersonResult], list[str], bool]:
     """Synchronise, match persons, register, fuse and write. Each person's motion is written before the next one is
     fused, and is kept after Ctrl-C.
 
+    recording: skeletons of all sensors.
+    results: folder for one person; with several, a folder person-1, person-2, ... in it for each.
+    c: options of the user.
+    Returns: the people in the order of appearance; notes for the user; and whether all is done (False after Ctrl-C).
     Raises: InputError names the input that cannot be used.
     """
     formats = split_names(c.formats)
@@ -171,9 +153,9 @@ def run_fuse(
             notes.append(f"{name}: it shares too little with the other sensors to be registered, so it is not used")
         elif residual > 0:
             notes.append(f"{name}: joints {1000 * residual:.0f} mm (median) from the reference sensor's")
-    several, total = len(people) > 1, len(people) * len(times)
-    folders = [ResultsFolder(results.path / f"person-{n + 1}") for n in range(len(people))]
-    folders = folders if several else [results]
+    total, folders = len(people) * len(times), [results]
+    if len(people) > 1:
+        folders = [ResultsFolder(results.path / f"person-{n + 1}") for n in range(len(people))]
     settings = FusionSettings(method=c.method, diagnose=c.diagnose, seed=c.seed)
     done: list[PersonResult] = []
     world: Array | None = None
@@ -201,8 +183,8 @@ def run_fuse(
             files = export_motion(person.motion, cast(Body, None), person.files[0].parent, formats)
             done[n] = replace(person, files=(*person.files, *files))
     except KeyboardInterrupt:
-        return FuseOutcome(tuple(done), tuple(notes), False)
-    return FuseOutcome(tuple(done), tuple(notes), True)
+        return done, notes, False
+    return done, notes, True
 
 
 # ---- streams -------------------------------------------------------------------------------------------------
@@ -216,19 +198,13 @@ def _ordered(recording: SkeletonRecording, c: FuseCommand) -> list[SensorStream]
         joint_set(s.joint_names)  # an InputError for an unknown set, which must name the sensor's file
     if all(s.joint_names == first.joint_names for s in streams):
         return streams
-    return [_common(s) for s in streams]
-
-
-def _common(stream: SensorStream) -> SensorStream:
-    pick = joint_set(stream.joint_names).common
-    depth = None if stream.joint_depth is None else stream.joint_depth[:, :, pick]
-    return replace(
-        stream,
-        positions=stream.positions[:, :, pick],
-        state=stream.state[:, :, pick],
-        joint_names=COMMON,
-        joint_depth=depth,
-    )
+    out = []
+    for s in streams:
+        pick = joint_set(s.joint_names).common
+        depth = None if s.joint_depth is None else s.joint_depth[:, :, pick]
+        picked = {"positions": s.positions[:, :, pick], "state": s.state[:, :, pick], "joint_depth": depth}
+        out.append(replace(s, joint_names=COMMON, **picked))
+    return out
 
 
 def _on_one_clock(streams: Sequence[SensorStream], notes: list[str]) -> list[SensorStream]:

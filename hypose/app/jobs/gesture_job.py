@@ -10,17 +10,16 @@ import shutil
 import subprocess
 import sys
 import threading
-import time as clock
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
+from typing import Any
 
 import numpy as np
+from pythonosc.osc_message import OscMessage
 
-from hypose.app.live.gesture_sources import GestureSource, Taken
-from hypose.app.live.osc import OscTarget, osc_message
-from hypose.app.live.servers import SocketListeners
+from hypose.app.live.gesture_sources import GestureSource
+from hypose.app.live.osc import osc_message
 from hypose.compute.forest_votes import ScanPlan
 from hypose.errors import EvidenceError, InputError
 from hypose.gestures.depth_pictures import surface_depth
@@ -29,8 +28,7 @@ from hypose.gestures.forest import Forest, ForestSettings, GrowingForest
 from hypose.gestures.localise import Localisation, LocaliseSettings, Scratch, localise
 from hypose.gestures.model import GestureModel
 from hypose.gestures.online import Learner
-from hypose.gestures.session import Command, Instruction, SessionSettings
-from hypose.gestures.trainer import Feedback, Trainer
+from hypose.gestures.trainer import Command, Feedback, SessionSettings, Trainer
 from hypose.pipeline.gesture_files import GestureRecording, SessionWriter, content_of, load_model
 
 _Say = Callable[[str], None]
@@ -110,69 +108,54 @@ def run_session(
     say: _Say,
     model: GestureModel | None = None,
 ) -> GestureModel:
-    """Run an interactive session until its test begins or the source ends; return the trained model.
+    """Run an interactive session until its test begins or the source ends, and train a forest on it.
 
-    learner: is trained.
-    record: folder for the recording; None: nothing is recorded.
+    source: depth pictures; closed at the end.
+    gesture: name of the gesture.
+    learner: forest that is trained.
+    settings: lengths and number of the phases.
+    record: new folder for the recording; None: nothing is recorded.
     commands: gives the commands since the last call.
     say: prints a sentence.
     model: older model whose history is continued.
+    Returns: the trained model; its threshold is None where gesture and other movement were not both seen.
     Raises: InputError where nothing was learned.
     """
     trainer = Trainer(learner, settings)
-    counts = _follow(source, gesture, trainer, record=record, commands=commands, say=say, learn=True)
+    asked = learned = taught = 0
+    for f in follow_session(source, gesture, trainer, record=record, commands=commands, say=say):
+        wanted, used = f.instruction.learn == "gesture", f.taught is not None
+        asked, learned, taught = asked + wanted, learned + (wanted and used), taught + used
     where = _range(learner.settings.look.plan)
-    if not counts.learned and (
-        counts.asked or not learner.strength
-    ):  # a forest that knows the gesture may learn other movement only
+    if not learned and (asked or not learner.strength):  # a forest of the gesture may learn other movement only
         raise InputError(
-            f"Nothing was learned from {source.name}: {counts.asked} frames asked for the gesture, and none had depth "
-            f"{where} in the box; come nearer, and keep the gesture in the box."
+            f"Nothing was learned from {source.name}: {asked} frames asked for the gesture, and none had depth {where} "
+            "in the box; come nearer, and keep the gesture in the box."
         )
-    if 2 * counts.learned < counts.asked:
-        say(f"Only {counts.learned} of {counts.asked} frames of the gesture had depth {where} in the box.")
-    entry = {"session": source.name, "frames_learned": counts.taught, "computing_s": round(counts.seconds, 3)}
+    if 2 * learned < asked:
+        say(f"Only {learned} of {asked} frames of the gesture had depth {where} in the box.")
+    entry = {"session": source.name, "frames_learned": taught}
     if record is not None:
         entry["content"] = content_of(record)
-    history = (*(model.history if model is not None else ()), entry)
-    threshold = trainer.final_threshold()
-    return GestureModel((gesture,), trainer.learner.forest, (threshold,), LocaliseSettings(), trainer.learner, history)
+    return _model(gesture, trainer, model, [entry])
 
 
-def record_session(
-    source: GestureSource,
-    gesture: str,
-    settings: SessionSettings,
-    *,
-    record: Path,
-    commands: Callable[[], list[Command]] = list,
-    say: _Say,
-) -> None:
-    """Record a session with its prompts, without learning."""
-    _follow(source, gesture, Trainer(new_learner(0), settings), record=record, commands=commands, say=say, learn=False)
+def _model(gesture: str, trainer: Trainer, old: GestureModel | None, entries: Sequence[dict[str, Any]]) -> GestureModel:
+    """Make the model of a trained forest.
+
+    old: model that was trained further; None: a new one.
+    entries: what was learned this time, for the history of the model.
+    """
+    history = (*(() if old is None else old.history), *entries)
+    learner = trainer.learner
+    return GestureModel((gesture,), learner.forest, (trainer.final_threshold(),), LocaliseSettings(), learner, history)
 
 
 def _range(plan: ScanPlan) -> str:
     return f"between {plan.near_mm / 1000:g} and {plan.far_mm / 1000:g} m"
 
 
-@dataclass(frozen=True)
-class _Counts:
-    """Counts of a session.
-
-    asked: frames that asked for the gesture.
-    learned: frames of the gesture that were learned.
-    taught: all frames that were learned.
-    seconds: of computing.
-    """
-
-    asked: int
-    learned: int
-    taught: int
-    seconds: float
-
-
-def _follow(
+def follow_session(
     source: GestureSource,
     gesture: str,
     trainer: Trainer,
@@ -180,58 +163,44 @@ def _follow(
     record: Path | None,
     commands: Callable[[], list[Command]],
     say: _Say,
-    learn: bool,
-) -> _Counts:
-    """Lead through a session until its test begins or the source ends."""
+    learn: bool = True,
+) -> Iterator[Feedback]:
+    """Lead through a session, and yield the feedback on each frame until its test begins or the source ends.
+
+    Arguments: as for `run_session`. trainer: runs the phases. learn: False records only.
+    """
     writer, rounds = None, trainer.settings.rounds
     if record is not None:
         writer = SessionWriter(record, [gesture], source.lens, source.size, {"rounds": rounds})
-    box = (source.size[0] / 2, 0.45 * source.size[1])
-    shown, phase, asked, learned, taught, seconds = "", "do_gesture", 0, 0, 0, 0.0
+    box, shown, phase = (source.size[0] / 2, 0.45 * source.size[1]), "", "do_gesture"
     try:
-        while trainer.session.phase != "test":
-            taken = source.take(phase)
-            if taken is None:
-                break
-            given, before = commands(), trainer.session
-            box, began = taken.box or box, clock.perf_counter()
+        while trainer.session.phase != "test" and (taken := source.take(phase)) is not None:
+            given, before, box = commands(), trainer.session, taken.box or box
             f = trainer.frame(taken.time, taken.depth, source.lens, box, given, learn=learn)
-            seconds += clock.perf_counter() - began
-            asked += f.instruction.learn == "gesture"
-            learned += f.instruction.learn == "gesture" and f.taught is not None
-            taught += f.taught is not None
-            phase = f.instruction.phase
+            now, session = f.instruction, trainer.session
+            phase = now.phase
             if writer is not None:
-                _write(writer, taken, box, f.instruction)
+                paused = now.learn is None and phase in ("positive", "negative")
+                kept, is_gesture = "free" if paused else phase, int(now.learn == "gesture")
+                writer.add(taken.time, taken.depth, kept, now.segment, is_gesture, box)
                 for c in given:
-                    undone = trainer.session.undone[len(before.undone) :] if c == "undo" else ()
+                    undone = session.undone[len(before.undone) :] if c == "undo" else ()
                     writer.act(taken.time, c, str(undone[0]) if undone else "")
-            text = f"round {trainer.session.round + 1}/{rounds}: {f.instruction.prompt}"
+            text = f"round {session.round + 1}/{rounds}: {now.prompt}"
             if text != shown:
-                say(text + _detail(f))
+                known = phase != "test" and f.threshold is not None
+                say(text + (f" (threshold {in_cm2(f.threshold)})" if known else ""))
                 shown = text
+            yield f
     finally:
         if writer is not None:
             writer.close()
         source.close()
-    return _Counts(asked, learned, taught, seconds)
-
-
-def _write(writer: SessionWriter, taken: Taken, box: tuple[float, float], asked: Instruction) -> None:
-    learning = asked.learn is not None
-    phase = asked.phase if learning or asked.phase not in ("positive", "negative") else "free"  # paused
-    writer.add(taken.time, taken.depth, phase, asked.segment, int(asked.learn == "gesture"), box)
 
 
 def in_cm2(threshold: float | None) -> str:
     """Format a threshold with three significant digits, since small gestures score less than 0.1 cm²."""
     return "not known yet" if threshold is None else f"{threshold:.3g} cm²"
-
-
-def _detail(f: Feedback) -> str:
-    if f.instruction.phase == "test" or f.threshold is None:
-        return ""
-    return f" (threshold {in_cm2(f.threshold)})"
 
 
 def learn_recordings(
@@ -260,10 +229,8 @@ def learn_recordings(
         say(f"pass {k + 1} of {passes}: {seen} frames learned")
     if not shown and (asked or not learner.strength):
         raise InputError(_NOTHING.format(gesture=gesture, where=_range(learner.settings.look.plan)))
-    history = tuple({"recording": r.folder.name, "passes": passes, "content": r.content} for r in recordings)
-    history = (*(old.history if old is not None else ()), *history)
-    threshold = trainer.final_threshold()
-    return GestureModel((gesture,), learner.forest, (threshold,), LocaliseSettings(), learner, history)
+    entries = [{"recording": r.folder.name, "passes": passes, "content": r.content} for r in recordings]
+    return _model(gesture, trainer, old, entries)
 
 
 _NOTHING = (
@@ -405,8 +372,7 @@ def evaluate_model(model: GestureModel, recording: GestureRecording) -> dict[str
     return out
 
 
-# ---- gesture outputs -----------------------------------------------------------------------------------------------
-# Outputs for the events of gestures: JSON lines, OSC, WebSocket, commands of this computer.
+# ---- outputs -------------------------------------------------------------------------------------------------------
 
 
 MOST_COMMANDS = 8
@@ -429,73 +395,37 @@ def event_line(event: Event, names: Sequence[str]) -> str:
     return json.dumps(value)
 
 
-class Out(Protocol):
-    """Protocol of an output for gestures, such as OSC, a WebSocket or a command."""
+def gesture_osc(watched: Watched, names: Sequence[str], limits: Sequence[float]) -> list[OscMessage]:
+    """Build the OSC messages of one frame: /gesture/NAME score x y z, /gesture/NAME/start and /end with the score, and
+    Wekinator's /wek/outputs (each gesture's score over its threshold, at most 1).
 
-    def send(self, watched: Watched, /) -> None:
-        """Send the result of one frame."""
-        ...
-
-    def close(self) -> None:
-        """Close the output."""
-        ...
-
-
-class OscOut:
-    """Output of every frame by OSC: /gesture/NAME score x y z, /gesture/NAME/start and /end, and Wekinator's
-    /wek/outputs (each gesture's score over its threshold, at most 1).
+    watched: result of the frame; scores in cm^2, places in m (0 where they are not known).
+    names: of the gestures, by their number minus 1.
+    limits: thresholds of the gestures, cm^2.
     """
-
-    def __init__(self, target: str, names: Sequence[str], limits: Sequence[float]) -> None:
-        self._target = OscTarget(target)
-        self._names, self._limits = list(names), list(limits)
-
-    def send(self, watched: Watched) -> None:
-        """Send the result of one frame."""
-        messages = []
-        for f in watched.found:
-            p = (0.0, 0.0, 0.0) if f.position is None else tuple(float(v) for v in f.position)
-            messages.append(osc_message(f"/gesture/{self._names[f.gesture - 1]}", float(f.score), *p))
-        for e in watched.events:
-            messages.append(osc_message(f"/gesture/{self._names[e.gesture - 1]}/{e.kind}", float(e.score)))
-        shares = [min(1.0, f.score / limit) for f, limit in zip(watched.found, self._limits, strict=True)]
-        messages.append(osc_message("/wek/outputs", *shares))
-        self._target.send(messages)
-
-    def close(self) -> None:
-        """Close the socket."""
-        self._target.close()
+    messages = []
+    for f in watched.found:
+        p = (0.0, 0.0, 0.0) if f.position is None else tuple(float(v) for v in f.position)
+        messages.append(osc_message(f"/gesture/{names[f.gesture - 1]}", float(f.score), *p))
+    for e in watched.events:
+        messages.append(osc_message(f"/gesture/{names[e.gesture - 1]}/{e.kind}", float(e.score)))
+    shares = [min(1.0, f.score / limit) for f, limit in zip(watched.found, limits, strict=True)]
+    return [*messages, osc_message("/wek/outputs", *shares)]
 
 
-class WebSocketOut:
-    """Output as JSON to every client of ws://127.0.0.1:PORT: every event as on stdout, and every frame {"time",
-    "scores": {name: cm^2}}; see `SocketListeners`.
-    """
-
-    def __init__(self, port: int, names: Sequence[str]) -> None:
-        self._names, self._listeners = list(names), SocketListeners(port, WAITING)
-
-    @property
-    def port(self) -> int:
-        """The port of the server."""
-        return self._listeners.port
-
-    def send(self, watched: Watched) -> None:
-        """Send the result of one frame."""
-        scores = {self._names[f.gesture - 1]: round(f.score, 3) for f in watched.found}
-        self._listeners.post(json.dumps({"time": round(watched.time, 4), "scores": scores}))
-        for e in watched.events:
-            self._listeners.post(event_line(e, self._names))
-
-    def close(self) -> None:
-        """Send what was posted, and stop."""
-        self._listeners.close()
+def gesture_lines(watched: Watched, names: Sequence[str]) -> list[str]:
+    """Encode one frame as lines of JSON: {"time", "scores": {name: cm^2}}, and every event as on stdout."""
+    scores = {names[f.gesture - 1]: round(f.score, 3) for f in watched.found}
+    frame = json.dumps({"time": round(watched.time, 4), "scores": scores})
+    return [frame, *(event_line(e, names) for e in watched.events)]
 
 
-class CommandOut:
-    """Output that runs a command when a gesture starts, with {gesture} replaced by its name; with {event} in it, also
-    at ends (start, end). It runs without a shell, and nothing waits for it.
+class EventCommand:
+    """Command that runs when a gesture starts, with {gesture} replaced by its name; with {event} in it, also at ends
+    (start, end). It runs without a shell, and nothing waits for it.
 
+    text: the command and its arguments, quoted as in a shell.
+    names: of the gestures, by their number minus 1.
     Raises: InputError where there is no such program.
     """
 
@@ -509,20 +439,17 @@ class CommandOut:
         self._names, self._ends = list(names), "{event}" in text
         # the user's own program may import modules from its folder
         self._environment = {k: v for k, v in os.environ.items() if k != "PYTHONSAFEPATH"}
-        self._running: list[subprocess.Popen[bytes]] = []
+        self.running: list[subprocess.Popen[bytes]] = []
 
-    def send(self, watched: Watched) -> None:
+    def run(self, watched: Watched) -> None:
         """Run the command for the starts in one frame, and for the ends if it has {event}.
 
         While MOST_COMMANDS of them run, further events are left out.
         """
-        self._running = [p for p in self._running if p.poll() is None]
+        self.running = [p for p in self.running if p.poll() is None]
         for e in watched.events:
-            if (e.kind == "start" or self._ends) and len(self._running) < MOST_COMMANDS:
+            if (e.kind == "start" or self._ends) and len(self.running) < MOST_COMMANDS:
                 name = self._names[e.gesture - 1]
                 words = [w.replace("{gesture}", name).replace("{event}", e.kind) for w in self._words]
                 nowhere = subprocess.DEVNULL
-                self._running.append(subprocess.Popen(words, stdin=nowhere, stdout=nowhere, env=self._environment))
-
-    def close(self) -> None:
-        """Do nothing; running commands continue."""
+                self.running.append(subprocess.Popen(words, stdin=nowhere, stdout=nowhere, env=self._environment))

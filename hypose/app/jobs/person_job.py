@@ -5,7 +5,9 @@ person.
 from __future__ import annotations
 
 import contextlib
+import re
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,7 +21,7 @@ from hypose.app.jobs.checking import write_image
 from hypose.app.jobs.job import choose_frames, job_of, recording_of
 from hypose.app.jobs.people_job import track_shown
 from hypose.app.options import CalibrateCommand, SubjectCommand, TrackCommand
-from hypose.app.reports.result_pictures import Drawing, draw_all, open_images, tile_layout
+from hypose.app.reports.result_pictures import Canvas, Drawing, open_images
 from hypose.body.default_body import human
 from hypose.calibration.from_person import PersonCalibration, calibrate_from_person
 from hypose.cameras.camera import CameraRig
@@ -88,6 +90,7 @@ def calibrate_recording(c: CalibrateCommand) -> tuple[CameraRig, Path]:
     """
     path, lenses = c.sources[0], c.intrinsics
     loaded = load_recording(path, lenses, uncalibrated=lenses is None)
+    rig = with_focal_lengths(loaded.rig, c.focal) if c.focal else loaded.rig
     target = c.out or loaded.folder / "calibration.toml"
     if target.exists():
         raise InputError(f"{target} exists, and calibrations are never overwritten; give another name with --out.")
@@ -98,8 +101,8 @@ def calibrate_recording(c: CalibrateCommand) -> tuple[CameraRig, Path]:
     print_notes(loaded.notes)
     with Stages() as progress:
         found = calibrate_from_person(
-            points, names, loaded.rig, height, loaded.frame_rate,
-            lenses_known=lenses is not None, largest_s=c.largest, progress=progress,
+            points, names, rig, height, loaded.frame_rate,
+            lenses_known=lenses is not None or bool(c.focal), largest_s=c.largest, progress=progress,
         )  # fmt: skip
     _show(found)
     keep_offsets(loaded, "person", found.late.tolist(), [f"sd {s:.2f}" for s in found.sds.late])
@@ -107,6 +110,30 @@ def calibrate_recording(c: CalibrateCommand) -> tuple[CameraRig, Path]:
         offsets = ",".join(f"{x:.2f}" for x in found.late)
         say(f"To bring the evidence in step: hypose sync {path} --offsets={offsets} --out NEW_FOLDER")
     return found.rig, target
+
+
+def with_focal_lengths(rig: CameraRig, given: Sequence[str]) -> CameraRig:
+    """Set the focal lengths of a rig to those of the option --focal.
+
+    given: texts "PIXELS" (all cameras) or "CAMERA=PIXELS"; of two for the same camera the later counts.
+    Raises: InputError where a text is not understood, or a camera has no focal length.
+    """
+    pixels: dict[str, float] = {}
+    for text in given:
+        name, _, number = text.rpartition("=")
+        if not re.fullmatch(r"[1-9]\d{0,5}(\.\d+)?", number) or name not in ("", *rig.names):
+            raise InputError(
+                f"--focal {text!r} is not understood; write a number of pixels for all cameras, or CAMERA=PIXELS with "
+                f"one of the cameras {', '.join(rig.names)}."
+            )
+        pixels |= dict.fromkeys([name] if name else rig.names, float(number))
+    if missing := [n for n in rig.names if n not in pixels]:
+        raise InputError(f"--focal: the focal length of {', '.join(missing)} is missing; add CAMERA=PIXELS.")
+    cameras = []
+    for c in rig:
+        f, (x, y) = pixels[c.name], c.K[:2, 2]
+        cameras.append(replace(c, K=np.array([[f, 0, x], [0, f, y], [0, 0, 1.0]])))
+    return CameraRig(tuple(cameras))
 
 
 def _show(found: PersonCalibration) -> None:
@@ -169,24 +196,20 @@ def measure_subject(c: SubjectCommand) -> None:
 
 def _picture(path: Path, recording: Recording, source: FrameStream, found: SubjectEstimate) -> Path:
     """Draw two fitted frames in every view: above with the template as tracked, below with the fitted body."""
-    images = open_images(recording)
-    plan = tile_layout([v.size for v in images])
     rows = []
-    for k in sorted({0, len(found.frames) // 2}):
-        frame = source.frame(found.frames[k])
-        number = recording.frames[found.frames[k]]
-        pictures = [v.read(number) for v in images]
-        for body, poses, iou, what in (
-            (found.template, found.template_poses, found.iou_before, "before"),
-            (found.body, found.poses, found.iou, "after"),
-        ):
-            title = f"frame {number}, {what}: mean IoU {float(np.nanmean(iou[k])):.3f}"
-            drawing = Drawing(body.skin(poses[k], body.fine), body.joints(poses[k]), frame.silhouettes, title)
-            rows.append(draw_all(pictures, recording, plan, body, drawing))
-    for v in images:
-        v.close()
-    sheet = np.concatenate(rows)
-    write_image(path, sheet)
+    with open_images(recording) as images:
+        canvas = Canvas(recording, images)
+        for k in sorted({0, len(found.frames) // 2}):
+            frame, number = source.frame(found.frames[k]), recording.frames[found.frames[k]]
+            pictures = [v.read(number) for v in images]
+            for body, poses, iou, what in (
+                (found.template, found.template_poses, found.iou_before, "before"),
+                (found.body, found.poses, found.iou, "after"),
+            ):
+                title = f"frame {number}, {what}: mean IoU {float(np.nanmean(iou[k])):.3f}"
+                drawing = Drawing(body.skin(poses[k], body.fine), body.joints(poses[k]), frame.silhouettes, title)
+                rows.append(canvas.draw(pictures, body, drawing).copy())
+    write_image(path, np.concatenate(rows))
     return path
 
 

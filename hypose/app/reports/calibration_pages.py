@@ -43,8 +43,7 @@ def residual_picture(recording: Recording, observed: Observed, cured: Cured) -> 
     number = few.frames[min(row, len(few.frames) - 1)]
     uv, confidence = undistorted(recording.rig, observed.keypoints[:, row : row + 1])
     tiles = []
-    images = open_images(recording)
-    try:
+    with open_images(recording) as images:
         for c, (camera, view) in enumerate(zip(recording.rig, images, strict=True)):
             others = [k for k in range(len(images)) if k != c]
             points, _ = triangulate(
@@ -59,9 +58,6 @@ def residual_picture(recording: Recording, observed: Observed, cured: Cured) -> 
             expected = (camera.project(points) + 0.5) * ratio - 0.5
             found = (observed.keypoints[c, row, :, :2] + 0.5) * ratio - 0.5
             tiles.append(_drawn(picture, found, expected, observed.keypoints[c, row, :, 2], camera.name))
-    finally:
-        for view in images:
-            view.close()
     if not tiles:
         return None
     height = max(t.shape[0] for t in tiles)

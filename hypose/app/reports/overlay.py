@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import ExitStack, closing
-from dataclasses import dataclass
+from contextlib import ExitStack
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +19,6 @@ from hypose.app.reports.result_pictures import (
     draw_close_ups,
     jpeg,
     open_images,
-    tile_layout,
 )
 from hypose.body.body import Body
 from hypose.body.motion import Motion
@@ -57,8 +56,8 @@ class OverlayRows:
     small: the recorded picture of every view as JPEG, b"" where there is none.
     """
 
-    stills: dict[int, Image]
-    small: dict[int, list[bytes]]
+    stills: dict[int, Image] = field(default_factory=dict)
+    small: dict[int, list[bytes]] = field(default_factory=dict)
 
 
 Draw = Callable[[int, Sequence[Image | None], Canvas | None], Image]
@@ -84,13 +83,11 @@ def _film(
     Returns: stills and small pictures by row.
     """
     rows = range(len(numbers)) if wanted.video else sorted({*wanted.stills, *wanted.small})
-    shown = OverlayRows({}, {})
+    shown = OverlayRows()
     with ExitStack() as stack:
-        images = [stack.enter_context(closing(one)) for one in open_images(recording)]
-        plan = tile_layout([v.size for v in images])
-        video = VideoWriter(path, rate, plan.size) if wanted.video else None
-        writer = stack.enter_context(video) if video is not None else None
-        canvases = [Canvas(recording, plan) for _ in range(_AHEAD + 1)]
+        images = stack.enter_context(open_images(recording))
+        canvases = [Canvas(recording, images) for _ in range(_AHEAD + 1)]
+        writer = stack.enter_context(VideoWriter(path, rate, canvases[0].size)) if wanted.video else None
         writing = stack.enter_context(ThreadPoolExecutor(1))
         written: deque[Future[None]] = deque()
         for done, row in enumerate(rows):
@@ -98,7 +95,7 @@ def _film(
             if len(written) > _AHEAD:
                 written.popleft().result()
             canvas = canvases[done % len(canvases)]
-            pictures = canvas.read(images, numbers[row])
+            pictures = [view.read(numbers[row]) for view in images]
             if row in wanted.small:
                 shown.small[row] = [b"" if p is None else jpeg(p, _SMALL) for p in pictures]
             if row in wanted.stills:

@@ -7,7 +7,7 @@ import gzip
 import html
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,6 @@ from hypose.app.reports.summary import DESCRIPTIONS, page, picture_of, subject_r
 from hypose.app.studio.view_bundle import ViewResult, view_bundle
 from hypose.body.body import Body
 from hypose.body.motion import Motion, sd_per_axis
-from hypose.geometry import Image
 from hypose.io.files import write_text
 from hypose.io.motions.results import ResultsFolder, to_json
 from hypose.io.recordings.frames import FrameSettings, FrameStream
@@ -37,18 +36,6 @@ report has charts and pictures only.
 """
 PLACE = '<div id="hypose-viewer" class="viewer"><noscript>The view in 3D needs JavaScript.</noscript></div>'
 _PICTURES, _MIN_ROWS, _MAX_ROWS = 48, 4, 16  # of the viewer
-
-
-@dataclass(frozen=True)
-class Drawn:
-    """Pictures of a report.
-
-    stills: (caption, picture BGR).
-    small: recorded pictures by row, one JPEG per view.
-    """
-
-    stills: Sequence[tuple[str, Image]] = ()
-    small: Mapping[int, list[bytes]] = field(default_factory=dict)
 
 
 def report_pictures(
@@ -75,8 +62,7 @@ def report_pictures(
         return out
     progress("report", 0, 1)
     files = [(p.name, DESCRIPTIONS.get(p.name, ""), 0) for p in [*written, *out, report]]
-    stills = [(f"Frame {result.first_frame + r}", shown.stills[r]) for r in rows.stills]
-    write_text(report, report_html(replace(result, files=files), Drawn(stills, shown.small)))
+    write_text(report, report_html(replace(result, files=files), shown))
     progress("report", 1, 1)
     return [*out, report]
 
@@ -87,11 +73,11 @@ def write_report(path: Path, result: ViewResult, recording: Recording | None) ->
     return path
 
 
-def drawn_of(result: ViewResult, recording: Recording | None) -> Drawn:
+def drawn_of(result: ViewResult, recording: Recording | None) -> OverlayRows:
     """Draw the pictures for a report of a result, from its recording; empty without one."""
     motion, body, wanted = result.motion, result.body, _rows(result, False)
     if recording is None:
-        return Drawn()
+        return OverlayRows()
     if body is None or motion.poses is None:
         wanted = replace(wanted, stills=())
     frames = range(result.first_frame, result.first_frame + len(motion))
@@ -99,8 +85,7 @@ def drawn_of(result: ViewResult, recording: Recording | None) -> Drawn:
     settings = motion.provenance.get("settings")
     masks = wanted.stills and not (isinstance(settings, Mapping) and settings.get("evidence") == "keypoints")
     with FrameStream(recording, None if masks else FrameSettings(silhouettes=None)) as stream:
-        shown = write_overlay("", recording, stream, motion, body, wanted)
-    return Drawn([(f"Frame {frames[r]}", shown.stills[r]) for r in wanted.stills], shown.small)
+        return write_overlay("", recording, stream, motion, body, wanted)
 
 
 def _rows(result: ViewResult, video: bool) -> PictureRows:
@@ -119,8 +104,9 @@ def _built() -> bool:
     return (_STATIC / "report.js").is_file() and (_STATIC / "report.css").is_file()
 
 
-def report_html(result: ViewResult, drawn: Drawn = Drawn()) -> str:
+def report_html(result: ViewResult, drawn: OverlayRows | None = None) -> str:
     """Build the page: the 3D viewer where it was built, and below it the parts that need no script."""
+    drawn = drawn or OverlayRows()
     top, text = _head(result) + _cards(result), _text(result, drawn)
     if not _built():
         return page(result.title, top + text)
@@ -137,7 +123,7 @@ def report_html(result: ViewResult, drawn: Drawn = Drawn()) -> str:
     return page(result.title, top + place + text, f"<style>{style}</style>", "\n".join(scripts))
 
 
-def _text(what: ViewResult, drawn: Drawn) -> str:
+def _text(what: ViewResult, drawn: OverlayRows) -> str:
     m = what.motion
     parts = [""]
     if not what.complete:
@@ -150,7 +136,8 @@ def _text(what: ViewResult, drawn: Drawn) -> str:
         parts.append(f"<h2>Distance to the truth</h2><p>{html.escape(text)}</p>")
     if drawn.stills:
         parts.append("<h2>Pictures</h2>")
-        parts += [picture_of(jpeg(picture, 1280, 85), "jpeg", caption) for caption, picture in drawn.stills]
+        stills = ((f"Frame {what.first_frame + row}", picture) for row, picture in drawn.stills.items())
+        parts += [picture_of(jpeg(picture, 1280, 85), "jpeg", caption) for caption, picture in stills]
         parts.append(
             '<p class="dim">Tinted: the body. Pink line: edge of the mask. Orange: left limbs, blue: right limbs.</p>'
         )

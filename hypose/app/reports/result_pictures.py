@@ -6,6 +6,7 @@ a body that is off in the picture is off in the result.
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -33,53 +34,24 @@ _BAR, _GREY = 26, 24
 _SMALL = 640 * 480
 
 
-@dataclass(frozen=True)
-class Tile:
-    """Place of a view in the picture.
+def tile_layout(sizes: Sequence[tuple[int, int]]) -> tuple[list[tuple[int, int, int, int]], tuple[int, int]]:
+    """Arrange the views in tiles below a title bar, each at most 960 px wide and all together 1920 px.
 
-    column, row: cell of the view.
-    size: (width, height) at which it is shown, px.
+    sizes: (width, height) of the recorded pictures, px.
+    Returns: (x, y, width, height) px of each view in the picture, and (width, height) px of the picture before it is
+        cut to even numbers, which videos need.
     """
-
-    column: int
-    row: int
-    size: tuple[int, int]
-
-
-@dataclass(frozen=True)
-class _TileLayout:
-    """Tiles of all views under a title bar.
-
-    cell: (width, height) of a cell, px.
-    size: (width, height) of the whole picture, px.
-    """
-
-    tiles: tuple[Tile, ...]
-    cell: tuple[int, int]
-    size: tuple[int, int]
-
-    def origin(self, tile: Tile) -> tuple[int, int]:
-        """Return the top left corner (x, y) px of a tile, centred in its cell."""
-        (w, h), (tw, th) = self.cell, tile.size
-        return tile.column * w + (w - tw) // 2, _BAR + tile.row * h + (h - th) // 2
-
-
-def tile_layout(sizes: Sequence[tuple[int, int]]) -> _TileLayout:
-    """Arrange views of the given sizes (width, height) px in tiles, each at most 960 px wide and all
-    together 1920 px.
-    """
-    n = len(sizes)
-    columns = math.ceil(math.sqrt(n)) if n != 3 else 3
-    rows = math.ceil(n / columns)
-    width = min(MAX_TILE, MAX_WIDTH // columns)
-    shown = []
+    columns = math.ceil(math.sqrt(len(sizes))) if len(sizes) != 3 else 3
+    width, shown = min(MAX_TILE, MAX_WIDTH // columns), []
     for w, h in sizes:
         scale = min(1.0, width / w, MAX_TILE / h)
         shown.append((max(2, round(w * scale)), max(2, round(h * scale))))
-    cell = (max(w for w, _ in shown), max(h for _, h in shown))
-    tiles = tuple(Tile(i % columns, i // columns, s) for i, s in enumerate(shown))
-    whole = (columns * cell[0] // 2 * 2, (_BAR + rows * cell[1]) // 2 * 2)
-    return _TileLayout(tiles, cell, whole)
+    cell_w, cell_h = max(w for w, _ in shown), max(h for _, h in shown)
+    boxes = [
+        (i % columns * cell_w + (cell_w - w) // 2, _BAR + i // columns * cell_h + (cell_h - h) // 2, w, h)
+        for i, (w, h) in enumerate(shown)
+    ]
+    return boxes, (columns * cell_w, _BAR + math.ceil(len(sizes) / columns) * cell_h)
 
 
 class ViewImages:
@@ -95,21 +67,17 @@ class ViewImages:
         self.size: tuple[int, int] = self._reader.size if self._reader is not None else camera.size
         self._memory: Image | None = None
 
-    def read(self, index: int, out: Image | None = None) -> Image | None:
-        """Read frame `index`; None where the view ends before it or the frame is damaged.
-
-        out: memory for the picture, used where it has the right size. The returned picture is valid until the next one
-            is read.
+    def read(self, index: int) -> Image | None:
+        """Read frame `index`, valid until the next one is read; None where the view ends before it or the frame is
+        damaged.
         """
         if self._reader is None or index >= self._reader.n_frames:
             return None
         try:
-            if out is None or not isinstance(self._reader, VideoReader):
-                image = self._reader.read(index)
-            elif out.shape[1::-1] == self.size:
-                image = self._reader.read(index, out)
-            else:
+            if isinstance(self._reader, VideoReader):
                 image = self._memory = self._reader.read(index, self._memory)
+            else:
+                image = self._reader.read(index)
         except InputError:  # tracking has left out this frame of the view and reported it
             return None
         return image if self.view.source is not None else (image // 3 + 40).astype(np.uint8)
@@ -120,36 +88,34 @@ class ViewImages:
             self._reader.close()
 
 
-def open_images(recording: Recording) -> list[ViewImages]:
-    """Open the pictures of all views."""
-    return [ViewImages(v, c) for v, c in zip(recording.views, recording.rig, strict=True)]
+@contextlib.contextmanager
+def open_images(recording: Recording) -> Iterator[list[ViewImages]]:
+    """Open the pictures of all views inside the context."""
+    with contextlib.ExitStack() as stack:
+        views = zip(recording.views, recording.rig, strict=True)
+        yield [stack.enter_context(contextlib.closing(ViewImages(v, c))) for v, c in views]
 
 
 def as_shown(view: ViewSettings, camera: Camera, size: tuple[int, int]) -> Camera:
-    """Return the camera, with its lens, for the pixels of the recorded image shown at `size`."""
+    """Compute the camera, with its lens, whose pixels are those of the recorded image shown at a size.
+
+    view: gives the offset of the recorded image (image_shift).
+    camera: calibrated camera of the view.
+    size: (width, height) px at which the image is shown.
+    """
     shown = camera.scaled(size)
     shown.K[:2, 2] -= np.asarray(view.image_shift) * size / camera.size
     return shown
 
 
-def image_points(view: ViewSettings, camera: Camera, points_world: Array, size: tuple[int, int]) -> Array:
-    """Project points (..., 3) m to pixels (..., 2) of the recorded image shown at `size`; NaN behind the camera."""
-    return as_shown(view, camera, size).project(points_world)
+def mask_outline(camera: Camera, working: Camera, mask: NDArray[np.uint8]) -> list[NDArray[np.int32]]:
+    """Convert the outlines of a mask to polygons in the pixels of a camera at the same place.
 
-
-def mask_outline(
-    view: ViewSettings, camera: Camera, working: Camera, mask: NDArray[np.uint8], size: tuple[int, int]
-) -> list[NDArray[np.int32]]:
-    """Convert the outlines of a mask to polygons in the recorded image shown at `size`.
-
+    camera: camera of the shown picture, with its lens (`as_shown`).
     working: undistorted camera of the mask's size.
     mask: (h, w).
+    Returns: (N, 1, 2) polygons in 1/16 px, as OpenCV draws them; empty for an empty mask.
     """
-    return _outline(as_shown(view, camera, size), working, mask)
-
-
-def _outline(camera: Camera, working: Camera, mask: NDArray[np.uint8]) -> list[NDArray[np.int32]]:
-    """Convert the outlines of a mask to polygons in the pixels of a camera at the same place."""
     w, h = working.size
     x, y, width, height = cv2.boundingRect(mask[:h, :w])  # an empty mask costs OpenCV as much
     if not width:
@@ -168,11 +134,6 @@ _SHIFT = 4  # OpenCV draws at 1/16 px
 
 def _fixed(uv: Array) -> NDArray[np.int32]:
     return np.clip(np.rint(uv * 2**_SHIFT), -(2**24), 2**24).astype(np.int32)[:, None]
-
-
-def draw_mask(image: Image, outlines: Sequence[NDArray[np.int32]]) -> None:
-    """Draw the mask's edge as a thin line."""
-    cv2.polylines(image, list(outlines), True, _MASK, 1, cv2.LINE_AA, _SHIFT)
 
 
 def draw_body(image: Image, camera: Camera, vertices: Array, mesh: Mesh, colour: tuple[int, int, int] = BODY) -> None:
@@ -259,30 +220,22 @@ class Drawing:
     others: tuple[tuple[Body, Array, tuple[int, int, int]], ...] = ()
 
 
-def draw_view(
-    image: Image | None,
-    view: ViewSettings,
-    camera: Camera,
-    index: int,
-    size: tuple[int, int],
-    body: Body | None,
-    what: Drawing,
-) -> Image:
-    """Draw one view at `size` with body, mask and skeleton."""
-    out = np.empty((size[1], size[0], 3), np.uint8)
-    _draw_view(out, image, as_shown(view, camera, size), index, body, what)
-    return out
+def draw_view(out: Image, image: Image | None, camera: Camera, index: int, body: Body | None, what: Drawing) -> None:
+    """Draw one view with body, mask and skeleton into a picture.
 
-
-def _draw_view(out: Image, image: Image | None, camera: Camera, index: int, body: Body | None, what: Drawing) -> None:
-    """Draw one view into `out`, which may be `image` itself; the camera's pixels are those of `out`."""
+    out: picture that is overwritten.
+    image: recorded picture of any size; None: there is none, which is written in grey.
+    camera: its pixels are those of `out` (`as_shown`).
+    index: number of the view, for the masks.
+    body: of `what.vertices` and `what.joints`; None: only the other bodies are drawn.
+    """
     if image is None:
         out[:] = 40
         put_text(out, "no image", 8, len(out) // 2)
     elif image.shape != out.shape:
         how = cv2.INTER_AREA if out.shape[1] < image.shape[1] else cv2.INTER_LINEAR
         cv2.resize(image, camera.size, out, interpolation=how)
-    elif image is not out:
+    else:
         out[:] = image
     if body is not None and what.vertices is not None:
         draw_body(out, camera, what.vertices, body.fine, ALARM if what.alarm else BODY)
@@ -290,7 +243,8 @@ def _draw_view(out: Image, image: Image | None, camera: Camera, index: int, body
         draw_body(out, camera, vertices, other.fine, colour)
     s = what.silhouettes
     if s is not None:
-        draw_mask(out, _outline(camera, s.rig[index], s.masks[index]))
+        outlines = mask_outline(camera, s.rig[index], s.masks[index])
+        cv2.polylines(out, outlines, True, _MASK, 1, cv2.LINE_AA, _SHIFT)
     if body is not None and what.joints is not None:
         draw_skeleton(out, camera, body, what.joints)
 
@@ -304,59 +258,53 @@ def _write_labels(shown: Image, view: ViewSettings, index: int, what: Drawing) -
 
 
 class Canvas:
-    """Memory for a picture of all views under a title bar; a picture is valid until the next one is drawn."""
+    """Memory for a picture of all views under a title bar; a picture is valid until the next one is drawn.
 
-    def __init__(self, recording: Recording, plan: _TileLayout) -> None:
-        views = list(zip(recording.views, recording.rig, plan.tiles, strict=True))
-        self._views, self._size = recording.views, plan.size
-        self._cameras = [as_shown(view, camera, tile.size) for view, camera, tile in views]
-        (w, h), columns = plan.cell, max(tile.column for tile in plan.tiles) + 1
-        # the size of the picture may be a pixel less than the sum of the tiles
-        self._whole = np.full((_BAR + (plan.tiles[-1].row + 1) * h, columns * w, 3), _GREY, np.uint8)
-        self._tiles = []
-        for tile in plan.tiles:
-            x, y = plan.origin(tile)
-            self._tiles.append(self._whole[y : y + tile.size[1], x : x + tile.size[0]])
+    recording: its views and cameras are drawn.
+    images: pictures of the views, whose sizes give the layout (`tile_layout`).
+    size: (width, height) of the picture, px, both even.
+    """
 
-    def read(self, images: Sequence[ViewImages], index: int) -> list[Image | None]:
-        """Read frame `index` of every view, directly into the tiles where the size fits."""
-        return [view.read(index, tile) for view, tile in zip(images, self._tiles, strict=True)]
+    def __init__(self, recording: Recording, images: Sequence[ViewImages]) -> None:
+        boxes, (w, h) = tile_layout([v.size for v in images])
+        self._views, self.size = recording.views, (w // 2 * 2, h // 2 * 2)
+        self._whole = np.full((h, w, 3), _GREY, np.uint8)
+        self._tiles = [self._whole[y : y + th, x : x + tw] for x, y, tw, th in boxes]
+        about = zip(recording.views, recording.rig, boxes, strict=True)
+        self._cameras = [as_shown(view, camera, box[2:]) for view, camera, box in about]
 
     def draw(self, images: Sequence[Image | None], body: Body | None, what: Drawing) -> Image:
-        """Draw all views of one frame and return the picture."""
+        """Draw all views of one frame and return the picture; arguments as for `draw_view`, images by view."""
         for c, (image, tile, camera) in enumerate(zip(images, self._tiles, self._cameras, strict=True)):
-            _draw_view(tile, image, camera, c, body, what)
+            draw_view(tile, image, camera, c, body, what)
             _write_labels(tile, self._views[c], c, what)
         self._whole[:_BAR] = (30, 30, 150) if what.alarm else _GREY
         put_text(self._whole, what.title, 8, 18)
-        return self._whole[: self._size[1], : self._size[0]]
-
-
-def draw_all(
-    images: Sequence[Image | None], recording: Recording, plan: _TileLayout, body: Body | None, what: Drawing
-) -> Image:
-    """Draw all views of one frame in tiles under a title bar."""
-    return Canvas(recording, plan).draw(images, body, what)
+        return self._whole[: self.size[1], : self.size[0]]
 
 
 def draw_close_ups(
     images: Sequence[Image | None], recording: Recording, body: Body, what: Drawing, side: int = 300, columns: int = 4
 ) -> Image:
-    """Draw every view of one frame, cut to a square of `side` px around the body, side by side."""
+    """Draw every view of one frame, cut to a square of `side` px around the body, in rows of `columns` squares.
+
+    images: recorded pictures by view; None where there is none.
+    body, what: as for `draw_view`.
+    """
     cells = []
     for c, (image, view, camera) in enumerate(zip(images, recording.views, recording.rig, strict=True)):
         cell = np.full((side, side, 3), 40, np.uint8)
         if image is not None and what.vertices is not None:
-            full = (image.shape[1], image.shape[0])
-            uv = image_points(view, camera, what.vertices, full)
+            full = image.shape[1], image.shape[0]
+            uv = as_shown(view, camera, full).project(what.vertices)
             uv = uv[np.isfinite(uv).all(1)]
             low, high = (uv.min(0), uv.max(0)) if len(uv) else (np.zeros(2), np.array(full, dtype=float))
-            reach = 1.2 * float((high - low).max())
-            scale = float(np.clip(side / max(reach, 1.0), 0.1, 2.5))
-            size = (max(2, round(full[0] * scale)), max(2, round(full[1] * scale)))
-            shown = draw_view(image, view, camera, c, size, body, what)
+            scale = float(np.clip(side / max(1.2 * float((high - low).max()), 1.0), 0.1, 2.5))
+            w, h = (max(2, round(n * scale)) for n in full)
+            shown = np.empty((h, w, 3), np.uint8)
+            draw_view(shown, image, as_shown(view, camera, (w, h)), c, body, what)
             x, y = np.rint(scale * 0.5 * (low + high) - side / 2).astype(int).tolist()
-            x0, y0, x1, y1 = max(x, 0), max(y, 0), min(x + side, size[0]), min(y + side, size[1])
+            x0, y0, x1, y1 = max(x, 0), max(y, 0), min(x + side, w), min(y + side, h)
             if x0 < x1 and y0 < y1:
                 cell[y0 - y : y1 - y, x0 - x : x1 - x] = shown[y0:y1, x0:x1]
         _write_labels(cell, view, c, what)

@@ -25,7 +25,6 @@ from hypose.body.body import Body
 from hypose.body.default_body import JOINT_NAMES, human
 from hypose.body.motion import Motion, isotropic
 from hypose.cameras.camera import CameraRig, triangulate
-from hypose.compute.kinematics import joint_covariances
 from hypose.errors import InputError
 from hypose.evidence.terms import KeypointTerm
 from hypose.fitting.articulated import PoseFit, SolveSettings, fit_pose
@@ -184,7 +183,7 @@ def _fit(body: Body, clicks: _Clicks, start: Array | None, known_height: bool, c
     starts = [start] if start is not None else _starts(body, clicks, scale)
     best, *others = sorted((solve(q) for q in starts), key=lambda f: f.cost)
     others = others if len(clicks.rig) == 1 else []
-    covariance = joint_covariances(best.pose, body.skeleton.tree, best.information, 1e-6)
+    covariance = body.skeleton.informed_joint_covariances(best.pose, best.information, 1e-6)
     rotations, centres = body.skeleton.forward(best.pose)
     world = centres[clicks.joint] + np.einsum("kab,kb->ka", rotations[clicks.joint], clicks.offset)
     expected = np.stack([camera.project_pinhole(world) for camera in clicks.rig])

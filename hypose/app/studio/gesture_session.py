@@ -24,7 +24,7 @@ from hypose.app.studio.hub import DEPTH, MAP, Hub, Message, Topic
 from hypose.app.studio.live_topics import recording_folder
 from hypose.errors import HyposeError, InputError
 from hypose.gestures.model import check_gesture_name
-from hypose.gestures.session import Command
+from hypose.gestures.trainer import Command
 from hypose.pipeline.gesture_files import load_model
 
 _FOLDER = "gestures"

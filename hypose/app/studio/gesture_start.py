@@ -12,7 +12,7 @@ from hypose.app.live.gesture_sources import GestureSource, Taken, open_source
 from hypose.app.studio.http import digits, request_choice, request_number, text, whole
 from hypose.errors import InputError
 from hypose.gestures.model import check_gesture_name
-from hypose.gestures.session import COMMANDS, Command, SessionSettings
+from hypose.gestures.trainer import COMMANDS, Command, SessionSettings
 
 MOST_GESTURES = 8
 """Most gestures that are taught one after the other."""

@@ -31,9 +31,8 @@ from hypose.gestures.events import (
 from hypose.gestures.forest import Forest
 from hypose.gestures.localise import Localisation, LocaliseSettings, Scratch, densities, localise, settle
 from hypose.gestures.model import GestureModel
-from hypose.gestures.session import Command
-from hypose.gestures.session import advance as peek
-from hypose.gestures.trainer import Feedback, Trainer
+from hypose.gestures.trainer import Command, Feedback, Trainer
+from hypose.gestures.trainer import advance as peek
 from hypose.pipeline.gesture_files import SessionWriter, content_of, save_model
 
 # ---- gesture judge -------------------------------------------------------------------------------------------------

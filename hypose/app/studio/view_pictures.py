@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.app.reports.result_pictures import image_points, jpeg, mask_outline
+from hypose.app.reports.result_pictures import as_shown, jpeg, mask_outline
 from hypose.app.studio.lru_cache import LruCache
 from hypose.errors import InputError
 from hypose.evidence.frame import Silhouettes
@@ -138,7 +138,7 @@ class ViewPictures:
             for reader, view, camera in zip(self._views, self._recording.views, self._recording.rig, strict=True):
                 image = reader.read(self._first + row) if reader is not None else None
                 if image is not None:
-                    return image, image_points(view, camera, points, (image.shape[1], image.shape[0]))
+                    return image, as_shown(view, camera, (image.shape[1], image.shape[0])).project(points)
         return None
 
     def outlines(self, row: int) -> list[list[list[float]]]:
@@ -155,7 +155,8 @@ class ViewPictures:
         found: list[list[list[float]]] = [[] for _ in self._views]
         for silhouettes in masks:
             for c, (view, camera) in enumerate(zip(self._recording.views, self._recording.rig, strict=True)):
-                lines = mask_outline(view, camera, silhouettes.rig[c], silhouettes.masks[c], camera.size)
+                shown = as_shown(view, camera, camera.size)
+                lines = mask_outline(shown, silhouettes.rig[c], silhouettes.masks[c])
                 found[c] = [_pixels(line) for line in lines]
         return found
 

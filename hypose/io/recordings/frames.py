@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import json
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -18,7 +18,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import percentile_filter
+from scipy.ndimage import distance_transform_edt, percentile_filter
 
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.compute import mask_runs
@@ -57,7 +57,7 @@ from hypose.io.videos.video import evenly_spread, open_video
 # The masks of a stream's frames: packed, in computation, and kept for another request of the same frame.
 
 
-KEPT_BYTES = 64 << 20
+KEPT_BYTES = 160 << 20
 """Memory for masks that are kept, bytes; enough for ten minutes of four cameras."""
 
 
@@ -82,25 +82,6 @@ class PackedMask:
     def outline(self) -> ViewOutline | None:
         """Compute the outline of the mask as tracking uses it; None where there is no mask."""
         return None if self.runs is None else outline_of_runs(self.runs, OUTLINE_POINTS, WORKING_HEIGHT)
-
-
-class _MaskCache:
-    """Cache of masks by view and frame, up to a limit of memory. Masks with colours are too large and are not kept."""
-
-    def __init__(self) -> None:
-        self._masks, self._bytes = dict[tuple[int, int], PackedMask](), 0
-
-    def get(self, view: int, index: int) -> PackedMask | None:
-        """Get the mask from the cache; None where it is not there."""
-        return self._masks.get((view, index))
-
-    def keep(self, view: int, index: int, mask: PackedMask) -> PackedMask:
-        """Add a mask to the cache where there is room, and return it."""
-        size = 0 if mask.runs is None else len(mask.runs.code)
-        if mask.colours is None and self._bytes + size <= KEPT_BYTES:
-            self._masks[view, index] = mask
-            self._bytes += size
-        return mask
 
 
 class PendingMasks:
@@ -164,10 +145,6 @@ class PendingMasks:
 def _outline(done: Future[PackedMask]) -> ViewOutline | None:
     return done.result().outline()
 
-
-Covers = Callable[[int, int], Mask | None]
-"""Function of view and video frame that gives the silhouette (h, w) at working size of a model tracked before, or None.
-"""
 
 _CLIP = 10  # fewer images count as photos, not as a clip
 _COVER, _BAND = 0.052, 0.03  # half thickness of the limbs drawn, and margin around them, in heights of the person
@@ -238,88 +215,90 @@ def load_keypoints(recording: Recording, options: FrameSettings | None = None) -
 
 @dataclass(frozen=True)
 class _Skeletons:
-    """Thick skeletons of all frames and views, drawn from key points with short gaps bridged."""
+    """Thick skeletons of all frames and views, drawn from key points with short gaps bridged.
 
-    points: Array  # (T, C, K, 3)
-    heights: Array  # (T, C) px
+    points: (T, C, K, 3) px, px, confidence; 0.31 in bridged gaps.
+    heights: (T, C) height of the person in the picture, px.
+    names: K names of the key points.
+    first: number of the first frame.
+    """
+
+    points: Array
+    heights: Array
     names: tuple[str, ...]
     first: int
 
-    def cover(self, view: int, frame: int, shape: tuple[int, int]) -> Mask | None:
-        """Draw the region (h, w) of the person; None where it is not known."""
-        t = frame - self.first
-        p, height = self.points[t, view], self.heights[t, view]
+    def cover(self, view: int, frame: int, camera: Camera) -> Mask | None:
+        """Draw the region of the person as a mask of 0 and 1.
+
+        frame: number of the video's frame.
+        camera: camera of the working size.
+        Returns: (h, w) of the camera's size; None where fewer than six key points are seen.
+        """
+        p, height = self.points[frame - self.first, view], self.heights[frame - self.first, view]
         if (p[:, 2] > 0.3).sum() < 6 or height < 8:
             return None
-        return thick_skeleton(p, self.names, shape, _COVER * height)
+        return thick_skeleton(p, self.names, (camera.size[1], camera.size[0]), _COVER * height)
+
+    def band(self, view: int, frame: int, camera: Camera) -> Mask | None:
+        """Draw the region in which a mask is kept: that of the person with a margin.
+
+        frame, camera, Returns: as for `cover`.
+        """
+        mask = self.cover(view, frame, camera)
+        if mask is None or not mask.any():
+            return mask
+        extent = max(int(np.ptp(np.flatnonzero(mask.any(a)))) for a in (0, 1))
+        size = 2 * max(1, round(_BAND * extent)) + 1
+        return np.asarray(cv2.dilate(mask, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))), dtype=np.uint8)
 
     def widened(self, view: int, frame: int, band: Mask, mask: Mask) -> Mask | None:
-        """Widen the band by the limbs that the mask does not confirm; None where it confirms all."""
-        t = frame - self.first
-        return with_doubted_limbs(band, mask, self.points[t, view], self.names, float(self.heights[t, view]))
+        """Widen the band by the limbs that the mask does not confirm; None where it confirms all.
+
+        frame: number of the video's frame.
+        band, mask: (h, w) of 0 and 1.
+        """
+        p, height = self.points[frame - self.first, view], float(self.heights[frame - self.first, view])
+        return with_doubted_limbs(band, mask, p, self.names, height)
 
 
 def _skeletons(keypoints: Sequence[Keypoints], first: int) -> _Skeletons:
+    """Bridge short gaps in the key points, so that skeletons can be drawn.
+
+    keypoints: those of all frames.
+    first: number of the first frame.
+    """
     points = np.stack([k.points for k in keypoints])
     frames = np.arange(len(points))
-    for c in range(points.shape[1]):
-        for k in range(points.shape[2]):
-            seen = np.flatnonzero(points[:, c, k, 2] > 0.3)
-            if len(seen) in (0, len(points)):
-                continue
-            nearest = np.abs(frames[:, None] - seen).min(1) if len(seen) < 2000 else None
+    for c, k in np.ndindex(points.shape[1:3]):
+        seen = points[:, c, k, 2] > 0.3
+        if seen.any():
             for axis in (0, 1):
-                points[:, c, k, axis] = np.interp(frames, seen, points[seen, c, k, axis])
-            hidden = np.ones(len(frames), dtype=bool)
-            hidden[seen] = False
-            close = hidden if nearest is None else hidden & (nearest <= _LONGEST_GAP)
-            points[close, c, k, 2] = 0.31
+                points[:, c, k, axis] = np.interp(frames, frames[seen], points[seen, c, k, axis])
+            points[~seen & (distance_transform_edt(~seen) <= _LONGEST_GAP), c, k, 2] = 0.31
     heights = np.array([[person_size(p) for p in frame] for frame in points])
     return _Skeletons(points, percentile_filter(heights, 75, (61, 1), mode="nearest"), keypoints[0].names, first)
-
-
-def _grow(mask: Mask, margin: float) -> Mask:
-    size = 2 * max(1, round(margin)) + 1
-    return np.asarray(cv2.dilate(mask, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))), dtype=np.uint8)
-
-
-def _extent(mask: Mask) -> int:
-    """Compute the longer side of the box around a mask, px."""
-    return max(int(np.ptp(np.flatnonzero(mask.any(a)))) for a in (0, 1)) if mask.any() else 0
-
-
-def _cover(covers: Covers | None, skeletons: _Skeletons | None, view: int, frame: int, small: Camera) -> Mask | None:
-    """Draw the region of the person from a tracked model or the key points; None where it is not known."""
-    shape = (small.size[1], small.size[0])
-    given = None if covers is None else covers(view, frame)
-    if given is not None:
-        return _grow((given > 0).astype(np.uint8), _BAND * _extent(given))
-    return None if skeletons is None else skeletons.cover(view, frame, shape)
 
 
 def build_backgrounds(
     recording: Recording,
     options: FrameSettings | None = None,
     keypoints: Sequence[Keypoints] | None = None,
-    covers: Covers | None = None,
-    views: Collection[int] | None = None,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> tuple[BackgroundModel | None, ...]:
     """Build the background model of each view.
 
     A clip of the empty room is used alone. Photos of it are combined with frames of the recording. Without either,
-    frames of the recording are used, and the key points or `covers` show where the person is.
+    frames of the recording are used, and the key points show where the person is.
 
-    keypoints: those of all frames, for the region of the person.
-    covers: region of the person from a model tracked before.
+    options: settings; the defaults where None.
+    keypoints: those of all frames, for the region of the person; None where there are none.
     progress: called with ("background", done, total) for every picture that is read.
-    views: views for which a model is built; None for all. Many pictures are in memory when all are built together.
-    Returns: one model per view; None for views with masks, depth views, views without pictures, and those not in
-        `views`.
+    Returns: one model per view; None for views with masks, depth views and views without pictures.
+    Raises: InputError where no picture of a view can be read.
     """
     o = options or FrameSettings()
-    wanted = [c for c, v in enumerate(recording.views) if v.segmented and (views is None or c in views)]
-    total, pictures = len(wanted) * o.background_frames, itertools.count(1)
+    total, pictures = sum(v.segmented for v in recording.views) * o.background_frames, itertools.count(1)
 
     def counted(image: Image) -> Image:
         if progress is not None:
@@ -331,7 +310,7 @@ def build_backgrounds(
 
     def build(c: int) -> BackgroundModel | None:
         view = recording.views[c]
-        if c not in wanted or view.source is None:
+        if not view.segmented:
             return None
         prepare = Preparer(recording.rig[c], small[c], view.image_shift)
         plate = None
@@ -352,7 +331,7 @@ def build_backgrounds(
                     if not frames:
                         raise
                     break  # the video breaks off: use the frames that were read so far
-                hidden.append(_cover(covers, skeletons, c, frame, small[c]))
+                hidden.append(None if skeletons is None else skeletons.cover(c, frame, small[c]))
         finally:
             source.close()
         known = [(f, h) for f, h in zip(frames, hidden, strict=True) if h is not None]
@@ -362,7 +341,7 @@ def build_backgrounds(
 
     with ThreadPoolExecutor(len(recording.views)) as pool:
         made = tuple(pool.map(build, range(len(recording.views))))
-    if progress is not None and wanted:
+    if progress is not None and total:
         progress("background", total, total)
     return made
 
@@ -376,7 +355,6 @@ class FrameStream:
     recording: the recording to read.
     options: settings; by default the usual ones, with the recording's settings for masks.
     backgrounds: one model per view; built where None.
-    covers: region of the person from a model tracked before.
     progress: as of `build_backgrounds`.
 
     Attributes:
@@ -392,7 +370,6 @@ class FrameStream:
         recording: Recording,
         options: FrameSettings | None = None,
         backgrounds: Sequence[BackgroundModel | None] | None = None,
-        covers: Covers | None = None,
         progress: Callable[[str, int, int], None] | None = None,
     ) -> None:
         self.recording, self.options = recording, options or FrameSettings(silhouettes=recording.silhouettes)
@@ -412,7 +389,6 @@ class FrameStream:
         if person is not None and person.one.apart:
             doubted = load_person(recording, self.rig, keep_misfits=True)
             self.doubted = None if doubted is None else doubted.keypoints
-        self._covers = covers
         banded = self.keypoints is not None and self.options.band
         self._skeletons = _skeletons(self.keypoints, self.frames[0]) if banded and self.keypoints else None
         self.backgrounds: tuple[BackgroundModel | None, ...] = ()
@@ -420,7 +396,7 @@ class FrameStream:
         self._lanes: list[ThreadPoolExecutor] = []
         self._ahead: dict[int, PendingMasks] = {}
         self._given: PendingMasks | None = None
-        self._kept = _MaskCache()
+        self._kept, self._kept_bytes = dict[tuple[int, int], PackedMask](), 0  # masks by view and index
         self._last = -1
         self._areas: dict[int, NDArray[np.int64]] = {}
         if self.options.silhouettes is not None and recording.has_pictures:
@@ -433,9 +409,7 @@ class FrameStream:
     ) -> None:
         r = self.recording
         self.backgrounds = (
-            build_backgrounds(r, self.options, self.keypoints, self._covers, progress=progress)
-            if backgrounds is None
-            else tuple(backgrounds)
+            build_backgrounds(r, self.options, self.keypoints, progress) if backgrounds is None else tuple(backgrounds)
         )
         for view, camera, small, background in zip(r.views, r.rig, self.rig, self.backgrounds, strict=True):
             source = ViewSource(view, camera, small, self.options.people, len(r.views))
@@ -466,8 +440,7 @@ class FrameStream:
         """
         views = zip(self.recording.views, self.backgrounds, strict=False)
         guessed = [v.name for v, b in views if b is not None and v.background is None]
-        guessed = guessed if self.keypoints is None and self._covers is None else []
-        if not guessed:
+        if not guessed or self.keypoints is not None:
             return ""
         which = "No view" if len(guessed) == len(self.recording.views) else f"{', '.join(guessed)}: no view of these"
         return (
@@ -538,8 +511,12 @@ class FrameStream:
         return Frame(number / self.recording.frame_rate, number, silhouettes, keypoints, colours=colours, depth=depth)
 
     def _depth(self, number: int, silhouettes: Silhouettes) -> Depth | None:
-        """Collect the depth maps of a frame; None where there are no depth cameras. silhouettes: those of the same
-        frame."""
+        """Collect the depth maps of a frame.
+
+        number: number of the video's frame.
+        silhouettes: those of the same frame.
+        Returns: None where there are no depth cameras.
+        """
         sources = [s.depth for s in self._sources]
         if all(s is None for s in sources):
             return None
@@ -572,10 +549,16 @@ class FrameStream:
         return self._lanes[view].submit(self._sources[view].image, self.frames[index]).result()
 
     def mask(self, view: int, number: int, picture: Image | None, settings: SilhouetteSettings) -> Mask:
-        """Make the mask of one view with other settings, in any frame, as `frame` has it but for what other frames say.
+        """Make the mask of one view and frame with other settings, to preview them.
 
-        number: of the frame in the recording; picture: as it is stored, None where there are masks only.
-        Returns (h, w) 0/1 of the working size. An InputError says why there is none."""
+        The areas of other frames are not compared, so a collapsed mask is returned as it is.
+
+        number: number of the video's frame, which may lie outside recording.frames.
+        picture: stored picture (h, w, 3) BGR of the frame; None to read it.
+        settings: settings of the mask; they have no effect where the view has masks of its own.
+        Returns: (h, w) of 0 and 1, at working size.
+        Raises: InputError where there is no mask; it names the reason.
+        """
         if not self._sources:
             raise InputError(f"{self.recording.name} has key points alone, from which no masks are made.")
         source, background = self._sources[view], self.backgrounds[view]
@@ -588,14 +571,15 @@ class FrameStream:
         return mask_runs.draw(runs)
 
     def _mask(self, view: int, frame: int) -> tuple[MaskRuns | None, str]:
-        band = None
-        if self.options.band:
-            cover = _cover(self._covers, self._skeletons, view, frame, self.rig[view])
-            if cover is not None:
-                band = _grow(cover, _BAND * _extent(cover))
-        widened = None
-        if band is not None and self._covers is None and self._skeletons is not None:
-            widened = partial(self._skeletons.widened, view, frame, band)
+        """Make the mask of a view.
+
+        frame: number of the video's frame.
+        Returns: as `ViewSource.mask`.
+        """
+        band = widened = None
+        if self._skeletons is not None:
+            band = self._skeletons.band(view, frame, self.rig[view])
+            widened = None if band is None else partial(self._skeletons.widened, view, frame, band)
         return self._sources[view].mask(frame, band, widened)
 
     def _look(self, index: int) -> tuple[NDArray[np.int64], PendingMasks]:
@@ -630,9 +614,18 @@ class FrameStream:
         return np.stack([self._areas[s] for s in samples], 1), pending
 
     def _packed(self, view: int, index: int) -> PackedMask:
-        return self._kept.get(view, index) or self._kept.keep(view, index, self._made(view, index))
+        """Get a mask from memory or make it; masks with colours are too large to be kept."""
+        found = self._kept.get((view, index))
+        if found is None:
+            found = self._made(view, index)
+            size = 0 if found.runs is None else found.runs.code.nbytes
+            if found.colours is None and self._kept_bytes + size <= KEPT_BYTES:
+                self._kept[view, index] = found
+                self._kept_bytes += size
+        return found
 
     def _made(self, view: int, index: int) -> PackedMask:
+        """Make the mask of a view, with colours where they are wanted. index: from the start of recording.frames."""
         runs, reason = self._mask(view, self.frames[index])
         wanted = self.options.colours and runs is not None and runs.area > 0
         image = self._sources[view].image_of_mask(self.frames[index]) if wanted else None

@@ -58,7 +58,7 @@ import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -226,17 +226,14 @@ def people_of_tables(folder: Path, where: str, tables: Any) -> tuple[PersonSetti
     """
     found = [_person(folder, where, table, k) for k, table in enumerate(tables)]
     names = [p.name for p in found]
-    if len({_distinguished(n) for n in names}) < len(names):
+    # what every file system and every C3D file keeps of a name
+    kept = {re.sub(r"[ .-]+", "-", unicodedata.normalize("NFKC", n).casefold()) for n in names}
+    if len(kept) < len(names):
         raise InputError(
             f"{where}: the names of people must differ, got {', '.join(names)}, by more than capitals, spaces, dots "
             "and hyphens, which not all systems and files tell apart; rename one."
         )
     return tuple(found)
-
-
-def _distinguished(name: str) -> str:
-    """Reduce a name to the part that every file system and every C3D file keeps."""
-    return re.sub(r"[ .-]+", "-", unicodedata.normalize("NFKC", name).casefold())
 
 
 def _person(folder: Path, where: str, table: Any, index: int) -> PersonSettings:
@@ -356,37 +353,35 @@ def load_recording(path: str | Path, calibration: str | Path | None = None, *, u
         raise InputError(f"{path} does not exist; give a recording folder, its recording.toml, or a Pose2Sim project.")
     if path.is_file() and path.name.lower() == "config.toml":
         path = path.parent
-    if path.is_file():
-        if path.suffix.lower() != ".toml":
-            raise InputError(
-                f"{path} is no recording; give a folder with recording.toml, that file, or a Pose2Sim project folder."
-            )
-        return _build(path.parent, path, _with_calibration(read_toml(path), calibration), [], uncalibrated)
-    toml = path / "recording.toml"
-    if toml.is_file():
-        given, notes = read_toml(toml), list[str]()
-        if "calibration" not in given and not (path / "calibration.toml").exists() and pose2sim.is_project(path):
-            project, notes = pose2sim.read_project(path)
-            given = pose2sim.with_overrides(project, given, toml)
-        return _build(path, toml, _with_calibration(given, calibration), notes, uncalibrated)
-    if pose2sim.is_project(path):
-        settings, notes = pose2sim.read_project(path)
-        return _build(path, path, _with_calibration(settings, calibration), notes, uncalibrated)
-    inside = [p.name for p in sorted(path.iterdir()) if p.is_dir() and (p / "recording.toml").is_file()]
+    toml = path if path.is_file() else path / "recording.toml"
+    if toml.suffix.lower() != ".toml":
+        raise InputError(
+            f"{path} is no recording; give a folder with recording.toml, that file, or a Pose2Sim project folder."
+        )
+    folder, notes = toml.parent, list[str]()
+    settings = read_toml(toml) if toml.is_file() else {}
+    if "calibration" not in settings and not (folder / "calibration.toml").exists() and pose2sim.is_project(folder):
+        project, notes = pose2sim.read_project(folder)
+        settings = pose2sim.with_overrides(project, settings, toml)
+    elif not toml.is_file():
+        _no_recording(folder)
+    if calibration is not None:  # the unit that was stated belongs to the other file
+        settings = {k: v for k, v in settings.items() if k != "calibration_unit"}
+        settings["calibration"] = os.path.abspath(calibration)
+    return _build(folder, toml if toml.is_file() else path, settings, notes, uncalibrated)
+
+
+def _no_recording(folder: Path) -> NoReturn:
+    """Raise the InputError for a folder without a recording, with what can be done with the files in it."""
+    inside = [p.name for p in sorted(folder.iterdir()) if p.is_dir() and (p / "recording.toml").is_file()]
     hint = f"it holds the recordings {', '.join(inside)}: name one" if inside else "write recording.toml"
-    if not inside and any(p.suffix.lower() in VIDEO_ENDINGS for p in (*path.iterdir(), *path.glob("*/*"))):
-        hint = f"it holds videos: hypose init {path} writes recording.toml, and so does the page of hypose view {path}"
+    if not inside and any(p.suffix.lower() in VIDEO_ENDINGS for p in (*folder.iterdir(), *folder.glob("*/*"))):
+        hint = (
+            f"it holds videos: hypose init {folder} writes recording.toml, and so does the page of hypose view {folder}"
+        )
     raise InputError(
-        f"The folder {path} has no recording.toml and is no Pose2Sim project (Config.toml, videos); {hint}."
+        f"The folder {folder} has no recording.toml and is no Pose2Sim project (Config.toml, videos); {hint}."
     )
-
-
-def _with_calibration(settings: Mapping[str, Any], path: str | Path | None) -> Mapping[str, Any]:
-    if path is None:
-        return settings
-    # the unit that was stated belongs to the other file
-    rest = {k: v for k, v in settings.items() if k != "calibration_unit"}
-    return {**rest, "calibration": os.path.abspath(path)}
 
 
 def write_recording(recording: Recording, folder: str | Path) -> Path:
@@ -495,7 +490,13 @@ def _build(folder: Path, origin: Path, settings: Mapping[str, Any], notes: list[
             "are; give the videos, or key points in pixels of the calibration."
         )
     stored = stored if pixels == "image" else [None] * len(views)
-    keypoint_set, keypoints = _named_keypoints(where, settings, views, rig, notes)
+    keypoint_set = settings.get("keypoint_set") if any(v.keypoints for v in views) else None
+    if keypoint_set is not None:
+        keypoint_names(keypoint_set)  # an unknown name is refused before the files are read
+    keypoints, said = keypoints_of_views([v.keypoints for v in views], names, rig.names, keypoint_set)
+    notes += said
+    if any(v.keypoints for v in views):
+        keypoint_set = next((k.keypoint_set for k in keypoints if k is not None), keypoint_set or "BODY_25")
     reported = next((k.table.frame_rate for k in keypoints if k is not None and k.table.frame_rate is not None), None)
     views, clips, frame_rate = on_one_clock(where, settings.get("frame_rate"), views, clips, reported, notes)
     keypoints = _by_stored_frames(keypoints, views)
@@ -533,8 +534,8 @@ def _build(folder: Path, origin: Path, settings: Mapping[str, Any], notes: list[
         frame_range=frame_range,
         keypoint_set=keypoint_set,
         keypoint_lag=lag,
-        subject_height=_optional(settings.get("subject_height")),
-        subject_mass=_optional(settings.get("subject_mass")),
+        subject_height=settings.get("subject_height"),
+        subject_mass=settings.get("subject_mass"),
         keypoint_pixels=pixels,
         n_frames=n_frames,
         calibration=calibration,
@@ -544,17 +545,14 @@ def _build(folder: Path, origin: Path, settings: Mapping[str, Any], notes: list[
     )
 
 
-def keypoints_of_recording(recording: Recording) -> tuple[list[ViewKeypoints | None], list[str]]:
-    """Load the key points of a recording's views.
+def keypoints_of_recording(recording: Recording) -> list[ViewKeypoints | None]:
+    """Load the key points of a recording's views; None for a view that has none.
 
-    Returns: key points of each view (None where it has none), and notes for the user.
     Raises: InputError where a file cannot be used.
     """
     views = recording.views
-    found, said = keypoints_of_views(
-        [v.keypoints for v in views], [v.name for v in views], recording.rig.names, recording.keypoint_set
-    )
-    return _by_stored_frames(found, views), said
+    paths, names = [v.keypoints for v in views], [v.name for v in views]
+    return _by_stored_frames(keypoints_of_views(paths, names, recording.rig.names, recording.keypoint_set)[0], views)
 
 
 def _by_stored_frames(
@@ -575,25 +573,6 @@ def stored_sizes(recording: Recording) -> list[tuple[int, int] | None]:
     return [None if v.source is None else frame_size(v.source) for v in recording.views]
 
 
-def _named_keypoints(
-    where: str, settings: Mapping[str, Any], views: Sequence[ViewSettings], rig: CameraRig, notes: list[str]
-) -> tuple[str | None, list[ViewKeypoints | None]]:
-    """Determine the key-point set (None without key points) and the key points of every view."""
-    stated = settings.get("keypoint_set")
-    if all(v.keypoints is None for v in views):
-        return None, [None] * len(views)
-    if stated is not None:
-        keypoint_names(stated)
-    found, said = keypoints_of_views([v.keypoints for v in views], [v.name for v in views], rig.names, stated)
-    notes += said
-    kinds = [k.keypoint_set for k in found if k is not None]
-    return (kinds[0] if kinds else stated or "BODY_25"), found
-
-
-def _optional(value: float | None) -> float | None:
-    return None if value is None else float(value)
-
-
 def _named(folder: Path, where: str, key: str, name: str) -> Path:
     """Resolve the path that a setting gives; InputError where no file system can have it."""
     try:
@@ -601,12 +580,9 @@ def _named(folder: Path, where: str, key: str, name: str) -> Path:
         path.exists()
     except (OSError, RuntimeError) as problem:  # a name that is too long; a user (~name) who is not known
         shown = name if len(name) <= 60 else f"{name[:60]}..."
-        raise InputError(f"{where}: the {key} {shown} is no path ({_reason(problem)}); correct it.") from None
+        reason = getattr(problem, "strerror", None) or str(problem).rstrip(".")
+        raise InputError(f"{where}: the {key} {shown} is no path ({reason}); correct it.") from None
     return path
-
-
-def _reason(problem: Exception) -> str:
-    return problem.strerror if isinstance(problem, OSError) and problem.strerror else str(problem).rstrip(".")
 
 
 def _view(folder: Path, where: str, table: Mapping[str, Any], index: int) -> ViewSettings:

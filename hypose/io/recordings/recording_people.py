@@ -16,6 +16,7 @@ from hypose.evidence.one_person import OnePerson, one_person
 from hypose.geometry import Array
 from hypose.io.recordings.object_masks import ObjectMasks
 from hypose.io.recordings.recording import Recording, keypoints_of_recording, stored_sizes
+from hypose.io.videos.video import evenly_spread
 
 _SAMPLES = 24  # frames in which objects are compared
 
@@ -46,7 +47,7 @@ def candidates_of(recording: Recording, small: CameraRig) -> list[list[Array | N
     """
     if recording.keypoint_set is None or not any(v.keypoints for v in recording.views):
         return None
-    found, _ = keypoints_of_recording(recording)
+    found = keypoints_of_recording(recording)
     sizes = stored_sizes(recording)
     views = []
     for camera, into, view, size in zip(recording.rig, small, found, sizes, strict=True):
@@ -103,7 +104,7 @@ def objects_of_people(
     masks: masks of each view; None for a view without objects.
     Returns: one dictionary {view: object} per person, those seen most often first.
     """
-    frames = _sampled(recording)
+    frames = evenly_spread(recording.frames.start, recording.frames.stop, _SAMPLES)
     points: list[dict[str, Array]] = [{} for _ in masks]
     for c, (view, camera, into) in enumerate(zip(masks, recording.rig, small, strict=True)):
         if view is None:
@@ -176,18 +177,13 @@ def _everybodys(
     return chosen, (said,) if rest else ()
 
 
-def _sampled(recording: Recording) -> list[int]:
-    frames = recording.frames
-    return [frames[int(i)] for i in np.unique(np.linspace(0, len(frames) - 1, min(_SAMPLES, len(frames))).round())]
-
-
 def _points_inside(
     recording: Recording, small: CameraRig, c: int, view: ObjectMasks, keypoints: Sequence[Keypoints]
 ) -> dict[str, int]:
     """Count the key points inside each object of a view."""
     out: dict[str, int] = {}
     camera, into = recording.rig[c], small[c]
-    for f in _sampled(recording):
+    for f in evenly_spread(recording.frames.start, recording.frames.stop, _SAMPLES):
         p = keypoints[f - recording.frames[0]].points[c]
         p = p[p[:, 2] > 0.2][:, :2]
         if not len(p) or f >= view.n_frames:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from hypose.cameras.camera import Camera
 from hypose.compute import mask_runs
-from hypose.compute.glance import Glance, differing_box, stored_pixels
+from hypose.compute.glance import Glance, StoredPlaces, differing_box, stored_places
 from hypose.compute.picture_to_mask import Box, Undistortion, make_lens, new_picture, shrink_undistort
 from hypose.compute.threads import default_threads
 from hypose.errors import InputError
@@ -205,7 +205,7 @@ class Preparer:
         self._maps = mx - np.float32(shift[0] * scale[0]), my - np.float32(shift[1] * scale[1])
         self._lenses: dict[tuple[int, int], Undistortion] = {}
         self._memory = new_picture(self.size[1], self.size[0])
-        self._pixels: dict[tuple[int, int], NDArray[np.int32]] = {}
+        self._places: dict[tuple[int, int], StoredPlaces] = {}
 
     def __call__(self, image: Image) -> Image:
         """Undistort a stored picture."""
@@ -234,9 +234,9 @@ class Preparer:
         """
         image = self._enlarged(image)
         stored = (image.shape[1], image.shape[0])
-        if stored not in self._pixels:
-            self._pixels[stored] = stored_pixels(stored, *self._maps)
-        return differing_box(image, self._pixels[stored], glance, self.size)
+        if stored not in self._places:
+            self._places[stored] = stored_places(stored, *self._maps)
+        return differing_box(image, self._places[stored], glance, self.size)
 
     def _enlarged(self, image: Image) -> Image:
         if image.shape[1] >= self.size[0] and image.shape[0] >= self.size[1]:
@@ -272,27 +272,30 @@ class _MaskSource:
     """Given masks of a view: a video, a folder of images, masks of several objects, or a folder written by
     `write_masks`.
 
+    path: the view's masks.
+    prepare: conversion to the working size.
+    size: width and height of the working size, px.
+
+    Attributes:
+    objects: masks of several objects; None where the masks do not separate objects.
     chosen: names of the objects that are the person; None for all.
     """
 
     def __init__(self, view: ViewSettings, path: Path, prepare: Preparer, size: tuple[int, int]) -> None:
         self.path, self._prepare, self._size = path, prepare, size
         self._stored = stored_numbers(view)
-        self._numbered: dict[int, Path] | None = None
-        self._reader: VideoReader | None = None
-        self.objects: ObjectMasks | None = None
+        made_here = (path / SIDECAR).is_file()
+        self._reader = None if made_here else open_masks(path, view.first_mask)
+        self._numbered = {int(p.stem): p for p in list_images(path) if p.stem.isdigit()} if made_here else {}
+        self.objects = self._reader if isinstance(self._reader, ObjectMasks) else None
         self.chosen: frozenset[str] | None = None
-        if (path / SIDECAR).is_file():
-            self._numbered = {int(p.stem): p for p in list_images(path) if p.stem.isdigit()}
-        else:
-            opened = open_masks(path, view.first_mask)
-            if isinstance(opened, ObjectMasks):
-                self.objects = opened
-            else:
-                self._reader = opened
 
     def read(self, frame: int) -> Mask:
-        if self._numbered is not None:
+        """Read the mask (h, w) of a frame, of 0 and 1, at working size.
+
+        Raises: InputError where there is none.
+        """
+        if self._reader is None:
             if frame not in self._numbered:
                 raise InputError(f"{self.path} holds no mask of frame {frame}.")
             mask = as_mask(read_image(self._numbered[frame]), str(self._numbered[frame])) * np.uint8(255)
@@ -300,15 +303,15 @@ class _MaskSource:
                 mask = np.asarray(cv2.resize(mask, self._size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
         else:
             frame = frame if self._stored is None else int(self._stored[frame])
-            if self._reader is not None:
+            if self.objects is None:
                 whole = as_mask(self._reader.read(frame), f"{self.path}, frame {frame},")
             else:
-                assert self.objects is not None
                 whole = self.objects.union(frame, self.chosen)
             mask = self._prepare(np.repeat(whole[..., None] * np.uint8(255), 3, 2))[..., 0]
         return (mask > 127).astype(np.uint8)
 
     def close(self) -> None:
+        """Close the files."""
         if self._reader is not None:
             self._reader.close()
 

@@ -19,8 +19,7 @@ from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.frame import Frame
-from hypose.evidence.prefetch import pack_once
-from hypose.evidence.shared_masks import PREDICTED_WIDENING, SOLVED_WIDENING, Other, own_silhouettes
+from hypose.evidence.shared_masks import Other
 from hypose.geometry import Array
 from hypose.pipeline.frame_anomalies import as_now, looked_at, mask_change
 from hypose.pipeline.live.background_work import BackgroundWork, PackedMasks
@@ -31,7 +30,7 @@ from hypose.tracking.covariance_calibration import beyond_usual, with_fitted_joi
 from hypose.tracking.error_model import as_mixture, judged
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.refinement import SETTLING, refine
-from hypose.tracking.several import BLIND, shape_of
+from hypose.tracking.several import BLIND, Member, shape_of, step_together
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState, motion_of
 
 
@@ -158,9 +157,10 @@ class LiveTrack:
 
     def expected(self, time: float) -> Array:
         """Predict the pose (D,) at a time, s."""
-        return self.tracker.predicted(self._state_at(time))
+        return self.tracker.predicted(self.state_at(time))
 
-    def _state_at(self, time: float) -> TrackerState:
+    def state_at(self, time: float) -> TrackerState:
+        """Return the tracker's state with its velocities scaled for a frame at a time, s."""
         passed = time - self._time
         share = 0.0 if passed > SETTINGS.search_gap_s else passed / self._step_s
         return paced(self.state, share, self.tracker.body.skeleton)
@@ -177,7 +177,7 @@ class LiveTrack:
             if won is not None:
                 self.state, self._time = won
         passed = frame.time - self._time
-        state = self._state_at(frame.time)
+        state = self.state_at(frame.time)
         self._keep_pace(min(passed, SETTINGS.search_gap_s))
         self.state, estimate = self.tracker.step(state, frame)
         self._time, self._step_s = frame.time, max(passed, 1e-3)
@@ -454,26 +454,18 @@ class LivePeople:
         self._search.look(frame, others, self.most - len(self.people), body, height)
 
     def _step_together(self, frame: Frame) -> list[Stepped]:
-        """Track all people in one frame like `hypose.tracking.several.step_together`: one after the other, starting
-        with another person in each frame.
-        """
-        s, count = frame.silhouettes, len(self.people)
-        assert s is not None
-        shapes = {p.number: shape_of(p.tracker.body, p.expected(frame.time), s.rig) for p in self.people}
-        widened = dict.fromkeys(shapes, PREDICTED_WIDENING)
-        sure = {p.number for p in self.people if p.sure}
+        """Track all people in one frame, each in what the others leave of the masks; those given up are left out."""
+        members = [Member(p.tracker, p.state_at(frame.time)) for p in self.people]
         out: dict[int, Stepped] = {}
-        for p in (self.people[(frame.index + k) % count] for k in range(count)):
-            others = [Other(shapes[n], widened[n]) for n in sure if n != p.number]
-            own = own_silhouettes(s, shapes[p.number], others, anywhere=p.number not in sure)
-            pack_once(own)
-            stepped = p.step(replace(frame, silhouettes=own), frame)
+
+        def step(k: int, own: Frame) -> tuple[Member, FrameEstimate | None]:
+            p, stepped = self.people[k], self.people[k].step(own, frame)
             if stepped is None:
-                sure.discard(p.number)
-                continue
-            shapes[p.number] = shape_of(p.tracker.body, stepped.estimate.pose, s.rig)
-            widened[p.number] = SOLVED_WIDENING
+                return replace(members[k], present=False), None
             out[p.number] = stepped
+            return Member(p.tracker, p.state), stepped.estimate
+
+        step_together(members, frame, step=step)
         return [out[n] for n in sorted(out)]
 
     def _one_of_two(self, time: float, stepped: list[Stepped]) -> list[Stepped]:

@@ -35,7 +35,7 @@ from hypose.tracking.several import Member, step_together
 from hypose.tracking.start_search import starts_in_frame, weigh_starts
 from hypose.tracking.tracker import Tracker, TrackerState
 
-STATE_EMPTY, STATE_SEARCHING = "nobody", "looking"
+STATE_EMPTY, STATE_SEARCHING = "no_person", "looking"
 """Values of `LiveSearch.phase`."""
 
 

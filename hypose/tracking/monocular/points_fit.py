@@ -160,8 +160,7 @@ def _above_floor(
 
 def _places(body: Body, pose: Array, joint: NDArray[np.int64], offset: Array) -> Array:
     """Compute the world positions (P, 3), m, of points fixed to joints (P,) at offsets (P, 3)."""
-    rotations, centres = body.skeleton.forward(pose)
-    return centres[joint] + np.einsum("pab,pb->pa", rotations[joint], offset)
+    return body.skeleton.points(joint, offset, pose)
 
 
 def _jacobian(body: Body, pose: Array, joint: NDArray[np.int64], offset: Array) -> Array:

@@ -156,7 +156,7 @@ class Engine:
     def stop(self):
         for _ in range(0 if self._failing else 20):
             for listener in self.listeners:
-                listener.status(LiveStatus("nobody", (), (), 0, 0.0, 0.0, (np.nan, np.nan), {}, (), False))
+                listener.status(LiveStatus("no_person", (), (), 0, 0.0, 0.0, (np.nan, np.nan), {}, (), False))
             time.sleep(0.05)
         self.ended.set()
 

@@ -12,7 +12,7 @@ from scipy.stats import chi2
 from benchmarks.studio.long_results import long_result
 from hypose.app.cli import run_cli
 from hypose.app.reports.report import PLACE, drawn_of, report_html
-from hypose.app.reports.result_pictures import image_points
+from hypose.app.reports.result_pictures import as_shown
 from hypose.app.studio.view_bundle import load_view
 from hypose.calibration.findings import REVIEW, Finding
 from hypose.io.motions.results import load_body, load_motion, save_motion
@@ -53,7 +53,7 @@ def expected(recording, results, row=5):
     vertices = body.skin(motion.poses[row])
     cameras = []
     for view, camera in zip(recording.views, recording.rig, strict=True):
-        pixels = image_points(view, camera, vertices, camera.size)
+        pixels = as_shown(view, camera, camera.size).project(vertices)
         cameras.append({"points": vertices.ravel().tolist(), "pixels": pixels.ravel().tolist()})
     regions = chi2.ppf(0.9, 3) * motion.joint_covariance[row].astype(float)
     spread = {"joints": motion.joints[row].tolist(), "regions": regions.tolist()}
@@ -88,7 +88,8 @@ def true_pixels(recording, motion, row, cameras):
     found = {}
     for name in cameras:
         k = recording.rig.names.index(name)
-        seen = image_points(recording.views[k], recording.rig[k], motion.joints[row, at], recording.rig[k].size)
+        shown = as_shown(recording.views[k], recording.rig[k], recording.rig[k].size)
+        seen = shown.project(motion.joints[row, at])
         found[name] = dict(zip(ARM, seen.tolist(), strict=True))
     return found
 

@@ -14,7 +14,7 @@ import { People } from "./people";
 const TELL_MS = 250;
 const PHASES: Record<string, string> = {
   "empty room": "The empty room is learnt",
-  nobody: "Nobody is seen",
+  no_person: "No person is seen",
   looking: "A person is there; it is found out how they stand",
   following: "A person is followed",
   lost: "Lost; looked for",
@@ -24,9 +24,9 @@ const STAGES: Record<string, string> = { masks: "masks", track: "tracking", tell
 /** Calibrated cameras, followed as they show somebody: their pictures with masks, the person in 3D, and how it goes. */
 export function camerasLive(root: HTMLElement): Screen {
   const box = shell(root, "live");
-  const nobody = h("p", { class: "live-nobody" });
+  const noPerson = h("p", { class: "live-no-person" });
   const strip = h("div", { class: "live-pictures", role: "group", "aria-label": "Pictures of the cameras", tabindex: 0 });
-  const space = h("div", { class: "live-space" }, nobody);
+  const space = h("div", { class: "live-space" }, noPerson);
   const rows = h("tbody", {});
   const state = h("p", { class: "live-state", role: "status" }, "Connecting…");
   const started = h("p", { class: "live-started dim" });
@@ -130,7 +130,7 @@ export function camerasLive(root: HTMLElement): Screen {
 
   /** What was seen is seen no longer. */
   const forget = (): void => {
-    setText(nobody, "");
+    setText(noPerson, "");
     words.replaceChildren();
     rows.replaceChildren();
     strip.replaceChildren();
@@ -160,7 +160,7 @@ export function camerasLive(root: HTMLElement): Screen {
     const spent = Object.entries(message.stages_ms).filter(([, ms]) => ms !== null);
     setText(stages, spent.length ? `ms for each instant: ${spent.map(([name, ms]) => `${STAGES[name] ?? name} ${ms!.toFixed(0)}`).join(", ")}` : "");
     if (message.phase === "following" && !blind) return;
-    setText(nobody, phase);
+    setText(noPerson, phase);
     said.latency.textContent = "–";
     people?.show([]);
   };
@@ -173,7 +173,7 @@ export function camerasLive(root: HTMLElement): Screen {
       counters["poses"] = message.n;
       const seen = message.people.filter((p) => p.seen);
       people?.show(seen);
-      if (seen.length) setText(nobody, "");
+      if (seen.length) setText(noPerson, "");
       if (performance.now() - told < TELL_MS) return;
       told = performance.now();
       said.latency.textContent = message.latency_ms.toFixed(0);

@@ -17,8 +17,8 @@ const TELL_MS = 250;
 export const live: OpenScreen = (root, rest) => {
   if (rest[0] !== "sensors") return camerasLive(root);
   const box = shell(root, "live");
-  const nobody = h("p", { class: "live-nobody" });
-  const space = h("div", { class: "live-space" }, nobody);
+  const noPerson = h("p", { class: "live-no-person" });
+  const space = h("div", { class: "live-space" }, noPerson);
   const sensors = h("tbody", {});
   const state = h("p", { class: "live-state", role: "status" }, "Connecting…");
   const said = { people: h("b", { class: "number" }, "–"), rate: h("b", { class: "number" }, "–"), latency: h("b", { class: "number" }, "–") };
@@ -48,8 +48,8 @@ export const live: OpenScreen = (root, rest) => {
   const showRunning = (running: false | Running): void => {
     form.show(running);
     state.textContent = running ? runningText(running) : "Not running. Choose who is seen and press Start; simulated sensors need nothing.";
-    setText(nobody, running ? "Nobody is seen yet" : "Press Start to see who the sensors see");
-    nobody.hidden = false;
+    setText(noPerson, running ? "No person is seen yet" : "Press Start to see who the sensors see");
+    noPerson.hidden = false;
     sensors.replaceChildren(h("tr", {}, h("td", { class: "dim", colspan: 3 }, "No sensor has sent anything yet.")));
     if (running) return;
     people?.show([]);
@@ -64,7 +64,7 @@ export const live: OpenScreen = (root, rest) => {
     counters["people"] = message.people.length;
     counters.pictures = people?.drawn ?? 0;
     people?.show(message.people);
-    nobody.hidden = message.people.length > 0;
+    noPerson.hidden = message.people.length > 0;
     if (now - told < TELL_MS) return;
     told = now;
     said.people.textContent = String(message.people.length);
@@ -89,7 +89,7 @@ export const live: OpenScreen = (root, rest) => {
   const socket = new Socket("ws/fuse", (m) => heard(m as LiveMessage), undefined, (open) => {
     if (open) return;
     state.textContent = "The server does not answer; is `hypose view` still running?";
-    people?.show([]); // nobody knows any longer
+    people?.show([]); // they are not known any longer
     sensors.replaceChildren();
   });
   return {
