@@ -49,7 +49,7 @@ def test_lengths_are_measured_within_the_given_error() -> None:
 
 
 def test_captured_motion(shared_data) -> None:
-    scene = body_scene(101, mocap=shared_data("mocap"))
+    scene = body_scene(101, mocap=shared_data("mocap/02.asf").parent)
     assert len(scene.performance) == 30
     uv = scene.camera.project(scene.performance.joints)
     assert ((uv > 0) & (uv < scene.camera.size)).all()
