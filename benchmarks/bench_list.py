@@ -37,7 +37,6 @@ from benchmarks.depth_sensors import depth_tracking, fusion_benchmarks, fusion_s
 from benchmarks.live import live_bench
 from benchmarks.multiview import (
     body_measures,
-    body_measures_real,
     detector_bench,
     doubt_bench,
     lost_arms,
@@ -45,7 +44,6 @@ from benchmarks.multiview import (
     path_speed,
     real_recordings,
     real_regions,
-    rigging,
     scorer_speed,
     solve_speed,
     starts_bench,
@@ -54,8 +52,8 @@ from benchmarks.multiview import (
     uncertainty,
 )
 from benchmarks.one_camera import mono_benchmarks, mono_real
-from benchmarks.people import clothes_bench, mixed_up, players, shelf, together, two_people
-from benchmarks.robustness import batch_scale, faults, start_bench
+from benchmarks.people import clothes_bench, players, shelf, together, two_people
+from benchmarks.robustness import batch_scale, start_bench
 from benchmarks.studio import page_bench
 from hypose.errors import InputError
 
@@ -100,7 +98,6 @@ def benchmarks() -> dict[str, dict[str, Benchmark]]:
             "": Benchmark(together.people, *_ALL),
             "players": Benchmark(players.players, *_SCENES),
             "clothes": Benchmark(clothes_bench.clothes, *_SCENES),
-            "mixed-up": Benchmark(mixed_up.mixed_up, *_SCENES),
             "shelf": Benchmark(shelf.shelf, "data"),
             "real": Benchmark(two_people.two_people, "data"),
         },
@@ -124,8 +121,7 @@ def benchmarks() -> dict[str, dict[str, Benchmark]]:
         "boardless": {"": Benchmark(boardless.boardless, *_ALL)},
         "body": {
             "": Benchmark(body_measures.anthropometry, "seeds", "data"),
-            "real": Benchmark(body_measures_real.subject_balancing, "data"),
-            "rigging": Benchmark(rigging.rigging, "seeds"),
+            "real": Benchmark(body_measures.subject_balancing, "data"),
         },
         "fusion": {
             "table-1": Benchmark(sensor_choice.table_1, "seeds", "first_seed", "data"),
@@ -155,9 +151,6 @@ def benchmarks() -> dict[str, dict[str, Benchmark]]:
             "solve": Benchmark(solve_speed.contour_solve, "data"),
             "start": Benchmark(start_bench.start),
             "short-clip": Benchmark(start_bench.short_clip, "data"),
-        },
-        "robustness": {
-            "faults": Benchmark(faults.faults, "seeds", "first_seed"),
             "batch": Benchmark(batch_scale.batch, "seeds", "first_seed"),
         },
         "studio": {"": Benchmark(page_bench.studio)},

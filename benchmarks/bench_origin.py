@@ -12,8 +12,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from benchmarks.bench_report import BenchOptions, Row
-from benchmarks.short_calls import best
+from benchmarks.bench_report import BenchOptions, Row, best
 
 ROOT = Path(__file__).resolve().parent.parent
 YARDSTICK = "OpenCV fill"

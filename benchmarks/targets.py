@@ -291,22 +291,6 @@ TARGETS = (
         ),
     ),
     Benchmark(
-        "people-mixed-up",
-        "largest mean error of a frame when detections are mixed up",
-        (
-            Figure("max_mm", "sides exchanged, 30 %/keypoints", at_most=130),
-            Figure("max_mm", "sides exchanged, 30 %/both", at_most=130),
-            Figure("max_mm", "two cameras exchanged/keypoints", at_most=130),
-            Figure("max_mm", "two cameras exchanged/both", at_most=130),
-            Figure("max_mm", "bystander instead, 40 %/keypoints", at_most=130),
-            Figure("max_mm", "bystander instead, 40 %/both", at_most=130),
-            Figure("max_mm", "mirror in two views/keypoints", at_most=130),
-            Figure("max_mm", "mirror in two views/both", at_most=130),
-            Figure("said", "keypoints", at_least=1),
-            Figure("said", "both", at_least=1),
-        ),
-    ),
-    Benchmark(
         "cameras",
         "captured movement, three real camera rigs, key points with a detector's errors",
         (
@@ -330,14 +314,6 @@ TARGETS = (
         "real-caliscope",
         "four webcams without a trigger, MediaPipe's points: pixels in a camera left out",
         (Figure("loco_px", "hypose", at_most=1, of="caliscope"),),
-    ),
-    Benchmark(
-        "body-rigging",
-        "joints found in body scans with 3 mm of noise",
-        (
-            Figure("joints, mean error", "8 scans, pose t, noise 3 mm"),
-            Figure("joints, largest error", "8 scans, pose t, noise 3 mm"),
-        ),
     ),
     Benchmark(
         "body",
@@ -611,17 +587,7 @@ TARGETS = (
         ),
     ),
     Benchmark(
-        "robustness-faults",
-        "evidence spoilt for two seconds of a walk; error in the last second, wrong frames without a flag",
-        (
-            Figure("error_after_mm", "none"),
-            Figure("error_after_mm", "camera-stops"),
-            Figure("error_after_mm", "empty-masks"),
-            Figure("error_after_mm", "frames-dropped"),
-        ),
-    ),
-    Benchmark(
-        "robustness-batch",
+        "speed-batch",
         "a hundred recordings on two workers; a worker killed twice",
         (
             Figure("speed_up", "two workers", at_least=1.8),

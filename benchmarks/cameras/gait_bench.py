@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -32,18 +31,6 @@ _MATCHED = 0.2  # s
 _SURE = 1.645
 
 
-@dataclass
-class _Found:
-    """Of all walks: time errors s and their sd by kind, step lengths' errors m and sd, and how many events there were
-    that were not found, and found that were not there."""
-
-    events: dict[str, list[tuple[float, float]]] = field(default_factory=lambda: {"strike": [], "off": []})
-    lengths: list[tuple[float, float]] = field(default_factory=list)
-    missed: int = 0
-    invented: int = 0
-    there: int = 0
-
-
 def gait(options: BenchOptions) -> BenchReport:
     """foot_strike_frames, foot_off_frames: median distance in frames (60/s) from the same event of the captured feet;
     step_length_mm: median error; coverage_90: share in the stated 90 % intervals; missed, invented: shares of events.
@@ -51,39 +38,40 @@ def gait(options: BenchOptions) -> BenchReport:
     CMU's walk (02_01) overground on the body of a seed, 2.8 s, three of the balancing clip's cameras, key points alone
     that err like a detector's."""
     seeds = options.seed_range(10, quick=2)
-    rig, found = balancing_rig(options), _Found()
+    rig, walks = balancing_rig(options), list[dict[str, Any]]()
     for k, seed in enumerate(seeds):
         options.progress(f"walk seed {seed}", k, len(seeds))
-        one = options.part(f"gait-{seed}", lambda s=seed: _walk(options, rig, s))
-        for kind in found.events:
-            found.events[kind] += [tuple(x) for x in one[kind]]
-        found.lengths += [tuple(x) for x in one["lengths"]]
-        found.missed, found.invented = found.missed + one["missed"], found.invented + one["invented"]
-        found.there += one["there"]
+        walks.append(options.part(f"gait-{seed}", lambda s=seed: _walk(options, rig, s)))
     return BenchReport(
-        tuple(_rows(found)), {"seeds": len(seeds), "first_seed": seeds.start, "seconds": SECONDS, "rate": RATE}
+        tuple(_rows(walks)), {"seeds": len(seeds), "first_seed": seeds.start, "seconds": SECONDS, "rate": RATE}
     )
 
 
-def _rows(found: _Found) -> list[Row]:
+def _rows(walks: list[dict[str, Any]]) -> list[Row]:
     rows, inside = list[Row](), list[NDArray[np.bool_]]()
-    for kind, pairs in found.events.items():
-        error, sd = np.array(pairs).reshape(-1, 2).T
+
+    def errors(kind: str) -> Array:
+        """Errors over all walks; whether each lies within its interval is kept in `inside`."""
+        error, sd = np.array([pair for walk in walks for pair in walk[kind]]).reshape(-1, 2).T
         inside.append(np.abs(error) <= _SURE * sd)
+        return error
+
+    for kind in ("strike", "off"):
+        error = errors(kind)
         rows.append(Row(f"foot_{kind}_frames", "all", float(np.median(np.abs(error)) * RATE), "frames", n=len(error)))
         rows.append(Row(f"foot_{kind}_bias_frames", "all", float(np.median(error) * RATE), "frames", n=len(error)))
         rows.append(Row("coverage_90", kind, float(inside[-1].mean()), "1", n=len(error)))
-    error, sd = np.array(found.lengths).reshape(-1, 2).T
-    inside.append(np.abs(error) <= _SURE * sd)
-    rows += [
+    error = errors("lengths")
+    there, missed, invented = (sum(walk[k] for walk in walks) for k in ("there", "missed", "invented"))
+    return [
+        *rows,
         Row("step_length_mm", "all", float(1e3 * np.median(np.abs(error))), "mm", n=len(error)),
         Row("step_length_bias_mm", "all", float(1e3 * np.median(error)), "mm", n=len(error)),
         Row("coverage_90", "step length", float(inside[-1].mean()), "1", n=len(error)),
         Row("coverage_90", "all", float(np.concatenate(inside).mean()), "1", n=sum(map(len, inside))),
-        Row("missed", "all", found.missed / max(1, found.there), "1", n=found.there),
-        Row("invented", "all", found.invented / max(1, found.there), "1", n=found.there),
+        Row("missed", "all", missed / max(1, there), "1", n=there),
+        Row("invented", "all", invented / max(1, there), "1", n=there),
     ]
-    return rows
 
 
 def _walk(options: BenchOptions, rig: Any, seed: int) -> dict[str, Any]:

@@ -10,11 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.bench_report import BenchOptions, BenchReport, Row, row
+from benchmarks.bench_report import BenchOptions, BenchReport, Row, best, row
 from benchmarks.depth_gestures.gesture_data import Size, examples, for_gesture, teach, test_set, thinned, training_set
 from benchmarks.depth_gestures.gesture_pictures import GestureFrame
 from benchmarks.depth_gestures.gesture_scores import THOROUGH, judge
-from benchmarks.short_calls import best
 from hypose.gestures.depth_pictures import KINECT
 from hypose.gestures.forest import Forest
 from hypose.gestures.localise import Scratch, localise

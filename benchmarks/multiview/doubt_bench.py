@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import rankdata
 
 from benchmarks.bench_report import BenchOptions, BenchReport, Row
 from benchmarks.multiview.doubt_fit import ALONE, auroc, figures, left_out, of_arms, rows_of
@@ -72,7 +71,6 @@ def _told(clips: Sequence[Tracked], judges: Sequence[Tracked]) -> list[Row]:
     for name, own in sets.items():
         p, error = _told_of(own)
         f = figures(p, error, error_models()["silhouettes"].threshold, "silhouettes")
-        sd = np.concatenate([c.motion.joint_sd[:, EVALUATED] for c in own])
         n = error.size
         rows += [
             Row("auroc", name, f["auroc"], "1", n=n),
@@ -82,8 +80,6 @@ def _told(clips: Sequence[Tracked], judges: Sequence[Tracked]) -> list[Row]:
             Row("frames_caught", name, f["frames caught"], "1", n=len(error)),
             Row("frames_flagged_good", name, f["good frames flagged"], "1", n=len(error)),
             Row("ece_p", name, f["ece"], "1", n=n),
-            Row("spearman", name, _ranked(sd, error), "1", n=n),
-            Row("spearman", f"{name}, P", _ranked(p, error), "1", n=n),
         ]
     scores, wrong = list[Array](), list[NDArray[np.bool_]]()
     for evidence in ("keypoints", "both"):
@@ -134,11 +130,6 @@ def _words(judges: Sequence[Tracked]) -> list[Row]:
 
 
 _WRONG_FRAMES = 0.1
-
-
-def _ranked(a: Array, b: Array) -> float:
-    """Correlation of the ranks of two arrays."""
-    return float(np.corrcoef(rankdata(a.ravel()), rankdata(b.ravel()))[0, 1])
 
 
 def _regions(judges: Sequence[Tracked], family: str) -> list[Row]:

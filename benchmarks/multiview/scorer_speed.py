@@ -7,9 +7,8 @@ import cv2
 import numpy as np
 from scipy.stats import spearmanr
 
-from benchmarks.bench_report import BenchOptions, BenchReport, Row
+from benchmarks.bench_report import BenchOptions, BenchReport, Row, best
 from benchmarks.multiview.action_scenes import action_scene, known_subject
-from benchmarks.short_calls import best
 from hypose.body.body import Body, Mesh
 from hypose.compute.arrays import PreparedMasks, prepare_masks
 from hypose.compute.parts import covered, projected

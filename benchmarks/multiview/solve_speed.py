@@ -7,10 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from benchmarks.bench_report import BenchOptions, BenchReport, Row, row
+from benchmarks.bench_report import BenchOptions, BenchReport, Row, best, row
 from benchmarks.multiview.action_scenes import action_scene, known_subject
 from benchmarks.multiview.real_recordings import against_keypoints, balancing_recording
-from benchmarks.short_calls import best
 from hypose.body.body import Body
 from hypose.evidence.frame import Frame
 from hypose.evidence.outlines import WORKING_HEIGHT

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.multiview.rigging import scan_of
+from benchmarks.synthetic.scans import scan_of
 from hypose.body.body import Shape, deform
 from hypose.body.default_body import human
 from hypose.body.fit_skeleton import (

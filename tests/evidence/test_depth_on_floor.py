@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.depth_sensors.depth_passing import passing
+from benchmarks.depth_sensors.depth_tracking import passing
 from hypose.evidence.depth_background import people_on_floor, person_on_floor, unlike_people
 from hypose.synthetic.depth_scenes import depth_scene
 from hypose.synthetic.motions import act
