@@ -56,7 +56,7 @@ _PLACES = {
     "SmoothedWeight": "hypose.inference.annealing",
     "SurvivalRate": "hypose.inference.annealing",
     "FixedAnnealingRate": "hypose.inference.annealing",
-    "SilhouetteXor": "hypose.tracking.costs",
+    "SilhouetteXor": "hypose.tracking.frame_evidence",
     "pose_mean": "hypose.tracking.refinement",
     # depth sensors
     "read_skeletons": "hypose.io.sensors.skeleton_files",

@@ -42,7 +42,7 @@ from hypose.pipeline.track import track as track
 from hypose.pipeline.track_loop import FrameList as FrameList
 from hypose.pipeline.track_options import TrackOptions as TrackOptions
 from hypose.synthetic.scenes import make_scene as make_scene
-from hypose.tracking.costs import SilhouetteXor as SilhouetteXor
+from hypose.tracking.frame_evidence import SilhouetteXor as SilhouetteXor
 from hypose.tracking.recipes import recipe as recipe
 from hypose.tracking.refinement import pose_mean as pose_mean
 from hypose.tracking.tracker import Tracker as Tracker

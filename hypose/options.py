@@ -12,8 +12,9 @@ from __future__ import annotations
 import dataclasses
 import functools
 import inspect
+import re
 import typing
-from collections.abc import Callable
+from collections.abc import Callable, Container, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -119,6 +120,27 @@ def declared(of: Callable[..., Any]) -> tuple[Declared, ...]:
             default = dataclasses.MISSING if default is inspect.Parameter.empty else default
             out.append(Declared(name, kind, typing.get_origin(plain) is tuple, default, hint.__metadata__[0]))
     return tuple(out)
+
+
+def named_values(
+    flag: str, texts: Iterable[str], form: str, names: Container[str] | None = None, value: str = ".+"
+) -> dict[str, str]:
+    """Split the texts NAME=VALUE of an option that may be repeated.
+
+    flag: name of the option, for the error.
+    form: what to write instead, for the error.
+    names: allowed names; None: all.
+    value: regular expression that a value must match.
+    Returns: values by name.
+    Raises: InputError where a text has another form, or a name is unknown or given twice.
+    """
+    out: dict[str, str] = {}
+    for text in texts:
+        name, _, given = text.partition("=")
+        if not name or name in out or (names is not None and name not in names) or not re.fullmatch(value, given):
+            raise InputError(f"{flag} {text} is not possible; give {form}, each once.")
+        out[name] = given
+    return out
 
 
 RecordingPath = Annotated[

@@ -13,7 +13,7 @@ from benchmarks.depth_sensors.fusion_scenes import FRESH_SEED, HANDS, scene_reco
 from benchmarks.synthetic.sensors import HIDDEN_BELOW, SensorRecording
 from hypose.fusion import joints as jt
 from hypose.fusion.confidence import confidence_step, normalised, start_confidence
-from hypose.fusion.register import alone, by_triangles, horizontal_axes, register, upward
+from hypose.fusion.register import alone, by_triangles, register, upward
 from hypose.fusion.swarm import IMPROVED, PUBLISHED, SwarmSettings, start_swarm, swarm_step
 from hypose.geometry import Array
 
@@ -182,7 +182,10 @@ def heading(positions: ArrayLike, up: ArrayLike) -> Array:
     over the sensors, unwrapped and smoothed (factor 0.2 per frame: raw headings of single frames trigger by chance)."""
     s = np.asarray(positions, dtype=np.float64)
     side = s[:, :, jt.LEFT_SHOULDER] - s[:, :, jt.RIGHT_SHOULDER]
-    x, y = horizontal_axes(up)
+    z = np.asarray(up, dtype=np.float64)
+    x = np.cross(z, np.eye(3)[int(np.abs(z).argmin())])
+    x /= np.linalg.norm(x)
+    y = np.cross(z, x)
     angle = np.angle(np.nansum(np.exp(1j * np.arctan2(side @ y, side @ x)), axis=1))
     angle = np.unwrap(np.nan_to_num(angle))
     for t in range(1, len(angle)):

@@ -18,9 +18,8 @@ from scipy.optimize import linear_sum_assignment
 
 from benchmarks.bench_report import BenchOptions, BenchReport, Row
 from hypose.cameras.camera import Camera, CameraRig
-from hypose.evidence.association import Association
+from hypose.evidence.association import Association, PersonTrack
 from hypose.evidence.keypoints import BODY_25
-from hypose.evidence.person_tracks import PersonTrack
 from hypose.geometry import Array
 
 # the authors' order of limbs, as pairs of BODY_25

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from hypose.body.default_body import human
-from hypose.body.fit_skeleton import scan_pose
 from hypose.geometry import Array
+from hypose.pipeline.scan_fit import scan_pose
 from hypose.synthetic.subjects import SyntheticSubject
 
 

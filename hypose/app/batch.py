@@ -1,8 +1,10 @@
-"""Many recordings, each with options of its own: tracked by Dask's workers, resumed where they stopped, in one table.
+"""Track many recordings, each with options of its own, by Dask's workers, and write one table of results.
+
+Order of use: `read_table` or `wanted`, `ordered_tasks`, `run_batch`, `write_table`.
 
 The key of a task is the hash of everything that decides its motion: options, versions, and the content of its inputs.
-Its results lie in a folder of that key, with the figures in task.json, written last: where that lies the task is done.
-A worker that dies leaves the tracker's checkpoint, from which the next one goes on.
+Its results are in a folder with that key in its name. The figures are in task.json there, which is written last: a task
+with that file is finished. A worker that dies leaves the tracker's checkpoint, from which the next one continues.
 """
 
 from __future__ import annotations
@@ -20,6 +22,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from hypose.app.commands.console import ProgressCall, Stages, each, ignore
 from hypose.app.jobs.job import TrackJob, compile_before, job_of, record_of, run_job, split_names
@@ -42,13 +46,13 @@ COLUMNS = (
 )
 """Columns of results.csv; empty where unknown."""
 RETRIES = 2
-"""How many deaths of its worker a task may have"""
+"""Number of times a task is tried again after its worker died."""
 _TOPIC = "hypose-batch"
 _POLL_S = 0.5
 _STOP_S = 60.0  # a frame and a checkpoint take far less
 _PATIENCE = "300s"  # a worker of a busy machine takes long to start, the first time and again
 _FILES: Mapping[str, Any] = {"formats": "trc,csv", "overlay": False}
-"""Files that are written of each recording by default."""
+"""Options of the files that are written for each recording by default."""
 _COLUMNS_OF_TRACK = {
     d.flag.removeprefix("--").removeprefix("no-"): d
     for d in declared(TrackCommand)
@@ -59,8 +63,13 @@ _COLUMNS_OF_TRACK = {
 
 @dataclass(frozen=True)
 class Task:
-    """One recording tracked with some options. command: what to track and how; name: of the options. Once planned, key:
-    see the module; recording: its name; frames: how many; results: the folder."""
+    """One recording to be tracked with some options.
+
+    command: recording and options.
+    name: of the options, as the table gives it.
+    key, recording, frames, results: known once the task is planned (`ordered_tasks`): key of the module's description,
+        name of the recording, number of its frames, folder of the results.
+    """
 
     command: TrackCommand
     name: str = "default"
@@ -71,23 +80,31 @@ class Task:
 
     @property
     def job(self) -> TrackJob:
-        """The tracking job, which goes on where an earlier one stopped."""
+        """The tracking job, which continues where an earlier one stopped. A truth.npz in the recording's folder is
+        compared with the motion.
+        """
         job = job_of(replace(self.command, out=self.results, resume=True, report=True))
         truth = job.recording.folder / "truth.npz"
         return replace(job, truth=compare_with(truth, job.recording.frames.start) if truth.is_file() else None)
 
     @property
     def written(self) -> dict[str, Any]:
-        """Which files are written in addition to the motion."""
+        """Options of the files that are written in addition to the motion, as task.json holds them."""
         return {"formats": list(split_names(self.command.formats)), "overlay": self.command.overlay}
 
 
-# ---- the next step --------------------------------------------------------------------------------------
+# ---- tasks ---------------------------------------------------------------------------------------------------
 
 
 def read_table(path: Path, more: Mapping[str, Any] = _FILES) -> list[Task]:
-    """The rows of a CSV table of recordings; more: what else they are tracked with. An InputError names the line and
-    the allowed values."""
+    """Read a CSV table of recordings, one task per row.
+
+    path: table with the columns recording, name and those of `_COLUMNS_OF_TRACK`; paths in it are relative to its
+        folder.
+    more: options of `TrackCommand` that all rows share.
+    Returns: tasks that are not planned yet.
+    Raises: InputError names the line and the allowed values.
+    """
     reader = csv.DictReader(text_lines(path, "a table of recordings"), restkey="more", restval="")
     unknown = set(reader.fieldnames or ()) - {"recording", "name", *_COLUMNS_OF_TRACK}
     if unknown or "recording" not in (reader.fieldnames or ()):
@@ -114,8 +131,12 @@ def read_table(path: Path, more: Mapping[str, Any] = _FILES) -> list[Task]:
 
 
 def wanted(given: Sequence[Path], more: Mapping[str, Any] = _FILES) -> list[Task]:
-    """The rows of a table; or of paths every recording, as wildcards name other files as well, with the usual
-    options."""
+    """List the tasks of a command line: the rows of a table, or the recordings among some paths.
+
+    given: one table (.csv), or paths; those that are no recording are left out, because wildcards name other files too.
+    more: options of `TrackCommand` that all tasks share.
+    Raises: InputError where there is no recording.
+    """
     if given[0].suffix.lower() == ".csv":
         return read_table(given[0], more)
     folders = [p for p in given if (p / "recording.toml").is_file() or is_project(p)]
@@ -130,8 +151,12 @@ def wanted(given: Sequence[Path], more: Mapping[str, Any] = _FILES) -> list[Task
 def ordered_tasks(
     drafts: Sequence[Task], results: Path, progress: ProgressCall = ignore
 ) -> tuple[list[Task], list[dict[str, Any]]]:
-    """The tasks in their order, and a row of the table for each that cannot be one. Two recordings with the same
-    content and name, tracked with the same options, are one task."""
+    """Plan tasks: read their recordings, and compute their keys and folders.
+
+    results: folder of all results.
+    Returns: the planned tasks in their order, and a row of the table of results for each task that cannot be tracked.
+        Two recordings with the same content and name, tracked with the same options, are one task.
+    """
     tasks: dict[str, Task] = {}
     refused: list[dict[str, Any]] = []
     for task in each(progress, "plan", drafts):
@@ -151,7 +176,11 @@ def ordered_tasks(
 
 
 def finished_metrics(task: Task) -> dict[str, Any] | None:
-    """The figures of a task that is done: same key, same files to write, motion present."""
+    """Read the figures of a finished task.
+
+    Returns: content of task.json; None where the task is not finished: no such file, another key, other files to write,
+        or no motion.
+    """
     try:
         found = read_json(task.results / "task.json", "the record of a task")
     except InputError:
@@ -161,7 +190,11 @@ def finished_metrics(task: Task) -> dict[str, Any] | None:
 
 
 def write_table(rows: Sequence[Mapping[str, Any]], folder: Path) -> None:
-    """results.csv, whole or not at all."""
+    """Write results.csv completely or not at all.
+
+    rows: values by column (COLUMNS); others are left out, and missing ones are empty.
+    folder: of the file.
+    """
     text = io.StringIO()
     writer = csv.DictWriter(text, COLUMNS, lineterminator="\n", extrasaction="ignore")
     writer.writeheader()
@@ -179,8 +212,10 @@ def _cell(value: Any) -> str:
 
 
 def dask_setup(worker: object) -> None:
-    """Called by Dask in each local worker process: Ctrl-C reaches all processes of a terminal, and must not end workers
-    before they have kept what they have."""
+    """Let a worker process ignore Ctrl-C; Dask calls this in each local worker.
+
+    Why: Ctrl-C reaches all processes of a terminal, and workers must not end before they have saved their work.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
@@ -192,10 +227,14 @@ def _remote(task: Task, stop: Path) -> dict[str, Any]:
 
 
 def run_task(task: Task, stop: Path, report: Callable[[int], None]) -> dict[str, Any]:
-    """Figures of the finished task, or its state and why. `stop`: a file whose appearance ends the work in order;
-    report: takes how many frames are done.
+    """Track the recording of a task, and write its figures to task.json.
 
-    An input that cannot be used gives state "failed", as a second attempt would; any other exception is the caller's.
+    task: planned task.
+    stop: path of a file; when it appears, the work stops and what was tracked is kept.
+    report: receives the number of frames that are done.
+    Returns: the figures of the finished task, with state "done"; or state "stopped" or "failed" with a message. An
+        input that cannot be used fails, because a second attempt would fail too.
+    Raises: other exceptions of tracking.
     """
     known = finished_metrics(task)
     if known is not None:
@@ -221,21 +260,15 @@ def run_task(task: Task, stop: Path, report: Callable[[int], None]) -> dict[str,
     except KeyboardInterrupt:
         return _stopped("stopped; what was tracked is kept")
     s, low_confidence = summarize(outcome.motion), outcome.motion.low_confidence
+    options = {n: (getattr(task.command, d.name), d.default) for n, d in _COLUMNS_OF_TRACK.items()}
     figures = {
-        "key": task.key,
-        "state": "done",
-        "recording": task.recording,
-        "name": task.name,
-        "options": {
-            n: str(v) for n, d in _COLUMNS_OF_TRACK.items() if (v := getattr(task.command, d.name)) != d.default
-        },
+        **{"key": task.key, "state": "done", "recording": task.recording, "name": task.name},
+        "options": {n: str(value) for n, (value, usual) in options.items() if value != usual},
         **task.written,
-        "frames": s.frames,
-        "lost": s.lost,
-        "extrapolated": s.extrapolated,
+        **{"frames": s.frames, "lost": s.lost, "extrapolated": s.extrapolated},
         "low_confidence": None if low_confidence is None else int(low_confidence.sum()),
         "assessment": None if outcome.assessment is None else outcome.assessment.word,
-        **{n: v if v == v else None for n, v in (("iou", s.iou), ("worst_iou", s.worst_iou), ("sd_mm", s.sd_mm))},
+        **{n: None if np.isnan(v := getattr(s, n)) else v for n in ("iou", "worst_iou", "sd_mm")},
         "error_mm": None if outcome.truth is None else outcome.truth.mean_mm,
         "track_s": stages.seconds.get("track"),
         "notes": list(outcome.notes),
@@ -260,13 +293,18 @@ def run_batch(
     threads: int | None = None,
     scheduler: str | None = None,
 ) -> list[dict[str, Any]]:
-    """A row of the table for every task, in state "done", "failed" or "stopped"; before: it had been done already.
+    """Track the recordings of all tasks by worker processes.
 
-    workers: processes of this computer, each with so many threads (None: the cores shared among them); scheduler: the
-    address of a running one, instead.
-
-    KeyboardInterrupt stops the tasks in order: each keeps what it has, and the call returns; a second one ends at once
-    (checkpoints stay)."""
+    tasks: planned tasks; finished ones are not tracked again.
+    results: folder of all results.
+    workers: number of processes on this computer.
+    threads: of each worker; None: the cores are shared among the workers.
+    scheduler: address of a running Dask scheduler, used instead of own processes.
+    Returns: a row of the table for every task, in state "done", "failed" or "stopped"; before=True: it had been
+        finished earlier. After a KeyboardInterrupt, tasks that run save their work and are "stopped"; a second
+        KeyboardInterrupt returns at once, with checkpoints kept.
+    Raises: InputError where the workers cannot be started or the folder cannot be written.
+    """
     out = {task.key: {**known, "before": True} for task in tasks if (known := finished_metrics(task)) is not None}
     left = [t for t in tasks if t.key not in out]
     if left:
@@ -298,7 +336,13 @@ def _collect(
     progress: ProgressCall,
     stop: Path,
 ) -> None:
-    """Take results as they come; on Ctrl-C ask the tasks to stop and wait for what they keep."""
+    """Collect the results of running tasks; on Ctrl-C ask the tasks to stop, and wait until they have saved their work.
+
+    futures: tasks by Dask's futures.
+    frames: number of tracked frames by the key of a task; others write to it.
+    out: receives the figures by key.
+    stop: file that asks the tasks to stop.
+    """
     from distributed import wait
 
     pending, total = set(futures), sum(t.frames for t in futures.values())
@@ -321,15 +365,15 @@ def _collect(
 
 
 def _result(future: Future) -> dict[str, Any]:
+    """Return the figures of a finished future, or state "failed" and why."""
     from distributed.scheduler import KilledWorker
 
     error = future.exception()
     if error is None:
         return dict(future.result())
+    reason = f"this should not have happened ({type(error).__name__}: {error}); please report it"
     if isinstance(error, KilledWorker):
         reason = "its worker died every time (out of memory?); what was tracked is kept, run the batch again"
-    else:
-        reason = f"this should not have happened ({type(error).__name__}: {error}); please report it"
     return {"state": "failed", "message": reason}
 
 
@@ -338,7 +382,12 @@ require_dask = partial(extra, needed_by="hypose batch", name="cluster", package=
 
 @contextlib.contextmanager
 def _client(workers: int, threads: int | None, scheduler: str | None) -> Iterator[Client]:
-    """A client of the running scheduler, or of worker processes that end with it and listen to this computer only."""
+    """Connect to a running scheduler, or start worker processes that end with the context and listen to this computer
+    only.
+
+    workers, threads, scheduler: as for `run_batch`.
+    Raises: InputError where they cannot be started or reached.
+    """
     config, distributed = require_dask("dask.config"), require_dask("distributed")
     each = threads or max(1, (os.cpu_count() or 1) // workers)
     with contextlib.ExitStack() as stack:

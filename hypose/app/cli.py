@@ -52,21 +52,21 @@ CLI_COMMANDS: CommandTable = {
         "export": ("commands_results:export", "Write TRC, C3D, BVH, GLB, CSV, MOT of a tracked motion."),
     },
     "Recordings": {
-        "init": ("commands_data:init", "Write the recording.toml of a folder with videos."),
-        "demo": ("commands_track:demo", "Make a synthetic recording, track it, compare with the truth."),
-        "synth": ("commands_data:synth", "Make a synthetic recording with known truth."),
-        "depth-import": ("commands_data:depth_import", "A recording from what depth cameras recorded."),
-        "silhouettes": ("commands_data:silhouettes", "Write the masks of the person, and a contact sheet."),
-        "keypoints": ("commands_data:keypoints", "Detect 2D key points and masks of people in the videos."),
+        "init": ("commands_recordings:init", "Write the recording.toml of a folder with videos."),
+        "demo": ("commands_recordings:demo", "Make a synthetic recording, track it, compare with the truth."),
+        "synth": ("commands_recordings:synth", "Make a synthetic recording with known truth."),
+        "depth-import": ("commands_recordings:depth_import", "A recording from what depth cameras recorded."),
+        "silhouettes": ("commands_recordings:silhouettes", "Write the masks of the person, and a contact sheet."),
+        "keypoints": ("commands_recordings:keypoints", "Detect 2D key points and masks of people in the videos."),
         "subject": (
             "jobs.person_job:measure_subject",
             "Measure a person: lengths, girths, a body for track.",
         ),
-        "batch": ("commands_track:batch", "Many recordings, many settings, all cores or a cluster."),
+        "batch": ("commands_recordings:batch", "Many recordings, many settings, all cores or a cluster."),
     },
     "Results": {
         "report": ("commands_results:report", "Write the report of a result again."),
-        "correct": ("commands_track:correct", "Track a result again from a frame corrected in the studio."),
+        "correct": ("commands_recordings:correct", "Track a result again from a frame corrected in the studio."),
         "explain": ("commands_results:explain", "Which pass moved a joint of a frame, and why."),
         "gait": ("commands_results:gait", "Foot strikes, steps, cadence and speed of a tracked motion."),
         "compare": (
@@ -80,10 +80,10 @@ CLI_COMMANDS: CommandTable = {
         "live": ("commands_live:live", "Cameras in, poses out, while it happens."),
         "fuse": ("jobs.fuse_job:fuse", "One skeleton per person from several depth sensors."),
         "gesture": (
-            "commands_gesture:GESTURE_COMMANDS",
+            "commands_live:GESTURE_COMMANDS",
             "Learn still gestures in minutes, and watch for them.",
         ),
-        "warm-up": ("commands_track:warm_up_command", "Compile now what the first run would compile."),
+        "warm-up": ("commands_recordings:warm_up_command", "Compile now what the first run would compile."),
     },
 }
 _ABOUT = "Human motion from ordinary cameras: calibrated videos in; joint positions, angles and their uncertainty out."

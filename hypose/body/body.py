@@ -119,8 +119,18 @@ class Mesh:
     @property
     def volume(self) -> float:
         """Enclosed volume, m^3 (positive where the faces are oriented outwards)."""
-        a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
-        return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6)
+        return enclosed_volume(self.vertices, self.faces)
+
+
+def enclosed_volume(vertices: ArrayLike, faces: ArrayLike) -> float:
+    """Compute the volume inside a closed mesh.
+
+    vertices, faces: (V, 3) m and (F, 3).
+    Returns: m^3, positive where the faces are oriented outwards.
+    """
+    v = np.asarray(vertices, dtype=np.float64)
+    a, b, c = np.moveaxis((v - v.mean(0))[np.asarray(faces)], 1, 0)
+    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from scipy.sparse import coo_matrix, csc_matrix, identity
 from scipy.sparse.linalg import spsolve
 from scipy.spatial import KDTree
 
+from hypose.body.body import enclosed_volume
 from hypose.body.skin_weights import vertex_normals
 from hypose.errors import InputError, extra
 from hypose.geometry import Array
@@ -75,13 +76,6 @@ def coarse_mesh(vertices: ArrayLike, faces: ArrayLike, target: int = 550) -> tup
         area = 0.5 * np.linalg.norm(_across(out, g), axis=1).sum()
         out = out + (volume - enclosed_volume(out, g)) / area * vertex_normals(out, g)
     return out, g
-
-
-def enclosed_volume(vertices: ArrayLike, faces: ArrayLike) -> float:
-    """Compute the volume (m^3) inside a closed mesh, positive where its faces are oriented outwards."""
-    v = np.asarray(vertices, dtype=np.float64)
-    a, b, c = np.moveaxis((v - v.mean(0))[np.asarray(faces)], 1, 0)
-    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
 
 
 def is_closed(faces: ArrayLike) -> bool:

@@ -17,7 +17,7 @@ import numpy as np
 from hypose.body.body import Body
 from hypose.errors import CalibrationError
 from hypose.evidence.depth_evidence import SurfacePoints
-from hypose.evidence.depth_surface import BODY_SD, SCALE_M, DepthTerm
+from hypose.evidence.terms import BODY_SD, DepthTerm
 from hypose.fitting.problem import Cue, Posed, PoseProblem, Quadratic, Rows, Rule
 from hypose.fitting.rows import rows_of_depth
 from hypose.fusion.clocks import offset_by_movement
@@ -177,7 +177,6 @@ def _term(seen: SurfacePoints, camera_from_world: Array) -> DepthTerm:
         np.zeros((1, 1, 1), np.float32),
         np.ones((1, 2), np.int64),
         np.zeros((1, 3, 4)),
-        SCALE_M,
     )
 
 

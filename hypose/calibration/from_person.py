@@ -53,6 +53,7 @@ _ANGLE_DEG, _NARROW_DEG, _RESIDUAL, _FOCAL_SD, _PLACE_SD = (
     0.08,
     0.3,
 )  # refused results; the residual in person's sizes
+_UNSURE_FOCAL = 0.025  # sd of a focal length above which the result is approximate
 _HEAD = ("nose", "left_eye", "right_eye", "left_ear", "right_ear")
 _FEET = tuple(f"{side}_{part}" for side in ("left", "right") for part in ("heel", "big_toe", "small_toe", "ankle"))
 
@@ -276,7 +277,7 @@ class _Search:
         path = float(np.sqrt(np.linalg.eigvalsh(np.cov(path[np.isfinite(path).all(1)].T))[-1]))
         seconds = self.raw.shape[1] / self.frame_rate
         up, floor, upright = self.upright(points, self.moments(late))
-        doubts = (
+        doubts = [
             (
                 len(rig) == 3 and not self.known,
                 "three cameras hardly tell their focal lengths: give them with --intrinsics FILE or --focal PIXELS",
@@ -284,12 +285,20 @@ class _Search:
             (path < _SPREAD_M, f"the person stays within {path:.2f} m, which hardly tells places and offsets"),
             (widest < _NARROW_DEG, f"all cameras look from one side (within {widest:.0f} degrees)"),
             (seconds < _SHORT_S, f"{seconds:.1f} s are short: film 20 s"),
+        ]
+        more = _DOUBT if any(true for true, _ in doubts) else 1.0
+        doubts += [
+            (
+                more * sds.focal[focal] > _UNSURE_FOCAL,
+                f"{rig.names[focal]}: the focal length stays uncertain by {100 * more * sds.focal[focal]:.1f} %, and "
+                f"places by up to {1e3 * more * sds.place_m[place]:.0f} mm: give --focal PIXELS, or {WALK}",
+            ),
             (
                 not upright,
                 "the vertical is not measured, because the feet stay in one place: up is where the person's trunk "
                 "points on average, which is wrong when the person leans",
             ),
-        )
+        ]
         if upright:  # limbs and the head's height above the floor determine the scale equally well
             head = [k for k, n in enumerate(self.names) if n in _HEAD]
             tall = float(np.median(np.nanmedian(points[:, head] @ up - floor, axis=0) / self.rest()[head]))
@@ -298,7 +307,6 @@ class _Search:
         x, y, _ = turn @ rig[0].camera_from_world[0, :3]
         turn = np.array([[x, y, 0], [-y, x, 0], [0, 0, np.hypot(x, y)]]) / np.hypot(x, y) @ turn
         world = se3(turn, -np.array([*(turn @ middle)[:2], floor]))
-        more = _DOUBT if any(true for true, _ in doubts[:-1]) else 1.0
         sds = replace(sds, **{key: more * getattr(sds, key) for key in ("turn_deg", "place_m", "focal", "late")})
         approximate = tuple(sentence for true, sentence in doubts if true)
         return PersonCalibration(transform_rig(rig, world), late, sds, median_px, approximate)

@@ -175,7 +175,8 @@ def inner_nodes(model, flow, ws):
     if fh < 2 or fw < 2:
         return 0
     faces, uvz, depth = model.mesh.faces, ws.uvz, ws.depth
-    step = flow.spacing
+    how = flow.settings
+    step = how.spacing_px
     n = 0
     for i in range(model.moving_faces.shape[0]):
         f = model.moving_faces[i]
@@ -215,7 +216,7 @@ def inner_nodes(model, flow, ws):
                 lx, ly = x - flow.corner[0], y - flow.corner[1]
                 if lx < 0 or ly < 0 or lx > fw - 2 or ly > fh - 2:
                     continue
-                if bilinear(flow.error, lx, ly) >= flow.consistency:
+                if bilinear(flow.error, lx, ly) >= how.consistency_px:
                     continue
                 if n >= ws.flow_nodes.shape[0]:
                     return n
@@ -224,6 +225,6 @@ def inner_nodes(model, flow, ws):
                 node[0], node[1] = wb * z, wc * z
                 node[2] = x + bilinear(flow.flow[:, :, 0], lx, ly)
                 node[3] = y + bilinear(flow.flow[:, :, 1], lx, ly)
-                node[4] = (step / flow.area) ** 2
+                node[4] = (step / how.area_px) ** 2
                 n += 1
     return n

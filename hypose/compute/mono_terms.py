@@ -1,4 +1,4 @@
-"""Flat arrays of monocular tracking, as NamedTuples for kernels; they are made by hypose.tracking.monocular."""
+"""Settings and flat arrays of monocular tracking, as NamedTuples for kernels; hypose.tracking.monocular makes them."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from hypose.compute.arrays import MeshArrays, TreeArrays
 
 GAUSSIAN, LORENTZIAN, LECLERC = 0, 1, 2
+"""Forms of a robust loss."""
 
 
 class MonoModel(NamedTuple):
@@ -34,91 +35,129 @@ class MonoModel(NamedTuple):
     projection: NDArray[np.float64]
 
 
+class EdgeSettings(NamedTuple):
+    """Settings of the edge term, which compares contours with image edges.
+
+    form: of the loss: GAUSSIAN, LORENTZIAN or LECLERC.
+    sigma_px: its scale, px.
+    height: nu, the cost of one independent sample that finds no edge.
+    sample_px: px of contour per independent sample.
+    window_px: px that are searched along the normal on either side.
+    spacing_px: distance of the contour's nodes, px.
+    strength: quantile of the image gradient that counts as a full edge.
+    threshold: weakest edge that counts, as a share of a full one.
+    smoothing_px: standard deviation of the smoothing of the image before, px.
+    background: expected cost of a node where no body is, as a share of nu, subtracted from each node. Why: a contour
+        that fits worse than by chance would cost less the shorter it is, so with too low a value limbs hide.
+    occluded: k of equation (5), cost of an occluded node as a share of nu; equal to background, hiding has no effect.
+    motion_boundaries: whether edges are weighted by motion boundaries.
+    boundary_floor: weight of an edge where nothing moves.
+    coarse_factor: factor on sigma in the first iterations.
+    """
+
+    form: int = LECLERC
+    sigma_px: float = 3.0
+    height: float = 5.0
+    sample_px: float = 8.0
+    window_px: int = 14
+    spacing_px: float = 6.0
+    strength: float = 0.93
+    threshold: float = 0.08
+    smoothing_px: float = 1.2
+    background: float = 0.8
+    occluded: float = 0.8
+    motion_boundaries: bool = True
+    boundary_floor: float = 0.1
+    coarse_factor: float = 2.0
+
+
+class FlowSettings(NamedTuple):
+    """Settings of the flow term, which compares inner nodes with optical flow.
+
+    use: False leaves the term out.
+    form, sigma_px, height: of the loss, as for edges.
+    area_px: side of the square that makes one independent sample, px.
+    spacing_px: distance of the grid's nodes, px.
+    consistency_px: nodes with a larger forward-backward error are outliers.
+    """
+
+    use: bool = True
+    form: int = LORENTZIAN
+    sigma_px: float = 1.2
+    height: float = 0.1
+    area_px: float = 14.0
+    spacing_px: float = 8.0
+    consistency_px: float = 1.0
+
+
+class CueSettings(NamedTuple):
+    """Settings of silhouettes, 2D points (key points, clicked joints) and the floor.
+
+    silhouette_height, silhouette_form, silhouette_sigma_px: of the loss, as for edges; height 0: not used.
+    point_weight: factor on all points; 0: not used. The points carry their own scales.
+    point_form: form of the loss of points.
+    floor_sd_m: usual distance of the lower sole from a known floor, m.
+    """
+
+    silhouette_height: float = 2.0
+    silhouette_form: int = LORENTZIAN
+    silhouette_sigma_px: float = 4.0
+    point_weight: float = 1.0
+    point_form: int = LORENTZIAN
+    floor_sd_m: float = 0.05
+
+
 class EdgeArrays(NamedTuple):
-    """Contour nodes against image edges; settings in tracking.monocular.settings.EdgeSettings.
+    """Evidence of the edge term.
 
     field: (h, w, 2) image gradient in units of a full edge, weighted by the motion boundaries.
-    weight: 0: the term is omitted.
-    form: loss: GAUSSIAN, LORENTZIAN or LECLERC.
-    sigma, coarse_sigma: scales of the loss in the fine and the coarse descent, px.
-    height: height of the loss.
-    sample: px of contour that count as one sample.
-    window: px searched along the normal on either side.
-    spacing: px between nodes.
-    threshold: weakest edge that counts, as a share of a full one.
-    background, occluded: expected cost of a place without a body, and cost of an occluded node, as shares of the
-        height.
+    use: False: the term is omitted.
+    settings: of the term.
     """
 
     field: NDArray[np.float32]
-    weight: float
-    form: int
-    sigma: float
-    coarse_sigma: float
-    height: float
-    sample: float
-    window: int
-    spacing: float
-    threshold: float
-    background: float
-    occluded: float
+    use: bool
+    settings: EdgeSettings
 
 
 class FlowArrays(NamedTuple):
-    """Inner nodes against optical flow; settings in tracking.monocular.settings.FlowSettings.
+    """Evidence of the flow term.
 
     flow: (h, w, 2) px from the previous picture to this one, of a part of the image; (0, 0, 2) where there is none.
     error: (h, w) px, forward-backward.
     corner: (2,) x, y of the part's first pixel.
-    form: loss: GAUSSIAN, LORENTZIAN or LECLERC.
-    sigma: scale of the loss, px.
-    height: height of the loss.
-    area: side of the square that counts as one sample, px.
-    spacing: px between nodes.
-    consistency: px; nodes with a larger error are outliers.
+    settings: of the term.
     """
 
     flow: NDArray[np.float32]
     error: NDArray[np.float32]
     corner: NDArray[np.int64]
-    form: int
-    sigma: float
-    height: float
-    area: float
-    spacing: float
-    consistency: float
+    settings: FlowSettings
 
 
 class MaskArrays(NamedTuple):
-    """Outer contour against a silhouette, in both directions.
+    """Evidence of the outer contour against a silhouette, in both directions.
 
-    distance: (h, w) signed distance to the mask's edge, px, negative inside; (0, 0) where there is none.
+    distance: (h, w) signed distance to the mask's edge, px, negative inside; (0, 0): the term is omitted.
     outline: (K, 2) px, points of the mask's outline.
     outline_share: px of outline for which one of these points stands.
-    height: height of the loss; 0: the term is omitted.
-    form: loss: GAUSSIAN, LORENTZIAN or LECLERC.
-    sigma: scale of the loss, px.
-    sample: px of contour that count as one sample.
+    sample_px: px of contour that count as one sample.
     """
 
     distance: NDArray[np.float32]
     outline: NDArray[np.float32]
     outline_share: float
-    height: float
-    form: int
-    sigma: float
-    sample: float
+    sample_px: float
 
 
 class MarkArrays(NamedTuple):
-    """2D points: key points and clicked joints.
+    """Evidence of 2D points: key points and clicked joints.
 
     pixels: (P, 2).
     weight: (P,) 0: not seen.
     joint: (P,) joint to which the point belongs.
     offset: (P, 3) m in the joint's frame.
     scale: (P,) px, 1 sd.
-    form: loss: GAUSSIAN, LORENTZIAN or LECLERC.
     """
 
     pixels: NDArray[np.float64]
@@ -126,7 +165,6 @@ class MarkArrays(NamedTuple):
     joint: NDArray[np.int64]
     offset: NDArray[np.float64]
     scale: NDArray[np.float64]
-    form: int
 
 
 class SphereArrays(NamedTuple):
@@ -184,6 +222,7 @@ class MonoProblem(NamedTuple):
 
     model: the body.
     edges, flow, mask, marks, spheres, floor: the terms of the evidence.
+    cues: settings of silhouettes and points.
     priors: quadratics and limits.
     second_order: whether Newton steps use the second derivative of the losses.
     """
@@ -195,6 +234,7 @@ class MonoProblem(NamedTuple):
     marks: MarkArrays
     spheres: SphereArrays
     floor: FloorArrays
+    cues: CueSettings
     priors: MonoPriors
     second_order: bool
 
@@ -215,10 +255,10 @@ class MonoWorkspace(NamedTuple):
     flow_nodes: (M, 5): weights of the second and third vertex, target u, v, weight.
     row_vertices: (R, 3) vertices, -1 where fewer.
     row_values: (R, 8): shares of the vertices, direction in the world, first and second derivative along it.
-    wrench: (J, 6).
-    marked: (J,).
-    counts: (8,): contour nodes seen, of these with an edge, edges, occluded, facing away, flow nodes, rows,
-        evaluations.
+    wrench: (J, 6) sums of a row per joint, zero between rows.
+    marked: (J,) 1: the joint's wrench is not zero.
+    columns, entries: (A,) active dof of a row, and its derivatives.
+    counts: (7,): contour nodes seen, of these with an edge, edges, occluded, facing away, flow nodes, rows.
     """
 
     rotations: NDArray[np.float64]
@@ -238,4 +278,6 @@ class MonoWorkspace(NamedTuple):
     row_values: NDArray[np.float64]
     wrench: NDArray[np.float64]
     marked: NDArray[np.uint8]
+    columns: NDArray[np.int64]
+    entries: NDArray[np.float64]
     counts: NDArray[np.int64]

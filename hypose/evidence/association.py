@@ -4,6 +4,8 @@ In every frame, people who are already tracked take their detections first, view
 problem on the distance in metres between detection and prediction). The remaining detections start a new person where
 their rays meet in points whose bones have a body's lengths; one view alone never starts a person. A track ends after a
 while with fewer than two views. Left and right of arms, legs or face are exchanged where only that explains a view.
+The tracks of a person before and after a gap are joined by the lengths of bones (`joined`); `choose` finds the person
+that a recording is about.
 Source: the idea of tracking first is that of 4D Association, Zhang et al. 2020 (candidates of all views and the last
     frame in one problem); here with whole skeletons and distances of rays instead of graphs of limbs, without learning.
 """
@@ -18,9 +20,158 @@ from numpy.typing import NDArray
 
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.keypoints import other_sides
-from hypose.evidence.person_tracks import PersonTrack
 from hypose.evidence.ray_matching import NOT_COMPARABLE_M, Views, between_rays, distances, mean_of_known, meet
 from hypose.geometry import Array
+
+_WALK, _NEAR_M = 2.5, 0.5  # m/s and m: largest distance of a person after a gap
+_ALIKE = 0.12  # largest mean difference of the logarithms of bones' lengths of the same body
+
+
+@dataclass(frozen=True)
+class PersonTrack:
+    """Track of one person for T frames, from frame `first` of the clip on.
+
+    first: index of the first frame, from 0.
+    points: (T, C, K, 3 or more) key points in each view, px and confidence as they were given, with left and right
+        corrected; confidence 0 where the person is not seen. Further columns are as they were given.
+    world: (T, K, 3) where the rays meet, m; NaN where fewer than two do.
+    candidates: (T, C) number of the view's candidate, -1 for none.
+    """
+
+    first: int
+    points: Array
+    world: Array
+    candidates: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    @property
+    def last(self) -> int:
+        """Last frame of the clip in the track."""
+        return self.first + len(self) - 1
+
+    @property
+    def seen(self) -> NDArray[np.bool_]:
+        """Whether each view sees the person (T, C)."""
+        return (self.points[..., 2] > 0).sum(-1) >= _LEAST_POINTS
+
+    @property
+    def agreed(self) -> float:
+        """Share of the points shown by two or more views whose rays meet.
+
+        It is low for a track made of several people's detections, or where views are exchanged.
+        """
+        shown = (self.points[..., 2] > 0).sum(1) >= 2
+        return float((shown & np.isfinite(self.world[..., 0])).sum() / max(int(shown.sum()), 1))
+
+    @property
+    def height_px(self) -> float:
+        """Median over frames and views of the person's height in the picture, px."""
+        shown = self.points[..., 2] > 0
+        high = np.where(shown, self.points[..., 1], -np.inf).max(-1) - np.where(shown, self.points[..., 1], np.inf).min(
+            -1
+        )
+        return float(np.median(high[self.seen])) if self.seen.any() else 0.0
+
+    def place(self, frame: int) -> Array:
+        """Compute the person's middle (3,), m, at a frame of the clip; NaN where unknown."""
+        at = frame - self.first
+        if not 0 <= at < len(self):
+            return np.full(3, np.nan)
+        known = np.isfinite(self.world[at]).all(-1)
+        return np.median(self.world[at][known], axis=0) if known.any() else np.full(3, np.nan)
+
+
+def choose(tracks: Sequence[PersonTrack]) -> int | None:
+    """Choose the person that the recording is about; return the index, None where there is no person.
+
+    It is the one seen in most frames and views by points whose rays meet; of those with nearly as many, the largest in
+    the pictures.
+    """
+    if not tracks:
+        return None
+    seen = np.array([t.seen.sum() * t.agreed for t in tracks])
+    large = np.array([t.height_px for t in tracks])
+    return int(np.where(seen >= 0.85 * seen.max(), large, -1.0).argmax())
+
+
+def joined(tracks: Sequence[PersonTrack], names: Sequence[str], frame_rate: float) -> list[PersonTrack]:
+    """Join tracks that are one person before and after a gap; those seen most come first.
+
+    tracks: of the whole clip; names: of the K key points; frame_rate: Hz.
+    Two tracks are joined where the bones have the same lengths, the place can be reached in the gap, and no other
+    person fits.
+    """
+    left = sorted(tracks, key=lambda t: t.first)
+    sizes = [_bones(t, names) for t in left]
+    while True:
+        fits: list[tuple[int, int, int]] = []
+        for i, a in enumerate(left):
+            for j, b in enumerate(left):
+                gap = b.first - a.last
+                if gap > 0 and _same_body(sizes[i], sizes[j]):
+                    reach = _NEAR_M + _WALK * gap / frame_rate
+                    away = float(np.linalg.norm(b.place(b.first) - a.place(a.last)))
+                    if not away > reach:
+                        fits.append((gap, i, j))
+        sure = [
+            (g, i, j)
+            for g, i, j in fits
+            if not any((k == i) != (m == j) and _at_once(left, i, j, k, m) for _, k, m in fits)
+        ]
+        if not sure:
+            return sorted(left, key=lambda t: -int(t.seen.sum()))
+        _, i, j = min(sure)
+        one = _one(left[i], left[j])
+        for n in sorted((i, j), reverse=True):
+            del left[n], sizes[n]
+        left.append(one)
+        sizes.append(_bones(one, names))
+
+
+def _at_once(tracks: Sequence[PersonTrack], i: int, j: int, k: int, m: int) -> bool:
+    """Decide whether joining k with m excludes joining i with j, because two simultaneous tracks claim the same one."""
+    a, b = (tracks[j], tracks[m]) if k == i else (tracks[i], tracks[k])
+    return a.first <= b.last and b.first <= a.last
+
+
+def _bones(track: PersonTrack, names: Sequence[str]) -> Array:
+    """Compute the median lengths (B,), m, of the limbs' and the trunk's bones; NaN where seen in fewer than three.
+
+    names: of the K key points of the track.
+    """
+    column = {n: i for i, n in enumerate(names)}
+    out = np.full(len(_BONES) - 1, np.nan)
+    for i, (a, b, *_) in enumerate(_BONES[:-1]):  # without the width of the shoulders, which detectors vary
+        if a in column and b in column:
+            d = np.linalg.norm(track.world[:, column[a]] - track.world[:, column[b]], axis=-1)
+            if np.isfinite(d).sum() >= 3:
+                out[i] = np.nanmedian(d)
+    return out
+
+
+def _same_body(a: Array, b: Array) -> bool:
+    """Decide whether two sets of bone lengths (B,), m, are of one body; true where fewer than four bones are known of
+    both."""
+    both = np.isfinite(a) & np.isfinite(b)
+    return both.sum() < 4 or float(np.mean(np.abs(np.log(a[both] / b[both])))) < _ALIKE
+
+
+def _one(a: PersonTrack, b: PersonTrack) -> PersonTrack:
+    """Join a track and a later one to one track; in the gap between them nothing is seen.
+
+    a, b: the earlier and the later track.
+    """
+    total, start = b.last - a.first + 1, b.first - a.first
+    points = np.zeros((total, *a.points.shape[1:]))
+    world = np.full((total, *a.world.shape[1:]), np.nan)
+    candidates = np.full((total, a.candidates.shape[1]), -1)
+    for t, at in ((a, 0), (b, start)):
+        points[at : at + len(t)], world[at : at + len(t)] = t.points, t.world
+        candidates[at : at + len(t)] = t.candidates
+    return PersonTrack(a.first, points, world, candidates)
+
 
 _MEASURED, _REMEMBERED = 10, 50  # frames after which a bone's length is known, and over which it is averaged
 _WRUNG = -0.5  # cosine of an angle between the lines of shoulders and hips that no trunk reaches
@@ -88,7 +239,6 @@ def people_of(
     names: Sequence[str],
     rig: CameraRig,
     frame_rate: float = 25.0,
-    settings: AssociationSettings | None = None,
 ) -> list[PersonTrack]:
     """Find the people of a clip; those seen most come first.
 
@@ -99,7 +249,7 @@ def people_of(
     There is no person with one view alone, or with two that do not agree: see `hypose.evidence.one_person`.
     """
     given = (view.shape[2] for frame in candidates for view in frame if view is not None and len(view))
-    at = Association(names, rig, frame_rate, settings, columns=max(given, default=3))
+    at = Association(names, rig, frame_rate, columns=max(given, default=3))
     for frame in candidates:
         at.step(frame)
     return at.people()
@@ -144,11 +294,10 @@ class Association:
         names: Sequence[str],
         rig: CameraRig,
         frame_rate: float = 25.0,
-        settings: AssociationSettings | None = None,
         *,
         columns: int = 3,
     ) -> None:
-        self.names, self.settings, self._columns = tuple(names), settings or AssociationSettings(), columns
+        self.names, self.settings, self._columns = tuple(names), AssociationSettings(), columns
         self._views, self._k = Views(rig), len(names)
         column = {n: i for i, n in enumerate(names)}
         self._twin = other_sides(names)
@@ -262,7 +411,11 @@ class Association:
 
     def _both(self, found: Array, expected: Array) -> tuple[Array, Array]:
         """Compute the distances (C, N, P, K), m, of candidates (C, P, K, 3) as named, and with left and right
-        exchanged."""
+        exchanged.
+
+        expected: (N, K, 3) predicted points of the people, m; found: (C, P, K, 3) px and confidence.
+        Returns: two arrays; NaN where one of the two points is unknown.
+        """
         limit = self.settings.limit
         return (
             distances(self._views, expected, found, limit),
@@ -274,6 +427,7 @@ class Association:
     ) -> NDArray[np.bool_]:
         """Decide which groups' sides (..., G + 1) are exchanged in a candidate; the last group has no sides.
 
+        plain, turned: (..., K) distances, m, as named and with left and right exchanged, see `_both`.
         before: groups that were exchanged in the previous frame, for which the slightest advantage is enough.
         """
         o = self.settings
@@ -347,8 +501,13 @@ class Association:
         return bool((a - b) @ (c - d) < _WRUNG * size)
 
     def _repaired_births(self, seen: Array, which: NDArray[np.int64], expected: Array) -> Array:
-        """Correct left and right of the points (C, B, K, 3) of new people by what most of their views say:
-        `expected` (B, K, 3)."""
+        """Correct left and right of the points (C, B, K, 3) of new people by what most of their views say: `expected`
+        (B, K, 3).
+
+        seen: (C, B, K, 3) px and confidence; which: (C, B) number of the candidate, -1 where a view does not see the
+            person; expected: (B, K, 3) m.
+        Returns: (C, B, K, 3) points with the sides exchanged in the views that the others contradict.
+        """
         out = seen.copy()
         for b in range(len(expected)):
             plain, turned = (d[:, 0, 0] for d in self._both(seen[:, b][:, None], expected[b][None]))
@@ -368,7 +527,12 @@ class Association:
         t.otherwise[group] = 0
 
     def _born(self, found: Array, is_person: NDArray[np.bool_], free: NDArray[np.bool_]) -> list[list[tuple[int, int]]]:
-        """Start new people from the remaining candidates; return (view, candidate) pairs of each."""
+        """Start new people from the remaining candidates; return (view, candidate) pairs of each.
+
+        found: (C, P, K, 3) candidates of each view; is_person: (C, P) free candidates with enough points for a person.
+        free: (C, P) candidates that are not assigned to a person; those of the new people are set to False.
+        The new people are added to the tracked ones.
+        """
         o = self.settings
         view, number = np.nonzero(is_person)
         if len(np.unique(view)) < 2:
@@ -408,6 +572,7 @@ class Association:
         return len(right) >= _LEAST_POINTS and float(np.mean(right)) >= self.settings.plausible
 
     def _taken_already(self, points: Array) -> bool:
+        """Decide whether a tracked person is already at the place of points (K, 3), m."""
         return any(_apart(t.points, points) < self.settings.apart for t in self._alive)
 
     def _complete(
@@ -421,6 +586,10 @@ class Association:
     ) -> None:
         """Fill missing points in `seen` with free detections near their expected places.
 
+        seen: (C, N, K, 3) points of each person, changed in place; the confidence of a filled point is halved.
+        found: (C, P, K, 3) candidates; free: (C, P) those not assigned; parts: (C, P) free ones that are too small for
+            a person.
+        which: (C, N) candidate of each person, -1 for none; expected: (N, K, 3) predicted points, m.
         A free detection with enough points for a person only completes a person whom that view already sees, because it
         was then detected in two pieces.
         """
@@ -460,6 +629,11 @@ class Association:
         return out
 
     def _update(self, seen: Array, world: Array, which: NDArray[np.int64]) -> None:
+        """Update the points, the motion and the history of all tracked people after a frame.
+
+        seen: (C, N, K, 3) px and confidence; world: (N, K, 3) m, NaN where unknown; which: (C, N) candidate, -1 for
+            none.
+        """
         for n, t in enumerate(self._alive):
             got = np.isfinite(world[n, :, 0])
             fresh = len(t.seen) == 0
@@ -501,7 +675,10 @@ class Association:
 
 
 def _apart(a: Array, b: Array) -> float:
-    """Compute the mean distance, m, of the points (K, 3) that both have; NOT_COMPARABLE_M where there is none."""
+    """Compute the mean distance, m, of the points (K, 3) that both have; NOT_COMPARABLE_M where there is none.
+
+    a, b: (K, 3) m; NaN where unknown.
+    """
     d = np.sqrt(((a - b) ** 2).sum(-1))
     known = np.isfinite(d)
     return float(d[known].mean()) if known.any() else NOT_COMPARABLE_M

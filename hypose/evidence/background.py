@@ -52,15 +52,14 @@ class BackgroundModel:
                 f"{self.sd.shape}."
             )
 
-    @property
-    def plate(self) -> Image:
-        """Picture (h, w, 3) uint8 of the empty room."""
-        return np.clip(np.rint(self.mean), 0, 255).astype(np.uint8)
 
+def from_frames(frames: Images, what: str = "background clip") -> BackgroundModel:
+    """Build the model from a clip of the empty room (N, h, w, 3) uint8: median and robust sd (1.4826 MAD) per pixel.
 
-def from_frames(frames: Images) -> BackgroundModel:
-    """Build the model from a clip of the empty room (N, h, w, 3) uint8: median and robust sd (1.4826 MAD) per pixel."""
-    stack = _stack(frames, "background clip")
+    what: name of the clip in error messages.
+    Raises: InputError where there is no image, or the sizes differ.
+    """
+    stack = _stack(frames, what)
     median, sd, _ = _masked_median(stack, None)
     return BackgroundModel(median, sd, np.ones(stack.shape[1:3], dtype=np.bool_))
 
@@ -68,9 +67,8 @@ def from_frames(frames: Images) -> BackgroundModel:
 def from_plates(images: Images) -> BackgroundModel:
     """Build the model from one or more photos of the empty room (N, h, w, 3) uint8, with an sd that allows for other
     light."""
-    stack = _stack(images, "background photos")
-    median, sd, _ = _masked_median(stack, None)
-    return BackgroundModel(median, np.maximum(sd, np.float32(_PLATE_SD)), np.ones(stack.shape[1:3], dtype=np.bool_))
+    model = from_frames(images, "background photos")
+    return replace(model, sd=np.maximum(model.sd, np.float32(_PLATE_SD)))
 
 
 def from_recording(
@@ -127,6 +125,11 @@ def gain_between(mean: NDArray[np.float32], reference: NDArray[np.floating]) -> 
 
 
 def _stack(images: Images, what: str) -> Image:
+    """Check that images have one size and three channels, and stack them (N, h, w, 3).
+
+    what: their name in the error message.
+    Raises: InputError where there is none, or the sizes differ.
+    """
     if len(images) == 0:
         raise InputError(f"The {what} holds no readable image; a background model needs at least one.")
     sizes = {np.shape(i) for i in images}
@@ -160,6 +163,11 @@ def _masked_median(
 
 
 def _from_free_frames(stack: Image, covered: NDArray[np.bool_], plate: BackgroundModel | None) -> BackgroundModel:
+    """Build the model from the frames in which each pixel is free of the person.
+
+    stack: (N, h, w, 3) frames; covered: (N, h, w) true where the person is or may be; plate: model of photos, or None.
+    Returns: the model; pixels that are hardly ever free come from the photos, without photos they are not valid.
+    """
     median, sd, count = _masked_median(stack, ~covered)
     free = count >= min(max(_MIN_FREE, _MIN_FREE_SHARE * len(stack)), len(stack))
     if plate is not None:
@@ -181,6 +189,8 @@ def _from_free_frames(stack: Image, covered: NDArray[np.bool_], plate: Backgroun
 
 
 def _from_median_alone(stack: Image, median: NDArray[np.float32], sd: NDArray[np.float32]) -> BackgroundModel:
+    """Build the model from the median (h, w, 3) and sd (h, w, 3) of a recording (N, h, w, 3), with a note on its risks.
+    Build the model from the median (h, w, 3) and sd (h, w, 3) of a recording (N, h, w, 3), with a note on its risks."""
     static = _deviation(stack, median) < _STATIC
     share = static.mean(0)
     never, doubtful = float((share == 1).mean()), float((share < _STATIC_SHARE).mean())
@@ -200,7 +210,10 @@ def _from_median_alone(stack: Image, median: NDArray[np.float32], sd: NDArray[np
 def _cure_ghosts(
     stack: Image, median: NDArray[np.float32], sd: NDArray[np.float32], plate: BackgroundModel
 ) -> BackgroundModel:
-    """Replace a model by the recording's median where a static thing contradicts it (see from_recording)."""
+    """Replace a model by the recording's median where a static thing contradicts it (see from_recording).
+
+    stack: (N, h, w, 3) frames; median, sd: (h, w, 3) of them; plate: model of photos, in the brightness of the median.
+    """
     stable = (_deviation(stack, median) < _STATIC).mean(0) > _STATIC_SHARE
     ghost = stable & (np.abs(median - plate.mean).max(2) > _OTHER_THING)
     low = np.ceil(np.clip(plate.mean - _OTHER_THING, 0, 255)).astype(np.uint8)

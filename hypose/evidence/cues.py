@@ -27,11 +27,20 @@ from hypose.compute.depth_costs import (
 from hypose.compute.scorer import silhouette_xor
 from hypose.errors import EvidenceError
 from hypose.evidence.depth_evidence import Depth
-from hypose.evidence.depth_surface import depth_term, shrunk
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.outlines import WORKING_HEIGHT
 from hypose.evidence.prefetch import prepared_masks
-from hypose.evidence.terms import Evidence, KeypointTerm, Limb, PointTerm, RowTerm, Term, contour_term
+from hypose.evidence.terms import (
+    Evidence,
+    KeypointTerm,
+    Limb,
+    PointTerm,
+    RowTerm,
+    Term,
+    contour_term,
+    depth_term,
+    shrunk,
+)
 from hypose.geometry import Array
 
 _Found = TypeVar("_Found")
@@ -67,7 +76,10 @@ class PoseMemory(Generic[_Found]):
         return self._found.get((body, pose.tobytes()))
 
     def keep(self, body: Body, pose: Array, found: _Found) -> _Found:
-        """Store a result and return it."""
+        """Store a result and return it.
+
+        pose: (D,); found: its result.
+        """
         self._found[body, pose.tobytes()] = found
         return found
 

@@ -125,7 +125,10 @@ def with_still_things(room: DepthBackground, maps: Sequence[DepthMap], camera: C
 
 
 def _place(camera: Camera, own: NDArray[np.bool_], depth: DepthMap) -> NDArray[np.float64]:
-    """Compute where on the floor (2,), m, the middle of some pixels (h, w) stands."""
+    """Compute where on the floor (2,), m, the middle of some pixels (h, w) stands.
+
+    own: (h, w) the pixels; depth: (h, w) m, 0 = hole; camera: of the map, placed in the world.
+    """
     v, u = np.nonzero(own & (depth > 0))
     return np.median(in_world(camera, back_projected(camera, u, v, depth[v, u]))[:, :2], axis=0)
 
@@ -273,6 +276,10 @@ class _Standing:
 
 
 def _standing(depth: DepthMap, camera: Camera) -> _Standing:
+    """Split everything on the floor of a depth map (h, w), m, into pieces, and judge how like a person each is.
+
+    camera: of the map, placed in the world (floor at z = 0).
+    """
     v, u = np.indices(depth.shape)
     world = in_world(camera, back_projected(camera, u, v, depth))
     above = (depth > 0) & (world[..., 2] > _ABOVE_FLOOR_M)
@@ -339,16 +346,10 @@ def _pieces(mask: NDArray[np.bool_], depth: DepthMap) -> tuple[NDArray[np.int32]
     far = np.where(mask, depth, 0.0).astype(np.float32)
     near = np.where(mask, depth, 1e3).astype(np.float32)
     calm = mask & (cv2.dilate(far, kernel) - cv2.erode(near, kernel) < 2 * JUMP_M)
-    labels, n = _labelled(calm)
+    n, labels = cv2.connectedComponents(calm.astype(np.uint8), connectivity=8)
     # edge pixels are added to the piece next to them
-    grown = cv2.dilate(labels.astype(np.float32), kernel).astype(np.int32)
-    return np.where(mask & (labels == 0), grown, labels).astype(np.int32), n
-
-
-def _labelled(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int32], int]:
-    """Label the connected pieces (h, w) of a mask, 0 outside; return their number too."""
-    n, labels = cv2.connectedComponents(mask.astype(np.uint8), connectivity=8)
-    return np.asarray(labels, dtype=np.int32), n - 1
+    grown = cv2.dilate(np.asarray(labels, np.float32), kernel).astype(np.int32)
+    return np.where(mask & (labels == 0), grown, labels).astype(np.int32), n - 1
 
 
 def _calm(mask: Mask) -> Mask:
@@ -359,6 +360,8 @@ def _calm(mask: Mask) -> Mask:
 def _one_thing(before: Mask, depth: DepthMap, solid: NDArray[np.bool_], focal_px: float | None) -> Mask:
     """Keep the largest thing of a mask and the parts near it in space, with holes filled.
 
+    before: (h, w) 0 or 1; depth: (h, w) m; focal_px: focal length, None: parts at any distance to the side are kept.
+    Returns: (h, w) 0 or 1; all 0 where the mask is empty or none of its pixels is measured.
     solid: (h, w) where the sensor would see something behind, so that a hole belongs to the person.
     """
     n, found, stats, _ = cv2.connectedComponentsWithStats(before, connectivity=8)

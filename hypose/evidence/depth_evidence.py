@@ -140,8 +140,11 @@ def surface_points(depth: Depth, count: int) -> SurfacePoints:
 
 
 def back_projected(camera: Camera, u: ArrayLike, v: ArrayLike, z: ArrayLike) -> Array:
-    """Back-project pixels (...,) at z (...,) m along the optical axis of a pinhole camera; return (..., 3), m, in
-    its frame."""
+    """Back-project pixels (...,) at z (...,) m along the optical axis of a pinhole camera; return (..., 3), m, in its
+    frame.
+
+    u, v: pixel coordinates; z: depth; arrays of one shape.
+    """
     u, v, z = (np.asarray(a, dtype=np.float64) for a in (u, v, z))
     return np.stack([(u - camera.K[0, 2]) / camera.K[0, 0] * z, (v - camera.K[1, 2]) / camera.K[1, 1] * z, z], -1)
 

@@ -158,7 +158,10 @@ def own_frame(frame: Frame, own: StandingShape, others: Sequence[Other], anywher
 
 
 def _nearby(of_depth: Silhouettes, of_colour: Silhouettes, colour: NDArray[np.bool_]) -> Silhouettes:
-    """Combine silhouettes of depth cameras with those of colour cameras, where `colour` (C,)."""
+    """Combine silhouettes of depth cameras with those of colour cameras, where `colour` (C,).
+
+    of_depth: usable in the views of depth cameras; of_colour: usable in those where `colour` is true.
+    """
 
     def merged(a: NDArray[Any], b: NDArray[Any]) -> NDArray[Any]:
         return np.where(colour.reshape(-1, *(1,) * (a.ndim - 1)), b, a)

@@ -148,7 +148,7 @@ def visual_hull(
         surely = min(len(views), 3 if silhouettes.expected is None else 2)
     sure = 0 if ignored is None else surely
     free_of = given if ignored is None else silhouettes.masks | ignored
-    sums = {int(c): _summed(free_of[c]) for c in views}
+    sums = {int(c): np.asarray(cv2.integral(free_of[c]), np.int32) for c in views}
     corner = np.stack(np.meshgrid(*[(0, 1)] * 3, indexing="ij"), -1).reshape(8, 3)
     for level in range(levels, -1, -1):
         edge = voxel * 2**level
@@ -188,15 +188,14 @@ def visual_hull(
     return Hull(occupancy, box[0] + (low + 0.5) * voxel, voxel)
 
 
-def _summed(mask: NDArray[np.uint8]) -> NDArray[np.int32]:
-    return np.asarray(cv2.integral(mask), np.int32)
-
-
 def _free_cells(
     camera: Camera, mask: NDArray[np.uint8], sums: NDArray[np.int32], centres: Array, edge: float
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Decide for cubes (M,) whether this view surely shows no person there, and whether it possibly shows one.
 
+    camera: of the view; mask: (h, w) 0 or 1; sums: (h + 1, w + 1) its integral image; centres: (M, 3) of the cubes, m.
+    Returns: (M,) true where the whole cube projects into the image and on no pixel of a person; (M,) true where some
+        pixel of a person may belong to it.
     edge: of the cubes, m; 0: only their centres are tested.
     """
     w, h = camera.size
@@ -226,6 +225,10 @@ def _free_cells(
 
 
 def _largest(occupancy: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+    """Select the largest connected body of voxels (nx, ny, nz).
+
+    Returns: the part of the array that holds it; (3,) index at which that part begins.
+    """
     label = np.zeros(occupancy.shape, np.int32)
     count = ndimage.label(occupancy, np.ones((3, 3, 3)), output=label)
     if count == 1:

@@ -50,8 +50,12 @@ _RIM = 12
 """cells around the hull's plan, so that its smoothed density falls to zero inside the array"""
 
 
-def fewest_views(frame: Frame) -> int:
-    """Return the number of views that must show a person whom no other explains; a depth camera alone is enough."""
+def views_to_find(frame: Frame) -> int:
+    """Return the number of views that must show a new person in pixels that no known person explains.
+
+    It is 1 with depth cameras, whose pixels are places in the world, else FEWEST_VIEWS. (`Frame.fewest_views` is the
+    number that locates a person who is known.)
+    """
     return FEWEST_VIEWS if frame.depth is None else 1
 
 
@@ -147,8 +151,10 @@ def people_of_hull(hull: Hull, floor: float, most: int, surface: float = 0.0) ->
 
 
 def _axes(hull: Hull, floor: float, most: int, surface: float) -> list[tuple[Array, NDArray[np.bool_]]]:
-    """Find where people stand, (2,) m, in the order of the hull's density there, and which voxels (M,) belong to
-    each."""
+    """Find where people stand, (2,) m, in the order of the hull's density there, and which voxels (M,) belong to each.
+
+    floor: its height, m; most: largest number of people; surface: as for `people_of_hull`.
+    """
     litre, points = 1e3 * hull.voxel**3, hull.points
     filled = np.pad(hull.occupancy.sum(2), _RIM)
     density = np.asarray(ndimage.gaussian_filter(filled * litre, _SPREAD / hull.voxel))
@@ -195,7 +201,10 @@ def _disc(radius: float) -> NDArray[np.bool_]:
 
 
 def _within(filled: NDArray[np.integer], i: int, j: int, disc: NDArray[np.bool_]) -> int:
-    """Sum the plan within a disc around one of its cells."""
+    """Sum the plan within a disc around one of its cells.
+
+    filled: (nx, ny) number of voxels in each column; i, j: the cell; disc: as built by `_disc`.
+    """
     r = disc.shape[0] // 2
     low, left = max(i - r, 0), max(j - r, 0)
     part = filled[low : i + r + 1, left : j + r + 1]
@@ -206,6 +215,8 @@ def _within(filled: NDArray[np.integer], i: int, j: int, disc: NDArray[np.bool_]
 def _stands(near: Array, nearby: float, litre: float, floor: float, surface: float) -> bool:
     """Decide whether the voxels (M, 3), m, around an axis make a person.
 
+    near: voxels nearer than ABOUT; litre: volume of one voxel, litres; floor: its height, m; surface: as for
+        `people_of_hull`.
     nearby: litres within PART_OF_LARGER_M, of any person. Why: a part of something wide is no child; and a child's
         surface
     alone is no larger than that of furniture.
@@ -219,7 +230,10 @@ def _stands(near: Array, nearby: float, litre: float, floor: float, surface: flo
 
 
 def _not_ghosts(left: Silhouettes, found: list[HullPerson], least: int) -> list[HullPerson]:
-    """Keep the people who show own pixels in several views; ghosts lie where the masks belong to other people."""
+    """Keep the people who show own pixels in several views; ghosts lie where the masks belong to other people.
+
+    left: silhouettes in which known people are ignored; found: candidates, the largest first; least: number of views.
+    """
     given, kept, others = left.informative, list[HullPerson](), list[Other]()
     for person in found:
         near = [k for k in kept if np.linalg.norm(k.axis - person.axis) < PART_OF_LARGER_M]

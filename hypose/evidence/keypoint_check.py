@@ -14,7 +14,6 @@ from dataclasses import replace
 import numpy as np
 
 from hypose.cameras.camera import PARALLEL, CameraRig, triangulate, widest_angle
-from hypose.evidence.keypoints import tallest
 from hypose.geometry import Array, se3_inverse
 
 _FRAMES = 24
@@ -22,6 +21,7 @@ _FINE = 0.06  # median distance from the other views' triangulation, in sizes of
 _DOUBTFUL = 0.025  # disagreement from which misreadings are tried
 _BETTER = 0.35  # largest share of the disagreement that a misreading may leave to be accepted
 _NO_BODY = 0.3
+_CONFIDENT = 0.2
 # m, of an adult
 _LENGTHS = (
     *(
@@ -93,7 +93,10 @@ def _misread(points: Array, plain: float, names: Sequence[str], rig: CameraRig) 
 
 
 def _other_cameras(points: Array, rig: CameraRig) -> float:
-    """Compute the least disagreement with two views exchanged, or with all camera poses inverted."""
+    """Compute the least disagreement with two views exchanged, or with all camera poses inverted.
+
+    points: (C, T, K, 3) px of the calibrated cameras and confidence; inf where nothing can be computed.
+    """
     inverted = CameraRig(tuple(replace(c, camera_from_world=se3_inverse(c.camera_from_world)) for c in rig))
     found = [_residual(points, inverted)]
     for a, b in itertools.combinations(range(len(rig)), 2):
@@ -104,6 +107,11 @@ def _other_cameras(points: Array, rig: CameraRig) -> float:
 
 
 def _readings(rig: CameraRig) -> list[tuple[str, Callable[[Array], Array]]]:
+    """List the misreadings that are tried: a part of a sentence, and a function that undoes the error in points (C, T,
+    K, 3).
+
+    rig: the calibrated cameras, whose picture sizes are used.
+    """
     sizes = rig.sizes.astype(np.float64)[:, None, None]
 
     def moved(scale: tuple[float, float], offset: tuple[int, int]) -> Callable[[Array], Array]:
@@ -127,13 +135,16 @@ def _readings(rig: CameraRig) -> list[tuple[str, Callable[[Array], Array]]]:
 
 
 def _one_person(people: Sequence[Sequence[Array | None]], count: int, views: int) -> Array | None:
-    """Select frames (C, T, K, 3) in which two or more views see exactly one person; None when there are too few."""
+    """Select frames (C, T, K, 3) in which two or more views see exactly one person; None when there are too few.
+
+    people: per view and frame the people (P, K, 3), None where there are none; count: K; views: number of views.
+    """
     frames = range(max((len(p) for p in people), default=0))
     single = [
         [None if p is None or p[t] is None or len(p[t]) != 1 else p[t][0] for p in people]  # type: ignore[index]
         for t in frames
     ]
-    usable = [row for row in single if sum(p is not None and (p[:, 2] > 0.2).sum() >= 6 for p in row) >= 2]
+    usable = [row for row in single if sum(p is not None and (p[:, 2] > _CONFIDENT).sum() >= 6 for p in row) >= 2]
     if len(usable) < 3:  # several people in all frames: the tallest, which is mostly the nearest, in all views
         usable = [[None if v is None or v[t] is None else _tallest(v[t]) for v in people] for t in frames]  # type: ignore[index, arg-type]
         usable = [row for row in usable if sum(p is not None for p in row) == views]
@@ -144,14 +155,16 @@ def _one_person(people: Sequence[Sequence[Array | None]], count: int, views: int
 
 
 def _tallest(people: Array) -> Array | None:
-    index = tallest(people)
-    return None if index is None else people[index]
+    """Select the points (K, 3) of the person (P, K, 3) who is tallest in the picture; None where nothing is seen."""
+    seen = people[..., 2] > _CONFIDENT
+    height = np.array([np.ptp(p[s, 1]) if s.sum() > 1 else 0.0 for p, s in zip(people, seen, strict=True)])
+    return people[height.argmax()] if height.max(initial=0.0) > 0 else None
 
 
 def _triangulated(points: Array, rig: CameraRig) -> tuple[Array, Array, Array]:
     """Triangulate points; return world points (T, K, 3), undistorted pixels (C, T * K, 2) and weights (C, T * K)."""
     uv = np.stack([c.undistort_points(p[..., :2].reshape(-1, 2)) for c, p in zip(rig, points, strict=True)])
-    weights = np.where(points[..., 2] > 0.2, points[..., 2], 0.0).reshape(len(points), -1)
+    weights = np.where(points[..., 2] > _CONFIDENT, points[..., 2], 0.0).reshape(len(points), -1)
     weights = np.where(np.isfinite(uv).all(-1), weights, 0.0)
     x, _ = triangulate(rig.pinhole(), np.nan_to_num(uv), weights)
     return x.reshape(*points.shape[1:3], 3), uv, weights
@@ -168,6 +181,8 @@ def _well_known(points: Array, rig: CameraRig) -> Array:
 def _residual(points: Array, rig: CameraRig) -> float:
     """Compute the disagreement of the views with the common triangulation: the largest of the views' median distances.
 
+    points: (C, T, K, 3) px of the calibrated cameras and confidence.
+    Returns: the disagreement; NaN with one view, or where fewer than two views can be judged.
     It is in units of the person's size in the picture.
     """
     if len(rig) < 2:
@@ -176,7 +191,7 @@ def _residual(points: Array, rig: CameraRig) -> float:
     used = (weights > 0) & ((weights > 0).sum(0) > 1)
     found = []
     for c, camera in enumerate(rig.pinhole()):
-        seen = points[c][..., 2] > 0.2
+        seen = points[c][..., 2] > _CONFIDENT
         sizes = [float(np.ptp(p[s, :2], axis=0).max()) for p, s in zip(points[c], seen, strict=True) if s.sum() > 3]
         if not used[c].any() or not sizes or np.median(sizes) < 1:
             continue
@@ -204,8 +219,10 @@ def _disproportion(world: Array, names: Sequence[str]) -> float:
 
 
 def _mirrored(world: Array, names: Sequence[str]) -> bool:
-    """Decide whether nose or toes point backwards relative to left and right in nearly all frames of points (T, K,
-    3)."""
+    """Decide whether nose or toes point backwards relative to left and right in nearly all frames of points (T, K, 3).
+
+    world: (T, K, 3) m, NaN where unknown; names: of the K points. False where fewer than ten comparisons are possible.
+    """
     at = {n: i for i, n in enumerate(names)}
 
     def of(*wanted: str) -> Array | None:

@@ -185,5 +185,6 @@ def set_of_points(views: Sequence[Array], stated: str | None, usual: Sequence[st
 
 
 def _mean(values: Sequence[float]) -> float:
+    """Average the values that are not NaN; NaN where there is none."""
     known = [v for v in values if v == v]
     return float(np.mean(known)) if known else float("nan")

@@ -26,6 +26,7 @@ _LIMBS = tuple(
 
 
 def _sided(parts: Sequence[str]) -> tuple[str, ...]:
+    """Write out sides: "Lelbow" becomes "left_elbow"; names that begin with neither L nor R stay."""
     long = {"L": "left_", "R": "right_"}
     return tuple(long[p[0]] + p[1:] if p[0] in long else p for p in parts)
 
@@ -186,16 +187,6 @@ def parse_openpose(
     return np.stack(people) if people else np.zeros((0, k, 3))
 
 
-def tallest(people: ArrayLike, min_confidence: float = 0.2) -> int | None:
-    """Find the index of the tallest person (P, K, 3) in the picture; None where there is none."""
-    p = np.asarray(people, dtype=np.float64)
-    if len(p) == 0:
-        return None
-    seen = p[..., 2] > min_confidence
-    height = np.array([np.ptp(q[s, 1]) if s.sum() > 1 else 0.0 for q, s in zip(p, seen, strict=True)])
-    return int(height.argmax()) if height.max() > 0 else None
-
-
 def to_keypoints(points: Sequence[ArrayLike], names: Sequence[str], rig: CameraRig, pinhole: CameraRig) -> Keypoints:
     """Convert one person's detected points to Keypoints in undistorted pixels of the working-size cameras.
 
@@ -326,8 +317,10 @@ def triangulate_keypoints(
 
 
 def _reprojection(rig: CameraRig, x: Array, uv: Array, w: Array) -> Array:
-    """Compute the distances (C, N), px, between projections of x (N, 3) and uv (C, N, 2); very large behind a
-    camera."""
+    """Compute the distances (C, N), px, between projections of x (N, 3) and uv (C, N, 2); very large behind a camera.
+
+    x: (N, 3) m; uv: (C, N, 2) px; w: (C, N) weights, 0 where a point is not seen.
+    """
     d = np.stack([np.linalg.norm(camera.project_pinhole(x) - uv[c], axis=-1) for c, camera in enumerate(rig)])
     return np.where(w > 0, np.nan_to_num(d, nan=1e6), 0.0)
 

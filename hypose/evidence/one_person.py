@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.cameras.camera import CameraRig
-from hypose.evidence.association import AssociationSettings, people_of
+from hypose.evidence.association import PersonTrack, choose, joined, people_of
 from hypose.evidence.keypoints import other_sides
-from hypose.evidence.person_tracks import PersonTrack, choose, joined
 from hypose.evidence.ray_matching import Views, meet
 from hypose.geometry import Array
 
@@ -60,30 +59,29 @@ def one_person(
     frame_rate: float = 25.0,
     *,
     keep_misfits: bool = False,
-    settings: AssociationSettings | None = None,
 ) -> OnePerson:
     """Find the person who is seen in most frames and views.
 
-    candidates, names, rig, settings: as in `hypose.evidence.association.people_of`.
+    candidates, names, rig: as in `hypose.evidence.association.people_of`.
     keep_misfits: the calibration itself is in doubt; a view that does not fit keeps the person who moves like the one
         in the other views. Otherwise such a view is left out.
     """
     frames, views = len(candidates), len(rig)
     columns = [[frame[c] for frame in candidates] for c in range(views)]
-    shown = np.array([[_anybody(people) for people in column] for column in columns]).T  # (T, C)
-    by_view: dict[int, list[ViewTrack]] = {}
+    shown = np.array([[_how_many(people) > 0 for people in column] for column in columns]).T  # (T, C)
+    by_view: dict[int, list[NDArray[np.int64]]] = {}
 
-    def of_view(c: int) -> list[ViewTrack]:
+    def of_view(c: int) -> list[NDArray[np.int64]]:
         if c not in by_view:
             found = view_tracks(columns[c], max(3, round(_PATIENCE * frame_rate)))
-            by_view[c] = [t for t in found if t.frames >= max(3, _PART * frames)] or found[:1]
+            by_view[c] = [t for t in found if (t >= 0).sum() >= max(3, _PART * frames)] or found[:1]
         return by_view[c]
 
     width = max((p.shape[2] for column in columns for p in column if p is not None and len(p)), default=3)
     several = max((_how_many(p) for column in columns for p in column), default=0) > 1
     if views == 1 or (keep_misfits and not several):
         return _by_motion(columns, of_view, names, width, ())
-    tracks = joined(people_of(candidates, names, rig, frame_rate, settings), names, frame_rate)
+    tracks = joined(people_of(candidates, names, rig, frame_rate), names, frame_rate)
     number = choose(tracks)
     together = int((shown.sum(1) > 1).sum())
     if number is None or (tracks[number].seen.sum(1) > 1).sum() < _AGREED * together:
@@ -134,6 +132,7 @@ def one_person(
 def _passes_by(person: PersonTrack, rig: CameraRig, absent: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Find views (C,) whose key points lie next to the place where the rays of the other views meet.
 
+    person: the track; absent: (C,) views that are known to show someone else, and are not used.
     The worst view is removed first, as long as three or more are left to decide.
     """
     views = Views(rig)
@@ -158,7 +157,10 @@ def _passes_by(person: PersonTrack, rig: CameraRig, absent: NDArray[np.bool_]) -
 
 
 def _never_together(a: PersonTrack, b: PersonTrack) -> bool:
-    """Decide whether two people who are present at the same time are never seen by one and the same view."""
+    """Decide whether two people who are present at the same time are never seen by one and the same view.
+
+    a, b: tracks. False where they are not present at the same time.
+    """
     first, last = max(a.first, b.first), min(a.last, b.last) + 1
     if first >= last:
         return False
@@ -166,16 +168,16 @@ def _never_together(a: PersonTrack, b: PersonTrack) -> bool:
     return float(both.any(1).mean()) < _PART
 
 
-def _anybody(people: Array | None) -> bool:
-    return _how_many(people) > 0
-
-
 def _how_many(people: Array | None) -> int:
+    """Count the people (P, K, 3) of one view and frame who have enough confident points; None: 0."""
     return 0 if people is None else int(np.count_nonzero((people[..., 2] > _LEAST_CONFIDENCE).sum(-1) >= _LEAST_POINTS))
 
 
 def _stranger(column: Sequence[Array | None], tracks: Sequence[PersonTrack], c: int, frames: int) -> bool:
-    """Decide whether a view shows a person, for a good part of the clip, who is none of the tracked people."""
+    """Decide whether a view shows a person, for a good part of the clip, who is none of the tracked people.
+
+    column: candidates of the view in each frame; tracks: the tracked people; c: the view; frames: their number.
+    """
     known = np.zeros(frames, dtype=np.int64)
     for t in tracks:
         known[t.first : t.last + 1] += t.candidates[:, c] >= 0
@@ -184,10 +186,14 @@ def _stranger(column: Sequence[Array | None], tracks: Sequence[PersonTrack], c: 
 
 
 def _by_motion(columns, of_view, names, width: int, notes: tuple[str, ...]) -> OnePerson:  # noqa: ANN001
-    """Select the person in each view separately; where a view shows several, those who move alike in all views."""
+    """Select the person in each view separately; where a view shows several, those who move alike in all views.
+
+    columns: per view the candidates of each frame; of_view(c): the people of view c, see `view_tracks`.
+    names: of the K points; width: columns of a point; notes: sentences for the user.
+    """
     found = [of_view(c)[:_COMPARED] for c in range(len(columns))]
     count = len(names)
-    points = [[taken(column, t.candidates, count, width) for t in v] for column, v in zip(columns, found, strict=True)]
+    points = [[taken(column, t, count, width) for t in v] for column, v in zip(columns, found, strict=True)]
     which = _alike_in_all(points) if any(len(_rivals(v)) > 1 for v in found) else [0] * len(columns)
     out = np.zeros((len(columns[0]), len(columns), count, width))
     for c, column in enumerate(columns):
@@ -196,12 +202,15 @@ def _by_motion(columns, of_view, names, width: int, notes: tuple[str, ...]) -> O
     return OnePerson(out, bool(notes), (), False, (), notes)
 
 
-def _rivals(tracks: Sequence[ViewTrack]) -> list[ViewTrack]:
-    """Select the people who are present at the same time as the first one."""
+def _rivals(tracks: Sequence[NDArray[np.int64]]) -> list[NDArray[np.int64]]:
+    """Select the first person of a view and those who are present at the same time, for 30 % of their frames or more.
+
+    tracks: (T,) candidates of each person, see `view_tracks`.
+    """
     if not tracks:
         return []
-    there = tracks[0].candidates >= 0
-    return [tracks[0], *(t for t in tracks[1:] if ((t.candidates >= 0) & there).sum() > 0.3 * t.frames)]
+    there = tracks[0] >= 0
+    return [tracks[0], *(t for t in tracks[1:] if ((t >= 0) & there).sum() > 0.3 * (t >= 0).sum())]
 
 
 def _alike_in_all(points: Sequence[Sequence[Array]]) -> list[int]:
@@ -232,17 +241,19 @@ def _alike_in_all(points: Sequence[Sequence[Array]]) -> list[int]:
 
 
 def _alike(
-    column: Sequence[Array | None], tracks: Sequence[ViewTrack], others: Array, names: Sequence[str], width: int
+    column: Sequence[Array | None], tracks: Sequence[NDArray[np.int64]], others: Array, names: Sequence[str], width: int
 ) -> Array:
     """Find the points (T, K, width) of the person in one view who moves like the person (T, C, K, 3) in the other
     views.
 
+    column: candidates of the view in each frame; tracks: the people of the view, see `view_tracks`; names: of the K
+        points; width: columns of a point.
     All zero where no person does.
     """
     twin = other_sides(names)
     scored = []
     for t in tracks[:_COMPARED]:
-        p = taken(column, t.candidates, len(names), width)
+        p = taken(column, t, len(names), width)
         as_named = [moves_as(p, others[:, c]) for c in range(others.shape[1])]
         exchanged = [moves_as(p[:, twin], others[:, c]) for c in range(others.shape[1])]  # pictures may be mirrored
         means = [float(np.mean(found)) for e in (as_named, exchanged) if (found := [x for x in e if np.isfinite(x)])]
@@ -256,14 +267,17 @@ def _alike(
     return taken(column, _continued(best, tracks), len(names), width)
 
 
-def _continued(track: ViewTrack, tracks: Sequence[ViewTrack]) -> NDArray[np.int64]:
-    """Extend a person's candidates (T,) by those of others who are alone in the view while the person is missing."""
-    out = track.candidates.copy()
-    count = np.sum([t.candidates >= 0 for t in tracks], axis=0)
+def _continued(track: NDArray[np.int64], tracks: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:
+    """Extend a person's candidates (T,) by those of others who are alone in the view while the person is missing.
+
+    track: candidates of the person, -1 where missing; tracks: those of all people of the view.
+    """
+    out = track.copy()
+    count = np.sum([t >= 0 for t in tracks], axis=0)
     for t in tracks:
-        there = t.candidates >= 0
+        there = t >= 0
         if t is not track and not (there & (out >= 0)).any() and (count[there] == 1).mean() > 0.9:
-            out[there] = t.candidates[there]
+            out[there] = t[there]
     return out
 
 
@@ -279,24 +293,12 @@ _MOST_PAIRS = 1500  # most pairs of points from which a fundamental matrix is co
 _FEWEST_PAIRS = 60  # with fewer nothing is known
 
 
-@dataclass(frozen=True)
-class ViewTrack:
-    """One person tracked in one view; candidates: (T,) number of the candidate in each frame of the clip, -1 for
-    none."""
+def view_tracks(frames: Sequence[Array | None], patience: int) -> list[NDArray[np.int64]]:
+    """Track the people of one view by joining each candidate to the nearest person.
 
-    candidates: NDArray[np.int64]
-
-    @property
-    def frames(self) -> int:
-        """Number of frames in which the person is present."""
-        return int((self.candidates >= 0).sum())
-
-
-def view_tracks(frames: Sequence[Array | None], patience: int) -> list[ViewTrack]:
-    """Track the people of one view by joining each candidate to the nearest person; those present longest come first.
-
-    frames: per frame the candidates (P, K, 3).
+    frames: T frames with the candidates (P, K, 3) of each: u px, v px, confidence; None where there are none.
     patience: number of frames after which an unseen person's track ends.
+    Returns: (T,) number of the candidate in each frame, -1 for none, of each person; those present longest come first.
     Candidates and people of a frame are assigned exactly, so that two people do not take each other's place.
     """
     from scipy.optimize import linear_sum_assignment  # takes long to import
@@ -327,11 +329,15 @@ def view_tracks(frames: Sequence[Array | None], patience: int) -> list[ViewTrack
             last.append(people[p])
             at.append(t)
             alive.append(len(tracks) - 1)
-    return [ViewTrack(c) for c in sorted(tracks, key=lambda c: -int((c >= 0).sum()))]
+    return sorted(tracks, key=lambda c: -int((c >= 0).sum()))
 
 
 def _moved(before: Array, now: Array, gap: int) -> float:
-    """Compute the distance of two candidates (K, 3) in units of the distance that a person moves in `gap` frames."""
+    """Compute the distance of two candidates (K, 3) in units of the distance that a person moves in `gap` frames.
+
+    before, now: px and confidence.
+    Returns: the distance, 1 at the largest plausible one; 2 where fewer than three points are common.
+    """
     both = (before[:, 2] > _LEAST_CONFIDENCE) & (now[:, 2] > _LEAST_CONFIDENCE)
     if both.sum() < 3:
         return 2.0

@@ -168,7 +168,10 @@ class PoseNetwork:
         return out
 
     def _in_square(self, image: Image, x: int, y: int, side: int) -> Iterator[tuple[float, Crop]]:
-        """Detect people in a square of the picture, which may reach beyond it; yield scores and crops."""
+        """Detect people in a square of the picture, which may reach beyond it; yield scores and crops.
+
+        x, y: left upper corner of the square, px; side: its length, px.
+        """
         part = image[max(y, 0) : y + side, max(x, 0) : x + side]
         scale = DETECTOR / side
         size = max(1, round(part.shape[1] * scale)), max(1, round(part.shape[0] * scale))
@@ -187,7 +190,10 @@ class PoseNetwork:
 
 def _squares(width: int, height: int) -> list[tuple[int, int, int]]:
     """List the squares (x, y, side), px, that the detector processes: the whole picture, and parts for people who are
-    too small in the whole."""
+    too small in the whole.
+
+    width, height: of the picture, px.
+    """
     most, side = max(width, height), round(_PART * min(width, height))
 
     def begins(length: int) -> list[int]:
@@ -211,7 +217,10 @@ _ANCHORS = _anchors()
 
 
 def _apart(a: Crop, b: Crop) -> float:
-    """Compute the distance between the hips of two crops, in radii of the smaller one."""
+    """Compute the distance between the hips of two crops, in radii of the smaller one.
+
+    a, b: the crops.
+    """
     return float(np.linalg.norm(a.hips - b.hips)) / max(min(a.radius, b.radius), 1.0)
 
 

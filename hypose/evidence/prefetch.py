@@ -76,6 +76,7 @@ def look_ahead(frames: Iterable[Frame], count: int = 2) -> Generator[Frame, None
 
 
 def _next(source: Iterator[Frame]) -> Frame | None:
+    """Read the next frame and prepare its masks; None at the end."""
     frame = next(source, None)
     if frame is not None and frame.silhouettes is not None:
         make_now(frame.silhouettes)
@@ -111,7 +112,10 @@ def outlines(silhouettes: Silhouettes, count: int = OUTLINE_POINTS, working_heig
 def _outline(
     silhouettes: Silhouettes, view: int, size: tuple[int, int], count: int, working_height: int | None
 ) -> ViewOutline:
-    """Compute the outline of one view, of size (w, h), without the ignored pixels."""
+    """Compute the outline of one view, of size (w, h), without the ignored pixels.
+
+    silhouettes: of the frame; view: its index; count: number of points; working_height: as for `view_outline`.
+    """
     w, h = size
     mask, ignored = silhouettes.masks[view, :h, :w], silhouettes.ignored
     if ignored is None or silhouettes.expected is None or not silhouettes.shared[view]:

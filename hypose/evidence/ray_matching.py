@@ -72,12 +72,10 @@ def distances(views: Views, expected: Array, found: Array, limit: float) -> Arra
     return np.where(found[:, None, ..., 2] > _LEAST_CONFIDENCE, np.minimum(e, limit), np.nan)
 
 
-def mean_of_known(values: Array, least: int, weights: Array | None = None) -> Array:
+def mean_of_known(values: Array, least: int) -> Array:
     """Average values (..., K) over the last axis without NaN; NOT_COMPARABLE_M where fewer than `least` are known."""
     known = np.isfinite(values)
-    w = known if weights is None else known * weights
-    n = w.sum(-1)
-    total = (np.where(known, values, 0.0) * w).sum(-1)
+    n, total = known.sum(-1), np.where(known, values, 0.0).sum(-1)
     return np.where(n >= least, total / np.maximum(n, 1e-9), NOT_COMPARABLE_M)
 
 
@@ -106,6 +104,8 @@ def between_rays(views: Views, which: NDArray[np.int64], found: Array, limit: fl
 
 
 def _of_view(views: Views, c: int, found: Array) -> Array:
+    """Compute the unit directions (M, K, 3), in the world, of the rays of points (M, K, 3), px and confidence, of view
+    c."""
     one = np.concatenate([found[..., :2], np.ones((*found.shape[:-1], 1))], -1)
     d = one @ views.world_from_pixel[c].T
     return d / np.sqrt((d * d).sum(-1, keepdims=True))

@@ -112,7 +112,11 @@ class Other:
 
 
 def _hide(ignored: NDArray[np.uint8], shape: StandingShape, view: int, share: float, within: Sequence[int]) -> None:
-    """Draw the widened silhouette of a shape into ignored (h, w), inside y0, y1, x0, x1, in place."""
+    """Draw the widened silhouette of a shape into ignored (h, w), inside y0, y1, x0, x1, in place.
+
+    ignored: changed in place; view: index of the view; share: of the longer side of the box by which the silhouette is
+        widened; within: the region.
+    """
     y0, y1, x0, x1 = shape.boxes[view].tolist()
     px = max(1, round(share * max(y1 - y0, x1 - x0)))
     top, bottom = max(y0, within[0] - px), min(y1, within[1] + px)  # the part that reaches into the region
@@ -130,6 +134,7 @@ def _hide(ignored: NDArray[np.uint8], shape: StandingShape, view: int, share: fl
 
 @cache
 def _disc(radius: int) -> cv2.typing.MatLike:
+    """Build a filled ellipse of 2 radius + 1 px as a kernel of OpenCV."""
     return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
 
 
@@ -192,6 +197,7 @@ def own_silhouettes(
 
 
 def _meet(other: Other, view: int, part: Sequence[int]) -> bool:
+    """Decide whether the widened box of another person overlaps a region of a view; part: y0, y1, x0, x1, px."""
     y0, y1, x0, x1 = other.shape.boxes[view].tolist()
     m = 1 + round(other.widened * max(y1 - y0, x1 - x0))
     return y1 > y0 and y0 - m < part[1] and y1 + m > part[0] and x0 - m < part[3] and x1 + m > part[2]

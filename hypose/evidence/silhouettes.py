@@ -5,9 +5,9 @@ Images are BGR uint8 at working size, undistorted; masks are (h, w) uint8 with 1
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, Protocol
+from typing import Any, Protocol
 
 import cv2
 import numpy as np
@@ -62,7 +62,6 @@ class Segmenter(Protocol):
 class SilhouetteSettings:
     """Settings for segmenting the person. The defaults suit a person of 80-400 px height.
 
-    method: 'gaussian' (one Gaussian per pixel) or 'mog2' (OpenCV's mixture, frozen after learning the background).
     threshold: foreground is beyond this many sd; min_sd: lower bound of the sd, grey levels (compression, light).
     shadow: remove shadows, which have the same colour, but darker. Switch it off in grey scenes, where the person has
         the same colour too.
@@ -75,7 +74,6 @@ class SilhouetteSettings:
     grabcut: refine the mask within rim_px on either side of its outline by GrabCut (slow: 25 ms and more per view).
     """
 
-    method: Literal["gaussian", "mog2"] = "gaussian"
     threshold: float = 4.0
     min_sd: float = 5.0
     shadow: bool = True
@@ -100,8 +98,6 @@ class SilhouetteSettings:
         return replace(self, keep_gap=_RANGES["keep_gap"][1])
 
     def __post_init__(self) -> None:
-        if self.method not in ("gaussian", "mog2"):
-            raise InputError(f"Silhouette method {self.method!r} does not exist; use 'gaussian' or 'mog2'.")
         for name, (least, most) in _RANGES.items():
             if not least <= getattr(self, name) <= most:
                 raise InputError(
@@ -117,6 +113,7 @@ class SilhouetteSettings:
 def make_segmenter(background: BackgroundModel, options: SilhouetteSettings | None = None) -> Segmenter:
     """Build the function that segments the images of one view.
 
+    background: model of the empty room; options: settings (default: SilhouetteSettings()).
     It keeps no memory of earlier images, so frames may come in any order; one segmenter must not be called from two
     threads at once.
     """
@@ -127,13 +124,8 @@ class _Segmenter:
     def __init__(self, background: BackgroundModel, options: SilhouetteSettings) -> None:
         self._options, self._shape = options, background.valid.shape
         self._unseen = None if background.valid.all() else mask_runs.bits_of((~background.valid).view(np.uint8))
-        self.glance: Glance | None = None
-        if options.method == "gaussian":
-            room = _room(background, options)
-            self._differ: _Differ = lambda image, box: picture_to_mask.not_the_room(image, room, box)
-            self.glance = None if options.grabcut else glance_at(room)
-        else:
-            self._differ = _mog2(background, options)
+        self._room = _room(background, options)
+        self.glance: Glance | None = None if options.grabcut else glance_at(self._room)
 
     def __call__(self, image: Image, band: Mask | None = None, /) -> Mask:
         return mask_runs.draw(self.runs(image, band))
@@ -145,7 +137,7 @@ class _Segmenter:
         box = bounding_box(band) if band is not None else box or (0, h, 0, w)
         if box is None or box[0] == box[1]:
             return mask_runs.clean(mask_runs.no_bits(h, w), (h, w), mask_runs.Cleaning())
-        bits = self._differ(image, box)
+        bits = picture_to_mask.not_the_room(image, self._room, box)
         allowed = None if band is None else mask_runs.bits_of(band)
         if self._unseen is not None:  # the room is unknown there: the person where the band allows it, else nothing
             bits &= ~self._unseen
@@ -181,35 +173,6 @@ def _room(background: BackgroundModel, options: SilhouetteSettings) -> picture_t
     )
 
 
-_Differ = Callable[[Image, picture_to_mask.Box], mask_runs.Bits]
-"""Function that computes the foreground's bits in a box of an image."""
-
-
-def _mog2(background: BackgroundModel, options: SilhouetteSettings) -> _Differ:
-    """Train OpenCV's MOG2 on pictures of the background model (its quantiles), then freeze it.
-
-    Deviation from its usual form: it does not go on learning, so that a person who stands still is not absorbed and
-    frames may be read in any order.
-    """
-    levels = np.linspace(-1.5, 1.5, 9)
-    model = cv2.createBackgroundSubtractorMOG2(
-        history=4 * len(levels), varThreshold=options.threshold**2, detectShadows=options.shadow
-    )
-    model.setVarMin(options.min_sd**2)
-    model.setVarInit(max(options.min_sd**2, 15.0))
-    model.setShadowThreshold(options.shadow_range[0])
-    for level in np.tile(levels, 4):
-        picture = background.mean + np.float32(level) * background.sd
-        model.apply(np.clip(np.rint(picture), 0, 255).astype(np.uint8))
-
-    def differ(image: Image, box: picture_to_mask.Box) -> mask_runs.Bits:
-        part, found = np.s_[box[0] : box[1], box[2] : box[3]], np.zeros(image.shape[:2], np.uint8)
-        found[part] = model.apply(image, None, 0)[part] == 255
-        return mask_runs.bits_of(found)
-
-    return differ
-
-
 def clean_mask(mask: Mask, options: SilhouetteSettings | None = None) -> Mask:
     """Clean a mask: opening, closing, small holes filled, small parts removed."""
     return _cleaned(mask, (options or SilhouetteSettings()).cleaning)
@@ -225,6 +188,7 @@ def biggest_parts(mask: Mask, keep_share: float, keep_gap: float = np.inf) -> Ma
 
 
 def _cleaned(mask: Mask, how: mask_runs.Cleaning) -> Mask:
+    """Clean a mask (h, w) with the given settings."""
     return mask_runs.draw(mask_runs.clean(mask_runs.bits_of(mask), (mask.shape[0], mask.shape[1]), how))
 
 
@@ -278,7 +242,11 @@ def as_mask(image: ArrayLike, source: str = "The mask image") -> Mask:
 
 
 def _dim_level(a: NDArray[Any], top: int, half: float, source: str) -> float:
-    """Choose the threshold of an image (h, w) with no value above half its range."""
+    """Choose the threshold of an image (h, w) with no value above half its range.
+
+    a: grey values; top: the largest; half: half of the range; source: name of the image for the error message.
+    Raises: InputError where it is a picture of labels.
+    """
     levels = np.unique(a[a > 0])
     if len(levels) < 2:
         return 0.5
@@ -336,6 +304,7 @@ def make_silhouettes(
     """Build the silhouettes of one instant from masks (h_c, w_c) per view, packed or not, padded with 0 to the common
     size.
 
+    rig: pinhole cameras of the masks; reasons: (C,) why a view is not usable, "" where it is (default: all "").
     A view without a mask, with an empty one, or with a reason is not usable.
     Raises: InputError where a mask does not have its camera's size.
     """

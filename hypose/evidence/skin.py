@@ -127,6 +127,7 @@ def _chroma_bins(bgr: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.int64], 
 
 
 def _smoothed(pixels: NDArray[np.uint8]) -> Array:
+    """Count pixels (N, 3) BGR in the bins of `_chroma_bins`, smoothed over neighbouring bins."""
     counts = np.zeros((16, 40, 40))
     np.add.at(counts, _chroma_bins(pixels), 1.0)
     return np.asarray(ndimage.gaussian_filter(counts, (1.5, 1.2, 1.2), truncate=3.0)) * 20.0  # nearby pixels

@@ -38,8 +38,7 @@ from hypose.compute.losses import lorentzian
 from hypose.compute.solver import Evaluation, Solution, bounded_step, solve, workspace
 from hypose.compute.threads import over_chunks
 from hypose.errors import InputError, SolverError
-from hypose.evidence.depth_surface import DepthTerm
-from hypose.evidence.terms import ContourTerm, KeypointTerm, PointTerm, RowTerm, Term, checked_joints
+from hypose.evidence.terms import ContourTerm, DepthTerm, KeypointTerm, PointTerm, RowTerm, Term, checked_joints
 from hypose.fitting.problem import Problem, Quadratic, Rule
 from hypose.geometry import Array, nearest_branch, so3_turns
 
@@ -171,6 +170,7 @@ def fit_poses(
 ) -> list[PoseFit]:
     """Fit poses from several starts (N, D) to the same evidence, in parallel threads; otherwise as `fit_pose`.
 
+    priors: quadratic costs on the pose; options: settings of the solve.
     Returns: one result per start, the same for any number of threads.
     """
     problem = _Problem(body, evidence, priors, options or SolveSettings())
@@ -236,11 +236,13 @@ class _Problem:
         return q
 
     def priors(self, start: Array) -> PriorArrays:
+        """Return the priors with their centres on the branch nearest to a start pose (D,)."""
         centre = self.centre.copy()
         centre[:, 3:6] = nearest_branch(centre[:, 3:6], start[3:6])
         return PriorArrays(centre, self.weight, self.lower, self.upper)
 
     def fit(self, start: ArrayLike) -> PoseFit:
+        """Solve from a start pose (D,); the result is on the branch of the start."""
         q = self.start(start)
         out = self._solve(q, self.priors(q), workspace_for(self.body, self.cues))
         pose = out.pose.copy()
@@ -258,6 +260,8 @@ class _Problem:
         )
 
     def _solve(self, q: Array, priors: PriorArrays, ws: Workspace) -> Solution:
+        """Solve from a checked start q (D,): compiled, or step by step where a term needs Python; ws: scratch memory.
+        Solve from a checked start q (D,): compiled, or step by step where a term needs Python; ws: scratch memory."""
         o = self.settings
         if not self.rows:
             return solve(q, self.tree, self.mesh, self.cues, priors, o, ws)
@@ -337,7 +341,10 @@ class FrameProblem(Problem[Array, Evaluation]):
         return e.cost, lambda: e
 
     def propose(self, state: Array, equations: Evaluation, damping: float) -> tuple[Array, float] | None:
-        """Compute the bounded step from a state, in which no joint turns further than LARGEST_TURN; see `Problem`."""
+        """Compute the bounded step from a state, in which no joint turns further than LARGEST_TURN; see `Problem`.
+
+        equations: cost and derivatives at the state; damping: relative to the diagonal of the Hessian.
+        """
         step = bounded_step(equations.hessian, equations.gradient, state, self.lower, self.upper, damping)
         if step is None:
             return None

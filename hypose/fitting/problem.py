@@ -153,7 +153,10 @@ class SharedProblem(Problem[tuple[Shared, Array], SharedEquations], Generic[Shar
     def propose(
         self, state: tuple[Shared, Array], equations: SharedEquations, damping: float
     ) -> tuple[tuple[Shared, Array], float] | None:
-        """Eliminate the groups, and compute the step from a state; see `Problem`."""
+        """Eliminate the groups, and compute the step from a state; see `Problem`.
+
+        equations: at the state; damping: relative to the diagonal.
+        """
         reduced = equations.reduced(damping)
         step = reduced.step(self.free)
         if step is None:

@@ -36,11 +36,9 @@ from hypose.fusion.register import (
     check_same_person,
     common_joints,
     confidence_of,
-    horizontal_axes,
     identity_registration,
     measured_joint_depth,
     register,
-    upward,
 )
 from hypose.fusion.swarm import IMPROVED, PUBLISHED, SwarmSettings, SwarmState, start_swarm, swarm_step
 from hypose.geometry import Array
@@ -60,7 +58,6 @@ class FusionSettings:
     window_s: s of the last frames that the registration of a stream uses.
     refit_s: s between two refits of that registration.
     diagnose: whether to run the swarm in parallel to the fit and report its choice of sensors.
-    up: (3,) upward direction in the common frame; None: estimated from the person.
     seed: of the swarm.
     check: whether to refuse sensors that see different people.
     fit: settings of the articulated fit.
@@ -73,7 +70,6 @@ class FusionSettings:
     window_s: float = 5.0
     refit_s: float = 1.0
     diagnose: bool = False
-    up: tuple[float, float, float] | None = None
     seed: int = 0
     check: bool = True
     fit: FitSettings = field(default_factory=FitSettings)
@@ -136,8 +132,6 @@ class FusionState:
     window: recent (positions, state, time) for the registration.
     fit: memory of the articulated fit.
     swarm, confidence: memory of the swarm and of its noise; None unless the swarm runs.
-    up: (3,) upward direction; None before it is estimated.
-    heading: smoothed heading of the person, rad; None before the first.
     fixed_registration: whether the registration is not refitted.
     rest: indices of the set's joints beyond the common ones.
     joint_names: of the fused joints.
@@ -152,8 +146,6 @@ class FusionState:
     fit: FitState
     swarm: SwarmState | None
     confidence: ConfidenceState | None
-    up: Array | None
-    heading: float | None
     fixed_registration: bool
     rest: NDArray[np.int64]
     joint_names: tuple[str, ...]
@@ -216,8 +208,6 @@ def start(
         start_fit(lengths),
         start_swarm(sensors) if swarms else None,
         start_confidence(sensors, s.swarm_settings.confidence) if swarms else None,
-        None if s.up is None else np.array(s.up),
-        None,
         registration is not None or s.registered,
         rest,
         (*jt.COMMON, *(first.joint_names[i] for i in rest)),
@@ -239,11 +229,11 @@ def fuse_frame(state: FusionState, frame: SensorJoints) -> tuple[FusionState, Fu
     time = latest if latest == latest else 0.0
     state = _refit(state, raw, time)
     world = state.registration.apply(raw.positions)
-    state, noise, heading = _noise(state, raw, world)
+    state, noise = _noise(state, raw)
     choice, estimate = None, None
     swarm = state.swarm
     if swarm is not None and noise is not None:
-        swarm, estimate = swarm_step(swarm, world, noise, heading, s.swarm_settings, s.seed)
+        swarm, estimate = swarm_step(swarm, world, noise, 0.0, s.swarm_settings, s.seed)
         choice = estimate.shares
     n_sensors = int(np.isfinite(world[..., 0]).any(1).sum())
     # sensors that report in a common frame may stand anywhere
@@ -302,10 +292,8 @@ def fuse_clip(
         if s.check:
             check_same_person(positions, registration, joints[0].sensor_names)
     lengths = clip_lengths(positions, states)
-    world = registration.apply(positions)
     times = _clip_times(joints)
-    up = upward(world) if s.up is None else np.array(s.up)
-    state = start(joints[0], replace(s, up=tuple(up)), registration, lengths)
+    state = start(joints[0], s, registration, lengths)
     frames: list[FusedFrame] = []
     for t, frame in enumerate(joints):
         if not np.isfinite(frame.times).any():  # no sensor sees the person: time goes on, so that the person gets lost
@@ -385,28 +373,14 @@ def _refit(state: FusionState, raw: SensorJoints, time: float) -> FusionState:
     return replace(state, window=window, registration=new, next_refit=time + pause)
 
 
-def _noise(state: FusionState, raw: SensorJoints, world: Array) -> tuple[FusionState, Array | None, float]:
-    """Compute the noise lambda (K, 15) of this frame and the smoothed heading (rad); None and 0 unless
-    the swarm runs.
-    """
+def _noise(state: FusionState, raw: SensorJoints) -> tuple[FusionState, Array | None]:
+    """Compute the noise lambda (K, 15) of this frame; None unless the swarm runs."""
     if state.confidence is None:
-        return state, None, 0.0
+        return state, None
     s = state.settings.swarm_settings
-    memory, inputs = confidence_step(
-        state.confidence, raw.positions, raw.state, measured_joint_depth(raw), raw.times, s.confidence
-    )
-    noise = s.rules.noise(*normalised(inputs, s.confidence))
-    up = state.up if state.up is not None else upward(world)
-    x, y = horizontal_axes(up)
-    side = world[:, jt.LEFT_SHOULDER] - world[:, jt.RIGHT_SHOULDER]
-    side = side[np.isfinite(side).all(1)]
-    heading = state.heading
-    if len(side):
-        angles = np.arctan2(side @ y, side @ x)
-        angle = float(np.angle(np.exp(1j * angles).sum()))
-        # raw headings of single frames cross the threshold by chance
-        heading = angle if heading is None else heading + 0.2 * float(np.angle(np.exp(1j * (angle - heading))))
-    return replace(state, confidence=memory, up=up, heading=heading), noise, heading or 0.0
+    depth = measured_joint_depth(raw)
+    memory, inputs = confidence_step(state.confidence, raw.positions, raw.state, depth, raw.times, s.confidence)
+    return replace(state, confidence=memory), s.rules.noise(*normalised(inputs, s.confidence))
 
 
 def _with_rest(

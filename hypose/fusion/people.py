@@ -394,7 +394,7 @@ def find_place(
         that match no tracked one); None where no pairing is clearly the best.
 
     Every pairing of one of the sensor's persons with one tracked person gives a transform; the best one puts all
-    persons on tracked persons. All pairings are computed in one batch, so that with many persons no frame is late.
+    persons on tracked persons. All pairings are tried on a few instants, the best six on all.
     """
     some = list(shots)[:: max(1, len(shots) // 12)]
     pairs, skeletons = [], []
@@ -406,22 +406,20 @@ def find_place(
     if not pairs:
         return None
     places = _centres(some)
-    looked = np.full((2, len(pairs), 2 * _LOOK, 15, 3), np.nan)
-    for i, (theirs, ours) in enumerate(skeletons):
-        few = slice(None, None, max(1, len(theirs) // _LOOK))
-        n = len(theirs[few][: 2 * _LOOK])
-        looked[0, i, :n], looked[1, i, :n] = theirs[few][:n], ours[few][:n]
+    quick = list[tuple[float, int, bool]]()
     # also with its sides exchanged; correct sides are the rule, so exchanged ones must fit clearly better
-    sources = np.concatenate([looked[0], looked[0][:, :, MIRROR]]).reshape(2 * len(pairs), -1, 3)
-    targets = np.concatenate([looked[1], looked[1]]).reshape(2 * len(pairs), -1, 3)
-    motions, distance = _plain_fits(sources, targets)
-    scores = distance * np.repeat([1.0, 1.4], len(pairs)) + _misplaced(motions, *places)
+    for exchanged, penalty in ((False, 1.0), (True, 1.4)):
+        for i, (theirs, ours) in enumerate(skeletons):
+            few = slice(None, 2 * _LOOK * (step := max(1, len(theirs) // _LOOK)), step)
+            fit = _fit(theirs[few][:, MIRROR] if exchanged else theirs[few], ours[few], 1)
+            if fit is not None:
+                quick.append((penalty * fit[1] + _misplaced(fit[0], *places), i, exchanged))
     found: list[tuple[float, int, int, Array]] = []
-    for n in np.argsort(scores, kind="stable")[:6].tolist():
-        (b, p), (theirs, ours) = pairs[n % len(pairs)], skeletons[n % len(pairs)]
-        best = _fit(theirs[:, MIRROR] if n >= len(pairs) else theirs, ours, 4) if np.isfinite(scores[n]) else None
+    for _, i, exchanged in sorted(quick)[:6]:
+        (b, p), (theirs, ours) = pairs[i], skeletons[i]
+        best = _fit(theirs[:, MIRROR] if exchanged else theirs, ours, 4)
         if best is not None:
-            found.append((best[1] + float(_misplaced(best[0][None], *places)[0]), b, p, best[0]))
+            found.append((best[1] + _misplaced(best[0], *places), b, p, best[0]))
     if not found:
         return None
     found.sort(key=lambda f: f[0])
@@ -505,42 +503,17 @@ def _centres(shots: Sequence[_SensorInstant]) -> tuple[Array, Array]:
     return out[0], out[1]
 
 
-def _misplaced(motions: Array, theirs: Array, ours: Array) -> Array:
-    """Compute for motions (P, 4, 4) the mean distance of the sensor's persons to the nearest tracked ones.
+def _misplaced(motion: Array, theirs: Array, ours: Array) -> float:
+    """Compute the mean distance of the sensor's persons to the nearest tracked ones under a motion (4, 4).
 
-    Returns: (P,) m, each distance at most 0.5, minus 0.1 for noise.
+    theirs, ours: (S, B, 3) and (S, P, 3) m, trunk centres as `_centres` computes them.
+    Returns: m, each distance at most 0.5, minus 0.1 for noise.
     """
     # a person that only one side sees gives no information: count as many as both can share
     both = np.minimum(np.isfinite(theirs[..., 0]).sum(1), np.isfinite(ours[..., 0]).sum(1))
     counted = np.arange(theirs.shape[1]) < both[:, None]
     if not counted.any():
-        return np.zeros(len(motions))
-    there = theirs @ motions[:, None, :3, :3].swapaxes(-1, -2) + motions[:, None, None, :3, 3]
-    d = np.sqrt(((there[:, :, :, None] - ours[:, None]) ** 2).sum(-1))
-    nearest = np.sort(np.where(np.isfinite(d), d, np.inf).min(3), axis=2)
-    return np.maximum(0.0, np.minimum(nearest[:, counted], 0.5).mean(1) - 0.1)
-
-
-def _plain_fits(sources: Array, targets: Array) -> tuple[Array, Array]:
-    """Fit rigid motions to many pairs of point sets (P, N, 3) at once by least squares, without NaN rows.
-
-    Returns: motions (P, 4, 4), and median distances (P,), infinite where fewer than 20 points are left.
-    """
-    use = np.isfinite(sources[..., 0]) & np.isfinite(targets[..., 0])
-    w = use / np.maximum(use.sum(1), 1)[:, None]
-    a, b = np.where(use[..., None], sources, 0.0), np.where(use[..., None], targets, 0.0)
-    ca, cb = np.einsum("pn,pnk->pk", w, a), np.einsum("pn,pnk->pk", w, b)
-    h = np.einsum("pn,pni,pnj->pij", w, b - cb[:, None], a - ca[:, None])
-    u, _, vt = np.linalg.svd(h)
-    guard = np.ones((len(h), 1, 3))  # as in geometry.procrustes: never a reflection
-    guard[:, 0, 2] = np.where(np.linalg.det(u @ vt) < 0, -1.0, 1.0)
-    motions = np.tile(np.eye(4), (len(h), 1, 1))
-    motions[:, :3, :3] = (u * guard) @ vt
-    motions[:, :3, 3] = cb - np.einsum("pij,pj->pi", motions[:, :3, :3], ca)
-    off = np.linalg.norm(a @ motions[:, :3, :3].swapaxes(1, 2) + motions[:, None, :3, 3] - b, axis=-1)
-    # the median of the used ones: the others are put beyond all of them
-    count = use.sum(1)
-    off = np.sort(np.where(use, off, np.inf), axis=1)
-    rows = np.arange(len(off))
-    middle = (off[rows, np.maximum(count - 1, 0) // 2] + off[rows, np.minimum(count // 2, off.shape[1] - 1)]) / 2
-    return motions, np.where(count >= 20, middle, np.inf)
+        return 0.0
+    d = np.linalg.norm(transform_points(motion, theirs)[:, :, None] - ours[:, None], axis=-1)
+    nearest = np.sort(np.where(np.isfinite(d), d, np.inf).min(2), axis=1)
+    return max(0.0, float(np.minimum(nearest[counted], 0.5).mean()) - 0.1)

@@ -240,15 +240,6 @@ def confidence_of(state: ArrayLike, inferred: float = 0.5) -> Array:
     return np.where(s == TRACKED, 1.0, np.where(s == INFERRED, inferred, 0.0))
 
 
-def horizontal_axes(up: ArrayLike) -> tuple[Array, Array]:
-    """Return two unit vectors (3,) that span the plane perpendicular to `up`."""
-    u = np.asarray(up, dtype=np.float64)
-    u = u / np.linalg.norm(u)
-    x = np.asarray(np.cross(u, np.eye(3)[int(np.abs(u).argmin())]), dtype=np.float64)
-    x /= np.linalg.norm(x)
-    return x, np.asarray(np.cross(u, x), dtype=np.float64)
-
-
 def upward(positions: ArrayLike) -> Array:
     """Compute the upward direction (3,): the median unit vector from hips to neck over registered positions (..., 15,
     3).

@@ -52,7 +52,8 @@ class SwarmSettings:
     weighted: whether the joint is the mean weighted by energy before the wheel adds its noise; else it is the plain
         mean of the candidates after the wheel.
     restart_every: number of frames between restarts (0 = never).
-    restart_turn: rad that the person turns between restarts (0 = never).
+    restart_turn: rad that the person turns between restarts (0 = never); `fuse` computes no heading, so that it is for
+        callers of `swarm_step`.
     confidence: settings of the measures of which the noise is made.
     rules: fuzzy rules of the noise.
     """

@@ -143,7 +143,13 @@ class GrowingForest:
 
     @staticmethod
     def new(settings: ForestSettings, classes: int, rng: np.random.Generator) -> GrowingForest:
-        """Make a forest that has learned nothing."""
+        """Make a forest that has learned nothing.
+
+        settings: of its growth.
+        classes: number of classes, the background included.
+        rng: gives each tree its own random numbers.
+        Raises: InputError where the number of classes is not 2 to MAX_CLASSES.
+        """
         return GrowingForest(settings, new_arrays(settings, classes, rng))
 
     @property
@@ -200,6 +206,7 @@ class GrowingForest:
         return forest_votes.pack(a.test, a.left, a.seen, a.size)
 
     def _make_room(self, nodes: int) -> None:
+        """Enlarge the arrays so that `nodes` more nodes fit per tree, within the bounds of the settings."""
         a, s = self.arrays, self.settings
         have, need = a.left.shape[1], min(int(a.size.max()) + nodes, s.most_nodes)
         if need > have:
@@ -230,6 +237,7 @@ class GrowingForest:
 
 
 def _longer(a: NDArray, n: int, fill: int) -> NDArray:
+    """Return an array (nt, m, ...) enlarged to (nt, n, ...); new entries have the value `fill`."""
     out = np.full((a.shape[0], n, *a.shape[2:]), fill, a.dtype)
     out[:, : a.shape[1]] = a
     return out

@@ -213,6 +213,12 @@ def peak(
 
 
 def _vertex(line: NDArray[np.float32], k: int) -> float:
+    """Refine a maximum to a fraction of a cell by a parabola through it and its neighbours.
+
+    line: values (N,) of a row or column of the density.
+    k: index of the maximum.
+    Returns: offset from k, -0.5 to 0.5; 0 at a border or where the values do not bend down.
+    """
     if not 0 < k < len(line) - 1:
         return 0.0
     a, b, c = float(line[k - 1]), float(line[k]), float(line[k + 1])

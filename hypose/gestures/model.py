@@ -133,6 +133,7 @@ def from_arrays(arrays: Mapping[str, NDArray]) -> GestureModel:
 
 
 def _description(arrays: Mapping[str, NDArray]) -> dict[str, Any]:
+    """Read and check the JSON text among the arrays of a model file; ValueError with a short reason."""
     text = arrays.get("description")
     if text is None or text.dtype.kind != "U" or text.ndim:
         raise ValueError("it has no description")
@@ -148,6 +149,12 @@ def _description(arrays: Mapping[str, NDArray]) -> dict[str, Any]:
 
 
 def _made(kind: type, value: Any) -> Any:
+    """Make settings from the values of a model file.
+
+    kind: class of the settings.
+    value: values by field name.
+    Raises: ValueError where it has other fields, or a value is no number or outside its range.
+    """
     known = {f.name for f in fields(kind)}
     if not isinstance(value, dict) or not set(value) <= known:
         raise ValueError(f"its {kind.__name__} is not valid")
@@ -161,6 +168,7 @@ def _made(kind: type, value: Any) -> Any:
 
 
 def _array(arrays: Mapping[str, NDArray], name: str) -> NDArray:
+    """Return an array of a model file; ValueError where it is missing or not of the type in _KINDS."""
     dtype, dimensions = _KINDS[name]
     a = arrays.get(name)
     if a is None or a.dtype != np.dtype(dtype) or a.ndim != dimensions:
@@ -189,6 +197,11 @@ def _check_trees(a: Mapping[str, NDArray], s: ForestSettings) -> None:
 
 
 def _check_growing(a: Mapping[str, NDArray], s: ForestSettings) -> None:
+    """Raise ValueError where the arrays of a growing forest do not fit each other, so that growth would leave an array.
+
+    a: arrays by name.
+    s: settings of the forest.
+    """
     nt, n = a["left"].shape
     c, slots = a["seen"].shape[2], a["free"].shape[1]
     shapes = {
@@ -215,6 +228,12 @@ def _check_growing(a: Mapping[str, NDArray], s: ForestSettings) -> None:
 
 
 def _learner(value: Any, forest: GrowingForest) -> Learner:
+    """Make the training state of a growing forest.
+
+    value: "learner" of the description: settings, strength, and state of the random numbers.
+    forest: that is trained further.
+    Raises: ValueError where a value is not valid.
+    """
     if not isinstance(value, dict):
         raise ValueError("it has no training state")
     settings, strength = _made(LearnSettings, value.get("settings")), value.get("strength")

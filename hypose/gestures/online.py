@@ -176,7 +176,13 @@ class Learner:
         settings: LearnSettings | None = None,
         gestures: int = 1,
     ) -> Learner:
-        """Make a learner with an untrained forest for a number of gestures."""
+        """Make a learner with an untrained forest.
+
+        rng: for the forest and the choice of pixels.
+        forest: settings of the forest; None: the defaults.
+        settings: how many pixels are learned; None: the defaults.
+        gestures: number of gestures of the forest.
+        """
         grown = GrowingForest.new(forest or ForestSettings(), gestures + 1, rng)
         return Learner(grown, rng, settings or LearnSettings())
 
@@ -239,7 +245,13 @@ class Learner:
         return PixelSampler(self.rng, self.settings)
 
     def _take(self, depth: DepthImage, lens: DepthLens, look: bool) -> tuple[Localisation, ...]:
-        """Pad the picture for learning, and return the maxima where `look` is set."""
+        """Pad a picture for learning.
+
+        depth: (h, w) uint16 mm.
+        lens: of the depth camera.
+        look: whether to localise the gestures too.
+        Returns: best place of each gesture; empty where `look` is False.
+        """
         s = self.settings.look
         if look:
             return tuple(localise(depth, lens, [self.forest], s, self.scratch))
@@ -248,6 +260,14 @@ class Learner:
         return ()
 
     def _mine(self, depth: DepthImage, lens: DepthLens, found: Localisation, counts: list[int]) -> bool:
+        """Learn hard negatives at a place where the forest finds a gesture that is not there.
+
+        depth: (h, w) uint16 mm.
+        lens: of the depth camera.
+        found: the place; their number is proportional to its score.
+        counts: number of learned pixels per class, which is increased.
+        Returns: whether any pixel was learned.
+        """
         surface = surface_depth(depth, found.x, found.y)
         if found.score <= 0 or surface is None:
             return False
@@ -257,7 +277,13 @@ class Learner:
         return self._learn(self._draw.ring(depth, found.x, found.y, (0.0, radius), number), BACKGROUND, counts) > 0
 
     def _learn(self, pixels: Pixels, label: int, counts: list[int]) -> int:
-        """Learn pixels of the padded picture as one class; return their number."""
+        """Learn pixels of the padded picture as one class.
+
+        pixels: rows and columns.
+        label: the class.
+        counts: number of learned pixels per class, which is increased.
+        Returns: number of pixels.
+        """
         (rows, columns), picture = pixels, self.scratch.picture
         if len(rows) and picture is not None:
             self.forest.learn(picture, rows, columns, np.full(len(rows), label, np.int32))

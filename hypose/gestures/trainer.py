@@ -164,7 +164,13 @@ def advance(
 
 
 def update_maximum(session: Session, settings: SessionSettings, maximum: float) -> Session:
-    """Add the forest's maximum in a frame (cm^2) to the moving average of the current phase (th+ or th-)."""
+    """Add the forest's maximum in a frame to the moving average of the current phase (th+ or th-).
+
+    session: state of the session; it is returned as it is outside of the learning phases and while paused.
+    settings: of the session.
+    maximum: score of the best place, cm^2.
+    Returns: the new state.
+    """
     if session.paused is not None or session.phase not in ("positive", "negative"):
         return session
     name = "high" if session.phase == "positive" else "low"
@@ -174,7 +180,11 @@ def update_maximum(session: Session, settings: SessionSettings, maximum: float) 
 
 
 def _follow(s: Session, settings: SessionSettings, time: float) -> Session:
-    """Enter the phase after this one; after the negatives another round, or the test after the last round."""
+    """Enter the phase after the current one; after the negatives another round, or the test after the last round.
+
+    s, settings: state and settings of the session.
+    time: at which the phase begins, s.
+    """
     if s.phase != "negative":
         return _enter(s, _AFTER[s.phase], time)
     if s.round + 1 >= settings.rounds:
@@ -183,6 +193,7 @@ def _follow(s: Session, settings: SessionSettings, time: float) -> Session:
 
 
 def _enter(s: Session, phase: Phase, time: float) -> Session:
+    """Return the state `s` with a new phase that begins at `time`, s; a learning phase begins a new segment."""
     if phase in ("positive", "negative"):
         return replace(s, phase=phase, entered=time, segment=s.segment + 1, before=(s.high, s.low))
     return replace(s, phase=phase, entered=time)
@@ -333,6 +344,7 @@ class Trainer:
         return balanced(scores, self._movement) or None
 
     def _remember(self, depth: DepthImage, lens: DepthLens) -> None:
+        """Keep a frame that shows the gesture for the final threshold; every frame has the same chance."""
         self._shown += 1
         if len(self._kept) < _KEPT:
             self._kept.append((depth, lens))
@@ -346,6 +358,7 @@ class Trainer:
         return changing, self._kept.copy(), self._movement.copy(), self._shown  # pictures do not change
 
     def _restore(self, saved: tuple[Any, ...]) -> None:
+        """Return to what `_snapshot` copied."""
         changing, kept, movement, self._shown = saved
         a = self.learner
         a.forest, a.rng, a.strength, self._keep = copy.deepcopy(changing)

@@ -45,7 +45,10 @@ def survival_rate(energies: ArrayLike, beta: ArrayLike) -> FloatArray:
     Source: Deutscher & Reid 2005.
     """
     excess, usable = _excess(np.asarray(energies, np.float64))
-    return _rate(excess, usable, np.asarray(beta, np.float64))
+    with np.errstate(over="ignore"):
+        weights = np.where(usable, np.exp(-np.asarray(beta, np.float64)[..., None] * excess), 0.0)
+    total, squares = weights.sum(axis=-1), np.square(weights).sum(axis=-1)
+    return np.where(squares > 0, total**2 / (weights.shape[-1] * np.where(squares > 0, squares, 1.0)), 0.0)
 
 
 def solve_annealing_rate(energies: ArrayLike, target: float, iterations: int = 56) -> FloatArray:
@@ -86,15 +89,10 @@ def solve_annealing_rate(energies: ArrayLike, target: float, iterations: int = 5
 class FixedAnnealingRate:
     """Annealing rate with a fixed exponent beta, as in the papers.
 
-    Raises: ValueError where beta is negative or not finite.
     Source: Alcoverro 2014, eq. (2.9).
     """
 
     beta: float = 1.0
-
-    def __post_init__(self) -> None:
-        if not (np.isfinite(self.beta) and self.beta >= 0):
-            raise ValueError(f"beta must be finite and not negative, got {self.beta}")
 
     def __call__(self, energies: FloatArray, /) -> FloatArray:
         """Return the same exponent for every population."""
@@ -149,10 +147,3 @@ def _excess(energies: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
     base = np.where(np.isfinite(minimum), minimum, 0.0)
     with np.errstate(over="ignore"):
         return np.minimum(np.where(usable, energies, base) - base, 1e300), usable
-
-
-def _rate(excess: FloatArray, usable: NDArray[np.bool_], beta: FloatArray) -> FloatArray:
-    with np.errstate(over="ignore"):
-        weights = np.where(usable, np.exp(-beta[..., None] * excess), 0.0)
-    total, squares = weights.sum(axis=-1), np.square(weights).sum(axis=-1)
-    return np.where(squares > 0, total**2 / (weights.shape[-1] * np.where(squares > 0, squares, 1.0)), 0.0)

@@ -80,5 +80,6 @@ def likeliest_path(costs: Sequence[FloatArray], steps: Sequence[FloatArray]) -> 
 
 
 def _shares(log: FloatArray) -> FloatArray:
+    """Convert log-weights (N,) to shares that sum to 1."""
     share = np.exp(log - log.max())
     return share / share.sum()

@@ -27,10 +27,6 @@ FOUND_BY = "by "
 """Prefix of the role that names the search by which a hypothesis was found, such as `by limb search`."""
 
 
-def _none() -> _IntArray:
-    return np.zeros((), np.int32)
-
-
 @dataclass(frozen=True)
 class Hypotheses:
     """Immutable set of N weighted states per population; every operation returns a new set.
@@ -48,8 +44,8 @@ class Hypotheses:
 
     values: FloatArray
     log_weights: FloatArray
-    origin: _IntArray = field(default_factory=_none)
-    role: _IntArray = field(default_factory=_none)
+    origin: _IntArray = field(default_factory=lambda: np.zeros((), np.int32))
+    role: _IntArray = field(default_factory=lambda: np.zeros((), np.int32))
     role_names: tuple[str, ...] = ()
     covariance: FloatArray | None = None
     columns: Mapping[str, NDArray[Any]] = field(default_factory=dict)
@@ -223,11 +219,13 @@ _FIELDS = tuple(f.name for f in fields(Hypotheses))
 
 
 def _equal_log_weights(values: FloatArray) -> FloatArray:
+    """Return equal log-weights (*B, N) for states (*B, N, D)."""
     shape = values.shape[:-1]
     return np.full(shape, -np.log(max(shape[-1], 1)) if shape else 0.0)
 
 
 def _taken(column: NDArray[Any], chosen: NDArray[np.intp]) -> NDArray[Any]:
+    """Select rows of a column (*B, N, ...) by index (*B, M)."""
     if chosen.ndim == 1:  # one population, the usual case: the same result, faster
         return column[chosen]
     index = chosen.reshape(*chosen.shape, *(1,) * (column.ndim - chosen.ndim))

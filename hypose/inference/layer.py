@@ -86,7 +86,11 @@ def as_given(pose: FloatArray, frame: Any, /) -> FloatArray:
 
 
 def stand_still(step: FloatArray, blind: int, /) -> FloatArray:
-    """Predict no motion: the next pose is the last one (default of `Recipe.predict`)."""
+    """Predict no motion: the next pose is the last one (default of `Recipe.predict`).
+
+    step: (D,) last step; blind: number of frames without evidence.
+    Returns: (D,) zeros.
+    """
     return np.zeros_like(step)
 
 

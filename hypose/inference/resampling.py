@@ -76,18 +76,11 @@ class LayeredResampling:
     """Systematic resampling of the coordinates filtered so far; the others keep their own values.
 
     filtered: (D,) bool, the union of the coordinates of all layers up to this one.
-    Raises: ValueError where it is not a (D,) mask of bools.
     Source: Alcoverro 2014, Algorithm 4 (corrected).
     Why: coordinates that neither dynamics nor evidence has changed yet keep their diversity.
     """
 
     filtered: NDArray[np.bool_]
-
-    def __post_init__(self) -> None:
-        filtered = np.asarray(self.filtered)
-        if filtered.dtype != np.bool_ or filtered.ndim != 1:
-            raise ValueError(f"filtered must be a (D,) mask of bools, got {filtered.dtype} {filtered.shape}")
-        object.__setattr__(self, "filtered", filtered)
 
     def __call__(self, h: Hypotheses, rng: np.random.Generator, /) -> Hypotheses:
         """Resample the filtered coordinates."""

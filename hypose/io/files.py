@@ -22,7 +22,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from io import BufferedReader
 from pathlib import Path
-from typing import IO, Any, BinaryIO
+from typing import IO, Any
 
 from hypose.errors import InputError
 from hypose.json_text import parse_json
@@ -265,7 +265,12 @@ def _onto_disk(path: Path) -> None:
 
 
 def write_bytes(path: str | Path, data: bytes, synced: bool = True) -> None:
-    """Write a binary file whole or not at all; `synced` as for `atomic_path`."""
+    """Write a binary file whole or not at all.
+
+    data: the content.
+    synced: as for `atomic_path`.
+    Raises: InputError where it cannot be written.
+    """
     with atomic_path(path, synced) as temporary:
         temporary.write_bytes(data)
 
@@ -385,7 +390,8 @@ def bounded_lines(
     """
     total, rest, first = 0, b"", True
     try:
-        with open_file(path, kind, limit) as file, _unpacked(file, path) as stream:
+        packed = str(path).lower().endswith(".gz")
+        with open_file(path, kind, limit) as file, gzip.GzipFile(fileobj=file) if packed else file as stream:
             while chunk := stream.read(_CHUNK):
                 total += len(chunk)
                 if total > limit:
@@ -411,11 +417,8 @@ def bounded_lines(
         raise unreadable(path, error) from None
 
 
-def _unpacked(file: BinaryIO, path: str | Path) -> gzip.GzipFile | BinaryIO:
-    return gzip.GzipFile(fileobj=file) if str(path).lower().endswith(".gz") else file
-
-
 def _decoded(line: bytes, path: str | Path, kind: str, limit: int) -> str:
+    """Decode a line without its line end; InputError where it has more than `limit` bytes."""
     if len(line) > limit:
         raise InputError(f"{path} has a line of more than {limit // 1024} KiB, so it is not {kind}.")
     return line.rstrip(b"\r").decode("utf-8", errors="replace").replace("\ufeff", "")
@@ -495,6 +498,7 @@ def _lock(file: int) -> None:
 
 
 def _who(file: int) -> str:
+    """Read from an open lock file which process holds it."""
     with contextlib.suppress(OSError):
         said = os.read(file, 200).decode(errors="replace").strip()
         if re.fullmatch(r"process \d{1,10} on [\w.-]{1,100}", said):

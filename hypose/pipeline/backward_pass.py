@@ -26,8 +26,7 @@ from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.layer import Memory
 from hypose.pipeline.frame_anomalies import looked_again
 from hypose.pipeline.left_right import FrameRange, pace_of, read_once, reversed_frames
-from hypose.tracking.costs import agreement
-from hypose.tracking.frame_evidence import PreparedFrame
+from hypose.tracking.frame_evidence import PreparedFrame, agreement
 from hypose.tracking.part_colours import ColourSettings, colour_scores
 from hypose.tracking.pose_covariance import uncertainty_of_pose
 from hypose.tracking.refinement import RIVAL, mismatch

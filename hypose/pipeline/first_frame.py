@@ -24,12 +24,11 @@ from hypose.tracking.cue_weights import start_with_masks, weigh_against_masks
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.keypoint_clip import LEAST_POINTS
 from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, KeypointModel, keypoint_model, keypoint_term
-from hypose.tracking.keypoint_offsets import calibrate_keypoints
+from hypose.tracking.keypoint_offsets import calibrate_keypoints, view_factors
 from hypose.tracking.refinement import anatomical_prior
 from hypose.tracking.start_search import Start, start_from_hull
 from hypose.tracking.starts import KNOWN_POSES, start_from_keypoints
 from hypose.tracking.subject import subject_from_keypoints
-from hypose.tracking.view_noise import view_factors
 
 _FrameAt = Callable[[int], Frame]
 GIVEN = "the subject's body is given"

@@ -14,15 +14,6 @@ import numpy as np
 from hypose.body.body import Body, Landmarks, Mesh
 from hypose.body.coarse_mesh import coarse_mesh, decimated
 from hypose.body.default_body import human
-from hypose.body.fit_skeleton import (
-    SCAN_POSES,
-    ScanFit,
-    ScanPose,
-    find_stances,
-    fit_template,
-    surface_samples,
-    unposed,
-)
 from hypose.body.joint_names import match_rig
 from hypose.body.skin_weights import body_bones, carried_weights, heat_weights, influences, vertex_normals
 from hypose.errors import EvidenceError, InputError
@@ -32,6 +23,15 @@ from hypose.geometry import Array
 from hypose.io.file_names import text_of
 from hypose.io.motions.meshes import PersonMesh, closed_surface, read_person
 from hypose.io.motions.results import save_body
+from hypose.pipeline.scan_fit import (
+    SCAN_POSES,
+    ScanFit,
+    ScanPose,
+    find_stances,
+    fit_template,
+    surface_samples,
+    unposed,
+)
 from hypose.pipeline.settings import SETTINGS
 from hypose.tracking.refinement import anatomical_prior
 

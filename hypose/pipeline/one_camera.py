@@ -46,10 +46,10 @@ from hypose.pipeline.frame_anomalies import in_words
 from hypose.pipeline.settings import SETTINGS
 from hypose.tracking.contacts import runs
 from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, keypoint_model
-from hypose.tracking.monocular.evidence import SMALLEST_MASK
 from hypose.tracking.monocular.initialise import LEAST_CLICKS, initialise
 from hypose.tracking.monocular.points import FEWEST_PX, clicked_joints, keypoints_on
 from hypose.tracking.monocular.points_fit import PointsOn
+from hypose.tracking.monocular.problem import SMALLEST_MASK
 from hypose.tracking.monocular.settings import MonoSettings
 
 

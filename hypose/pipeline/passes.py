@@ -64,7 +64,7 @@ from hypose.tracking.keypoint_evidence import keypoint_model
 from hypose.tracking.pose_covariance import unpacked
 from hypose.tracking.recipes import recipe
 from hypose.tracking.several import Member
-from hypose.tracking.smooth_motion import Clip, Smoothed
+from hypose.tracking.smoothing import Clip, Smoothed
 from hypose.tracking.tracker import (
     RECOVERED,
     FrameEstimate,

@@ -21,7 +21,7 @@ from hypose.errors import EvidenceError, HyposeError, InputError
 from hypose.evidence import depth_people
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.evidence.hull import common_view_bounds
-from hypose.evidence.hull_people import HullPerson, fewest_views
+from hypose.evidence.hull_people import HullPerson, views_to_find
 from hypose.geometry import Array
 from hypose.io.motions.results import ResultsFolder, provenance_identity, save_motion
 from hypose.pipeline.first_frame import SubjectOptions, TrackedSubject, find_subject, keep_subject, kept_subject
@@ -412,7 +412,7 @@ class PeopleRun:
         """
         masks = frame.of(Silhouettes)
         known = [other for s in masks for other in explained_by(people, s)]
-        if not any(birth_candidates(known, s, fewest_views(frame)) for s in masks):
+        if not any(birth_candidates(known, s, views_to_find(frame)) for s in masks):
             return []
         found = not_parts(depth_people.people_seen(frame, known, floor=self.floor), people)
         coming = list[Array]()

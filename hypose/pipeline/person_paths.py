@@ -11,10 +11,10 @@ import numpy as np
 from hypose.body.motion import Motion
 from hypose.cameras.camera import CameraRig
 from hypose.errors import HyposeError
+from hypose.evidence.association import PersonTrack
 from hypose.evidence.depth_people import people_seen
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
-from hypose.evidence.hull_people import HullPerson, fewest_views
-from hypose.evidence.person_tracks import PersonTrack
+from hypose.evidence.hull_people import HullPerson, views_to_find
 from hypose.evidence.shared_masks import Other
 from hypose.geometry import Array
 from hypose.pipeline.settings import SETTINGS
@@ -126,7 +126,7 @@ def count_people(frame_at: Callable[[int], Frame], total: int, looks: int = 5) -
         with contextlib.suppress(HyposeError):
             frame = frame_at(t)
             views = [int(masks.usable.sum()) for masks in frame.of(Silhouettes)]
-            if any(count >= fewest_views(frame) for count in views):
+            if any(count >= views_to_find(frame) for count in views):
                 found.append(_apart([p for p in people_seen(frame) if p.tall]))
     return int(np.median(found)) if found else 0
 

@@ -33,8 +33,7 @@ from hypose.pipeline.start_choice import best_ways, way_of
 from hypose.pipeline.subject_from_motion import different_poses
 from hypose.pipeline.track_loop import Followed
 from hypose.pipeline.tracked_people import Wanted
-from hypose.tracking.costs import mean_overlap
-from hypose.tracking.frame_evidence import prepare
+from hypose.tracking.frame_evidence import mean_overlap, prepare
 from hypose.tracking.refinement import refine
 from hypose.tracking.several import shape_of, step_together
 from hypose.tracking.shape_refinement import Known, refine_shape

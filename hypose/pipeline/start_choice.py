@@ -20,8 +20,7 @@ from hypose.evidence.prefetch import make_now
 from hypose.geometry import Array
 from hypose.inference.layer import Recovery
 from hypose.pipeline.settings import SETTINGS
-from hypose.tracking.costs import mean_overlap
-from hypose.tracking.frame_evidence import prepare
+from hypose.tracking.frame_evidence import mean_overlap, prepare
 from hypose.tracking.recipes import default
 from hypose.tracking.start_search import Start, Starts, by_their_ways, starts_in_frame, weigh_starts
 from hypose.tracking.starts import KNOWN_POSES, hull_of, recover, start_in_pose

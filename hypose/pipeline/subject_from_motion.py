@@ -28,8 +28,7 @@ from hypose.io.motions.results import load_body, save_body
 from hypose.pipeline.left_right import correct_left_right
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.start_choice import best_ways, check_borders, check_person_size, follow, no_two_views
-from hypose.tracking.costs import mean_overlap
-from hypose.tracking.frame_evidence import PreparedFrame, prepare
+from hypose.tracking.frame_evidence import PreparedFrame, mean_overlap, prepare
 from hypose.tracking.recipes import default
 from hypose.tracking.refinement import refine
 from hypose.tracking.shape_refinement import Known, ShapeSettings, refine_shape

@@ -216,7 +216,7 @@ class TrackingSession:
         last: the frame before; None: there is none.
         """
         members = [p.member for p in self.people]
-        points = None if self.keypoints is None else self.keypoints(self.done)
+        points = () if self.keypoints is None else self.keypoints(self.done)
         if self.alone:
             state, estimate = members[0].tracker.step(members[0].state, frame)
             members, estimates, seen = [replace(members[0], state=state)], [estimate], [frame]

@@ -18,8 +18,7 @@ from hypose.pipeline.first_frame import TrackedSubject
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.track_loop import Followed
 from hypose.tracking.appearance import Appearance, appearance_in, no_appearance
-from hypose.tracking.costs import mean_overlap
-from hypose.tracking.frame_evidence import PreparedFrame, prepare
+from hypose.tracking.frame_evidence import PreparedFrame, mean_overlap, prepare
 from hypose.tracking.several import shape_of
 from hypose.tracking.start_search import start_from_hull
 

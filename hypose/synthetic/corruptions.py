@@ -64,7 +64,13 @@ def corruptions(*names: str) -> Corruptions:
 
 
 def smooth_noise(rng: np.random.Generator, shape: tuple[int, int], cell: float) -> NDArray[np.float32]:
-    """Draw noise (h, w) of sd 0.8 that is smooth over `cell` px."""
+    """Draw smooth noise of standard deviation 0.8.
+
+    rng: random numbers.
+    shape: (h, w).
+    cell: size of its waves, px.
+    Returns: (h, w) float32.
+    """
     h, w = shape
     s = max(1, round(cell))
     coarse = rng.normal(size=(h // s + 3, w // s + 3)).astype(np.float32)

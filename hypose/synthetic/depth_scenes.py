@@ -167,6 +167,7 @@ class DepthScene(OfPerformance):
 
     @cached_property
     def _patterns(self) -> list[DepthMap]:
+        """Fixed pattern (h, w) of each sensor, m."""
         out = []
         for c, camera in enumerate(self.rig):
             rng = np.random.default_rng([self.seed, _PATTERN, c + 1])
@@ -246,7 +247,12 @@ def sensed(
 
 
 def _cosines(z: DepthMap, camera: Camera) -> DepthMap:
-    """Compute the cosine (h, w) between ray and normal, from the smaller of the two one-sided differences."""
+    """Compute the cosine between ray and normal, from the smaller of the two one-sided differences of depth.
+
+    z: (h, w) m.
+    camera: its focal lengths count.
+    Returns: (h, w), 0 to 1.
+    """
     ax = np.minimum(np.abs(np.diff(z, axis=1, append=z[:, -1:])), np.abs(np.diff(z, axis=1, prepend=z[:, :1])))
     ay = np.minimum(np.abs(np.diff(z, axis=0, append=z[-1:])), np.abs(np.diff(z, axis=0, prepend=z[:1])))
     slope = np.hypot(ax * camera.K[0, 0] / z, ay * camera.K[1, 1] / z)
@@ -254,6 +260,7 @@ def _cosines(z: DepthMap, camera: Camera) -> DepthMap:
 
 
 def _drawn(camera: Camera, vertices: Array, faces: NDArray[np.int32]) -> DepthMap:
+    """Render a mesh: depth (h, w) m, infinite where nothing is drawn; vertices (V, 3) m world, faces (F, 3)."""
     z = vertices @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
     return rasterize(camera.project_pinhole(vertices), z, faces, camera.size)[0]
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cache
 from importlib import resources
 
 import numpy as np
@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import least_squares
 
 from hypose.body.skin_weights import vertex_normals
-from hypose.errors import InputError
 from hypose.geometry import Array, so3_exp
 
 SIDES = ("left", "right")
@@ -44,6 +43,7 @@ _THUMB: dict[str, tuple[float, float, float]] = {
     "grip": (30, 20, 25),
 }
 HAND_SHAPES = tuple(_FLEXION)
+_CLOTH_M = 0.008
 
 
 def unit(v: ArrayLike) -> Array:
@@ -58,6 +58,7 @@ def rotation_about(axis: ArrayLike, angle: float) -> Array:
 
 
 def _frame(a: ArrayLike, b: ArrayLike) -> Array:
+    """Make the rotation (3, 3) whose columns are a, the part of b across a, and their cross product, normalised."""
     a = unit(a)
     b = np.asarray(b, dtype=np.float64)
     b = unit(b - a * (a @ b))
@@ -154,10 +155,7 @@ class GesturePerson:
         side: "left" or "right".
         kind: one of HAND_SHAPES.
         rng, jitter_deg: vary every joint by jitter_deg (sd), less where fingers touch.
-        Raises: InputError for an unknown shape.
         """
-        if kind not in _FLEXION:
-            raise InputError(f"There is no hand shape {kind!r}; the shapes are {', '.join(HAND_SHAPES)}.")
         touches = kind not in _THUMB
         noise = (
             np.zeros((5, 3)) if rng is None else rng.normal(0, min(jitter_deg, 2.5) if touches else jitter_deg, (5, 3))
@@ -177,6 +175,11 @@ class GesturePerson:
         return HandShape(np.deg2rad(flexion + noise[:4] * [1, 0.7, 0.5]), spread, thumb)
 
     def _open_thumb(self, side: str, degrees: Array) -> Array:
+        """Compute the rotations (3, 3, 3) of the thumb's joints relative to the hand, where the thumb touches nothing.
+
+        side: "left" or "right".
+        degrees: (3,) opposition and two flexions.
+        """
         along, palm, _ = self.hand_axes(side)
         o, a, b = np.deg2rad(degrees)
         t = unit(self.joint(f"{side}_thumb_2") - self.joint(f"{side}_thumb_1"))
@@ -185,11 +188,10 @@ class GesturePerson:
         return np.stack([first, first @ rotation_about(axis, a), first @ rotation_about(axis, a + b)])
 
 
-@lru_cache(maxsize=4)
-def load_people(cloth_m: float = 0.008) -> tuple[GesturePerson, ...]:
-    """Load the people, dressed.
-
-    cloth_m: clothes stand off by up to 1.5 cloth_m (another share for each person), but not on head and hands.
+@cache
+def load_people() -> tuple[GesturePerson, ...]:
+    """Load the people, dressed: clothes stand off by up to 1.5 _CLOTH_M (another share for each), but not on head
+    and hands.
     """
     file = resources.files("hypose.assets").joinpath("gesture_people.npz")
     with file.open("rb") as stream:
@@ -205,7 +207,7 @@ def load_people(cloth_m: float = 0.008) -> tuple[GesturePerson, ...]:
     out, vertices = [], np.cumsum(data["vertices_step"], axis=0) * float(data["vertex_scale"])
     for k, name in enumerate(data["names"].tolist()):
         v = vertices[k]
-        thickness = cloth_m * (0.4 + 1.1 * ((k * 7) % 18) / 17)
+        thickness = _CLOTH_M * (0.4 + 1.1 * ((k * 7) % 18) / 17)
         v = v + (thickness * dressed)[:, None] * vertex_normals(v, faces)
         out.append(
             GesturePerson(
@@ -321,7 +323,12 @@ class Puppet:
 
 
 def _thumb_of(person: GesturePerson, side: str, x: Array) -> Array:
-    """Compute the rotations of the thumb from a rotation vector of its root (x[:3]) and two flexions (x[3:5])."""
+    """Compute the rotations of the thumb's joints relative to the hand.
+
+    person, side: whose hand.
+    x: rotation vector of the thumb's root (x[:3], rad) and two flexions (x[3:5], rad).
+    Returns: (3, 3, 3).
+    """
     base = person.joint(f"{side}_thumb_1")
     t = unit(person.joint(f"{side}_thumb_3") - base)
     axis = unit(np.cross(t, unit(person.joint(f"{side}_index_1") - person.joint(f"{side}_thumb_2"))))
@@ -333,9 +340,12 @@ def _thumb_of(person: GesturePerson, side: str, x: Array) -> Array:
 
 
 def _chain_end(person: GesturePerson, side: str, finger: int, rotations: Sequence[Array]) -> Array:
-    """Compute the position (3,) of a finger's tip, m, with the hand at rest.
+    """Compute the tip of a finger with the hand at rest.
 
+    person, side: whose hand.
+    finger: 0 (thumb) to 4.
     rotations: of the finger's three segments, each relative to the hand (not to the segment before).
+    Returns: (3,) m, in the body's frame.
     """
     at = [person.joint(f"{side}_{FINGERS[finger]}_{k}") for k in (1, 2, 3)]
     at.append(person.ends[SIDES.index(side), finger])
@@ -346,7 +356,13 @@ def _chain_end(person: GesturePerson, side: str, finger: int, rotations: Sequenc
 
 
 def _fit_thumb(person: GesturePerson, side: str, kind: str) -> Array:
-    """Fit angles (8,) by which the thumb touches the index finger's tip ("ok") or lies on the folded middle finger."""
+    """Fit the angles by which the thumb touches the index finger's tip, or lies on the folded middle finger.
+
+    person, side: whose hand.
+    kind: "ok" (touches the index finger) or "fist".
+    Returns: (8,) rotation vector of the thumb's root and two flexions, rad, and logarithms of the factors of the index
+        finger's three flexions (0 for "fist").
+    """
     along, palm, _ = person.hand_axes(side)
     axis = np.cross(along, palm)
     flexion = np.deg2rad(np.array(_FLEXION[kind]))

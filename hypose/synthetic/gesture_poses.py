@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hypose.errors import InputError
 from hypose.geometry import Array
 from hypose.synthetic.gesture_people import SIDES, ArmGoal, GesturePerson, HandShape, Puppet, rotation_about, unit
 
@@ -41,6 +40,8 @@ class Keyframe:
 
 
 def _blend(a: ArmGoal, b: ArmGoal, t: float) -> ArmGoal:
+    """Interpolate two goals of an arm by a share t (0: a, 1: b)."""
+
     def mix(p: Array, q: Array) -> Array:
         v = (1 - t) * unit(p) + t * unit(q)
         return v if np.linalg.norm(v) > 1e-2 else p + 0.3 * q + [0.01, 0, 0]
@@ -66,13 +67,18 @@ def bend(puppet: Puppet, angles: Array) -> None:
 
 
 def apply(puppet: Puppet, frame: Keyframe) -> None:
-    """Pose the whole person."""
+    """Pose the whole person.
+
+    puppet: is posed.
+    frame: the pose.
+    """
     bend(puppet, frame.angles)
     puppet.reach("left", frame.left)
     puppet.reach("right", frame.right)
 
 
 def _angles(rng: np.random.Generator, amount: float) -> Array:
+    """Draw random angles (6,) rad of trunk and head as in `Keyframe`; amount scales their variation and mean."""
     sd, mean = [0.06, 0.05, 0.04, 0.06, 0.1, 0.2], [0.0, 0.03, 0.0, 0.0, 0.05, 0.0]
     return rng.normal(mean, sd) * [amount, amount, amount, amount, amount, amount]
 
@@ -109,7 +115,12 @@ class Doer:
         return person.ends[SIDES.index(side), 2] - person.joint(f"{side}_wrist")
 
     def shape(self, side: str, kind: str, jitter: float = 6.0) -> HandShape:
-        """Return a hand of one of HAND_SHAPES, its fingers varied by `jitter` degrees."""
+        """Return a hand shape with random variation.
+
+        side: "left" or "right".
+        kind: one of HAND_SHAPES.
+        jitter: sd of the variation of each finger joint, degrees.
+        """
         return self.puppet.person.shape(side, kind, self.rng, jitter)
 
     def hanging(self, side: str) -> ArmGoal:
@@ -150,21 +161,19 @@ def gesture(
     leading: side of the leading hand.
     amount: how much the pose varies (1 = as between people).
     Returns: the pose, and the annotated point (3,) m on the surface.
-    Raises: InputError for an unknown gesture.
     """
-    do = Doer(puppet, rng, leading, amount)
-    if name not in _GESTURES:
-        raise InputError(f"There is no gesture {name!r}; the gestures are {', '.join(GESTURES)}.")
-    frame = _GESTURES[name](do)
+    frame = _GESTURES[name](Doer(puppet, rng, leading, amount))
     apply(puppet, frame)
     return frame, annotated(puppet, name, leading)
 
 
 def _palm(do: Doer, side: str) -> float:
+    """Return the length of the palm of a side, m."""
     return do.puppet.person.hand_axes(side)[2]
 
 
 def _tee(do: Doer) -> Keyframe:
+    """Pose "tee": a flat hand on the finger tips of the other, upright hand."""
     side = do.other
     up, length = unit(do.way(0, 0, 1, 0.08)), float(np.linalg.norm(do.middle_finger(side)))
     wrist = do.middle + do.way(0, -0.33, -0.12, 0.03) - up * length
@@ -179,6 +188,7 @@ def _tee(do: Doer) -> Keyframe:
 
 
 def _cross(do: Doer) -> Keyframe:
+    """Pose "cross": both forearms crossed in front of the chest."""
     centre = do.middle + do.way(0, -0.30, -0.08, 0.03)
     kind = str(do.rng.choice(["fist", "flat", "relaxed"]))
     angle = do.rng.normal(0.75, 0.08)
@@ -191,6 +201,7 @@ def _cross(do: Doer) -> Keyframe:
 
 
 def _pause(do: Doer) -> Keyframe:
+    """Pose "pause": the leading palm held up to the camera."""
     wrist = do.lead_shoulder + do.way(-0.06, -0.36, 0.0, 0.05)
     kind = str(do.rng.choice(["flat", "spread"]))
     f, n = do.way(0, -0.1, 1, 0.1), do.way(0, -1, 0, 0.1)
@@ -198,6 +209,7 @@ def _pause(do: Doer) -> Keyframe:
 
 
 def _silence(do: Doer) -> Keyframe:
+    """Pose "silence": the index finger before the lips."""
     mouth = do.puppet.carried("head", lips(do.puppet.person))
     f, n = unit(do.way(0.12, -0.12, 1, 0.08)), do.way(1, 0.25, 0, 0.12)
     shape = do.shape(do.lead, "point")
@@ -210,12 +222,14 @@ def _silence(do: Doer) -> Keyframe:
 
 
 def _ok(do: Doer) -> Keyframe:
+    """Pose "ok": thumb and index finger form a ring."""
     wrist = do.lead_shoulder + do.way(-0.06, -0.33, 0.02, 0.05)
     f, n = do.way(0, -0.1, 1, 0.1), do.way(0.1, -1, 0, 0.1)
     return do.keyframe(ArmGoal(wrist, f, n, do.elbow(-0.6, 0.3, -1), do.shape(do.lead, "ok")))
 
 
 def _volume_up(do: Doer) -> Keyframe:
+    """Pose "volume_up": a fist with the thumb up."""
     wrist = do.lead_shoulder + do.way(-0.02, -0.34, -0.1, 0.05)
     f, n = do.way(0.75, -0.65, 0.1, 0.1), do.way(0.6, 0.8, 0, 0.1)
     person, elbow, fist = do.puppet.person, do.elbow(-0.6, 0.3, -1), do.shape(do.lead, "fist", 4)
@@ -269,6 +283,9 @@ def annotated(puppet: Puppet, name: str, leading: str) -> Array:
 def movement(puppet: Puppet, rng: np.random.Generator) -> Keyframe:
     """Make a random pose of a person that is none of the gestures: arms hanging or anywhere in front, hands of any
     shape but "ok".
+
+    puppet: the person, whose trunk is posed.
+    rng: random numbers.
 
     A quarter of the raised hands are near misses (a fist, a pointing finger, ... held up to the camera).
     """

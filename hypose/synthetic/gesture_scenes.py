@@ -64,7 +64,11 @@ class _View:
 
 
 def make_gesture_room(rng: np.random.Generator, level: str) -> GestureRoom:
-    """Make a random room: "empty" (floor and a wall far behind), "furnished", or "cluttered" close to the person."""
+    """Make a random room.
+
+    rng: random numbers.
+    level: "empty" (floor and a wall far behind), "furnished", or "cluttered" close to the person.
+    """
     parts: list[tuple[Array, NDArray[np.int32]]] = []
 
     def box(centre: Sequence[float], size: Sequence[float], yaw: float) -> None:
@@ -198,6 +202,14 @@ def live_person(number: int, name: str, rng: np.random.Generator, rate: float) -
 def _frames(
     number: int, puppet: Puppet, name: str, rng: np.random.Generator, rate: float
 ) -> Generator[SimulatedFrame, bool, None]:
+    """Yield the frames of `live_person`.
+
+    number: of the person, which decides the leading hand.
+    puppet: the person, who is posed.
+    name: of the gesture.
+    rng: random numbers.
+    rate: Hz.
+    """
     setting = Setting(make_gesture_room(rng, "furnished"), make_view(rng, rng.uniform(1.5, 2.3)))
     leading = handedness(number)
     others = [g for g in GESTURES if g != name]
@@ -221,16 +233,34 @@ def _frames(
 
 
 def _eased(share: float) -> float:
+    """Map a share of a movement's time (0..1) to a share of its way that starts and ends slowly."""
     return share * share * (3 - 2 * share)
 
 
 def _goal(puppet: Puppet, name: str | None, others: list[str], leading: str, rng: np.random.Generator) -> Keyframe:
+    """Draw the next pose of the simulated person.
+
+    puppet: the person, who is posed in it.
+    name: of the gesture that is asked for; None: movement, or one of the other gestures.
+    others: names of the other gestures.
+    leading: side of the leading hand.
+    rng: random numbers.
+    """
     if name is None and rng.random() >= _OTHERS:
         return movement(puppet, rng)
     return gesture(puppet, name or str(rng.choice(others)), rng, leading)[0]
 
 
 def _seen(puppet: Puppet, setting: Setting, name: str | None, leading: str, rng: np.random.Generator) -> SimulatedFrame:
+    """Render the simulated person as posed.
+
+    puppet: the person.
+    setting: room and camera.
+    name: gesture that is shown; None: none.
+    leading: side of the leading hand.
+    rng: random numbers of the sensor.
+    Returns: the frame; without a point where the gesture is hidden or less than 25 px from the border.
+    """
     view = setting.view
     depth, inverse = render([(puppet.person, stand_at(puppet))], setting.behind, view, rng)
     if name is None:

@@ -58,7 +58,15 @@ def _keyed(
     stance: Stance,
     smooth: float = 0.05,
 ) -> Angles:
-    """Join key poses (time, channels) monotonically, smooth them by `smooth` s, and add a little sway."""
+    """Join key poses monotonically, smooth them, and add a little sway.
+
+    name: of the motion.
+    t: (T,) s, times of the frames.
+    keys: instants (s) and key poses, in their order; poses that follow at the same time are left out.
+    take: random variation.
+    stance: of the feet.
+    smooth: sd of the smoothing, s.
+    """
     keys = [k for i, k in enumerate(keys) if i == 0 or k[0] > keys[i - 1][0] + 1e-6]
     at = np.array([k for k, _ in keys])
     channels = sorted({c for _, pose in keys for c in pose})
@@ -113,6 +121,7 @@ def _repeated(
 
 
 def _jab(side: str, reach: float = 1.0) -> dict[str, float]:
+    """Return the channels of a straight blow of a side ("left", "right"); reach scales how far the arm goes."""
     s = 1.0 if side == "right" else -1.0  # a blow of the right hand turns the trunk to the left
     return {
         f"{side}_shoulder_flexion": 86 * reach,
@@ -500,6 +509,12 @@ _JOG = {
 
 
 def _periodic(points: Sequence[tuple[float, float]], phase: Array) -> Array:
+    """Evaluate a periodic curve.
+
+    points: pairs of time (% of a stride) and value.
+    phase: (T,) strides.
+    Returns: (T,).
+    """
     x, y = np.array(points, dtype=np.float64).T
     spline = CubicSpline(np.append(x, x[0] + 100) / 100, np.append(y, y[0]), bc_type="periodic")
     return spline(phase % 1.0)
@@ -514,6 +529,15 @@ def _gait(
     radius: float,
     jog: bool,
 ) -> Angles:
+    """Make the angles of walking or running.
+
+    name: of the motion.
+    t: (T,) s.
+    rng: for the variation between strides; None: none.
+    amplitude, speed: factors of size and speed.
+    radius: of the circle on which the person travels, m.
+    jog: running instead of walking.
+    """
     take = Take(rng)
     curves = _JOG if jog else _WALK
     rate = (1.35 if jog else 0.9) * speed * take.factor(0.05)
@@ -564,8 +588,9 @@ def walk(
     speed: float = 1.0,
     radius: float = 0.8,
 ) -> Performance:
-    """Simulate walking on a circle of `radius` m to the left (infinite: straight on), about 1.2 m/s; other arguments as
-    in `act`.
+    """Simulate walking at about 1.2 m/s.
+
+    radius: of the circle, to the left, m (infinite: straight on). Other arguments as in `act`.
     """
     return _around(
         perform(_gait("walk", sample_times(duration, frame_rate), rng, amplitude, speed, radius, False), subject)
@@ -581,8 +606,9 @@ def jog(
     speed: float = 1.0,
     radius: float = 0.9,
 ) -> Performance:
-    """Simulate slow running with short flights on a circle of `radius` m to the left (infinite: straight on); other
-    arguments as in `act`.
+    """Simulate slow running with short flights.
+
+    radius: of the circle, to the left, m (infinite: straight on). Other arguments as in `act`.
     """
     return _around(
         perform(_gait("jog", sample_times(duration, frame_rate), rng, amplitude, speed, radius, True), subject)

@@ -67,7 +67,7 @@ class Angles:
 
     name: of the motion.
     times: (T,) s.
-    values: (T,) by channel; missing channels are 0.
+    values: (T,) by channel, one of CHANNELS; missing channels are 0.
     stance: the feet stay planted there and the legs follow by inverse kinematics (leg channels are ignored); None: the
         legs follow the channels, and the body travels as far as its feet push it.
     turn_radius: radius of the circle on which it travels, m (infinite: straight).
@@ -78,10 +78,6 @@ class Angles:
     values: dict[str, Array]
     stance: Stance | None = None
     turn_radius: float = np.inf
-
-    def __post_init__(self) -> None:
-        unknown = set(self.values) - set(CHANNELS)
-        assert not unknown, f"unknown channels {sorted(unknown)}"
 
     def get(self, channel: str) -> Array:
         """Return the values (T,) of a channel."""
@@ -144,8 +140,13 @@ class OfPerformance:
 
 
 def assemble(name: str, subject: SyntheticSubject, times: Array, rotations: Array, root: Array) -> Performance:
-    """Make a performance from rotations (T, 19, 3, 3) and root (T, 3) m, with the joint centres of the subject's own
-    bones.
+    """Make a performance with the joint centres of the subject's own bones.
+
+    name: of the motion.
+    subject: the person.
+    times: (T,) s.
+    rotations: (T, 19, 3, 3) world_from_joint.
+    root: (T, 3) m, pelvis in the world.
     """
     return Performance(name, times, rotations, root, subject.place_joints(rotations, root))
 
@@ -216,16 +217,12 @@ def perform(angles: Angles, subject: SyntheticSubject) -> Performance:
     """Make the performance of a motion by a subject, about the origin of the world, facing -y at the start."""
     world = global_rotations(joint_rotations(angles))
     align = hanging_from_rest(subject)
-    times = angles.times
     if angles.stance is None:
-        rotations = world @ align
-        root = np.zeros((len(times), 3))
-        root, heading = _travel(angles, subject, rotations)
-        rotations = heading[:, None] @ rotations
+        root, heading = _travel(angles, subject, world @ align)
+        rotations = heading[:, None] @ (world @ align)
     else:
         rotations, root = _planted(angles, subject, world, align)
-    out = assemble(angles.name, subject, times, rotations, root)
-    return out
+    return assemble(angles.name, subject, angles.times, rotations, root)
 
 
 def soles(subject: SyntheticSubject, rotations: Array, joints: Array) -> tuple[Array, Array]:
@@ -256,7 +253,13 @@ def _soft_minimum(values: Array, width: float) -> Array:
 
 
 def _travel(angles: Angles, subject: SyntheticSubject, rotations: Array) -> tuple[Array, Array]:
-    """Compute the root path (T, 3) m and heading rotations (T, 3, 3) of a body whose feet push it along a circle."""
+    """Compute the path of a body whose feet push it along a circle.
+
+    angles: of the motion.
+    subject: the person.
+    rotations: (T, 19, 3, 3) of the joints, facing -y.
+    Returns: root path (T, 3) m, and heading rotations (T, 3, 3) by which the rotations are to be turned.
+    """
     times = angles.times
     dt = np.gradient(times) if len(times) > 1 else np.ones(1)
     joints = subject.place_joints(rotations, np.zeros((len(times), 3)))
@@ -297,8 +300,13 @@ def _travel(angles: Angles, subject: SyntheticSubject, rotations: Array) -> tupl
 
 
 def _planted(angles: Angles, subject: SyntheticSubject, world: Array, align: Array) -> tuple[Array, Array]:
-    """Compute rotations (T, 19, 3, 3) and root (T, 3) m with the feet at their stance and the legs by inverse
-    kinematics.
+    """Compute a motion with the feet at their stance and the legs by inverse kinematics.
+
+    angles: of the motion.
+    subject: the person.
+    world: (T, 19, 3, 3) rotations of the joints relative to the hanging pose.
+    align: (19, 3, 3) rotations from the rest to the hanging pose.
+    Returns: rotations (T, 19, 3, 3) world_from_joint, and root (T, 3) m.
     """
     stance, scale, g = angles.stance or Stance(), subject.leg_length, angles.get
     joints = subject.joints
@@ -343,10 +351,12 @@ def _planted(angles: Angles, subject: SyntheticSubject, world: Array, align: Arr
 
 
 def _leg(to_ankle: Array, thigh: float, shank: float, forward: Array) -> tuple[Array, Array]:
-    """Compute the rotations (T, 3, 3) of thigh and shank from hanging, by the two-bone triangle.
+    """Compute the rotations of thigh and shank from hanging, by the two-bone triangle.
 
-    to_ankle: (T, 3) m from the hip.
+    to_ankle: (T, 3) m from the hip; a longer way than the leg is shortened.
+    thigh, shank: lengths, m.
     forward: (T, 3) direction in which the knee bends.
+    Returns: thigh and shank, each (T, 3, 3).
     """
     d = np.linalg.norm(to_ankle, axis=1)
     d = np.clip(d, abs(thigh - shank) * 1.05 + 0.02, (thigh + shank) * 0.99999)

@@ -58,7 +58,13 @@ def make_room(rng: np.random.Generator, reach: float = 5.0) -> Room:
 
 
 def _sample(tile: Floats, u: Array, v: Array, per_metre: float) -> Floats:
-    """Sample a repeated texture (256, 256) at coordinates (m) with `per_metre` texels per metre."""
+    """Sample a repeated texture.
+
+    tile: (256, 256).
+    u, v: coordinates of any shape, m.
+    per_metre: texels per metre.
+    Returns: values of the shape of u.
+    """
     x = np.mod(u * per_metre, 255.0).astype(np.float32)
     y = np.mod(v * per_metre, 255.0).astype(np.float32)
     out = cv2.remap(tile, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
@@ -139,6 +145,7 @@ def render_room(room: Room, camera: Camera, occluder: tuple[Array, NDArray[np.in
 
 
 def _depth(camera: Camera, points: Array) -> Array:
+    """Compute the depths (N,) m of points (N, 3) m, world, in front of a camera."""
     return points @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
 
 
@@ -278,8 +285,12 @@ _SHARPNESS = 24
 
 
 def _highlight(camera: Camera, vertices: Array, normals: Array, gloss: float) -> Array:
-    """Compute the grey levels (V,) to add to the vertices' colours, so that a highlight of `gloss` remains after
-    shading (Blinn).
+    """Compute the grey levels to add to the vertices' colours, so that a highlight remains after shading (Blinn).
+
+    camera: that sees it.
+    vertices, normals: (V, 3) m and (V, 3), world.
+    gloss: grey levels of the highlight where the surface mirrors the main light.
+    Returns: (V,).
     """
     to_eye = camera.position - vertices
     half = to_eye / np.linalg.norm(to_eye, axis=1, keepdims=True) + LIGHT
@@ -295,6 +306,11 @@ def cast_shadow(
 ) -> None:
     """Darken the floor of a picture in place where the body hides the main light; the edge is as soft as that of a
     lamp.
+
+    picture: (h, w, 3) float32 BGR.
+    backdrop: whose visible floor is darkened.
+    camera: of the picture.
+    subject, vertices: the body, and its vertices (V, 3) m, world.
     """
     mask = shadow_mask(camera, subject.faces, vertices)
     x, y, w, h = cv2.boundingRect(mask)
@@ -337,8 +353,12 @@ def develop(picture: Floats, gain: Array, noise: NDArray[np.int16], rng: np.rand
 
 
 def noise_bank(size: tuple[int, int], sd: float, rng: np.random.Generator) -> NDArray[np.int16]:
-    """Draw the bank (h + 64, w + 64, 3) of Gaussian noise of a standard deviation, for `develop`, in
-    whole grey levels.
+    """Draw the bank of Gaussian noise for `develop`.
+
+    size: (w, h) of the pictures, px.
+    sd: standard deviation, grey levels.
+    rng: random numbers.
+    Returns: (h + 64, w + 64, 3) whole grey levels.
     """
     w, h = size
     return np.round(rng.normal(0, sd, (h + 64, w + 64, 3))).astype(np.int16)

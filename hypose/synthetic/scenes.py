@@ -239,7 +239,12 @@ class Scene(OfPerformance):
             yield Frame(float(self.times[t]), t, Silhouettes(masks, given, usable, tuple(reasons)), found)
 
     def occluder_depth(self, view: int, scale: float) -> NDArray[np.float32] | None:
-        """Render the depth (h, w) m of the occluder, infinite elsewhere; None without an occluder."""
+        """Render the depth of the occluder.
+
+        view: index of the camera.
+        scale: size of the picture relative to the camera's.
+        Returns: (h, w) m, infinite elsewhere; None without an occluder.
+        """
         mesh = occluder_mesh(self.corruption.occluder)
         if mesh is None:
             return None
@@ -247,6 +252,12 @@ class Scene(OfPerformance):
         return rasterize(*_projected(camera, mesh[0]), mesh[1], camera.size)[0]
 
     def _mask(self, view: int, subject: SyntheticSubject, vertices: Array, scale: float) -> Mask:
+        """Render the mask of one body, cut by the occluder.
+
+        view: index of the camera.
+        subject, vertices: the body, and its vertices (V, 3) m, world.
+        scale: size of the mask relative to the camera's picture.
+        """
         camera, hidden = self.rig.pinhole().scaled(scale)[view], self.occluder_depth(view, scale)
         uv, z = _projected(camera, vertices)
         if hidden is None:
@@ -299,6 +310,13 @@ class Scene(OfPerformance):
         return self._develop(picture, view, time, index)
 
     def _develop(self, picture: NDArray[np.float32], view: int, time: float, index: int) -> Image:
+        """Add light and noise to a picture.
+
+        picture: (h, w, 3) without noise.
+        view: index of the camera.
+        time: s, which determines the light.
+        index: number that determines the noise; negative without people.
+        """
         phase = np.random.default_rng([self.seed, _PHASE, view]).uniform(0, 2 * np.pi, 5)
         rng = np.random.default_rng([self.seed, _NOISE, view, 2 * abs(index) + (index < 0)])
         return develop(picture, light_at(time, self.sensor.drift, phase), self._noise, rng)
@@ -333,6 +351,7 @@ class Scene(OfPerformance):
 
 
 def _projected(camera: Camera, vertices: Array) -> tuple[Array, Array]:
+    """Project vertices (V, 3) m, world, to pixels (V, 2) of a pinhole camera, with their depths (V,) m."""
     z = vertices @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
     return camera.project_pinhole(vertices), z
 

@@ -69,7 +69,6 @@ def write_scene(
     *,
     background_frames: int = 25,
     keypoints: bool = False,
-    keypoint_noise_px: float = 4.0,
     progress: _Progress = lambda done, total: None,
 ) -> Path:
     """Write a scene to a folder as a recording.
@@ -79,7 +78,6 @@ def write_scene(
         calibration.toml with the rig that the user has, recording.toml and truth.npz.
     background_frames: number of pictures of the empty room per camera.
     keypoints: whether to write pose/NAME_json/ with one OpenPose BODY_25 file per frame.
-    keypoint_noise_px: sd of the key points' noise, px.
     progress(done, total): called after every picture.
     Returns: path of recording.toml.
     """
@@ -103,7 +101,7 @@ def write_scene(
         if keypoints:
             pose = folder / "pose" / f"{name}_json"
             pose.mkdir(parents=True, exist_ok=True)
-            points = keypoint_detections(scene, c, keypoint_noise_px)
+            points = keypoint_detections(scene, c)
             for t, people in enumerate(points):
                 document = openpose_document(people[None])
                 write_text(pose / f"{name}_{t:012d}_keypoints.json", json.dumps(document))
@@ -130,7 +128,14 @@ def _counter(progress: _Progress, total: int) -> Callable[[], None]:
 def _write_video(
     path: Path, frame_rate: float, size: tuple[int, int], pictures: Iterable[Image], step: Callable[[], None]
 ) -> None:
-    """Write pictures as a video, cut to a size (width and height, px); `step` is called after each one."""
+    """Write pictures as a video.
+
+    path: of the file.
+    frame_rate: Hz.
+    size: (width, height) px, to which pictures are cut.
+    pictures: (h, w, 3) BGR.
+    step: called after each picture.
+    """
     with VideoWriter(path, frame_rate, size) as writer:
         for picture in pictures:
             writer.write(picture[: size[1], : size[0]])
@@ -308,7 +313,12 @@ def write_session(scene: Scene, folder: str | Path, *, progress: _Progress = lam
 
 
 def _boards(scene: Scene, view: int, poses: Array) -> Iterator[Image]:
-    """Yield the pictures of one camera while the board is carried around."""
+    """Yield the pictures of one camera while the board is carried around.
+
+    scene: gives room and camera.
+    view: index of the camera.
+    poses: (F, 4, 4) world_from_board.
+    """
     painter = BoardPainter(scene.rig[view], BOARD)
     for n, pose in enumerate(poses):
         paint = partial(painter, world_from_board=pose)

@@ -23,8 +23,7 @@ from hypose.fitting.articulated import PoseFit, SolveSettings
 from hypose.geometry import Array
 from hypose.inference.hypotheses import BEFORE, FOUND_BY, Hypotheses
 from hypose.tracking.arm_workspace import ArmReach, arm_ends, ends
-from hypose.tracking.costs import frame_energy, limb_energy
-from hypose.tracking.frame_evidence import PreparedFrame
+from hypose.tracking.frame_evidence import PreparedFrame, frame_energy, limb_energy
 from hypose.tracking.part_colours import ColourSettings, colour_scores, known_colours, pictured_arms
 from hypose.tracking.refinement import COMPOSITE, RIVAL, SOLVED, keep_fits, member, mismatch, refine, solve_poses
 
@@ -146,7 +145,11 @@ class RefineRivals:
                 frame.shared[_SOLVE, q.tobytes()] = in_background(partial(self._solved_rival, q, frame))
 
     def before_search(self, h: Hypotheses, frame: PreparedFrame, /) -> None:
-        """Start the search of the arm tables in the background."""
+        """Start the search of the arm tables in the background.
+
+        h: hypotheses after the first solve, of which one has the role SOLVED; frame: in whose `shared` the result is
+            left.
+        """
         if frame.silhouettes.seen and frame.rivals is not None:
             old = frame.body.skeleton.on_branch(_best_first(frame)[0].values[1:], frame.prediction)
             frame.shared[_LOOK] = in_background(partial(self._look, h, member(h, SOLVED), old, frame))
@@ -154,7 +157,10 @@ class RefineRivals:
     def _look(
         self, h: Hypotheses, winner: Array, old: Array, frame: PreparedFrame
     ) -> tuple[list[Array], list[tuple[int, int]], list[Array]]:
-        """Run `_crossed` and `_looked_up`; return their results."""
+        """Run `_crossed` and `_looked_up`; return their results.
+
+        h: hypotheses before the kernel; winner: (D,) solved pose; old: (K, D) predicted rivals.
+        """
         elsewhere = self._elsewhere(winner, old)
         crossed, whose = self._crossed(winner, old, elsewhere, frame)
         tried = [
@@ -167,6 +173,7 @@ class RefineRivals:
     ) -> tuple[Array, Array, Array]:
         """Score poses (N, D) by masks and pictures, and move the arms of the best ones to where the pictures show them.
 
+        expected: (N, D) pose expected of each.
         Returns: poses (N, D); mismatches (N,); scores of the pictures (N,), low is good.
         """
         costs = mismatch(poses, frame, expected=expected)
@@ -191,8 +198,10 @@ class RefineRivals:
         return poses, costs, said
 
     def _composite(self, h: Hypotheses, winner: Array, frame: PreparedFrame) -> list[Array]:
-        """Return the pose (D,) that the limb search put together, in a list; an empty list where it gained too
-        little."""
+        """Return the pose (D,) that the limb search put together, in a list; an empty list where it gained too little.
+
+        h: hypotheses after the limb search; winner: (D,) pose of the first solve.
+        """
         composite = member(h, COMPOSITE) if h.has(COMPOSITE).any() else winner
         if np.array_equal(winner, composite):
             return []
@@ -202,6 +211,7 @@ class RefineRivals:
     def _looked_up(self, h: Hypotheses, winner: Array, tried: list[Array], frame: PreparedFrame) -> list[Array]:
         """Find poses (D,) with one arm elsewhere than in the winner, from the tables.
 
+        h: hypotheses after the limb search; winner: (D,).
         tried: per arm, rivals (K, D) that are solved anyway; arms near theirs are left out.
         """
         found: list[Array] = []
@@ -215,6 +225,8 @@ class RefineRivals:
     ) -> tuple[list[Array], list[tuple[int, int]]]:
         """Build poses that combine the winner with one arm of a rival that differs in both arms.
 
+        winner: (D,); old: (K, D) predicted rivals; elsewhere: (K, A) true for arms of a rival that are far from the
+            winner's.
         Why: one arm of a rival may be right while the other is wrong. Only poses that overlap about as well are kept.
         Returns: poses (D,); the numbers of rival and arm of each.
         """
@@ -237,7 +249,10 @@ class RefineRivals:
 
     def _solved(self, starts: list[Array], old: Array, frame: PreparedFrame) -> list[Array]:
         """Solve from the starts and from the predictions (K, D) of the rivals, in several threads; return the poses
-        (D,)."""
+        (D,).
+
+        starts: poses (D,), solved from near their end; old: (K, D) predicted rivals, solved from their own predictions.
+        """
         near = self.with_depth if frame.depth.seen else self.near
         tasks = [partial(solve_poses, frame.body, q[None], frame, near) for q in starts]
         tasks += [frame.shared.pop((_SOLVE, q.tobytes()), partial(self._solved_rival, q, frame)) for q in old]
@@ -253,12 +268,18 @@ class RefineRivals:
         return [fit.pose for fit in in_order]
 
     def _solved_rival(self, q: Array, frame: PreparedFrame) -> list[PoseFit]:
-        """Solve a rival from its predicted pose (D,)."""
+        """Solve a rival from its predicted pose (D,).
+
+        Returns: one fit.
+        """
         options = self.with_depth if frame.depth.seen else self.options
         return solve_poses(frame.body, q[None], replace(frame, prediction=q), options)
 
     def _living(self, scores: Array, costs: Array, at: Array, frame: PreparedFrame) -> list[int]:
-        """Choose the hypotheses that are kept, best first: arms (E, 3) elsewhere, scores not far behind the best."""
+        """Choose the hypotheses that are kept, best first: arms (E, 3) elsewhere, scores not far behind the best.
+
+        scores: (N,) low is good; costs: (N,) mismatches; at: (N, E, 3) ends of the arms, m. Returns: indices.
+        """
         kept: list[int] = []
         for n in np.argsort(scores, kind="stable"):
             alone = all(_farthest(at[n, None], at[k]) > self.contest.apart for k in kept)
@@ -307,6 +328,7 @@ def rival_arms(
 def _apart(at: Array, order: NDArray[np.intp], known: Array, look: LookedUp) -> NDArray[np.intp]:
     """Select the first `pool` arms in an order whose ends (N, E, 3) are all far from the known ones (K, E, 3).
 
+    at: ends of all arms of the table; order: their indices, best first; known: (K, E, 3).
     Only as many are examined as necessary.
     """
     found = [order[:0]]

@@ -84,7 +84,10 @@ class ArmReach:
         return self.score_in(points, pose, frame.silhouettes.masks, rest, cutoff)
 
     def score_in(self, points: Array, pose: Array, masks: PreparedMasks, rest: Standing, cutoff: float) -> Array:
-        """Compute the scores of `score` against given masks instead of a frame's."""
+        """Compute the scores of `score` against given masks instead of a frame's.
+
+        points, pose, rest, cutoff: as for `score`; masks: prepared for the scorer.
+        """
         rotation, centre = self.body.skeleton.forward(pose)
         return reach.score_points(points, self.area, rotation[self.parent], centre[self.parent], masks, rest, cutoff)
 
@@ -146,6 +149,7 @@ def _evenly_spread(count: int, dimension: int) -> Array:
     """Compute the Halton sequence (N, d) in [0, 1): n in the base of the k-th prime, with its digits mirrored at the
     point.
 
+    count: N; dimension: d.
     Source: Halton 1960.
     """
     out = np.zeros((count, dimension))
@@ -162,7 +166,11 @@ def _evenly_spread(count: int, dimension: int) -> Array:
 def _points(
     the_way: _Way, values: Array, own: NDArray[np.int64], parent: int, chain: tuple[int, int, int], tip: Array
 ) -> Array:
-    """Compute the arm's points (N, 8, 3), m, in the parent's frame, for values (N, d) of its coordinates."""
+    """Compute the arm's points (N, 8, 3), m, in the parent's frame, for values (N, d) of its coordinates.
+
+    the_way: of `_way_to`; own: (d,) indices of the coordinates; chain: shoulder, elbow, wrist; tip: (3,) of the hand in
+        the wrist's frame, m.
+    """
     way, tree = the_way
     poses = np.zeros((len(values), len(tree.axes)))
     poses[:, own] = values

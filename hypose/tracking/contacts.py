@@ -80,6 +80,7 @@ def find_contacts(
 ) -> Contacts:
     """Find the contacts of the soles' points in a smooth motion.
 
+    frame_rate: Hz; settings: limits of a contact (default: ContactSettings()).
     positions: (T, 4, 3) m.
     known: (T,) false for frames without evidence, which have no contacts.
     """
@@ -133,6 +134,7 @@ class FootMotion:
 def foot_motion(positions: Array, contacts: Contacts, frame_rate: float) -> FootMotion:
     """Measure the sliding of the soles' points (T, 4, 3), m, over given contacts.
 
+    positions: of the soles; frame_rate: Hz. The sliding is 0 where there is no contact.
     Use the same contacts for all motions that are compared.
     """
     both = contacts.touching[1:] & contacts.touching[:-1]
@@ -144,6 +146,10 @@ def foot_motion(positions: Array, contacts: Contacts, frame_rate: float) -> Foot
 
 
 def _hysteresis(speed: Array, known: NDArray[np.bool_], slow: float, fast: float) -> NDArray[np.bool_]:
+    """Mark the frames (T,) of stretches below `fast` that fall below `slow` somewhere.
+
+    speed: (T,) m/s; known: (T,) frames outside are never marked; slow, fast: m/s.
+    """
     out = np.zeros(len(speed), dtype=bool)
     for run in runs((speed < fast) & known):
         out[run.start : run.stop] = (speed[run.start : run.stop] < slow).any()
@@ -161,6 +167,7 @@ def _standing(points: Array, first: int, last: int, drift: float) -> list[tuple[
 
 
 def _only_long(flags: NDArray[np.bool_], shortest: int) -> NDArray[np.bool_]:
+    """Unmark runs of marked frames (T,) that are shorter than `shortest` frames."""
     out = np.zeros(len(flags), dtype=bool)
     for run in runs(flags):
         out[run.start : run.stop] = len(run) >= shortest
@@ -174,8 +181,11 @@ def runs(flags: NDArray[np.bool_]) -> list[range]:
 
 
 def _common_height(heights: Array, settings: ContactSettings) -> float:
-    """Estimate the low height that most contacts share; NaN where they share none, for example because a foot is
-    held up."""
+    """Estimate the low height that most contacts share; NaN where they share none, for example because a foot is held
+    up.
+
+    heights: (N,) m, of all points in contact.
+    """
     if len(heights) == 0:
         return float("nan")
     near = np.abs(heights - np.quantile(heights, 0.1)) < settings.near

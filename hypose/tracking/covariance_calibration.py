@@ -162,17 +162,11 @@ def kind_of(name: str) -> str:
 
 
 @cache
-def fitted_spread_table() -> Mapping[str, Mapping[str, Mapping[str, tuple[float, float]]]]:
-    """Load the fitted factors {"joints" or "angles": {evidence: {kind: (a, b)}}}; b in m or rad."""
-    kept = _kept()
-    return {
-        what: {e: {k: (a, b) for k, (a, b) in own.items()} for e, own in kept[what].items()}
-        for what in ("joints", "angles")
-    }
+def fitted_spread_table() -> Mapping[str, Mapping[str, Mapping[str, Sequence[float]]]]:
+    """Load the fitted factors.
 
-
-@cache
-def _kept() -> Mapping[str, Mapping[str, Mapping[str, tuple[float, ...]]]]:
+    Returns: {"joints" or "angles": {evidence: {kind: (a, b)}}}, b in m or rad; "apart": see `apart_factors`.
+    """
     return json.loads(files("hypose.assets").joinpath("spread.json").read_text(encoding="utf-8"))
 
 
@@ -182,7 +176,7 @@ def apart_factors(evidence: str) -> tuple[float, float, float]:
     Returns: usual contradiction, m; factor c of joints; factor c of angles, rad / m. (inf, 0, 0) with key points: their
         solve finds the wrong view and lowers its weight.
     """
-    usual, joints, angles = _kept()["apart"].get(evidence, {}).get("all", (float("inf"), 0.0, 0.0))
+    usual, joints, angles = fitted_spread_table()["apart"].get(evidence, {}).get("all", (float("inf"), 0.0, 0.0))
     return usual, joints, angles
 
 
@@ -212,6 +206,7 @@ def with_fitted_joints(motion: Motion, evidence: str, beyond: float = 0.0) -> Mo
 def with_fitted_angles(motion: Motion, covariance: Array, evidence: str, beyond: float = 0.0) -> Motion:
     """Compute a motion's calibrated standard deviations of angles from the covariances (T, D, D) of its poses.
 
+    evidence: kind of evidence, a key of `fitted_spread_table`.
     beyond: contradiction between the views, m, see `beyond_usual`.
     """
     assert motion.poses is not None
@@ -221,6 +216,7 @@ def with_fitted_angles(motion: Motion, covariance: Array, evidence: str, beyond:
 def with_angle_variance(motion: Motion, variance: Array, evidence: str, beyond: float = 0.0) -> Motion:
     """Calibrate a motion's standard deviations of angles from their variances (T, A), rad^2, before calibration.
 
+    evidence: kind of evidence, a key of `fitted_spread_table`.
     beyond: contradiction between the views, m, see `beyond_usual`.
     """
     own = fitted_spread_table()["angles"][evidence]
@@ -270,6 +266,9 @@ def angle_variance(skeleton: Skeleton, poses: Array, covariance: Array) -> Array
 
 
 def _belongs(name: str, begin: str) -> bool:
-    """Decide whether an angle is in a set: 'hip_r' holds hip_flexion_r, 'pelvis' holds pelvis_tilt."""
+    """Decide whether an angle is in a set: 'hip_r' holds hip_flexion_r, 'pelvis' holds pelvis_tilt.
+
+    name: of the angle; begin: of the set, see _SETS.
+    """
     part, _, side = begin.rpartition("_")
     return name.startswith(f"{part}_") and name.endswith(f"_{side}") if part else name.startswith(f"{begin}_")

@@ -141,8 +141,11 @@ def _parts(names: Sequence[str]) -> list[NDArray[np.bool_]]:
 
 
 def _scatter(rows: OffsetResiduals, members: NDArray[np.bool_]) -> Array:
-    """Compute the robust standard deviation (C,), m per axis, of these points' residuals (K,) in each view; NaN
-    where few."""
+    """Compute the robust standard deviation (C,), m per axis, of these points' residuals (K,) in each view; NaN where
+    few.
+
+    rows: of residuals; members: (K,) the points that are used.
+    """
     used = (rows.confidence > 0) & members
     metres = np.abs(rows.residual) / rows.size[..., None, None]
     views = [metres[:, c][used[:, c]] for c in range(used.shape[1])]

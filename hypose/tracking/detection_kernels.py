@@ -243,6 +243,11 @@ class DetectorDriven:
         return driven
 
     def _reach(self, poses: Array, targets: Array, end: int) -> Array:
+        """Move poses (N, D) by the least step, in units of sigma, that brings an end to the targets (N, 3), m.
+
+        end: index in END_NAMES.
+        Source: the gain of a Kalman update, linearised at the mean pose.
+        """
         s = self.body.skeleton
         mean = poses.mean(0)
         at = self.ends.positions(self.body, mean[None])[0, end]

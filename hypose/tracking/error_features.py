@@ -154,6 +154,7 @@ def clip_features(motion: Motion, raw_joints: Array, audit: ArrayLike) -> Array:
 
 
 def _highest(values: Array, size: int) -> Array:
+    """Compute the largest of the values (T, ...) over `size` frames around each frame."""
     return np.asarray(maximum_filter1d(values, size, axis=0, mode="nearest"))
 
 

@@ -287,6 +287,10 @@ def without_mixture(motion: Motion) -> Motion:
 
 
 def _with_other_case(motion: Motion, times: float) -> Motion:
+    """Add the spread of the case that a doubtful joint is wrong to the covariances of a motion, `times` as often.
+
+    times: 1 adds it, -1 removes it.
+    """
     p, low_confidence = motion.error_probability, motion.low_confidence_joints
     assert p is not None and low_confidence is not None
     wrong = times * np.where(low_confidence, p, 0.0)
@@ -331,8 +335,10 @@ where a view was guessed in seven of ten; half of that is used.
 
 
 def _by_few_views(motion: Motion, audit: ArrayLike) -> Array:
-    """Look up ONE_VIEW or TWO_VIEWS (T, J) for joints that no more views show, nor in nearby frames; 0 for the
-    others."""
+    """Look up ONE_VIEW or TWO_VIEWS (T, J) for joints that no more views show, nor in nearby frames; 0 for the others.
+
+    audit: (T, J, A).
+    """
     views = np.nan_to_num(np.asarray(audit, dtype=np.float64)[..., AUDITED.index("points_views")])
     names = motion.skeleton.joint_names
     trunk = np.median(views[:, [n.endswith(("hip", "shoulder")) for n in names]], axis=1)

@@ -291,8 +291,11 @@ def _rivals(body: Body, joints: Array, rivals: tuple[ArrayLike, ArrayLike] | Non
 
 
 def _loose(body: Body, pose: Array, masks: PreparedMasks, index: int) -> Array:
-    """Compute column "loose" (J,) of AUDITED by random small rotations of one arm; the arms take turns over the
-    frames."""
+    """Compute column "loose" (J,) of AUDITED by random small rotations of one arm; the arms take turns over the frames.
+
+    pose: (D,); masks: prepared for the scorer; index: of the frame.
+    Returns: (J,) m; NaN for an arm whose turn it is not, 0 for joints of no arm.
+    """
     s, mesh, out = body.skeleton, body.coarse.arrays, np.zeros(len(body.skeleton.joint_names))
     for k, arm in enumerate(_arms(body)):
         if (index - 2 * k) % _EVERY:
@@ -327,7 +330,11 @@ Chosen, like the rotations, on scenes of the seeds 600 to 617"""
 
 def _elsewhere(body: Body, pose: Array, masks: PreparedMasks, index: int) -> Array:
     """Compute columns "elsewhere" and "elsewhere_by" (J, 2) of AUDITED; because it is slow, the arms take turns over
-    frames."""
+    frames.
+
+    pose: (D,); masks: prepared for the scorer; index: of the frame.
+    Returns: (J, 2); NaN for an arm whose turn it is not, 0 for other joints and where no other arm fits.
+    """
     out = np.zeros((len(body.skeleton.joint_names), 2))
     s, mesh = body.skeleton, body.coarse.arrays
     for k, arm in enumerate(_arms(body)):
@@ -378,7 +385,10 @@ def _arms(body: Body) -> list[ArmReach]:
 
 
 def _points(body: Body, pose: Array, seen: Keypoints, model: KeypointModel) -> Array:
-    """Compute the eight columns (J, 8) of AUDITED from points_median to named."""
+    """Compute the eight columns (J, 8) of AUDITED from points_median to named.
+
+    pose: (D,); seen: key points of the frame; model: where they sit on the body.
+    """
     names, points = tuple(body.skeleton.joint_names), np.nan_to_num(seen.points)
     expected = model.positions(body, pose)
     uv = np.stack([camera.project_pinhole(expected) for camera in seen.rig])

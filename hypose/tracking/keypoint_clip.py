@@ -31,8 +31,7 @@ from hypose.tracking.left_right import limbs_exchanged
 from hypose.tracking.named_sides import LIMBS, exchanged_by_names
 from hypose.tracking.pose_covariance import from_neighbours, joint_covariance_of
 from hypose.tracking.refinement import anatomical_prior
-from hypose.tracking.smooth_motion import Smoothed, with_feet
-from hypose.tracking.smoothing import ClipSettings, at_own_pace, bridged
+from hypose.tracking.smoothing import ClipSettings, Smoothed, at_own_pace, bridged, with_feet
 from hypose.tracking.starts import start_from_keypoints
 
 VELOCITY_GAIN = 0.8
@@ -69,6 +68,7 @@ def solve_keypoint_clip(
 ) -> tuple[Array, list[KeypointTerm | None]]:
     """Solve the poses of a clip from its key points alone.
 
+    frame_rate: Hz; settings: limits on accelerations and speeds (default: ClipSettings()).
     model: where key points sit on the body; keypoints: T frames, None where there are none.
     start: (D,) pose in the first frame.
     Returns: poses (T, D); the key-point term of each frame, None where there is no evidence.
@@ -92,6 +92,7 @@ def track_keypoint_clip(
 ) -> Smoothed:
     """Compute the smoothed motion of a clip from its key points alone.
 
+    frame_rate: Hz; settings: limits on accelerations and speeds (default: ClipSettings()).
     model: joint and offset of each key point on the body.
     keypoints: of the T frames; None where there are none.
     start: (D,) pose in the first frame; sure_start: it is the right way round, even where the points' names contradict
@@ -153,6 +154,8 @@ def _on_named_sides(
     """Run `_one_by_one`; repeat it with legs or arms exchanged from frames where their names put them on the other
     side.
 
+    Arguments as for `track_keypoint_clip`.
+    Returns: poses (T, D), bridged where nothing is seen; the key-point term of each frame, None where there is none.
     It is repeated as long as that leaves less to be exchanged.
     """
     poses, terms = _one_by_one(body, model, keypoints, start, frame_rate, progress)
@@ -180,6 +183,7 @@ def _one_by_one(
 ) -> tuple[Array, list[KeypointTerm | None]]:
     """Solve each frame from the previous one; people too far from the expected place are left out.
 
+    Arguments as for `track_keypoint_clip`.
     Returns: poses (T, D), bridged where nothing is seen; the key-point term of each frame.
     """
     s = body.skeleton
@@ -222,7 +226,10 @@ def _in_a_row(body: Body, poses: Array) -> Array:
 
 def _returned(body: Body, model: KeypointModel, seen: Keypoints) -> Array | None:
     """Find the pose (D,) of the person in a frame at any place; None where the limbs' lengths are not those of the
-    body."""
+    body.
+
+    model: where key points sit on the body; seen: key points of the frame.
+    """
     points = triangulate_keypoints([seen])[0][0]
     try:
         known = model.known
@@ -243,7 +250,10 @@ def _together(
     frame_rate: float,
     settings: ClipSettings,
 ) -> Array:
-    """Solve all frames together on their evidence, from the given poses (T, D)."""
+    """Solve all frames together on their evidence, from the given poses (T, D).
+
+    frame_rate: Hz; settings: limits on accelerations and speeds.
+    """
 
     def solve(part: slice, starts: Array, weights: tuple[Array, Array]) -> Array:
         return fit_clip(

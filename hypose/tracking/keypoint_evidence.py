@@ -45,7 +45,7 @@ class KeypointModel:
     joint: (K,) joint of each point; offset: (K, 3) position in the joint's frame, m; known: (K,) true for points that
         the body has.
     sd: (K,) noise of a detection at the body's distance, per axis, at confidence 1, m; None: not measured.
-    view: (C,) factor on the noise of each view (`hypose.tracking.view_noise`); None: all are alike.
+    view: (C,) factor on the noise of each view (`hypose.tracking.keypoint_offsets`); None: all are alike.
     cue_weight: (C, K) share of each point's weight that is kept in solves with masks (`hypose.tracking.cue_weights`);
         None: all of it.
     """
@@ -128,6 +128,7 @@ def with_masks(term: KeypointTerm, model: KeypointModel) -> KeypointTerm:
 def shows_another_person(keypoints: Keypoints, body: Body, model: KeypointModel, expected: Array, reach: float) -> bool:
     """Decide whether the detected person is another one: further from the expected pose than a person can move.
 
+    keypoints: of one frame; model: where they sit on the body.
     expected: (D,) expected pose; reach: m that the person can have moved.
     It is decided by the median distance of the triangulated points or, with fewer than four, by the view with the
     largest median. False where nothing is seen, and where two views agree with the expectation (`check_sides_and_views`
@@ -148,7 +149,10 @@ def shows_another_person(keypoints: Keypoints, body: Body, model: KeypointModel,
 
 
 def pixels_per_metre(keypoints: Keypoints, position_world: Array) -> Array:
-    """Compute the size of a metre, px, in every view (C,) at a world position (3,); at least 1."""
+    """Compute the size of a metre, px, in every view (C,) at a world position (3,); at least 1.
+
+    keypoints: whose cameras are used; position_world: m.
+    """
     sizes = []
     for camera in keypoints.rig:
         depth = camera.camera_from_world[2, :3] @ position_world + camera.camera_from_world[2, 3]

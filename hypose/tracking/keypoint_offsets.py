@@ -11,18 +11,19 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hypose.body.body import Body
+from hypose.cameras.camera import CameraRig, triangulate
 from hypose.compute.losses import lorentzian_weight
 from hypose.errors import EvidenceError
 from hypose.evidence.frame import Keypoints
-from hypose.evidence.keypoints import triangulate_keypoints
+from hypose.evidence.keypoints import other_sides, triangulate_keypoints
 from hypose.fitting.articulated import SolveSettings, fit_pose
 from hypose.geometry import Array
 from hypose.tracking.keypoint_evidence import KeypointModel, keypoint_term, pixels_per_metre
 from hypose.tracking.refinement import anatomical_prior
 from hypose.tracking.starts import start_from_keypoints
-from hypose.tracking.view_noise import view_factors
 
 LEAST_SD, LARGEST_SD = 0.008, 0.3
 """m: bounds of the measured noise. Points with a scatter of 4 % of the body height must get the low weight that belongs
@@ -59,6 +60,7 @@ def calibrate_keypoints(
 ) -> KeypointModel:
     """Measure offsets and noise of the key points on frames of this person (T; some tens of different poses).
 
+    keypoints: of the frames; rounds: alternations of poses and offsets.
     model: where the points are expected; offsets stay within `offset_limits` of it.
     poses: (T, D) approximate poses, NaN rows where unknown (default: from triangulation).
     Returns: the model with measured offset, sd and view.
@@ -82,7 +84,10 @@ def calibrate_keypoints(
 
 
 def triangulated_starts(body: Body, model: KeypointModel, keypoints: Sequence[Keypoints]) -> Array:
-    """Compute poses (T, D) from triangulated points; NaN where there are fewer than six."""
+    """Compute poses (T, D) from triangulated points; NaN where there are fewer than six.
+
+    model: where key points sit on the body; keypoints: T frames.
+    """
     points, _, _ = triangulate_keypoints(keypoints, worse=model.worse(len(keypoints[0].rig)))
     known = model.known
     out = np.full((len(points), body.skeleton.dof), np.nan)
@@ -97,6 +102,7 @@ def solved_frames(
 ) -> Array:
     """Solve the poses (T, D) of frames, each alone on its key points, from its start pose.
 
+    model: where key points sit on the body; keypoints: T frames. Frames without points keep their start pose.
     poses: (T, D) start poses.
     weights: (K,) factors on the points' weights (default 1).
     """
@@ -156,7 +162,11 @@ def residual_rows(body: Body, model: KeypointModel, keypoints: Sequence[Keypoint
 
 
 def _offsets(base: KeypointModel, model: KeypointModel, rows: OffsetResiduals) -> Array:
-    """Compute all offsets (K, 3) by one robust Gauss-Newton step on all frames, with prior and limits."""
+    """Compute all offsets (K, 3) by one robust Gauss-Newton step on all frames, with prior and limits.
+
+    base: places before the measurement, around which the limits lie; model: present places and noise; rows: residuals
+        about them.
+    """
     limit = offset_limits(base.names)
     sd_px = (model.sd if model.sd is not None else np.full(len(limit), 0.02)) * rows.size[..., None]
     square = (rows.residual**2).sum(-1) / sd_px**2
@@ -190,3 +200,104 @@ def _noise(rows: OffsetResiduals) -> Array:
     )
     # half way to the usual noise, because offset and pose absorb a part of the point's own
     return np.clip(TOGETHER * 1.4826 * np.sqrt(middle * usual), LEAST_SD, LARGEST_SD)
+
+
+LARGEST = 12.0
+"""Largest noise factor of a view; with it the view has practically no weight."""
+USUAL = 1.6
+"""Factors up to this are chance, or due to what a view sees of the person."""
+_ROUNDS = 12
+_LEAST_POINTS = 30
+_CONFIDENT = 0.3
+_NEAREST_M = 0.3
+_LEAST_LEFT = 0.2
+
+
+def view_factors(keypoints: Sequence[Keypoints]) -> Array:
+    """Estimate by how much the noise in metres of each view is larger than that of the better half of the views.
+
+    keypoints: frames of one recording.
+    Returns: (C,) factors >= 1; all 1 with fewer than three views, and where too little is seen in three.
+    The worst view is left out before the others are judged, as long as three are left, so that its errors are not
+    charged to them. A view that calls left what the others call right is not noisier for it: its sides are exchanged in
+    frames where they then lie nearer to those of the others.
+    """
+    rig, other = keypoints[0].rig, other_sides(keypoints[0].names)
+    points = np.stack([k.points for k in keypoints], 1)
+    seen = (points[..., 2] > _CONFIDENT) & np.isfinite(points[..., :2]).all(-1)
+    uv, factor, active = np.nan_to_num(points[..., :2]), np.ones(len(rig)), np.ones(len(rig), dtype=np.bool_)
+    while active.sum() >= 3:
+        chosen = seen[active].sum(0) >= 3
+        if chosen.sum() < _LEAST_POINTS:
+            break
+        found = _components(rig, uv, seen & chosen, active, other)
+        worst = int(np.argmax(np.where(active, found, 0.0)))
+        if found[worst] <= USUAL:
+            break
+        factor[worst], active[worst] = found[worst], False
+    return factor
+
+
+def _components(
+    rig: CameraRig, uv: Array, seen: NDArray[np.bool_], active: NDArray[np.bool_], other: NDArray[np.int64]
+) -> Array:
+    """Estimate the factors (C,) of the active views.
+
+    uv: (C, T, K, 2) points, px; seen: (C, T, K) where they are seen.
+    other: (K,) column of each point's other side.
+    """
+    views, shape = len(rig), seen.shape
+    factor, size = np.ones(views), np.ones((views, seen[0].size))
+    named, shown = uv, (seen & active[:, None, None]).reshape(views, -1)
+    for _ in range(_ROUNDS):
+        world, _ = triangulate(rig, named.reshape(views, -1, 2), shown / (factor[:, None] * size))  # weights of rows
+        residual, slope, size = _rows(world, named.reshape(views, -1, 2), rig.projections, shown)
+        weight = shown / (factor[:, None] * size) ** 2
+        normal = np.einsum("cn,cnia,cnib->nab", weight, slope, slope)
+        least = 1e-9 * np.maximum(np.trace(normal, axis1=1, axis2=2), 1.0)
+        inverse = np.linalg.inv(normal + least[:, None, None] * np.eye(3))
+        left = 2 - weight * np.einsum("cnia,nab,cnib->cn", slope, inverse, slope)
+        square = (residual**2).sum(-1) / size**2 / np.maximum(left, _LEAST_LEFT)
+        many = shown.sum(1) >= _LEAST_POINTS
+        medians = [np.median(s[k]) if m else np.nan for s, k, m in zip(square, shown, many, strict=True)]
+        noise = np.sqrt(np.array(medians))
+        usual = np.sort(noise[many])[(many.sum() - 1) // 2]
+        found = np.clip(np.nan_to_num(noise / max(float(usual), 1e-6), nan=1.0), 1.0, LARGEST)
+        factor = np.sqrt(factor * found)
+        exchanged = _exchanged(world.reshape(*shape[1:], 3), uv, rig.projections, seen, other)[..., None]
+        named = np.where(exchanged[..., None], uv[:, :, other], uv)
+        shown = (np.where(exchanged, seen[:, :, other], seen) & active[:, None, None]).reshape(views, -1)
+    return factor
+
+
+def _exchanged(
+    world: Array, uv: Array, projections: Array, seen: NDArray[np.bool_], other: NDArray[np.int64]
+) -> NDArray[np.bool_]:
+    """Find views and frames (C, T) whose points lie nearer to the 3D points (T, K, 3) when their sides change places.
+
+    world: m; uv: (C, T, K, 2) px; projections: (C, 3, 4); seen: (C, T, K); other: (K,) column of each point's other
+        side.
+    """
+    h = np.einsum("cij,tkj->ctki", projections[:, :, :3], world) + projections[:, None, None, :, 3]
+    there = h[..., :2] / np.maximum(h[..., 2:], _NEAREST_M)
+    known = seen & np.isfinite(there).all(-1)
+    known &= known[:, :, other]
+    as_named = np.linalg.norm(np.nan_to_num(there - uv), axis=-1)
+    as_other = np.linalg.norm(np.nan_to_num(there - uv[:, :, other]), axis=-1)
+    return np.asarray((known * (as_named - as_other)).sum(-1) > 0)
+
+
+def _rows(world: Array, uv: Array, projections: Array, seen: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
+    """Compute the residuals of 3D points (N, 3) seen at uv (C, N, 2).
+
+    world: m; uv: px; projections: (C, 3, 4); seen: (C, N); the residual is 0 where a point is not seen.
+    Returns: residuals (C, N, 2), px; derivatives (C, N, 2, 3), px/m; pixels per metre (C, N).
+    """
+    h = np.einsum("cij,nj->cni", projections[:, :, :3], world) + projections[:, None, :, 3]
+    depth = np.maximum(np.nan_to_num(h[..., 2]), _NEAREST_M)
+    projected = h[..., :2] / depth[..., None]
+    by_point = projections[:, None, :2, :3] - projected[..., None] * projections[:, None, 2:, :3]
+    slope = by_point / depth[..., None, None]
+    size = np.linalg.norm(projections[:, :2, :3], axis=(1, 2))[:, None] / np.sqrt(2) / depth
+    residual = np.where(seen[..., None], np.nan_to_num(projected - uv), 0.0)
+    return residual, np.nan_to_num(slope), size

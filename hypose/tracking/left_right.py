@@ -22,8 +22,7 @@ from hypose.evidence.keypoints import other_sides
 from hypose.evidence.terms import PointTerm
 from hypose.fitting.articulated import SolveSettings, fit_pose
 from hypose.geometry import Array
-from hypose.tracking.costs import agreement
-from hypose.tracking.frame_evidence import PreparedFrame
+from hypose.tracking.frame_evidence import PreparedFrame, agreement
 from hypose.tracking.refinement import anatomical_prior, refine
 from hypose.tracking.starts import turn_pose
 
@@ -136,6 +135,7 @@ def look_for_exchange(pose: Array, frame: PreparedFrame, /) -> tuple[float, Arra
 
 
 def _as_it_is(body: Body, pose: Array) -> Array:
+    """Return the pose (D,) itself: a way of `look_for_exchange` that exchanges nothing."""
     return pose
 
 

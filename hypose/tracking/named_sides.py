@@ -36,6 +36,7 @@ def exchanged_by_names(
 ) -> tuple[NDArray[np.bool_], float]:
     """Find the frames in which two limbs are on each other's side, by the names of the key points (Viterbi search).
 
+    model: where key points sit on the body; keypoints: T frames, None where there are none.
     poses: (T, D) tracked poses.
     limb: "legs" or "arms", see LIMBS.
     sure_start: frame 0 is right.
@@ -58,7 +59,10 @@ def exchanged_by_names(
 
 
 def _pairs(model: KeypointModel, parts: Sequence[str]) -> NDArray[np.int64]:
-    """List the columns (N, 2) of the left and right point of each part that the body has."""
+    """List the columns (N, 2) of the left and right point of each part that the body has.
+
+    model: of the key points; parts: names without the side.
+    """
     column = {n: k for k, n in enumerate(model.names) if model.known[k]}
     both = [(column.get(f"left_{p}", -1), column.get(f"right_{p}", -1)) for p in parts]
     return np.array([b for b in both if min(b) >= 0], dtype=np.int64).reshape(-1, 2)

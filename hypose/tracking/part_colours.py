@@ -27,8 +27,7 @@ from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.layer import Memory
 from hypose.tracking.arm_workspace import ArmReach
-from hypose.tracking.costs import frame_energy
-from hypose.tracking.frame_evidence import PreparedFrame
+from hypose.tracking.frame_evidence import PreparedFrame, frame_energy
 
 
 def pictured_arms(
@@ -36,6 +35,7 @@ def pictured_arms(
 ) -> tuple[Array, PointTerm] | None:
     """Move the arms of a pose (D,) to the best place nearby by masks and pictures.
 
+    arms: tables of the arms; frame: prepared, with the counts in its memory; settings: of colours.
     Returns: the pose (D,) and a term that holds the arms there in a solve; None when no colours are known, or nothing
         nearby is better.
     """
@@ -56,7 +56,10 @@ def pictured_arms(
 def _one_arm(
     arm: ArmReach, pose: Array, frame: PreparedFrame, settings: ColourSettings, rng: np.random.Generator
 ) -> Array:
-    """Move one arm of a pose (D,) to the best place nearby; return the same pose where it is the best."""
+    """Move one arm of a pose (D,) to the best place nearby; return the same pose where it is the best.
+
+    frame: prepared, with the counts in its memory; settings: of colours.
+    """
     body, o, masks = frame.body, settings, frame.silhouettes.masks
     rest = reach.standing(pose, body.skeleton.tree, body.coarse.arrays, masks, arm.moving)
     views = max(int(masks.usable.sum()), 1)
@@ -159,6 +162,7 @@ def known_colours(frame: PreparedFrame, settings: ColourSettings) -> KnownColour
 def colour_scores(poses: Array, frame: PreparedFrame, settings: ColourSettings) -> Array:
     """Compute how badly the colours and edges of the pictures fit poses (N, D); zeros where no colours are known.
 
+    frame: prepared, with the counts in its memory; settings: of colours.
     Returns: (N,) mean over the views of: the negative log-likelihood ratio (visible part against whole person), summed
         over the pixels and divided by the mask's area; plus the misfit of edges along the rims of arms in front of the
         body, divided by the square root of that area.
@@ -176,7 +180,10 @@ def colour_scores(poses: Array, frame: PreparedFrame, settings: ColourSettings) 
 
 
 def table_of(counts: NDArray[np.float32], settings: ColourSettings) -> NDArray[np.float32]:
-    """Compute the log-likelihood ratios (C, P, COLOURS) of each colour in a part against anywhere on the person."""
+    """Compute the log-likelihood ratios (C, P, COLOURS) of each colour in a part against anywhere on the person.
+
+    counts: (C, P, COLOURS) number of pixels; settings: of colours.
+    """
     whole = counts.sum(1, keepdims=True)
     share = (whole + 1e-3) / (whole + 1e-3).sum(2, keepdims=True)
     of_part = (counts + settings.few * share) / (counts.sum(2, keepdims=True) + settings.few)
@@ -198,7 +205,10 @@ class LearnColours:
         return memory
 
     def _learn(self, memory: Memory, colours: Colours, pose: Array, h: Hypotheses, frame: PreparedFrame) -> Memory:
-        """Add the colours of one frame to the counts in the memory."""
+        """Add the colours of one frame to the counts in the memory.
+
+        pose: (D,) estimate; h: its rivals; arms of which a rival is elsewhere are not learnt.
+        """
         o, body, (faces, part, arm) = self.settings, frame.body, part_layout(frame.body)
         vertices = body.skin(pose)
         doubted = self._doubted(pose, h, body)
@@ -217,7 +227,10 @@ class LearnColours:
         return {**memory, COUNTS: np.where(use[:, None, None], o.memory * before + found, before).astype(np.float32)}
 
     def _doubted(self, pose: Array, h: Hypotheses, body: Body) -> NDArray[np.bool_]:
-        """Decide for the left and the right arm (2,) whether some rival has it elsewhere."""
+        """Decide for the left and the right arm (2,) whether some rival has it elsewhere.
+
+        pose: (D,) estimate; h: the rivals and their weights.
+        """
         rivals = h.values[h.weights > 0.02]
         at = body.joints(np.concatenate([pose[None], rivals]))
         s = body.skeleton

@@ -24,8 +24,7 @@ from hypose.evidence.frame import Silhouettes
 from hypose.geometry import Array, nearest_branch, so3_exp, so3_log
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.kernels import HeavyTail, reflect
-from hypose.tracking.costs import evidence_energy
-from hypose.tracking.frame_evidence import PreparedFrame
+from hypose.tracking.frame_evidence import PreparedFrame, evidence_energy
 
 
 @dataclass(frozen=True)
@@ -208,8 +207,10 @@ class PartitionedXor:
 def partitioned_energy(
     body: Body, poses: Array, frame: PreparedFrame, boxes: NDArray[np.int64], faces: NDArray[np.bool_] | None = None
 ) -> Array:
-    """Compute the energies (N,) of eq. 2.15 for poses (N, D) in boxes (C, 4), px; zeros when no usable view has a
-    box."""
+    """Compute the energies (N,) of eq. 2.15 for poses (N, D) in boxes (C, 4), px; zeros when no usable view has a box.
+
+    frame: prepared; faces: (F,) true for the triangles drawn, None: all.
+    """
     masks = frame.silhouettes.masks
     pixels = (boxes[:, 1] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 2])
     use = masks.usable & (pixels > 0)

@@ -55,6 +55,7 @@ class PoseUncertainty:
 def uncertainty_of_pose(pose: Array, h: Hypotheses, frame: PreparedFrame, /) -> PoseUncertainty:
     """Compute the uncertainty of a solved pose (D,) from the inverse of the cost's Hessian.
 
+    h: hypotheses with the roles SOLVED and RIVAL; frame: prepared, with the fit of the pose.
     Covariance of the joints = factor^2 H^-1 (CURVATURE_FACTOR), with the priors in H, so a joint that no view sees
     keeps the prior's spread. Each hypothesis with the role RIVAL adds its weight times the square of its joints'
     distances.
@@ -124,6 +125,7 @@ NEIGHBOUR_S, NEIGHBOUR_M_S2 = 0.25, 20.0
 
 @lru_cache(8)
 def _factors(evidence: str, joint_names: tuple[str, ...]) -> Array:
+    """Look up CURVATURE_FACTOR (J,) of each joint for a kind of evidence."""
     return np.array([CURVATURE_FACTOR[evidence][joint_group(name)] for name in joint_names])
 
 
@@ -137,7 +139,10 @@ def joint_group(name: str) -> str:
 
 
 def uncertainty_of_set(pose: Array, h: Hypotheses, frame: PreparedFrame, /) -> PoseUncertainty:
-    """Compute the uncertainty of a pose from the spread of a weighted set (N, D)."""
+    """Compute the uncertainty of a pose from the spread of a weighted set (N, D).
+
+    h: the set with its weights; frame: prepared for the body.
+    """
     joints = frame.body.joints(h.values)
     apart = joints - np.einsum("n,nja->ja", h.weights, joints)
     around = np.einsum("n,nja,njb->jab", h.weights, apart, apart) + FLOOR**2 * np.eye(3)
@@ -163,6 +168,7 @@ def packed(information: Array) -> NDArray[np.float32]:
 
 @lru_cache(8)
 def _triangle(dof: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the indices of the lower triangle of a matrix (D, D); D = dof."""
     return np.tril_indices(dof)
 
 

@@ -27,8 +27,8 @@ from hypose.inference.kernels import (
 )
 from hypose.inference.layer import Kernel, Layer, Recipe
 from hypose.inference.resampling import LayeredResampling, systematic
-from hypose.tracking.costs import SilhouetteXor
 from hypose.tracking.detection_kernels import DetectionCost, DetectorDriven, ends_of
+from hypose.tracking.frame_evidence import SilhouetteXor
 from hypose.tracking.partitioned_observations import (
     BallStep,
     LimbDiffusion,
@@ -60,7 +60,10 @@ LIMB_LAYERS: tuple[tuple[str, tuple[str, ...]], ...] = (
 
 
 def partitions_of(skeleton: Skeleton, layers: Sequence[tuple[str, tuple[str, ...]]]) -> list[NDArray[np.int64]]:
-    """List, per layer, the indices of the coordinates that it filters (Psi_l)."""
+    """List, per layer, the indices of the coordinates that it filters (Psi_l).
+
+    layers: name and joints of each layer.
+    """
     return [skeleton.dofs_of(*joints) for _, joints in layers]
 
 
@@ -106,6 +109,7 @@ def apf(
 def partitioned(body: Body, particles: int = 572, survival: float = 0.15, frame_rate: float = 25.0) -> Recipe:
     """Build the partitioned sampling filter: each layer moves only its own coordinates and resamples whole states.
 
+    particles: number of hypotheses; frame_rate: Hz.
     survival: survival rate of every layer.
     Deviation: every partition is weighted by the whole silhouettes, with the exponent that the survival rate sets.
     Source: MacCormick & Isard 2000 (Alcoverro 2014, section 2.2.3).
@@ -154,7 +158,10 @@ def hpf(
 
 
 def diffusion(skeleton: Skeleton, sigma: Array, tail: HeavyTail | None = None) -> GaussianDiffusion:
-    """Build a kernel of Gaussian steps with standard deviations sigma (D,), inside the joint limits."""
+    """Build a kernel of Gaussian steps with standard deviations sigma (D,), inside the joint limits.
+
+    skeleton: whose limits are used; tail: longer steps for a share of the set, or None.
+    """
     return GaussianDiffusion(sigma, skeleton.lower, skeleton.upper, tail)
 
 
@@ -165,12 +172,17 @@ def annealing_rate_of(layer: int, betas: Sequence[float] | None, survival: float
 
 
 def _weigh(rate: AnnealingRate) -> SmoothedWeight:
+    """Build the weighing of a layer by the silhouettes, with the exponent that `rate` chooses."""
     return SmoothedWeight(SilhouetteXor(), rate)
 
 
 def _published(
     name: str, layers: Sequence[Layer], skeleton: Skeleton, particles: int, needs: tuple[str, ...] = ("silhouettes",)
 ) -> Recipe:
+    """Build a recipe that reports the mean of its set.
+
+    name: of the method; layers, particles: see `Recipe`; needs: kinds of evidence without which it cannot be used.
+    """
     return Recipe(name, layers, particles, needs, estimate=pose_mean(skeleton))
 
 
@@ -219,7 +231,10 @@ def layer_regions(body: Body, *, bounding: bool, margin: float = 0.18) -> list[t
 
 
 def _torso_region(body: Body, joints: tuple[str, ...], ends: tuple[str, ...]) -> Region:
-    """Build the fixed box of trunk and head: as wide as the shoulders, from the hips to the top of the head."""
+    """Build the fixed box of trunk and head: as wide as the shoulders, from the hips to the top of the head.
+
+    joints, ends: names of the joints and landmarks that the box bounds.
+    """
     region = bounding_region(body, joints, ends, margin=0.12)
     low, high = region.box(body, np.zeros(body.skeleton.dof))
     half = 0.5 * (high - low)
@@ -240,6 +255,7 @@ def hpf_apo(
 ) -> Recipe:
     """Build the hierarchical filter with approximate partitioned observations (APO): 7 + 1 layers x 500 particles.
 
+    nu: decay of the steps per layer; frame_rate: Hz; name: of the recipe.
     As published: the layers and steps of `hpf`, weights by eq. 2.15 inside fixed boxes, and a last layer that weighs
     the set again in a box of the whole body.
     betas: fixed exponents, one per layer (8); None: the survival rate sets them.
@@ -274,7 +290,11 @@ def hpf_apo(
 
 
 def _steps(body: Body, full: Array, step: Array, psi: list[NDArray[np.int64]], n: int) -> LimbDiffusion:
-    """Build the kernel of layer n of the improved partitioned filter from the steps of Algorithm 3."""
+    """Build the kernel of layer n of the improved partitioned filter from the steps of Algorithm 3.
+
+    full: (D,) steps of a frame; step: (D,) steps of Algorithm 3 in this layer; psi: coordinates of each layer; n: the
+        layer.
+    """
     s, name = body.skeleton, HPF_LAYERS[n][0]
     side = name.split("_")[0]
     limb, keep = np.zeros(s.dof, dtype=bool), np.zeros(s.dof, dtype=bool)
@@ -298,7 +318,10 @@ def _steps(body: Body, full: Array, step: Array, psi: list[NDArray[np.int64]], n
 
 
 def hpf_apo_plus(body: Body, particles: int = 500, frame_rate: float = 25.0) -> Recipe:
-    """Build the improved form of `hpf_apo`, with the same number of evaluations."""
+    """Build the improved form of `hpf_apo`, with the same number of evaluations.
+
+    particles: number of hypotheses; frame_rate: Hz.
+    """
     return hpf_apo(body, particles, frame_rate=frame_rate, improved=True, name="hpf-apo+")
 
 
@@ -325,6 +348,9 @@ def dd_hpf(
     """Build the detector-driven hierarchical filter: `hpf` with a share of each layer's particles posed on detected
     body ends.
 
+    particles: number of hypotheses; nu: decay of the steps per layer; frame_rate: Hz; name: of the recipe.
+    survival: survival rate of every layer; betas: fixed exponents, one per layer, None: the survival rate sets them.
+    layers: name and joints of each layer.
     7 layers x 500 particles. Detected ends are hands, head or ankles; they come with the frames (`Frame.detections`) or
     from key points; without any this is `hpf`. A forearm is posed together with its upper arm, in both of its layers,
     and both are resampled from the first of these layers on.

@@ -27,8 +27,7 @@ from hypose.inference.resampling import keep
 from hypose.tracking import published_recipes as published
 from hypose.tracking.arm_hypotheses import RefineRivals
 from hypose.tracking.arm_workspace import arm_reach, in_practice
-from hypose.tracking.costs import limb_energy
-from hypose.tracking.frame_evidence import PreparedFrame
+from hypose.tracking.frame_evidence import PreparedFrame, limb_energy
 from hypose.tracking.left_right import look_for_exchange
 from hypose.tracking.monocular.recipe import PICTURE_CUES, TRIGGS, monocular
 from hypose.tracking.part_colours import LearnColours
@@ -43,7 +42,7 @@ from hypose.tracking.refinement import (
     settled_start,
     solved,
 )
-from hypose.tracking.smooth_motion import smooth_clip
+from hypose.tracking.smoothing import smooth_clip
 from hypose.tracking.starts import recover
 
 THESIS = "Alcoverro, M. (2014). Stochastic optimization and interactive machine learning for human motion analysis."
@@ -104,7 +103,10 @@ def default(
 
 
 def _rivals(body: Body, turns: Sequence[InTurn], rivals: int, options: SolveSettings) -> RefineRivals:
-    """Build the kernel that searches the tables of arms in their turns (one for each of LIMB_LAYERS)."""
+    """Build the kernel that searches the tables of arms in their turns (one for each of LIMB_LAYERS).
+
+    rivals: largest number of poses kept, with the estimate; options: of solves.
+    """
     lower, upper = in_practice(body.skeleton)
     arms = [
         (arm_reach(body, joints, lower, upper), replace(turn, seldom=1))
@@ -121,13 +123,19 @@ def _turns(frame_rate: float) -> list[InTurn]:
 
 
 def _refined(base: Recipe, name: str | None = None) -> Recipe:
-    """Add contour refinement after a recipe's last layer; its result is the estimate and moves the set."""
+    """Add contour refinement after a recipe's last layer; its result is the estimate and moves the set.
+
+    base: the recipe; name: of the result (default: that of the base with "+refine").
+    """
     layer = Layer(ContourRefinement(), None, keep, "refinement")
     return _solving(replace(base, name=name or f"{base.name}+refine", layers=(*base.layers, layer)))
 
 
 def hpf_plus(body: Body, particles: int = 572, frame_rate: float = 25.0) -> Recipe:
-    """Build `published_recipes.hpf` with contour refinement, a solved start, prediction and recovery."""
+    """Build `published_recipes.hpf` with contour refinement, a solved start, prediction and recovery.
+
+    particles: number of hypotheses; frame_rate: Hz.
+    """
     return _refined(published.hpf(body, particles, frame_rate=frame_rate), "hpf+")
 
 
@@ -147,6 +155,8 @@ def dd_hpf_rivals(body: Body, particles: int = 500, frame_rate: float = 25.0, ri
 
 
 def _solving(base: Recipe) -> Recipe:
+    """Add to a recipe the solved start, the prediction by the last step, the uncertainty by curvature, recovery and
+    smoothing."""
     return replace(
         base,
         start=settled_start,

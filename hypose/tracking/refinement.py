@@ -20,8 +20,7 @@ from hypose.fitting.problem import Quadratic
 from hypose.geometry import Array
 from hypose.inference.estimates import TangentMean
 from hypose.inference.hypotheses import Hypotheses
-from hypose.tracking.costs import frame_energy, mean_overlap
-from hypose.tracking.frame_evidence import PreparedFrame
+from hypose.tracking.frame_evidence import PreparedFrame, frame_energy, mean_overlap
 
 SOLVED, COMPOSITE, RIVAL = "solved", "composite", "rival"
 """Roles: the solved hypothesis, the one that a search of single limbs composes, and other solved ones that are kept."""
@@ -56,6 +55,7 @@ def anatomical_prior(skeleton: Skeleton, keypoints: bool = False) -> Quadratic:
 
 @lru_cache(8)
 def _anatomical_weights(dof_names: tuple[str, ...]) -> Array:
+    """Compute the weights (D,) of `anatomical_prior` without key points, from the names of the coordinates."""
     weight = np.full(len(dof_names), 0.3)
     weight[:6] = 0
     for n, name in enumerate(dof_names):
@@ -111,8 +111,11 @@ class LaterLayer(Protocol):
         ...
 
     def before_search(self, h: Hypotheses, frame: PreparedFrame, /) -> None:
-        """Start, in the background, the work that depends on the hypothesis with the role SOLVED, not on the search
-        of limbs."""
+        """Start, in the background, the work that depends on the hypothesis with the role SOLVED, not on the search of
+        limbs.
+
+        h: hypotheses after the first solve; frame: in whose `shared` the result is left.
+        """
         ...
 
 
@@ -169,6 +172,8 @@ class InTurn:
         return not settled
 
     def _is_settled(self, pose: Array, frame: PreparedFrame) -> bool:
+        """Decide whether a solved pose (D,) overlaps the masks about as well as usual; false where the usual value is
+        unknown."""
         if not np.isfinite(frame.usual_iou):
             return False
         return 1 - mean_overlap(frame.body, pose, frame) <= self.unsettled * (1 - frame.usual_iou)
@@ -180,6 +185,7 @@ def member(h: Hypotheses, role: str) -> Array:
 
 
 def _all_at(pose: Array, h: Hypotheses) -> Hypotheses:
+    """Move all hypotheses to one pose (D,); the first one gets the role SOLVED."""
     return h.at(np.repeat(pose[None], h.count, 0)).marked(SOLVED, [0])
 
 
@@ -201,7 +207,10 @@ def mismatch(poses: Array, frame: PreparedFrame, step_penalty: float = 0.002, ex
 
 
 def best_fit(fits: list[PoseFit], frame: PreparedFrame) -> PoseFit:
-    """Choose the fit with the least mismatch; the least cost where there are no silhouettes."""
+    """Choose the fit with the least mismatch; the least cost where there are no silhouettes.
+
+    fits: at least one; frame: prepared.
+    """
     if len(fits) == 1:
         return fits[0]
     if not frame.silhouettes.seen:
@@ -225,7 +234,10 @@ def keep_fits(frame: PreparedFrame, fits: Sequence[PoseFit], body: Body | None =
 
 
 def solve_poses(body: Body, starts: Array, frame: PreparedFrame, options: SolveSettings) -> list[PoseFit]:
-    """Solve from the starts (N, D) as `refine` does, without storing the fits."""
+    """Solve from the starts (N, D) as `refine` does, without storing the fits.
+
+    frame: prepared; options: of the solve. With depth at most DEPTH_TRIES damping trials are made.
+    """
     trunk = anatomical_prior(body.skeleton, frame.keypoints.seen)
     priors = (trunk, prediction_prior(frame.prediction, frame.prediction_weight))
     if frame.depth.seen:

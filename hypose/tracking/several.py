@@ -55,13 +55,13 @@ def shape_of(body: Body, pose: Array, rig: CameraRig) -> BodyShape:
 def step_together(
     members: Sequence[Member],
     frame: Frame,
-    keypoints: Sequence[Keypoints | None] | None = None,
+    keypoints: Sequence[Keypoints | None] = (),
     others: Sequence[Other] = (),
     step: Callable[[int, Frame], tuple[Member, FrameEstimate | None]] | None = None,
 ) -> tuple[list[Member], list[FrameEstimate], list[Frame]]:
     """Track all people in one frame.
 
-    keypoints: those of each person, already assigned; None: the frame's key points are not used.
+    keypoints: those of each person, already assigned; empty: the frame's key points are not used.
     others: further people who are there but not tracked.
     step: called as step(index of the person, the frame as that person sees it) instead of the person's tracker; it
         returns the next member and the estimate, None where the person is given up.
@@ -77,7 +77,7 @@ def step_together(
     done = np.zeros(count, dtype=np.bool_)
     for i in ((frame.index + k) % max(count, 1) for k in range(count)):
         m = after[i]
-        own = replace(frame, keypoints=None if keypoints is None else keypoints[i])
+        own = replace(frame, keypoints=keypoints[i] if keypoints else None)
         own = own if m.present else own.unseen()
         for _ in rigs if m.present else ():
             nearby = [

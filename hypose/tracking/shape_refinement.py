@@ -20,8 +20,7 @@ import numpy as np
 from hypose.body.anthropometry import body_of, entity, length_rows, prior_covariance, prior_mean
 from hypose.body.body import Body
 from hypose.errors import EvidenceError
-from hypose.evidence.depth_surface import DepthTerm
-from hypose.evidence.terms import ContourTerm, Term
+from hypose.evidence.terms import ContourTerm, DepthTerm, Term
 from hypose.fitting.problem import Cue, Posed, PoseProblem, Quadratic, Rows
 from hypose.fitting.rows import rows_of_contours, rows_of_depth
 from hypose.geometry import Array
@@ -140,6 +139,11 @@ def refine_shape(
 
 
 def _cue(one: Term, options: ShapeSettings) -> Cue[Array]:
+    """Build the function that computes the rows of a term, outlines or depth, for a posed body.
+
+    options: weights and spacing of the rows.
+    """
+
     def rows(at: Posed, _: Array, factor: float) -> Iterable[Rows]:
         if isinstance(one, ContourTerm):
             return rows_of_contours(at, one, factor, options.weight, options.row_spacing_px, options.normals)

@@ -8,20 +8,26 @@ where the evidence of a frame is strong it is followed, where it is weak the nei
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import uniform_filter1d
 
 from hypose.body.body import Body
+from hypose.body.motion import Motion
 from hypose.body.skeleton import Skeleton
 from hypose.compute.linear import frame_covariances
+from hypose.evidence.frame import Frame
 from hypose.evidence.terms import PointTerm
 from hypose.fitting import SolveSettings, fit_clip
 from hypose.fitting.clip_solve import Coupling, Gaussian, pose_steps
 from hypose.geometry import Array, nearest_branch
+from hypose.tracking.contacts import FootMotion, contact_terms, find_contacts, foot_motion, soles_of
+from hypose.tracking.covariance_calibration import pose_covariance
+from hypose.tracking.pose_covariance import unpacked
+from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState
 
 _FARTHEST_M = 2.0
 """m: sd of the place of a person who has not been seen for long; for an angle it is 1 rad"""
@@ -76,6 +82,7 @@ def pace_weights(pace: tuple[Array, Array], frame_rate: float) -> tuple[Array, A
 def own_pace(poses: Array, frame_rate: float, usual: tuple[Array, Array]) -> tuple[Array, Array]:
     """Measure the pace of a solved clip: its usual accelerations and speeds near each frame.
 
+    poses: (T, D); frame_rate: Hz.
     usual: (D,) usual accelerations and speeds. They are multiplied by one factor >= 1 for the whole body, that of its
         fastest coordinate (root mean square nearby in time).
     Returns: accelerations (T - 2, D); speeds (T - 1, D).
@@ -100,6 +107,7 @@ def at_own_pace(
 ) -> Array:
     """Solve the poses (T, D) of a clip window by window, with limits adapted to the clip's own pace.
 
+    frame_rate: Hz; settings: limits and windows.
     given: (T, D) start poses.
     solve: function (part, starts, weights) that solves the frames `part` with the weights of squared second and first
         differences.
@@ -130,6 +138,7 @@ def smooth_poses(
 ) -> Array:
     """Solve the poses (T, D) of a clip from those of its frames and the information on each.
 
+    frame_rate: Hz; settings: limits and windows (default: ClipSettings()).
     poses: (T, D); ignored in frames without evidence.
     information: (T, D, D); zero in frames without evidence.
     contacts: points that stand still, per frame.
@@ -160,6 +169,7 @@ def gap_covariance(
 ) -> Array:
     """Compute the extra covariance (T, J, 3, 3) of the joint centres, m^2, in frames without evidence; 0 in the others.
 
+    poses: (T, D) solved clip; frame_rate: Hz; settings: limits and windows (default: ClipSettings()).
     It grows with the distance from the frames with evidence, because only the coupling to them limits it.
     information: (T, D, D); zero in frames without evidence.
     """
@@ -219,3 +229,123 @@ def in_windows(like: Array, settings: ClipSettings, solve: Callable[[slice], Arr
         if last == t:
             return out
         first += step
+
+
+@dataclass(frozen=True)
+class Clip:
+    """A clip that has been tracked from its first frame to its last.
+
+    tracker: that tracked it.
+    motion: the estimates as a motion; estimates: one per frame.
+    state: after the last frame.
+    frames: function (range) that yields frames of the clip again, forwards or backwards.
+    progress: function (done, total).
+    """
+
+    tracker: Tracker
+    motion: Motion
+    estimates: Sequence[FrameEstimate]
+    state: TrackerState
+    frames: Callable[[range], Iterable[Frame]]
+    progress: Callable[[int, int], None]
+
+
+def smooth_clip(clip: Clip) -> tuple[Motion, tuple[str, ...]]:
+    """Smooth a tracked clip by `smooth_motion`; return the motion, and sentences about contacts and gaps."""
+    clip.progress(0, 1)
+    information = np.stack([e.uncertainty.information for e in clip.estimates])
+    smoothed = smooth_motion(clip.tracker.body, clip.motion, information)
+    clip.progress(1, 1)
+    return smoothed.motion, smoothed.notes
+
+
+@dataclass(frozen=True)
+class Smoothed:
+    """Result of smoothing a clip.
+
+    motion: the smoothed motion.
+    feet_before, feet: motion of the feet over the contacts that were found, before and after.
+    one_by_one: (T, D) poses as tracked frame by frame.
+    covariance: (T, D, D) of the poses, from each frame alone.
+    """
+
+    motion: Motion
+    feet_before: FootMotion
+    feet: FootMotion
+    one_by_one: Array
+    covariance: Array
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Write sentences about contacts and gaps for the user."""
+        said = []
+        if self.feet.contacts > 0:
+            said.append(
+                f"feet in contact in {100 * self.feet.contacts:.0f} % of the frames: they slide by "
+                f"{self.feet.sliding:.0f} mm/s ({self.feet_before.sliding:.0f} as tracked)"
+            )
+        bridged = int((self.motion.extrapolated | self.motion.lost).sum())
+        if bridged:
+            said.append(
+                f"{bridged} frames without the person are interpolated from their neighbours, marked, with larger sd"
+            )
+        return tuple(said)
+
+
+def smooth_motion(body: Body, motion: Motion, information: ArrayLike, settings: ClipSettings | None = None) -> Smoothed:
+    """Solve a tracked motion again as one clip.
+
+    information: (T, D (D + 1) / 2) of each frame on its pose (`PoseUncertainty`).
+    Frames in which the person was lost or unseen are bridged: they stay marked, and their sd grows with the distance
+    from the others. Soles that stand are held, and all is solved again.
+    """
+    assert motion.poses is not None
+    settings, rate = settings or ClipSettings(), motion.frame_rate
+    known = ~(np.asarray(motion.lost) | np.asarray(motion.extrapolated))
+    if len(motion) < 3 or known.sum() < 2:
+        nothing = FootMotion(0.0, 0.0)
+        return Smoothed(
+            motion, nothing, nothing, motion.poses, pose_covariance(unpacked(information, body.skeleton.dof))
+        )
+    own = unpacked(information, body.skeleton.dof) * known[:, None, None]
+    given = motion.poses
+
+    def held(contacts: list[list[PointTerm]] | None) -> Array:
+        return smooth_poses(body, given, own, rate, settings, contacts)
+
+    return with_feet(body, motion, own, held(None), held, settings)
+
+
+def with_feet(
+    body: Body,
+    motion: Motion,
+    own: Array,
+    free: Array,
+    held: Callable[[list[list[PointTerm]]], Array],
+    settings: ClipSettings,
+) -> Smoothed:
+    """Solve a clip again with the standing soles held, and widen its covariances in gaps.
+
+    motion: the tracked clip; settings: limits and windows.
+    own: (T, D, D) information of each frame on its pose (zero: none).
+    free: (T, D) the clip solved without contacts.
+    held: function that solves the clip with points that stand still, one list per frame.
+    """
+    assert motion.poses is not None
+    known, rate = np.asarray(own.any((1, 2))), motion.frame_rate
+    soles = soles_of(body)
+    contacts = find_contacts(soles.positions(body, free), known, rate)
+    poses = held(contact_terms(contacts, soles))
+    spread = gap_covariance(body, poses, own, rate, settings)
+    around = (_carried(motion.joint_covariance, known) + spread).astype(np.float32)
+    smoothed = replace(motion, poses=poses, joints=body.joints(poses), joint_covariance=around)
+    before, after = (foot_motion(soles.positions(body, q), contacts, rate) for q in (motion.poses, poses))
+    return Smoothed(smoothed, before, after, motion.poses, pose_covariance(own))
+
+
+def _carried(covariance: NDArray[np.float32], known: NDArray[np.bool_]) -> Array:
+    """Interpolate the covariances (T, J, 3, 3) of known frames linearly in time."""
+    at = np.flatnonzero(known)
+    columns = covariance.reshape(len(covariance), -1).T
+    carried = np.stack([np.interp(np.arange(len(covariance)), at, column[at]) for column in columns], 1)
+    return carried.reshape(covariance.shape)

@@ -139,7 +139,10 @@ def _sized(template: Body, start: Start, floor: float) -> list[Start]:
 
 
 def _solved(starts: Sequence[Start], frame: PreparedFrame, height: float | None, options: SolveSettings) -> list[Start]:
-    """Solve the starts from their poses; those of one body in several threads."""
+    """Solve the starts from their poses; those of one body in several threads.
+
+    frame: prepared for any body; height: of the person, m, None: unknown; options: of the solves.
+    """
     out: list[Start] = []
     for body in dict.fromkeys(s.body for s in starts):
         poses = np.stack([s.pose for s in starts if s.body is body])
@@ -232,7 +235,12 @@ def _followed(start: Start, frames: Sequence[PreparedFrame]) -> tuple[Array, Arr
 
 
 def _by_size(template: Body, spans: Array, tall: float, height: float | None) -> list[tuple[float, list[int]]]:
-    """List statures (m) and the postures to try at each: as high as the hull, and a little less and more."""
+    """List statures (m) and the postures to try at each: as high as the hull, and a little less and more.
+
+    template: body of usual proportions; spans: (N,) height of each posture on it, m; tall: height of the hull, m;
+        height: of the person, m, None: unknown.
+    Returns: pairs (stature, indices of postures); statures outside 0.8 to 2.3 m are left out.
+    """
     if height is not None:
         return [(height, list(range(len(spans))))]
     by: dict[int, list[int]] = {}
@@ -271,6 +279,7 @@ def _placed(body: Body, pose: Array, turns: Array, hull: Hull) -> Array:
 
 
 def _own(frame: PreparedFrame, body: Body, pose: Array) -> PreparedFrame:
+    """Copy a prepared frame for a body and a start pose (D,), without a pull to that pose."""
     return replace(frame, body=body, prediction=pose, prediction_weight=0.0)  # nothing is expected
 
 
@@ -368,7 +377,10 @@ def postures(body: Body) -> Array:
 
 
 def _posed(body: Body, legs: str, left_arm: str, right_arm: str) -> Array:
-    """Solve for the pose (D,) whose joints lie where the directions put them, as far as anatomy allows."""
+    """Solve for the pose (D,) whose joints lie where the directions put them, as far as anatomy allows.
+
+    legs: key of _LEGS; left_arm, right_arm: keys of _ARMS.
+    """
     s = body.skeleton
     lean, *directions = _LEGS[legs]
     trunk = so3_exp([np.radians(lean), 0.0, 0.0])
@@ -397,4 +409,5 @@ def _posed(body: Body, legs: str, left_arm: str, right_arm: str) -> Array:
 
 
 def _mirrored(way: Vector) -> Vector:
+    """Mirror a direction: the first coordinate, to the person's left, changes its sign."""
     return -way[0], way[1], way[2]

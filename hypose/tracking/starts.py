@@ -14,8 +14,7 @@ from hypose.evidence.hull import Hull
 from hypose.evidence.terms import PointTerm
 from hypose.fitting.articulated import PoseFit, SolveSettings, fit_pose
 from hypose.geometry import Array, procrustes, rotation_between, so3_exp, so3_log
-from hypose.tracking.costs import evidence_energy
-from hypose.tracking.frame_evidence import PreparedFrame
+from hypose.tracking.frame_evidence import PreparedFrame, evidence_energy
 from hypose.tracking.refinement import SETTLING, anatomical_prior, refine
 
 # direction of the upper arm in each known pose, for the left side (x = the subject's left, y backward, z up)
@@ -90,7 +89,10 @@ def _root_guesses(
     body: Body, points: Array, joint: NDArray[np.int64], offset: Array, known: NDArray[np.bool_]
 ) -> list[Array]:
     """Estimate root poses (6,): a rigid fit of the trunk's points where there are enough, else four headings at the
-    centroid."""
+    centroid.
+
+    points: (K, 3) m; joint, offset: as for `start_from_keypoints`; known: (K,) points that are there.
+    """
     s = body.skeleton
     rest = s.rest_joints[joint] + offset
     trunk_joints = [
@@ -121,6 +123,7 @@ def start_in_pose(
 ) -> PoseFit:
     """Find the known pose and the heading that explain the silhouettes best, placed at the visual hull and solved.
 
+    frame: prepared, with masks; options: of the last solves (default: SETTLING).
     names: known poses to try; headings: number of headings.
     Raises: EvidenceError where the views have no common hull.
     Source: Alcoverro 2014, section 2.3.3 step 1.
@@ -197,6 +200,7 @@ def _best_refined(
 ) -> PoseFit:
     """Solve the best of many candidate poses (N, D) in two rounds; return the one with the least evidence energy.
 
+    frame: prepared; options: of the last solves; tried, keep: numbers of poses in the first and the second round.
     The `tried` best are solved briefly, the `keep` best of these at length. Why: a wrong heading may overlap better
     than the right one until the limbs have moved.
     """

@@ -100,7 +100,11 @@ def subject_from_keypoints(
 
 
 def shape_from_keypoints(body: Body, points_world: Array, names: tuple[str, ...]) -> Shape:
-    """Estimate the length factors of a body from triangulated points (T, K, 3), m."""
+    """Estimate the length factors of a body from triangulated points (T, K, 3), m.
+
+    names: of the K points; NaN marks missing points.
+    Raises: EvidenceError where fewer than two of the segments are seen.
+    """
     skeleton = body.skeleton
     carrier, from_joint, _ = landmark_of(names, body)
     rest = skeleton.rest_joints[carrier] + from_joint  # of the key points
@@ -169,7 +173,10 @@ def _of_sides(left: tuple[float, float], right: tuple[float, float]) -> float:
 
 
 def _solve_frames(body: Body, points: Array, model: KeypointModel, frames: np.ndarray, poses: Array) -> None:
-    """Solve the chosen frames in order, each from the previous one; fill poses (T, D) in place."""
+    """Solve the chosen frames in order, each from the previous one; fill poses (T, D) in place.
+
+    points: (T, K, 3) m; model: where they sit on the body; frames: indices of those chosen.
+    """
     last: Array | None = None
     joint, offset = model.joint[model.known], model.offset[model.known]
     weights = leg_weights(model.names)[model.known]
@@ -187,7 +194,10 @@ def _solve_frames(body: Body, points: Array, model: KeypointModel, frames: np.nd
 
 
 def _in_joint_frames(body: Body, points: Array, model: KeypointModel, poses: Array) -> Array:
-    """Compute the points (T, K, 3) in the frames of their joints; NaN where not solved or not seen."""
+    """Compute the points (T, K, 3) in the frames of their joints; NaN where not solved or not seen.
+
+    model: where the points sit on the body; poses: (T, D), NaN where not solved.
+    """
     out = np.full((len(points), len(model.names), 3), np.nan)
     done = np.flatnonzero(np.isfinite(poses).all(1))
     rotations, centres = body.skeleton.forward(poses[done])

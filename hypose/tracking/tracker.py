@@ -22,8 +22,7 @@ from hypose.evidence.frame import Frame
 from hypose.geometry import Array
 from hypose.inference.hypotheses import BEFORE, FOUND_BY, Hypotheses
 from hypose.inference.layer import Memory, Recipe, Recovery, search, stand_still, stream
-from hypose.tracking.costs import agreement, mean_overlap
-from hypose.tracking.frame_evidence import PreparedFrame, prepare, view_count
+from hypose.tracking.frame_evidence import PreparedFrame, agreement, mean_overlap, prepare, view_count
 from hypose.tracking.keypoint_evidence import KeypointModel
 from hypose.tracking.pose_covariance import PoseUncertainty, nothing_known, uncertainty_of_set
 
@@ -287,7 +286,10 @@ class Tracker:
         return following, FrameEstimate(pose, known, cost, lost, False, views, overlap, gain, **known_of)
 
     def _moved(self, before: Array, pose: Array) -> NDArray[np.float32]:
-        """Compute the distance (J,), m, of each joint between two poses (D,)."""
+        """Compute the distance (J,), m, of each joint between two poses (D,).
+
+        before, pose: the two poses.
+        """
         joints = self.body.joints(np.stack([before, pose]))
         return np.linalg.norm(joints[1] - joints[0], axis=-1).astype(np.float32)
 
@@ -310,6 +312,8 @@ class Tracker:
     ) -> tuple[TrackerState, Array, Hypotheses, float, bool, float]:
         """Search for a lost person.
 
+        how: search of the recipe; pose: (D,) estimate of the search; selected: its set; iou: its agreement with the
+            masks; prepared: the frame.
         Returns: the state before the frame, the pose (D,) in it, the set to go on with, the pose's IoU, whether it is
             lost, and the gain in IoU where a lost person was found (else NaN).
         """
@@ -343,7 +347,10 @@ class Tracker:
         return tried[int(np.argmax([agreement(self.body, q, prepared) for q in tried]))]
 
     def _rival_gain(self, state: TrackerState, pose: Array, prepared: PreparedFrame) -> float:
-        """Compute the gain of a rival, in its turn and where there are silhouettes; else NaN."""
+        """Compute the gain of a rival, in its turn and where there are silhouettes; else NaN.
+
+        pose: (D,) estimate; prepared: the frame; state: before the frame.
+        """
         look = self.recipe.recover.rival if self.recipe.recover is not None else None
         seldom = RIVAL_WITH_DEPTH if prepared.depth.seen else 1
         if look is None or not prepared.silhouettes.seen or not self._has_look(state, seldom):
@@ -387,6 +394,8 @@ class Tracker:
         return poses if self.recipe.predict is None else self.body.skeleton.clamp(poses)
 
     def _on_canonical_branch(self, state: TrackerState) -> TrackerState:
+        """Put the rotation vectors of the state on the canonical branch of its pose; unchanged for recipes that do not
+        predict."""
         s = self.body.skeleton
         if self.recipe.predict is None:
             return state  # a velocity belongs to the branch that it was seen on
@@ -418,13 +427,19 @@ class Tracker:
         )
 
     def _begin(self, prepared: PreparedFrame, state: TrackerState) -> tuple[PreparedFrame, TrackerState]:
-        """Move the set to where the recipe starts, before the first search."""
+        """Move the set to where the recipe starts, before the first search.
+
+        prepared: the first frame; state: before it.
+        Returns: the frame with the start as its prediction; the state at the start.
+        """
         start = self.recipe.start(prepared.prediction, prepared)
         shifted = self._within(state.hypotheses.values + (start - prepared.prediction))
         h = replace(state.hypotheses, values=shifted)
         return replace(prepared, prediction=start), replace(state, pose=start, previous=start, hypotheses=h)
 
     def _is_lost(self, iou: float, usual: float) -> bool:
+        """Decide whether an IoU is too low for the person to be there, given the usual IoU (NaN: unknown); false for a
+        NaN."""
         if not np.isfinite(iou):
             return False  # key points alone: nothing to judge the silhouette by
         floor = (
@@ -435,11 +450,17 @@ class Tracker:
         return bool(iou < floor)
 
     def _no_person(self, iou: float, usual: float) -> bool:
+        """Decide whether an IoU is so low that the masks show no person at the place, given the usual IoU (NaN:
+        unknown)."""
         return bool(iou < _NO_PERSON * (1.0 if np.isnan(usual) else usual))
 
     def _extrapolate(
         self, state: TrackerState, prediction: Array, expected: Hypotheses
     ) -> tuple[TrackerState, FrameEstimate]:
+        """Return the state and the estimate of a frame without evidence.
+
+        prediction: (D,) pose; expected: hypotheses, moved by the predicted step.
+        """
         s = self.body.skeleton
         blind = state.blind + 1
         # without evidence the covariance grows like that of a random walk with the usual steps
@@ -460,7 +481,10 @@ class Tracker:
 def motion_of(
     body: Body, times: Array, estimates: Sequence[FrameEstimate], provenance: Mapping[str, Any] | None = None
 ) -> Motion:
-    """Build the Motion of tracked frames: one estimate per time (T,)."""
+    """Build the Motion of tracked frames: one estimate per time (T,).
+
+    times: s; estimates: T; provenance: how the motion was made (default: empty).
+    """
     poses = np.stack([e.pose for e in estimates])
     return Motion(
         body.skeleton,

@@ -7,6 +7,7 @@ import time
 import pytest
 
 from hypose.app.cli import run_cli
+from hypose.app.commands import console
 from hypose.synthetic.scenes import camera_rig, make_scene
 from hypose.synthetic.write_recording import write_scene
 from tests.conftest import HANG_S
@@ -82,6 +83,25 @@ def walk_by_points(tmp_path_factory):
 def keypoint_recording(walk_by_points, tmp_path):
     """A copy of it that a test may spoil."""
     return shutil.copytree(walk_by_points, tmp_path / "points")
+
+
+@pytest.fixture
+def interrupted(hypose, monkeypatch):
+    """interrupted(stage, done, *arguments): the command with Ctrl-C when the progress of `stage` reaches `done`."""
+
+    def run(stage, done, *arguments):
+        shown = console.Stages.__call__
+
+        def call(self, now, count, total):
+            if (now, count) == (stage, done):
+                raise KeyboardInterrupt
+            shown(self, now, count, total)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(console.Stages, "__call__", call)
+            return hypose(*arguments)
+
+    return run
 
 
 def fails(result, *fragments):

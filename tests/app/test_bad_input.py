@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from benchmarks.robustness.small_recordings import write_skeletons
-from hypose.app.commands import commands_data
+from hypose.app.commands import commands_recordings
 from tests.app.conftest import fails
 
 
@@ -198,7 +198,7 @@ def test_a_bug_is_called_one(hypose, monkeypatch):
     def broken(text):
         raise ZeroDivisionError("division by zero")
 
-    monkeypatch.setattr(commands_data, "_subject_name", broken)
+    monkeypatch.setattr(commands_recordings, "_subject_name", broken)
     code, _, err = hypose("synth", "out")
     assert code == 1
     assert "Traceback" not in err

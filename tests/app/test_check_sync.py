@@ -15,6 +15,7 @@ from hypose.io.recordings.recording import load_recording
 from hypose.io.sensors.depth import read_depth_png
 from hypose.pipeline.recording_diagnostics import Refinement
 from hypose.synthetic.write_recording import walking_scene, write_depth_scene
+from tests.app.conftest import fails
 
 
 def test_the_command_writes_evidence_in_step(hypose, tiny, tmp_path):
@@ -42,8 +43,8 @@ def test_depth_maps_are_brought_in_step(hypose, tmp_path):
 
 def test_an_existing_calibration_is_never_overwritten(hypose, recording):
     before = (recording / "calibration.toml").read_bytes()
-    code, _, err = hypose("check", recording, "--refine", "--to", recording / "calibration.toml")
-    assert code == 2 and "never overwritten" in err
+    refused = hypose("check", recording, "--refine", "--to", recording / "calibration.toml")
+    fails(refused, "never overwritten")
     assert (recording / "calibration.toml").read_bytes() == before
 
 

@@ -8,10 +8,11 @@ import pytest
 
 from benchmarks.synthetic.skeleton_folders import write_folder
 from hypose.fusion.joints import COMMON, MIRROR
-from hypose.geometry import transform
+from hypose.geometry import procrustes, transform
 from hypose.io.motions.marker_files import read_trc
 from hypose.io.motions.results import load_motion
 from hypose.io.sensors.skeleton_streams import SkeletonRecording, StreamRows, build_stream
+from tests.app.conftest import fails
 from tests.depth_sensors import camera, places, walker
 
 ANGLES = (0, 60, -60)
@@ -32,8 +33,6 @@ def recorded(rng, people=1, seconds=5.0, starts=(0.0, 0.0, 0.0), common=True, ra
 
 def truth_in_world(motion, place=(0.0, 0.0), phase=0.0):
     """Truth on the motion's frames, moved onto it as a whole: the world's origin is below the reference sensor."""
-    from hypose.geometry import procrustes
-
     order = [COMMON.index(n) for n in motion.skeleton.joint_names]
     true = np.stack([walker(t, place, phase)[order] for t in motion.times])
     moved, _ = procrustes(true.reshape(-1, 3), motion.joints.reshape(-1, 3))
@@ -43,36 +42,38 @@ def truth_in_world(motion, place=(0.0, 0.0), phase=0.0):
 # ---- recorded ----
 
 
+def fused(hypose, recording, folder, *options, code=0):
+    """What `hypose fuse` printed, the motion and the folder of its results."""
+    write_folder(recording, folder)
+    ended, out, err = hypose("fuse", folder, *options)
+    assert ended == code, out + err
+    (results,) = (folder / "results").iterdir()
+    return out + err, load_motion(results / "motion.npz"), results
+
+
+def error(motion, *where):
+    return np.linalg.norm(motion.joints - truth_in_world(motion, *where), axis=-1)
+
+
+def assessment(results):
+    return json.loads((results / "assessment.json").read_text())
+
+
 def test_a_recording_becomes_a_motion_and_its_files(hypose, rng, tmp_path):
-    write_folder(recorded(rng), tmp_path / "rec")
-    code, out, err = hypose("fuse", tmp_path / "rec", "--diagnose")
-    assert code == 0, err
-    results = tmp_path / "rec" / "results" / "fuse-fit"
-    names = {
-        "motion.npz",
-        "motion.trc",
-        "motion.c3d",
-        "joints.csv",
-        "sensors.csv",
-        "provenance.json",
-        "assessment.json",
-    }
-    assert {p.name for p in results.iterdir()} == names
-    motion = load_motion(results / "motion.npz")
-    assert len(motion) == 150 and motion.frame_rate == pytest.approx(30)
-    error = np.linalg.norm(motion.joints - truth_in_world(motion), axis=-1)
-    assert error.mean() < 0.02
+    said, motion, results = fused(hypose, recorded(rng), tmp_path / "rec", "--diagnose")
+    names = {"motion.npz", "motion.trc", "motion.c3d", "joints.csv", "sensors.csv", "provenance.json"}
+    assert results.name == "fuse-fit" and {p.name for p in results.iterdir()} == {*names, "assessment.json"}
+    assert len(motion) == 150 and motion.frame_rate == pytest.approx(30) and error(motion).mean() < 0.02
     # z up, the floor at 0
-    feet = motion.joints[:, [motion.skeleton.joint("left_foot"), motion.skeleton.joint("right_foot")], 2]
-    assert 0 < np.median(feet) < 0.2
-    assert 1.5 < np.median(motion.joints[:, motion.skeleton.joint("head"), 2]) < 1.8
+    height = {n: np.median(motion.joints[:, motion.skeleton.joint(n), 2]) for n in ("left_foot", "right_foot", "head")}
+    assert 0 < height["left_foot"] < 0.2 and 0 < height["right_foot"] < 0.2 and 1.5 < height["head"] < 1.8
     assert read_trc(results / "motion.trc").points.shape == (150, 15, 3)
     record = json.loads((results / "provenance.json").read_text())
     assert set(record["inputs"]) == {"session.json", "frames.csv", "skeleton.csv"}
     header = (results / "sensors.csv").read_text().splitlines()[0]
     assert "left_hand:s1" in header and "swarm:left_hand:s1" in header
-    assert "150 frames of 3 sensors at 30 Hz" in out
-    assert "Assessment: Good" in out and json.loads((results / "assessment.json").read_text())["assessment"] == "good"
+    assert "150 frames of 3 sensors at 30 Hz" in said
+    assert "Assessment: Good" in said and assessment(results)["assessment"] == "good"
 
 
 def changed(recording, number, change):
@@ -101,10 +102,8 @@ def test_an_arm_that_the_sensors_see_in_different_places_is_worth_a_look(hypose,
         return change
 
     recording = changed(changed(recorded(rng), 1, elsewhere([0.15, 0.1, 0])), 0, elsewhere([0, -0.15, 0.1]))
-    write_folder(recording, tmp_path / "rec")
-    assert hypose("fuse", tmp_path / "rec")[0] == 0
-    results = tmp_path / "rec" / "results" / "fuse-fit"
-    kept, motion = json.loads((results / "assessment.json").read_text()), load_motion(results / "motion.npz")
+    _, motion, results = fused(hypose, recording, tmp_path / "rec")
+    kept = assessment(results)
     assert kept["assessment"] == "look" and "left hand may be wrong there" in kept["sentence"]
     assert all(58 <= begin and end <= 95 for begin, end in kept["frames"])
     hand = motion.error_probability[:, motion.skeleton.joint("left_hand")]
@@ -120,49 +119,33 @@ def test_an_arm_that_the_sensors_see_in_different_places_is_worth_a_look(hypose,
     ],
 )
 def test_what_is_no_person_or_not_the_same_is_not_to_be_trusted(hypose, rng, tmp_path, number, change, words):
-    write_folder(changed(recorded(rng, seconds=6), number, change), tmp_path / "rec")
-    code, out, err = hypose("fuse", tmp_path / "rec", "--formats", "csv")
-    assert code == 3, err
-    assert words in out.split("Assessment: Not to be trusted")[1]
-    kept = json.loads((tmp_path / "rec" / "results" / "fuse-fit" / "assessment.json").read_text())
-    assert kept["assessment"] == "not to be trusted"
+    recording = changed(recorded(rng, seconds=6), number, change)
+    said, _, results = fused(hypose, recording, tmp_path / "rec", "--formats", "csv", code=3)
+    assert words in said.split("Assessment: Not to be trusted")[1]
+    assert assessment(results)["assessment"] == "not to be trusted"
 
 
 @pytest.mark.parametrize("method", ["swarm", "published"])
 def test_other_methods(hypose, rng, tmp_path, method):
-    write_folder(recorded(rng, seconds=2), tmp_path / "rec")
-    code, _, err = hypose("fuse", tmp_path / "rec", "--method", method, "--formats", "csv", "--rate", "25")
-    assert code == 0, err
-    motion = load_motion(tmp_path / "rec" / "results" / f"fuse-{method}" / "motion.npz")
-    assert motion.frame_rate == pytest.approx(25)
-    assert np.linalg.norm(motion.joints - truth_in_world(motion), axis=-1).mean() < 0.05
+    given = ("--method", method, "--formats", "csv", "--rate", "25")
+    _, motion, results = fused(hypose, recorded(rng, seconds=2), tmp_path / "rec", *given)
+    assert results.name == f"fuse-{method}" and motion.frame_rate == pytest.approx(25)
+    assert error(motion).mean() < 0.05
 
 
 def test_persons_get_a_folder_each(hypose, rng, tmp_path):
     write_folder(recorded(rng, people=3, seconds=4), tmp_path / "rec")
     code, out, err = hypose("fuse", tmp_path / "rec", "--out", tmp_path / "out", "--formats", "trc")
     assert code == 0, err
-    assert {p.name for p in (tmp_path / "out").iterdir()} == {"person-1", "person-2", "person-3"}
-    found = set()
-    for n in (1, 2, 3):
-        motion = load_motion(tmp_path / "out" / f"person-{n}" / "motion.npz")
-        best = [
-            np.linalg.norm(motion.joints - truth_in_world(motion, places(3)[p], 1.3 * p), axis=-1).mean()
-            for p in range(3)
-        ]
-        found.add(int(np.argmin(best)))
-        assert min(best) < 0.025
-    assert found == {0, 1, 2}
+    motions = [load_motion(tmp_path / "out" / f"person-{n}" / "motion.npz") for n in (1, 2, 3)]
+    off = np.array([[error(m, places(3)[p], 1.3 * p).mean() for p in range(3)] for m in motions])
+    assert sorted(off.argmin(1)) == [0, 1, 2] and off.min(1).max() < 0.025
 
 
 def test_own_clocks_are_set_by_the_movement(hypose, rng, tmp_path):
-    write_folder(recorded(rng, seconds=12, starts=(0.0, 1000.4, -77.7), common=False), tmp_path / "rec")
-    code, _, err = hypose("fuse", tmp_path / "rec", "--formats", "csv")
-    assert code == 0, err
-    assert err.count("clock was set by the movement") == 2
-    motion = load_motion(tmp_path / "rec" / "results" / "fuse-fit" / "motion.npz")
-    inside = slice(30, 300)
-    assert np.linalg.norm(motion.joints - truth_in_world(motion), axis=-1)[inside].mean() < 0.025
+    recording = recorded(rng, seconds=12, starts=(0.0, 1000.4, -77.7), common=False)
+    said, motion, _ = fused(hypose, recording, tmp_path / "rec", "--formats", "csv")
+    assert said.count("clock was set by the movement") == 2 and error(motion)[30:300].mean() < 0.025
 
 
 def test_a_real_recording(hypose, shared_data, tmp_path):
@@ -174,9 +157,6 @@ def test_a_real_recording(hypose, shared_data, tmp_path):
 
 def test_recordings_of_different_persons_are_refused(hypose, rng, tmp_path):
     made = recorded(rng, seconds=3)
-    from dataclasses import replace
-
     child = replace(made.streams[1], positions=0.6 * made.streams[1].positions)
     write_folder(replace(made, streams=(made.streams[0], child)), tmp_path / "rec")
-    code, _, err = hypose("fuse", tmp_path / "rec")
-    assert code == 2 and "do not seem to see the same person" in err
+    fails(hypose("fuse", tmp_path / "rec"), "do not seem to see the same person")

@@ -35,7 +35,7 @@ def lines_at(t, token=""):
     for k, angle in enumerate(ANGLES):
         joints = transform(camera(angle), walker(t))
         report = SensorReport(f"s{k}", t + 100 * k, 0, COMMON, joints, np.full(15, 2, np.uint8))
-        yield format_line(report, token).encode()
+        yield json.dumps(json.loads(format_line(report)) | ({"token": token} if token else {})).encode()
 
 
 class Clock:

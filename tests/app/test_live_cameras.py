@@ -32,7 +32,7 @@ def calibration(tmp_path):
     ("arguments", "fragments"),
     [
         *((("--source", s), ("give CAMERA=WHERE, for example --source cam1=0",)) for s in ("cam1", "=0", "cam1=", "")),
-        (("--source", "cam1=0", "--source", "cam1=1"), ("--source cam1 is given twice",)),
+        (("--source", "cam1=0", "--source", "cam1=1"), ("--source cam1=1 is not possible", "each once")),
         (("--source", "left=0"), ("There is no camera left", "cam1, cam2, cam3, cam4")),
         ((), ("Where are the cameras of", "--source cam1=0", "cam1, cam2, cam3, cam4")),
         (("--source", "cam1=0", "--ws", 0), ("needs two cameras or more", "--source: cam2")),

@@ -1,6 +1,7 @@
 """A run in which nobody was found does not end well: one sentence, exit code 2, and what was computed stays on disk."""
 
 import json
+import re
 import shutil
 from dataclasses import replace
 
@@ -9,10 +10,11 @@ import numpy as np
 import pytest
 
 from benchmarks.robustness.small_recordings import small_scene, write_masks, write_skeletons
+from hypose.app.batch import ordered_tasks, run_task, wanted
 from hypose.app.jobs import fuse_job
 from hypose.errors import EvidenceError
 from hypose.io.keypoints.detectors import OwnDetector
-from hypose.io.motions.results import load_motion
+from hypose.io.motions.results import load_motion, save_motion
 from hypose.io.recordings.recording import load_recording
 from hypose.pipeline import track as one_person
 from hypose.pipeline.detect_keypoints import detect_keypoints
@@ -44,19 +46,20 @@ def lost(result):
     return replace(result, motion=replace(motion, lost=np.ones(len(motion), dtype=bool)))
 
 
-def test_track_that_lost_all_frames(hypose, masks, tmp_path, monkeypatch):
+@pytest.fixture
+def all_lost(monkeypatch):
+    """Tracking finds the person in no frame."""
     whole = one_person.track_source
     monkeypatch.setattr(one_person, "track_source", lambda *a, **k: lost(whole(*a, **k)))
+
+
+def test_track_that_lost_all_frames(hypose, masks, tmp_path, all_lost):
     ran = hypose("track", masks, "--out", tmp_path / "out", "--formats", "csv", "--no-overlay", "--no-smooth")
     fails(ran, "walk: the person was found in none of 3 frames", str(tmp_path / "out"), "hypose check")
     assert (tmp_path / "out" / "report.html").is_file() and (tmp_path / "out" / "joints.csv").is_file()
 
 
-def test_batch_says_that_a_task_found_nobody(masks, tmp_path, monkeypatch):
-    from hypose.app.batch import ordered_tasks, run_task, wanted
-
-    whole = one_person.track_source
-    monkeypatch.setattr(one_person, "track_source", lambda *a, **k: lost(whole(*a, **k)))
+def test_batch_says_that_a_task_found_no_person(masks, tmp_path, all_lost):
     tasks, _ = ordered_tasks(wanted([masks]), tmp_path / "out")
     figures = run_task(tasks[0], tmp_path / "stop", lambda done: None)
     assert figures["state"] == "failed" and "found in none of 3 frames" in figures["message"]
@@ -82,11 +85,10 @@ def test_check_without_anybody(hypose, spoilt):
     assert (folder / "results" / "check.png").is_file()
 
 
-def test_sync_of_somebody_who_stands_still(hypose, tmp_path):
+def test_sync_of_a_person_who_stands_still(hypose, tmp_path):
     folder = write_masks(small_scene(0, 30), tmp_path / "still")
-    for view in folder.glob("cam*"):
-        for path in sorted(view.glob("*.png"))[1:]:
-            shutil.copy(view / "00000.png", path)
+    for path in folder.glob("cam*/*.png"):
+        path.write_bytes(path.with_name("00000.png").read_bytes())
     fails(hypose("sync", folder), "no motion in common", "--by sound")
 
 
@@ -133,10 +135,9 @@ def test_of_labelled_things_the_person_is_found(hypose, masks, spoilt, tmp_path)
 def without_room(recording):
     """A recording without backgrounds, too short for the person to leave their place."""
     toml = recording / "recording.toml"
-    lines = toml.read_text().splitlines()
-    kept = [line for line in lines if not line.startswith("background")]
-    assert len(kept) < len(lines)
-    toml.write_text("\n".join(kept) + "\n")
+    text, found = re.subn(r"(?m)^background.*\n", "", toml.read_text())
+    assert found
+    toml.write_text(text)
     return recording
 
 
@@ -153,3 +154,21 @@ def test_check_says_first_that_there_is_no_empty_room(hypose, without_room):
     code, out, _ = hypose("check", without_room)
     assert code == 1 and " ".join(out.split()).count("warning: No view has a picture of the empty room") == 1
     assert "or the other way round" not in out and "degrees and" not in out
+
+
+def test_milliseconds_are_not_taken_for_seconds(hypose, tmp_path):
+    folder = write_skeletons(tmp_path / "rec", seconds=1.0)
+    rows = [line.split(",") for line in (folder / "frames.csv").read_text().splitlines()]
+    late = [rows[0], *([s, n, f"{1000 * float(t):.1f}"] for s, n, t in rows[1:])]
+    (folder / "frames.csv").write_text("\n".join(map(",".join, late)) + "\n")
+    apart = "the frames of the sensor sensor0 lie 33.3 s apart, and times are seconds"
+    fails(hypose("fuse", folder), apart, "divide milliseconds by 1000")
+
+
+def test_a_result_of_no_frames_has_no_report(hypose, tracked, tmp_path):
+    motion = load_motion(tracked / "motion.npz")
+    none = {name: v[:0] for name, v in vars(motion).items() if isinstance(v, np.ndarray) and len(v) == len(motion)}
+    save_motion(replace(motion, **none), tmp_path / "motion.npz")
+    for given in (tmp_path / "motion.npz", tmp_path):
+        fails(hypose("report", given), "no frames")
+    assert not (tmp_path / "report.html").exists()

@@ -6,54 +6,29 @@ import ezc3d
 import numpy as np
 import pytest
 
-from hypose.app.commands import console
 from hypose.app.jobs.job import DESCRIPTIONS
 from hypose.io.motions.marker_files import read_trc
 from hypose.io.motions.results import load_body, load_motion
 from hypose.io.videos.video import open_video
 from hypose.synthetic.metrics import joint_errors
+from tests.app.conftest import fails
 
 LIGHT = ("--no-overlay", "--formats", "trc")
 
 
-def interrupt_at(monkeypatch, stage, done):
-    """Ctrl-C when the progress of `stage` reaches `done`."""
-    shown = console.Stages.__call__
-
-    def call(self, now, count, total):
-        if (now, count) == (stage, done):
-            raise KeyboardInterrupt
-        shown(self, now, count, total)
-
-    monkeypatch.setattr(console.Stages, "__call__", call)
-
-
-def test_every_file_of_the_results_folder_is_written(tracked):
+def test_the_files_of_a_result_are_of_the_recorded_motion(tracked, tiny):
     assert {p.name for p in tracked.iterdir()} == set(DESCRIPTIONS) - {"modes.npz"}  # several cameras have one mode
-
-
-def test_the_motion_is_that_of_the_recording(tracked, tiny):
     motion = load_motion(tracked / "motion.npz")
     assert len(motion) == 8 and motion.frame_rate == pytest.approx(25)
     assert not motion.lost.any() and not motion.extrapolated.any()
     with np.load(tiny / "truth.npz") as truth:
-        errors = joint_errors(motion.joints, truth["joints"])
-    assert errors.mean() < 0.08  # the person is 60 px tall
-
-
-def test_motion_files_agree_with_the_motion(tracked):
-    motion = load_motion(tracked / "motion.npz")
-    c3d = ezc3d.c3d(str(tracked / "motion.c3d"))
-    points = c3d["data"]["points"][:3].transpose(2, 1, 0) / 1000
+        assert joint_errors(motion.joints, truth["joints"]).mean() < 0.08  # the person is 60 px tall
+    points = ezc3d.c3d(str(tracked / "motion.c3d"))["data"]["points"][:3].transpose(2, 1, 0) / 1000
     np.testing.assert_allclose(points, motion.joints, atol=1e-6)
     assert read_trc(tracked / "motion.trc").points.shape == motion.joints.shape
     assert load_body(tracked / "body.npz").skeleton.joint_names == motion.skeleton.joint_names
-
-
-def test_the_overlay_has_every_frame(tracked):
     with open_video(tracked / "overlay.mp4") as video:
-        assert video.n_frames == 8
-        assert video.size == (320, 266)
+        assert (video.n_frames, video.size) == (8, (320, 266))
 
 
 def test_the_closing_lines_tell_what_came_out(hypose, tiny, tmp_path):
@@ -81,38 +56,29 @@ def test_export_writes_the_chosen_formats_again(hypose, tracked, tmp_path):
     assert str(tmp_path / "motion.bvh") in out
 
 
-def test_ctrl_c_before_the_first_frame_keeps_nothing_and_says_so(hypose, tiny, tmp_path, monkeypatch):
-    interrupt_at(monkeypatch, "track", 0)
-    code, out, _ = hypose("track", tiny, "--out", tmp_path / "out", *LIGHT)
-    assert code == 130
-    assert "nothing was kept" in out
+def test_ctrl_c_before_the_first_frame_keeps_nothing_and_says_so(interrupted, tiny, tmp_path):
+    code, out, _ = interrupted("track", 0, "track", tiny, "--out", tmp_path / "out", *LIGHT)
+    assert code == 130 and "nothing was kept" in out
 
 
 @pytest.mark.slow
 def test_ctrl_c_after_tracking_keeps_the_motion_and_resume_writes_the_rest(
-    hypose, tiny, tracked, tmp_path, monkeypatch
+    hypose, interrupted, tiny, tracked, tmp_path
 ):
     arguments = ("track", tiny, "--out", tmp_path / "out")
-    with monkeypatch.context() as patch:
-        interrupt_at(patch, "overlay", 3)
-        code, out, _ = hypose(*arguments)
-    assert code == 130 and "motion is complete" in out
-    assert not (tmp_path / "out" / "overlay.mp4").exists()
+    code, out, _ = interrupted("overlay", 3, *arguments)
+    assert code == 130 and "motion is complete" in out and not (tmp_path / "out" / "overlay.mp4").exists()
     code, _, err = hypose(*arguments, "--resume")
-    assert code == 0, err
-    assert "Track:" not in err  # it was not tracked again
+    assert code == 0 and "Track:" not in err  # it was not tracked again
     assert (tmp_path / "out" / "motion.npz").read_bytes() == (tracked / "motion.npz").read_bytes()
     assert {p.name for p in (tmp_path / "out").iterdir()} == set(DESCRIPTIONS) - {"modes.npz"}  # of one camera only
 
 
-def test_resume_with_other_settings_is_refused(hypose, tiny, tmp_path, monkeypatch):
+def test_resume_with_other_settings_is_refused(hypose, interrupted, tiny, tmp_path):
     arguments = ("track", tiny, "--out", tmp_path / "out", "--frames", ":2", *LIGHT)
-    with monkeypatch.context() as patch:
-        interrupt_at(patch, "track", 1)
-        assert hypose(*arguments)[0] == 130
-    code, _, err = hypose(*arguments, "--resume", "--seed", "7")
-    assert code == 2
-    assert "belongs to another run: seed" in err and "run again without --resume" in err
+    assert interrupted("track", 1, *arguments)[0] == 130
+    refused = hypose(*arguments, "--resume", "--seed", "7")
+    fails(refused, "belongs to another run: seed", "run again without --resume")
 
 
 @pytest.mark.slow

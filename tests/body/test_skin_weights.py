@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from hypose.body.body import Body, Mesh
-from hypose.body.coarse_mesh import coarse_mesh, decimated, enclosed_volume, is_closed
+from hypose.body.body import Body, Mesh, enclosed_volume
+from hypose.body.coarse_mesh import coarse_mesh, decimated, is_closed
 from hypose.body.default_body import JOINT_NAMES, human
-from hypose.body.fit_skeleton import scan_pose
 from hypose.body.skin_weights import (
     body_bones,
     carried_weights,
@@ -15,6 +14,7 @@ from hypose.body.skin_weights import (
     vertex_normals,
 )
 from hypose.errors import InputError
+from hypose.pipeline.scan_fit import scan_pose
 
 LEFT_LEG, RIGHT_LEG = [13, 14, 15], [16, 17, 18]
 LEFT_ARM, RIGHT_ARM = [6, 7, 8], [10, 11, 12]

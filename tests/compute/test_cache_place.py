@@ -56,16 +56,6 @@ def test_the_order_is_the_variable_the_users_cache_a_temporary_folder_none(tmp_p
     ]
 
 
-def test_a_home_that_no_shell_has_read_is_the_home(tmp_path, choose):
-    assert choose("~/cache") == tmp_path / "home" / "cache"
-
-
-def test_a_missing_home_is_not_made(tmp_path, choose):
-    (tmp_path / "home").rmdir()
-    assert choose().parent == tmp_path / "tmp"
-    assert not (tmp_path / "home").exists()
-
-
 def test_a_variable_that_cannot_be_used_is_told_and_passed_over(tmp_path, choose, caplog):
     (tmp_path / "file").write_text("")
     assert choose(tmp_path / "file" / "below") == tmp_path / "home" / ".cache" / "hypose"

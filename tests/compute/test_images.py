@@ -11,29 +11,8 @@ from hypose.errors import InputError
 def lens_of(stored, working, bend=0.1, shift=0.3):
     x, y = np.meshgrid(np.arange(working[0]), np.arange(working[1]))
     r2 = ((x - working[0] / 2) ** 2 + (y - working[1] / 2) ** 2) / working[0] ** 2
-    return picture_to_mask.make_lens(
-        stored, x + (x - working[0] / 2) * bend * r2 + shift, y + (y - working[1] / 2) * bend * r2
-    ), (x, y, r2)
-
-
-def shrunk(image, lens):
-    """The definition of `shrink_undistort`: area averages in whole numbers, then bilinear in 1024ths."""
-    half, shift, factor, last_half, last_shift = lens.rounding.astype(np.uint64)
-    h, w = lens.corner.shape
-    lines = sum(
-        lens.row_weights[:, k, None, None] * image[lens.rows + k].astype(np.uint64)
-        for k in range(lens.row_weights.shape[1])
-    )
-    lines = (lines + half) >> shift
-    total = sum(
-        lens.column_weights[:, k, None].astype(np.uint64) * lines[:, lens.columns + k]
-        for k in range(lens.column_weights.shape[1])
-    )
-    small = np.zeros((h + 3, w + 3, 3), np.int32)
-    small[1 : h + 1, 1 : w + 1] = (total * factor + last_half) >> last_shift
-    flat, shares = small.reshape(-1, 3), picture_to_mask._SHARES[lens.part].astype(np.int32)
-    beside = enumerate((0, 1, w + 3, w + 4))
-    return ((sum(shares[..., k, None] * flat[lens.corner + b] for k, b in beside) + 512) >> 10).astype(np.uint8)
+    maps = x + (x - working[0] / 2) * bend * r2 + shift, y + (y - working[1] / 2) * bend * r2
+    return picture_to_mask.make_lens(stored, *maps), maps
 
 
 def not_the_room(image, room, box):
@@ -56,27 +35,19 @@ def not_the_room(image, room, box):
 
 @pytest.mark.parametrize("stored", [(240, 180), (160, 120), (108, 121), (80, 60), (97, 60), (960, 61), (85, 660)])
 @pytest.mark.parametrize("bend", [0.0, 0.1, -0.3])
-def test_undistorted_pictures_are_those_of_the_definition(rng, stored, bend):
-    lens, _ = lens_of(stored, (80, 60), bend, 0.0 if bend == 0 else 0.3)
+def test_undistorted_pictures_are_those_of_opencv(rng, stored, bend):
+    lens, maps = lens_of(stored, (80, 60), bend, 0.0 if bend == 0 else 0.3)
     assert lens.straight == (bend == 0)
     picture = rng.integers(0, 256, (stored[1], stored[0], 3), dtype=np.uint8)
+    shrunk = cv2.resize(picture, (80, 60), interpolation=cv2.INTER_AREA)
+    other = cv2.remap(shrunk, *(m.astype(np.float32) for m in maps), cv2.INTER_LINEAR)
     fast = picture_to_mask.shrink_undistort(picture, lens)
-    assert np.array_equal(fast, shrunk(picture, lens))
+    difference = np.abs(other.astype(int) - fast)
+    assert difference.mean() < 0.6 and np.percentile(difference, 99.9) <= 4
+    flat = np.full((stored[1], stored[0], 3), 200, np.uint8)
+    assert set(np.unique(picture_to_mask.shrink_undistort(flat, lens)[8:-8, 8:-8])) <= {200}
     y0, y1, x0, x1 = box = (7, 41, 13, 64)
     assert np.array_equal(picture_to_mask.shrink_undistort(picture, lens, box)[y0:y1, x0:x1], fast[y0:y1, x0:x1])
-
-
-def test_undistorted_pictures_are_those_of_opencv(rng):
-    lens, (x, y, r2) = lens_of((322, 243), (240, 180))
-    picture = rng.integers(0, 256, (243, 322, 3), dtype=np.uint8)
-    maps = [(a + (a - n / 2) * 0.1 * r2 + s).astype(np.float32) for a, n, s in ((x, 240, 0.3), (y, 180, 0.3))]
-    lens = picture_to_mask.make_lens((322, 243), *maps)
-    shrunk = cv2.resize(picture, (240, 180), interpolation=cv2.INTER_AREA)
-    other = cv2.remap(shrunk, *maps, cv2.INTER_LINEAR)
-    difference = np.abs(other.astype(int) - picture_to_mask.shrink_undistort(picture, lens))
-    assert difference.mean() < 0.6 and np.percentile(difference, 99.9) <= 4
-    flat = np.full((243, 322, 3), 200, np.uint8)
-    assert set(np.unique(picture_to_mask.shrink_undistort(flat, lens)[5:-5, 5:-5])) <= {200}
 
 
 def test_pictures_of_another_size_are_refused():
@@ -97,19 +68,9 @@ def test_what_is_not_the_room_is_that_of_the_definition(rng, shadow, size):
     picture[h // 3 : h // 2, w // 5 : w // 2] = rng.integers(0, 256, (h // 2 - h // 3, w // 2 - w // 5, 3))
     low, high = np.clip(mean - 20, 0, 255).astype(np.uint8), np.clip(mean + 20, 0, 255).astype(np.uint8)
     room = picture_to_mask.BackgroundLevels(low, high, mean, shadow, 0.45, 0.97, 144.0)
-    other = ((picture < low) | (picture > high)).any(2)
     for box in (None, (h // 9, 2 * h // 3, w // 6, 4 * w // 5)):
-        fast = picture_to_mask.not_the_room(picture, room, box)
-        assert np.array_equal(mask_runs.mask_of(fast, w), not_the_room(picture, room, box))
-        y0, y1, x0, x1 = box or (0, h, 0, w)
-        inside = np.zeros((h, w), np.bool_)
-        inside[y0:y1, x0:x1] = other[y0:y1, x0:x1]
-        mask = mask_runs.draw(mask_runs.clean(fast, (h, w), mask_runs.Cleaning()))
-        if shadow:
-            assert (mask <= inside).all() and 0 < mask.sum()
-            assert mask.sum() < inside.sum() or size == (15, 9)  # too small for an area of shadow
-        else:
-            assert np.array_equal(mask, inside)
+        fast = mask_runs.mask_of(picture_to_mask.not_the_room(picture, room, box), w)
+        assert fast.any() and np.array_equal(fast, not_the_room(picture, room, box))
 
 
 @pytest.mark.parametrize("hide", [False, True])

@@ -51,16 +51,6 @@ def test_a_kernel_is_compiled_once_and_found_again(place, caplog):
     assert not caplog.records
 
 
-def test_what_calls_a_kernel_from_disk_has_a_copy_of_its_own(place):
-    compiled_anew()
-    found = compiled.kernel(add)
-    assert found(2.0, 3.0) == 5.0 and not found.stats.cache_misses
-    caller = compiled.kernel(lambda a: found(a, 1.0) + found(a, a))
-    assert caller(2.0) == 7.0 and not found.stats.cache_misses
-    again = compiled.kernel(caller.py_func)
-    assert again(2.0) == 7.0 and not again.stats.cache_misses
-
-
 def _flip(data):
     changed = bytearray(data)
     changed[len(data) // 2] ^= 1
@@ -114,12 +104,6 @@ def test_a_full_disk_leaves_no_half_file(place, caplog, monkeypatch):
     assert compiled_anew() == (5.0, True)
     assert files(place) == []
     assert "no space left" in caplog.text
-
-
-def test_without_a_place_kernels_are_compiled_in_every_process(monkeypatch):
-    monkeypatch.setattr(compiled, "cache_folder", lambda: None)
-    assert compiled_anew() == (5.0, True)
-    assert compiled_anew() == (5.0, True)
 
 
 def test_files_that_have_not_been_used_for_long_are_removed(place):

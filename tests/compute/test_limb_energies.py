@@ -5,7 +5,6 @@ import pytest
 
 from hypose.compute.arrays import prepare_masks
 from hypose.compute.scorer import limb_energies, silhouette_xor
-from tests import reference
 from tests.capsule_person import random_pose, ring
 from tests.compute.conftest import prepared_masks
 
@@ -34,15 +33,16 @@ def all_energies(body, poses, moving, prepared):
     return (counts[:, use, 0] / prepared.norm[use]).sum(1)
 
 
-@pytest.mark.parametrize("slack", [1.0, 1.04, 100.0])
+@pytest.mark.parametrize(("slack", "more"), [(1.0, 0.0), (1.0, -0.01), (1.04, 0.02), (100.0, 0.0)])
 @pytest.mark.parametrize("joints", [ARM, ("right_hip", "right_knee"), ("pelvis",)])
-def test_who_is_told_has_the_energy_of_the_scorer_and_who_is_not_is_worse(body, rng, joints, slack):
+def test_poses_have_the_energy_of_the_scorer_or_are_worse_than_the_limit(body, rng, joints, slack, more):
     poses, moving, prepared = scene(body, rng, joints=joints)
-    found, known = energies(body, poses, moving, prepared, slack=slack), all_energies(body, poses, moving, prepared)
-    told = np.isfinite(found)
-    np.testing.assert_array_equal(found[told], known[told])
-    assert (known[~told] > slack * known[0]).all()
-    assert told.all() if slack == 100 else (~told).sum() > 50
+    found = energies(body, poses, moving, prepared, slack=slack, more=more)
+    known = all_energies(body, poses, moving, prepared)
+    computed = np.isfinite(found)
+    np.testing.assert_array_equal(found[computed], known[computed])
+    assert (known[~computed] > slack * known[0] + more).all()
+    assert computed.all() if slack == 100 else (~computed).sum() > 20
     assert found.argmin() == known.argmin()
 
 
@@ -55,20 +55,3 @@ def test_pixels_that_say_nothing_bound_nothing(body, rng):
     told = np.isfinite(found)
     np.testing.assert_array_equal(found[told], known[told])
     assert (known[~told] > known[0]).all() and (~told).any()
-
-
-def test_the_definition_measures_everybody(body, rng):
-    poses, moving, prepared = scene(body, rng, n=20)
-    counts = reference.silhouette_xor(poses, body.skeleton.tree, body.coarse.arrays, prepared)
-    slow = (counts[..., 0] / prepared.norm).sum(1)
-    found = energies(body, poses, moving, prepared, slack=100.0)
-    np.testing.assert_allclose(found, slow, atol=0.05)
-
-
-@pytest.mark.parametrize("more", [-0.01, 0.02])
-def test_what_may_be_added_to_the_first_ones_energy_counts(body, rng, more):
-    poses, moving, prepared = scene(body, rng)
-    found, known = energies(body, poses, moving, prepared, more=more), all_energies(body, poses, moving, prepared)
-    told = np.isfinite(found)
-    np.testing.assert_array_equal(found[told], known[told])
-    assert told[0] and (known[~told] > known[0] + more).all() and (~told).sum() > 20

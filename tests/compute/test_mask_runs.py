@@ -50,15 +50,6 @@ def test_masks_come_back(rng, size):
         assert np.array_equal(beyond, np.pad(mask, ((2, 1), (1, 4))))
 
 
-@pytest.mark.parametrize("size", SIZES)
-def test_bits_are_the_same_however_a_mask_lies_in_memory(rng, size):
-    for mask in masks(rng, size):
-        locked = mask.copy()
-        locked.flags.writeable = False
-        for other in (np.asfortranarray(mask), mask[::-1, ::-1].copy()[::-1, ::-1], mask.astype(bool), locked):
-            assert np.array_equal(bits_of(other), bits_of(mask))
-
-
 def cleaned(mask, how):
     """The definition of `clean`, by OpenCV."""
     out, margin = np.zeros_like(mask), how.close_px + 1

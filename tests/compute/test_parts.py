@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from hypose.body.default_body import human
 from hypose.compute.mask_runs import mask_of
-from hypose.compute.parts import covered, draw_parts, parts_against_mask, projected
+from hypose.compute.parts import covered, draw_parts, parts_against_mask, touched_area
 
 PARTS = 5
 
@@ -85,27 +85,6 @@ def test_a_box_is_looked_at_in_steps(rng: np.random.Generator) -> None:
             assert found.tolist() == right
 
 
-def test_faces_cover_the_pixels_whose_centres_they_hold(rng: np.random.Generator) -> None:
-    x, y = np.meshgrid(np.arange(70), np.arange(40))
-    for _ in range(30):
-        a, b, c = uv = rng.uniform(-5, [75, 45], (3, 2))
-        side = [(q[0] - p[0]) * (y - p[1]) - (q[1] - p[1]) * (x - p[0]) for p, q in ((a, b), (b, c), (c, a))]
-        inside = np.all(np.array(side) >= 0, axis=0) | np.all(np.array(side) <= 0, axis=0)
-        face = np.array([[0, 1, 2]], np.int32)
-        np.testing.assert_array_equal(covered(uv, np.ones(3), face, (40, 70)), inside)
-
-
-def test_points_through_a_camera_and_what_they_reach() -> None:
-    projection = np.array([[500.0, 0, 320, 0], [0, 500, 240, 0], [0, 0, 1, 0]])
-    uv, z, reach = projected(np.array([[0.1, 0.2, 2], [-0.4, 0, 4], [0, 0, -1]]), projection)
-    np.testing.assert_allclose(uv[:2], [[345, 290], [270, 240]])
-    np.testing.assert_allclose(z, [2, 4, -1])
-    np.testing.assert_allclose(reach, [[270, 345], [240, 290]])
-    assert np.isnan(uv[2]).all()
-    nothing = projected(np.array([[0.0, 0, -1]]), projection)[2]
-    assert (nothing[:, 0] > nothing[:, 1]).all()
-
-
 def test_of_a_closed_mesh_the_faces_that_turn_to_the_camera_cover_all(rng):
     body = human()
     for _ in range(8):
@@ -116,3 +95,13 @@ def test_of_a_closed_mesh_the_faces_that_turn_to_the_camera_cover_all(rng):
         every = covered(uv, z, body.fine.faces, (90, 100))
         assert every.sum() > 200
         np.testing.assert_array_equal(covered(uv, z, body.fine.faces, (90, 100), closed=True), every)
+
+
+def test_points_touch_the_connected_pieces_of_an_overlap() -> None:
+    mask = np.zeros((40, 70), np.uint8)
+    mask[5:10, 5:10], mask[10, 10], mask[20:30, 30:60] = 1, 1, 1  # the second is connected over a corner
+    bits, every = (np.packbits(m, axis=1, bitorder="little") for m in (mask, np.ones_like(mask)))
+    at = np.array([[6.0, 6], [69, 39], [-1, 7], [np.nan, 7]])
+    assert touched_area(bits, every, (70, 40), 1, at) == (26, 300)
+    assert touched_area(bits, every, (70, 40), 1, at[1:]) == (0, 300)
+    assert touched_area(bits, every, (70, 40), 2, at[1:]) == (0, 75)

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from hypose.compute import lane_mesh, reach
-from hypose.compute.arrays import Standing, prepare_masks
 from hypose.compute.scorer import silhouette_xor
 from tests import reference
 from tests.capsule_person import random_pose, ring
@@ -64,21 +63,6 @@ def test_the_rest_is_the_body_without_the_limb(body, rig, rng):
     assert (fast.counts[[0, 2], 0] < whole[[0, 2], 1]).all()
 
 
-def test_a_drawn_rest_changes_no_score_of_silhouettes(body, rig, rng):
-    poses = np.repeat(random_pose(body, rng)[None], 9, 0)
-    own = moving(body)[body.skeleton.tree.joint_of_dof]
-    poses[:, own] = np.stack([random_pose(body, rng) for _ in range(9)])[:, own]
-    prepared = prepared_masks(body, rig, random_pose(body, rng))
-    args = (poses, body.skeleton.tree, body.coarse.arrays, prepared)
-    rest = standing(body, poses[-1], prepared)
-    before = rest.bits.copy()
-    np.testing.assert_array_equal(
-        silhouette_xor(*args, moving=moving(body), rest=rest),
-        silhouette_xor(*args, moving=moving(body)),
-    )
-    np.testing.assert_array_equal(rest.bits, before)
-
-
 @pytest.mark.parametrize("usable", [(True, True, True), (False, True, True)])
 def test_points_are_scored_as_defined(body, rig, rng, usable):
     pose = random_pose(body, rng)
@@ -93,22 +77,3 @@ def test_points_are_scored_as_defined(body, rig, rng, usable):
     slow = scores(*args)
     np.testing.assert_allclose(fast, slow, atol=1e-12)
     assert slow.min() < 0 < slow.max()
-
-
-def test_a_point_counts_by_what_it_lies_on(body):
-    """One camera, one point each: off the mask, in the mask beside the rest of the body, on the rest, and not seen."""
-    rig = ring(1, f=210.0, size=(203, 230))
-    mask = np.zeros((1, 230, 203), np.uint8)
-    mask[0, 100:120, 80:120] = 1
-    prepared = prepare_masks(mask, np.array([True]), rig.sizes, rig.projections)
-    bits = np.zeros_like(prepared.bits)
-    bits[0, 100:120, 12] = 255  # columns 96 to 103
-    rest = Standing(bits, np.zeros((1, 2), np.int64))
-    camera = rig.projections[0]
-    pixels = {(90, 110): -2.0, (100, 110): 0.0, (50, 50): 2.0, (400, 110): 0.0}
-    centre = -np.linalg.solve(camera[:, :3], camera[:, 3])
-    points = np.stack([centre + 3 * np.linalg.solve(camera[:, :3], [u, v, 1.0]) for u, v in pixels])
-    scores = reach.score_points(points[:, None], np.array([2.0]), np.eye(3), np.zeros(3), prepared, rest)
-    np.testing.assert_array_equal(scores, list(pixels.values()))
-    behind = centre - 3 * np.linalg.solve(camera[:, :3], [50, 50, 1.0])
-    assert reach.score_points(behind[None, None], np.ones(1), np.eye(3), np.zeros(3), prepared, rest) == 0

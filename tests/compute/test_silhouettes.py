@@ -56,32 +56,6 @@ def test_counts_are_those_of_the_rasterizer(body, scene):
     np.testing.assert_array_equal(fast[..., 0], fast[..., 1] + scene[1].areas - 2 * fast[..., 2])
 
 
-def test_rasterized_silhouette_agrees_with_ray_casting(body, rig):
-    """An independent definition: a pixel is model when the ray through its centre hits the mesh."""
-    pose = body.skeleton.rest_pose()
-    pose[2] = 0.95
-    mask = masks_at(body, pose, rig)[0]
-    pixels = np.stack(np.meshgrid(np.arange(SIZE[0]), np.arange(20, 110, 6)), -1).reshape(-1, 2)
-    origin, direction = rig[0].rays(pixels)
-    a, b, c = (body.skin(pose)[body.coarse.faces[:, k]] for k in range(3))
-    # Moeller & Trumbore 1997
-    across = np.cross(direction[:, None], c - a)
-    scale = 1 / (across * (b - a)).sum(-1)
-    u = (across * (origin - a)).sum(-1) * scale
-    turned = np.cross(origin - a, b - a)
-    v = (direction @ turned.T) * scale
-    hits = ((u >= 0) & (v >= 0) & (u + v <= 1)).any(1)
-    assert (hits != mask[pixels[:, 1], pixels[:, 0]]).mean() < 0.002
-    assert 60 < hits.sum() < len(hits) / 2
-
-
-def test_boxes_restrict_the_counting(body, scene):
-    boxes = np.array([[20, 60, 30, 90], [-5, 200, 50, 500], [70, 60, 10, 20]])
-    slow, fast = both(body, scene[0][:4], scene[1], boxes=boxes)
-    assert np.abs(slow - fast).max() <= 2
-    np.testing.assert_array_equal(fast[:, 2], 0)
-
-
 def test_bodies_across_the_image_border(body, scene):
     poses = np.repeat(scene[0][:1], 9, 0)
     poses[:, :3] += [
@@ -127,14 +101,6 @@ def test_views_of_different_size_and_unusable_views(body, scene, rig):
     some = silhouette_xor(poses, tree, mesh, padded)
     np.testing.assert_array_equal(some[:, [0, 2]], whole[:, [0, 2]])
     np.testing.assert_array_equal(some[:, 1], 0)
-
-
-def test_same_counts_for_any_number_of_threads(body, scene):
-    poses = np.repeat(scene[0], 4, 0)
-    tree, mesh = body.skeleton.tree, body.coarse.arrays
-    one = silhouette_xor(poses, tree, mesh, scene[1], threads=1)
-    for threads in (2, 3, 5):
-        np.testing.assert_array_equal(silhouette_xor(poses, tree, mesh, scene[1], threads=threads), one)
 
 
 def test_signed_distance_and_outline_of_a_disc():

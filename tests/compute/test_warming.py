@@ -54,12 +54,6 @@ def test_where_nothing_can_be_kept_or_python_is_embedded_only_this_process_compi
     assert (here, others) == (["solver", "scorer"], []) and kept("solver") == (change[0] is sys)
 
 
-def test_what_could_not_be_kept_is_not_said_to_be_there(parts, monkeypatch):
-    monkeypatch.setitem(warming.KERNEL_GROUPS, "solver", (lambda: warming.failures.append(OSError()),))
-    warm_up("solver", load=False)
-    assert not kept("solver")
-
-
 @pytest.mark.skipif(not hasattr(os, "getuid"), reason="rights as on POSIX")
 def test_a_group_that_shares_a_cache_shares_what_is_compiled(tmp_path, monkeypatch):
     tmp_path.chmod(0o770)

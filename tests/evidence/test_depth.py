@@ -14,7 +14,7 @@ from hypose.evidence.depth_background import (
     person_on_floor,
     with_still_things,
 )
-from hypose.evidence.depth_evidence import Depth, DepthNoise, back_projected, in_world, surface_points
+from hypose.evidence.depth_evidence import Depth, surface_points
 from hypose.evidence.depth_floor import camera_on_floor
 from hypose.evidence.depth_people import space_behind
 from hypose.geometry import se3, se3_inverse
@@ -24,7 +24,7 @@ from hypose.synthetic.performance import assemble, moved
 from hypose.synthetic.scenes import look_at
 from hypose.synthetic.subjects import load_subjects
 from hypose.tracking.starts import known_pose
-from tests.depth_pictures import WALL_M, frame_of, seen_in_room, sensors
+from tests.depth_pictures import frame_of, seen_in_room, sensors
 
 
 def standing(place=(0.0, 0.0, 0.95)):
@@ -32,13 +32,6 @@ def standing(place=(0.0, 0.0, 0.95)):
     pose = known_pose(body, "standing")
     pose[:3] = place
     return body, pose
-
-
-def test_pixels_go_to_the_world_and_back(rng):
-    camera = sensors()[1]
-    points = rng.uniform((-0.4, -0.4, 0.3), (0.4, 0.4, 1.6), (50, 3))
-    uv, z = camera.project_pinhole(points), points @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
-    assert np.abs(in_world(camera, back_projected(camera, uv[:, 0], uv[:, 1], z)) - points).max() < 1e-9
 
 
 def test_points_lie_on_the_surface_that_the_sensor_sees():
@@ -55,27 +48,6 @@ def test_points_lie_on_the_surface_that_the_sensor_sees():
         ray = found.points[own] - camera.position
         assert ((found.normals[own] * ray).sum(1) < 0).all()
         assert np.abs(np.linalg.norm(found.normals[own], axis=1) - 1).max() < 1e-9
-
-
-def test_values_between_both_sides_of_an_edge_are_no_points():
-    body, pose = standing()
-    frame = frame_of(body, pose, sensors(1))
-    maps = frame.depth.maps.copy()
-    edge = (frame.depth.person[0] > 0) & (np.roll(frame.depth.person[0], 1, 1) == 0)
-    maps[0][edge] = 0.5 * (maps[0][edge] + WALL_M)
-    spoilt = Depth(maps, frame.depth.person, frame.depth.rig, frame.depth.usable)
-    clean = frame.depth.surface.points
-    for p in spoilt.surface.points:
-        assert np.linalg.norm(clean - p, axis=1).min() < 0.15
-    far = spoilt.surface.points @ spoilt.rig[0].camera_from_world[2, :3] + spoilt.rig[0].camera_from_world[2, 3]
-    assert far.max() < 3.2  # none hangs between the person and the wall
-
-
-def test_noise_grows_with_the_square_of_the_distance_and_at_grazing_angles():
-    noise = DepthNoise(0.001, 0.002)
-    assert noise.sd(2.0) == pytest.approx(0.009)
-    assert noise.sd(2.0, 0.5) == pytest.approx(0.018)
-    assert np.isfinite(noise.sd(2.0, 0.0))
 
 
 def test_a_view_without_depth_gives_no_points_and_wrong_shapes_are_named():

@@ -117,11 +117,6 @@ def test_triangulation_drops_one_wrong_view():
     assert np.array_equal(out[0], good[0])
 
 
-def test_triangulation_needs_frames():
-    with pytest.raises(InputError, match="at least one frame"):
-        triangulate_keypoints([])
-
-
 def test_landmarks_on_the_body():
     body = human()
     joint, offset, known = landmark_of(BODY_25, body)

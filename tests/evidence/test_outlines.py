@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hypose.evidence.frame import Frame, Silhouettes
-from hypose.evidence.outlines import WORKING_HEIGHT, outline_in_box, view_outline
+from hypose.evidence.outlines import WORKING_HEIGHT
 from hypose.evidence.prefetch import look_ahead, outlines
 from tests.capsule_person import ring
 
@@ -48,19 +48,3 @@ def test_shrunk_outlines_lie_where_the_whole_ones_do(factor):
         points = (small.points[c] + 0.5) * small.shrunk[c] - 0.5
         gap = np.linalg.norm(points[:, None] - whole.points[c][None], axis=-1).min(1)
         assert gap.max() < small.shrunk[c]
-
-
-@pytest.mark.parametrize("corner", [(0, 0), (121, 147), (60, 31)])
-def test_a_part_in_its_box_has_the_outline_that_it_has_in_the_picture(corner):
-    (y, x), part = corner, np.ones((80, 53), np.uint8)
-    part[:20, :11] = 0
-    mask = np.zeros((201, 200), np.uint8)
-    mask[y : y + 80, x : x + 53] = part
-    made = view_outline(mask, 60, 50)
-    again = outline_in_box(part, (y, y + 80, x, x + 53), mask.shape, 60, 50)
-    assert made.shrunk == 1.5 and made.corner == again.corner
-    np.testing.assert_array_equal(made.distance, again.distance)
-    np.testing.assert_array_equal(made.points, again.points)
-    # the middle of the mask's lower edge, or of the upper one where the picture cuts that off
-    row = (y + 80 if y + 84 < 201 else y) / 1.5 - 0.5
-    assert np.abs(made.points[:, 1] - row).min() < 0.4

@@ -99,17 +99,6 @@ def test_newcomers_are_looked_for_now_and_then_and_nobody_twice(discs):
     assert network.look(picture(), 13) == []
 
 
-def test_points_outside_of_the_picture_have_no_confidence(discs):
-    _, network = discs
-    (found,) = network.look(picture((3, 120)), 0)
-    assert found.points[0, 2] > 0.9
-    shifted = Crop(np.array([-30.0, 120.0]), np.array([-30.0, 80.0]))
-    network = PoseNetwork(
-        network.detect, lambda p: LandmarkOutput(np.full((39, 5), 127.0, np.float32), 0.9, p[0, ..., 0]), {}
-    )
-    assert network.look(picture(), 1, [shifted]) == []  # no size that a person could have
-
-
 def test_a_person_who_leaves_the_picture(discs):
     _, network = discs
 

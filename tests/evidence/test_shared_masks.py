@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from hypose.body.default_body import human
-from hypose.compute import reach
 from hypose.compute.arrays import NOT_KNOWN
 from hypose.compute.scorer import silhouette_xor
-from hypose.evidence.frame import Expected
+from hypose.errors import EvidenceError
+from hypose.evidence.frame import Silhouettes
 from hypose.evidence.hull import visual_hull
 from hypose.evidence.outlines import WORKING_HEIGHT
 from hypose.evidence.prefetch import outlines, prepared_masks
@@ -41,8 +41,6 @@ def pair(body):
     for shape in shapes:
         for c, (y0, y1, x0, x1) in enumerate(shape.boxes):
             masks[c, y0:y1, x0:x1] |= shape.drawn(c)
-    from hypose.evidence.frame import Silhouettes
-
     return poses, shapes, Silhouettes(masks, rig, np.ones(len(rig), bool), ("",) * len(rig))
 
 
@@ -72,23 +70,6 @@ def test_the_scorer_counts_nothing_where_pixels_are_ignored(body, pair):
     assert np.abs(by_limb - whole).max() <= 2
 
 
-def test_points_of_a_limb_count_nothing_on_ignored_pixels(body, pair):
-    poses, shapes, silhouettes = pair
-    prepared = prepared_masks(own_silhouettes(silhouettes, shapes[0], [Other(shapes[1])]))
-    arm = np.array([name.startswith("left_elbow") for name in body.skeleton.joint_names])
-    where = body.joints(poses[1])[None, [5, 8, 12]]  # on the other body
-    rest = reach.standing(poses[0], body.skeleton.tree, body.coarse.arrays, prepared, arm)
-    found = reach.score_points(where, np.ones(3), np.eye(3), np.zeros(3), prepared, rest)
-    shown = [c for c in range(4) if not own_hides(silhouettes, shapes, where[0], c)]
-    assert found[0] >= -3 * len(shown)
-
-
-def own_hides(silhouettes, shapes, points, view):
-    own = own_silhouettes(silhouettes, shapes[0], [Other(shapes[1])])
-    uv = np.rint(silhouettes.rig[view].project_pinhole(points)).astype(int)
-    return own.ignored is not None and bool((own.ignored[view][uv[:, 1], uv[:, 0]] > 0).all())
-
-
 def test_distances_that_depend_on_ignored_pixels_are_not_known(pair):
     _, shapes, silhouettes = pair
     own = own_silhouettes(silhouettes, shapes[0], [Other(shapes[1])])
@@ -114,14 +95,8 @@ def test_an_ignored_pixel_is_neither_a_hole_nor_a_body_in_the_hull():
     found = visual_hull(holed, voxel=0.04)
     assert whole.volume <= found.volume < 1.6 * whole.volume
     everything = replace(s, ignored=np.ones_like(s.masks))
-    with pytest.raises(compute_error()):
+    with pytest.raises(EvidenceError):
         visual_hull(everything, voxel=0.04)
-
-
-def compute_error():
-    from hypose.errors import EvidenceError
-
-    return EvidenceError
 
 
 def test_the_hull_of_one_person_is_whole_where_two_of_four_views_hide_the_legs(body, pair):
@@ -146,4 +121,3 @@ def test_without_hides_everybody_else(pair):
     for c, (y0, y1, x0, x1) in enumerate(shapes[1].boxes):
         assert not left.informative[c, y0:y1, x0:x1][shapes[1].drawn(c) > 0].any()
     assert without(silhouettes, []) is silhouettes
-    assert isinstance(Expected(shapes[0].boxes, np.ones(4, int)), Expected)

@@ -153,17 +153,6 @@ def test_recovers_a_pose_from_key_points_and_from_points(rig, rng):
         assert fit.converged and fit.rows > 0 and fit.cost < 1e-6
 
 
-def test_one_wild_key_point_does_little(rig, rng):
-    pose = random_pose(BODY, rng, 0.3)
-    term = keypoints_of(pose, rig, rng, noise=0.5)
-    options = fitting.SolveSettings(iterations=30, coarse_iterations=0)
-    good = fitting.fit_pose(BODY, pose, [term], options=options)
-    wild = term.points.copy()
-    wild[0, 8, :2] += 150
-    bad = fitting.fit_pose(BODY, pose, [replace(term, points=wild)], options=options)
-    assert joint_error_mm(good.pose, bad.pose) < 5
-
-
 def test_missing_points_are_left_out(rig, rng):
     pose = random_pose(BODY, rng, 0.3)
     keypoints, points = keypoints_of(pose, rig, rng), points_of(pose, rng)
@@ -188,21 +177,6 @@ def test_limits_hold_and_bind(rng):
     assert fit.gradient[knee] > 0  # it pushes outwards
 
 
-def test_priors_alone_give_their_weighted_mean():
-    a, b = np.full(SKELETON.dof, 0.1), np.full(SKELETON.dof, 0.2)
-    w = np.ones(SKELETON.dof)
-    fit = fitting.fit_pose(
-        BODY,
-        np.zeros(SKELETON.dof),
-        [],
-        priors=[fitting.Quadratic(a, w), fitting.Quadratic(b, 3 * w)],
-        options=fitting.SolveSettings(60, 0, tolerance=1e-9),
-    )
-    np.testing.assert_allclose(fit.pose, SKELETON.clamp(np.full(SKELETON.dof, 0.175)), atol=1e-6)
-    np.testing.assert_allclose(fit.hessian, 4 * np.eye(SKELETON.dof), atol=1e-9)
-    assert fit.rows == 0
-
-
 def test_heading_beyond_half_a_turn_is_kept_on_the_branch_of_the_start(rng):
     pose = random_pose(BODY, rng, 0.2)
     pose[3:6] = [0, 0, 3.4]
@@ -212,19 +186,6 @@ def test_heading_beyond_half_a_turn_is_kept_on_the_branch_of_the_start(rng):
     fit = fitting.fit_pose(BODY, start, [points_of(pose, rng)], priors=[prior], options=fitting.SolveSettings(30, 0))
     assert joint_error_mm(fit.pose, pose) < 0.5
     np.testing.assert_allclose(fit.pose[3:6], pose[3:6], atol=1e-2)
-
-
-@pytest.mark.parametrize("views", [3, 6])
-def test_views_cost_what_each_of_them_costs_alone(views, rng):
-    pose = random_pose(BODY, rng)
-    term = contour_term(silhouettes_of(pose, ring(views, f=420.0, size=(400, 460))))
-    start = start_near(pose, rng)
-    whole = evaluate(start, term)
-    alone = [evaluate(start, replace(term, usable=np.arange(views) == c)) for c in range(views)]
-    assert whole.cost == pytest.approx(sum(one.cost for one in alone), rel=1e-12)
-    np.testing.assert_allclose(whole.gradient, sum(one.gradient for one in alone), rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(whole.hessian, sum(one.hessian for one in alone), rtol=1e-9, atol=1e-9)
-    np.testing.assert_array_equal(whole.counts[:views], [one.counts[c] for c, one in enumerate(alone)])
 
 
 def test_unusable_starts_are_refused_loudly(scene, rig, rng):
@@ -243,15 +204,6 @@ def test_unusable_starts_are_refused_loudly(scene, rig, rng):
         fitting.fit_pose(BODY, pose, [replace(points_of(pose, rng), joint=np.full(JOINTS, 99))])
 
 
-def test_many_starts_end_as_each_alone(scene, rng):
-    pose, term = scene
-    starts = np.stack([start_near(pose, rng) for _ in range(5)])
-    for a, s in zip(fitting.fit_poses(BODY, starts, [term]), starts, strict=True):
-        b = fitting.fit_pose(BODY, s, [term])
-        np.testing.assert_array_equal(a.pose, b.pose)
-        assert a.cost == b.cost
-
-
 def test_what_is_known_of_a_pose_is_the_same_on_both_branches_of_its_rotation():
     pose, points = SKELETON.rest_pose(), BODY.joints(SKELETON.rest_pose())
     pose[3:6] = (0.4, -0.8, 2.9)
@@ -265,32 +217,6 @@ def test_what_is_known_of_a_pose_is_the_same_on_both_branches_of_its_rotation():
     np.testing.assert_allclose(one.information, two.information, rtol=1e-9, atol=1e-6)
     around = [SKELETON.informed_joint_covariances(q, one.information + np.eye(len(q))) for q in (pose, other)]
     np.testing.assert_allclose(*around, rtol=1e-9, atol=1e-12)
-
-
-def test_covariances_of_joints_are_those_of_the_pose(rng):
-    pose = random_pose(BODY, rng, 0.25)
-    half = rng.standard_normal((len(pose), len(pose)))
-    hessian = half @ half.T + np.eye(len(pose))
-    found = SKELETON.informed_joint_covariances(pose, hessian, 0.0)
-    jacobians = SKELETON.joint_jacobians(pose)
-    covariance = np.linalg.inv(hessian)
-    wanted = jacobians @ covariance @ jacobians.swapaxes(1, 2)
-    np.testing.assert_allclose(found, wanted, rtol=1e-7, atol=1e-12)
-    np.testing.assert_allclose(SKELETON.joint_covariances(pose, covariance), wanted, rtol=1e-7, atol=1e-12)
-
-
-def test_evidence_for_tracking_gives_the_same_cost_near_the_person(rig):
-    pose = random_pose(BODY, np.random.default_rng(3), 0.25)
-    silhouettes = silhouettes_of(pose, rig)
-    whole = contour_term(silhouettes)
-    around = contour_term(silhouettes, working_height=10**6)  # distances around the person, nothing shrunk
-    assert around.sdf.size < whole.sdf.size
-    near = pose.copy()
-    near[:3] += 0.03
-    options = fitting.SolveSettings(iterations=0, coarse_iterations=0)
-    a, b = (fitting.fit_pose(BODY, near, [t], options=options) for t in (whole, around))
-    assert a.cost == pytest.approx(b.cost, rel=1e-6)  # outline points are float32
-    np.testing.assert_allclose(a.gradient, b.gradient, rtol=1e-4, atol=1e-3)
 
 
 def test_shrunk_evidence_weighs_and_places_the_person_alike(rig):

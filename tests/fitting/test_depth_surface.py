@@ -5,8 +5,7 @@ import pytest
 
 from hypose import fitting
 from hypose.body.default_body import human
-from hypose.errors import InputError
-from hypose.evidence.depth_surface import DepthTerm, depth_term
+from hypose.evidence.terms import DepthTerm, depth_term
 from hypose.tracking.starts import known_pose
 from tests.depth_pictures import frame_of, sensors
 
@@ -80,10 +79,3 @@ def test_points_that_nothing_is_near_cost_and_pull_nowhere(truth, term):
     found = cost(far, term)
     assert np.abs(found.gradient).max() < 1e-9
     assert found.cost == pytest.approx(0.5 * term.weight.sum(), rel=1e-6)
-
-
-def test_terms_of_wrong_shape_are_named(term):
-    with pytest.raises(InputError, match="DepthTerm of 2 sensors"):
-        DepthTerm(
-            term.points, term.normals[:3], term.weight, term.first, term.eyes, term.maps, term.sizes, term.projections
-        )

@@ -6,13 +6,12 @@ import inspect
 import numpy as np
 import pytest
 
-from hypose.body.anthropometry import SHAPE_FACTORS, entity
+from hypose.body.anthropometry import SHAPE_FACTORS
 from hypose.body.default_body import human
 from hypose.calibration import depth_registration, refine_body
 from hypose.calibration.refine_points import CameraUnknowns
-from hypose.evidence.depth_surface import depth_term
 from hypose.evidence.frame import Keypoints
-from hypose.evidence.terms import contour_term
+from hypose.evidence.terms import contour_term, depth_term
 from hypose.fitting import rows
 from hypose.fitting.problem import Posed, PoseProblem, Quadratic, Rows, Rule
 from hypose.tracking import shape_refinement
@@ -182,12 +181,3 @@ def test_the_gradient_by_what_frames_share_is_that_of_the_cost(name, rng):
         # sizes are differentiated by steps of 1 %
         rough = 0.05 if name == "_ShapeProblem" else 1e-4
         assert equations.gradient[d] == pytest.approx(slope, rel=rough, abs=rough * np.abs(equations.gradient).max()), d
-
-
-def test_thighs_are_as_long_as_points_say():
-    asked, shared = shape(by_corners)
-    k = entity("thigh length")
-    shared = shared * 0
-    shared[k] = 0.1
-    found = asked.solve((shared, np.stack([TRUTH, TRUTH])), 5, Rule(slack=1.002))
-    assert found.cost < 0.5 * asked.evaluate((shared, np.stack([TRUTH, TRUTH])))[0] and abs(found.state[0][k]) < 0.08

@@ -5,8 +5,8 @@ import pytest
 
 from hypose.app.live.simulated_sensors import builtin_joints
 from hypose.fusion.joints import MIRROR
-from hypose.fusion.people import _plain_fits, find_place
-from hypose.geometry import procrustes, se3, se3_inverse, so3_exp, transform
+from hypose.fusion.people import find_place
+from hypose.geometry import se3, se3_inverse, so3_exp, transform
 
 
 def people(rng, count):
@@ -29,24 +29,3 @@ def test_the_place_is_found_among_six_persons_whose_numbers_say_nothing(rng, exc
     assert found is not None
     np.testing.assert_allclose(found[0], place, atol=0.02)
     assert found[1] < 0.03
-
-
-def test_fits_in_a_batch_are_those_of_procrustes(rng):
-    a = rng.normal(size=(20, 40, 3))
-    r = so3_exp(rng.normal(size=(20, 3)))
-    b = np.einsum("pij,pnj->pni", r, a) + rng.normal(size=(20, 1, 3)) + rng.normal(0, 0.1, a.shape)
-    a[3, :15] = np.nan
-    b[4, 30:] = np.nan
-    a[5, 10:] = np.nan  # too few are left
-    a[6, :, 2] = 0.0  # flat: half of the unguarded solutions are reflections
-    motions, distance = _plain_fits(a, b)
-    assert np.linalg.det(motions[:, :3, :3]) == pytest.approx(np.ones(20))
-    for p in range(20):
-        use = np.isfinite(a[p, :, 0]) & np.isfinite(b[p, :, 0])
-        if p == 5:
-            assert np.isinf(distance[p])
-            continue
-        motion = procrustes(a[p, use], b[p, use])[0]
-        np.testing.assert_allclose(motions[p], motion, atol=1e-9)
-        off = np.linalg.norm(transform(motion, a[p, use]) - b[p, use], axis=-1)
-        assert distance[p] == pytest.approx(float(np.median(off)))

@@ -7,7 +7,7 @@ from hypose.errors import InputError
 from hypose.gestures.forest import ForestSettings, GrowingForest
 from tests import forest_reference as runtime
 
-from .toys import LENS, grown, more, padded, probabilities, samples, toy
+from .toys import LENS, grown, more, padded, probabilities, toy
 
 
 def exported(forest):
@@ -28,23 +28,6 @@ def test_compiled_walk_equals_the_definition(clip):
     theirs = runtime.shares(exported(forest), depth, rows, columns, LENS.fx)
     np.testing.assert_allclose(mine, theirs, atol=1e-12)
     assert mine[:, 1].max() > 0.8  # it has learned something, so that the comparison has leaves to compare
-
-
-def test_growth_depends_on_samples_alone():
-    a, b = grown(50, seed=3), grown(50, seed=3)
-    for x, y in zip(a.arrays, b.arrays, strict=True):
-        np.testing.assert_array_equal(x, y)
-
-
-def test_children_start_with_the_counts_of_their_side():
-    forest = grown(200)
-    a = forest.arrays
-    inner = np.argwhere(a.left >= 0)
-    assert len(inner) > 15
-    for t, n in inner[:40]:
-        kids = a.seen[t, a.left[t, n] : a.left[t, n] + 2]
-        assert (kids.sum(1) > 0).all()
-    assert int(a.level.max()) <= forest.settings.deepest
 
 
 def test_alpha_bounds_the_splits_and_beta_forbids_them():
@@ -73,22 +56,6 @@ def test_holes_and_pixels_nearer_than_the_border_allows_teach_nothing():
     depth[32:] = 300
     forest.learn(padded(depth), np.arange(64), np.full(64, 5), np.ones(64, int))
     assert forest.arrays.seen.sum() == 0
-
-
-def test_several_classes():
-    rng = np.random.default_rng(2)
-    forest = GrowingForest.new(ForestSettings(alpha=100), 3, rng)
-    for _ in range(150):
-        depth, where, square = toy(rng)
-        rows, columns, labels = samples(rng, (int(where[0]), int(where[1])), square)
-        a, b, side = square
-        labels[(labels == 0) & (rows >= a) & (rows < a + side) & (columns >= b) & (columns < b + side)] = 2
-        forest.learn(padded(depth), rows, columns, labels)
-    depth, (x, y), (a, b, side) = toy(rng, holes=False)
-    rows, columns = np.array([int(y), min(a + side // 2, 149), 2]), np.array([int(x), min(b + side // 2, 199), 2])
-    p = probabilities(forest.freeze(), padded(depth), rows, columns)
-    assert p.argmax(1).tolist() == [1, 2, 0]
-    np.testing.assert_allclose(p.sum(1), 1, atol=1e-3)
 
 
 @pytest.mark.parametrize(

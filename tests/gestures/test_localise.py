@@ -12,7 +12,7 @@ from hypose.gestures.online import Learner
 from tests import forest_reference as runtime
 
 from .test_forest import exported
-from .toys import LENS, SHAPE, grown, toy
+from .toys import LENS, grown, toy
 
 THOROUGH = ScanPlan(first=0, coarse=0)
 
@@ -68,14 +68,6 @@ def test_the_numpy_runtime_finds_the_same(forest):
     assert score == pytest.approx(found.score, rel=0.05)
 
 
-def test_every_gesture_of_one_against_all_is_found_alone(forest):
-    depth, _, _ = toy(np.random.default_rng(12))
-    alone = localise(depth, LENS, [forest])[0]
-    both = localise(depth, LENS, [forest, forest])
-    assert [f.gesture for f in both] == [1, 2]
-    assert both[1].score == alone.score and both[1].x == alone.x
-
-
 def test_metres_are_recognised():
     whole = np.full((48, 64), 2, np.uint16)
     with pytest.raises(InputError, match="that is metres"):
@@ -97,11 +89,6 @@ def test_what_is_no_picture_is_refused(picture):
 def test_lenses_that_cannot_be_are_refused():
     with pytest.raises(InputError, match="lens"):
         DepthLens(0.0, 0.0, 1.0, 1.0)
-
-
-def test_no_forest_is_refused():
-    with pytest.raises(InputError, match="no forest"):
-        localise(np.zeros(SHAPE, np.uint16), LENS, [])
 
 
 def test_one_forest_of_several_gestures_finds_each():

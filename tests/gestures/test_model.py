@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from benchmarks.depth_gestures.gesture_data import teach
-from benchmarks.papers.offline_forests import OfflineSettings, collect, train_offline
 from hypose.errors import InputError
 from hypose.gestures.forest import ForestSettings
 from hypose.gestures.localise import LocaliseSettings
@@ -121,35 +120,6 @@ def test_settings_that_would_hang_or_crash_are_refused(taught, place, name, valu
 def test_names_that_could_be_paths_are_refused(taught):
     with pytest.raises(InputError, match="not a valid name"):
         GestureModel(("../x",), taught.forest, (None,), LocaliseSettings())
-
-
-@pytest.mark.slow
-def test_offline_forests_learn_and_are_kept(tmp_path):
-    rng = np.random.default_rng(5)
-    examples = toy_examples(60, 1)
-    pool = collect(examples, rng)
-    assert set(pool.labels.tolist()) == {0, 1}
-    for learning in ("trees", "subforests", "plain"):
-        forest = train_offline(
-            pool, rng, OfflineSettings(ForestSettings(trees=6), per_class=600, learning=learning, group=3)
-        )
-        found = []
-        from hypose.gestures.localise import localise
-
-        for e in toy_examples(12, 9)[::2]:
-            f = localise(e.depth, LENS, [forest])[0]
-            found.append(np.hypot(f.x - e.x, f.y - e.y) < 8)
-        assert np.mean(found) >= 0.8, learning
-    model = GestureModel(("disc",), forest, (None,), LocaliseSettings())
-    save_model(model, tmp_path / "off.npz")
-    back = load_model(tmp_path / "off.npz").forest
-    np.testing.assert_array_equal(back.test, forest.test)
-
-
-def test_a_pool_without_a_gesture_is_refused():
-    pool = collect([e for e in toy_examples(6, 1) if not e.gesture], np.random.default_rng(0))
-    with pytest.raises(InputError, match="every gesture"):
-        train_offline(pool, np.random.default_rng(0))
 
 
 def test_sessions_are_recorded_and_read_again(tmp_path):

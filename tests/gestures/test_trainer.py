@@ -91,14 +91,6 @@ def test_the_threshold_lies_between_movement_and_the_gesture():
     assert balanced(gestures, [*movement, 9.0]) < 1.1 * limit
 
 
-def test_nothing_is_learned_outside_the_learning_phases():
-    trainer = new_trainer()
-    for f in drive(trainer, 60):
-        assert (f.taught is None) or f.instruction.phase in ("positive", "negative")
-        if f.instruction.phase in ("do_gesture", "release"):
-            assert f.taught is None
-
-
 def test_positives_are_learned_where_the_surface_is():
     e = toy_examples(1, 3)[0]
     learner = Learner.new(np.random.default_rng(0))

@@ -19,11 +19,6 @@ def scattered(centre, spread, n, seed=0):
     return so3_log(so3_exp(steps) @ so3_exp(centre))
 
 
-def test_without_rotations_it_is_the_plain_mean():
-    h = weighted(np.random.default_rng(1).normal(size=(2, 30, 4)))
-    np.testing.assert_array_equal(TangentMean()(h), h.mean())
-
-
 @pytest.mark.parametrize("angle", [0.0, 0.5, 3.1, np.pi])
 def test_rotations_are_averaged_across_the_branch(angle):
     centre = angle * np.array([0.0, 0.6, 0.8])

@@ -13,14 +13,6 @@ def make(log_weights, values=None):
     return Hypotheses(v, lw)
 
 
-def test_uniform():
-    h = Hypotheses.uniform(np.zeros((3, 5, 2)))
-    np.testing.assert_allclose(h.weights, 0.2)
-    assert (h.count, h.dimension, h.origin.dtype) == (5, 2, np.int32)
-    np.testing.assert_allclose(h.ess, [5, 5, 5])
-    assert not h.evidence_lost.any()
-
-
 def test_weights_survive_any_offset():
     expected = np.exp([0, -1, -2]) / np.exp([0, -1, -2]).sum()
     for offset in (0.0, -1e5, 1e5):

@@ -6,14 +6,11 @@ import pytest
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.kernels import (
     AdaptiveDiffusion,
-    Compose,
-    ConstantVelocity,
     GaussianDiffusion,
     HeavyTail,
     RejectionSampling,
     reflect,
     semidefinite_cholesky,
-    stay,
 )
 
 INF = np.inf
@@ -76,14 +73,6 @@ def test_semidefinite_cholesky():
     np.testing.assert_allclose(semidefinite_cholesky(full), np.linalg.cholesky(full), atol=1e-12)
 
 
-def test_constant_velocity_and_composition():
-    shift = ConstantVelocity(np.array([1.0, 0.0, -2.0]), gain=0.5)
-    moved = Compose((shift, shift))(zeros(4), None, np.random.default_rng(0)).values
-    np.testing.assert_allclose(moved, np.broadcast_to([1.0, 0.0, -2.0], (4, 3)))
-    bounded = ConstantVelocity(np.array([3.0, 0.0, 0.4]), 1.0, np.array([0, 1, 0]), np.array([2, 2, 1]))
-    np.testing.assert_allclose(bounded(zeros(1), None, np.random.default_rng(0)).values[0], [1.0, 0.0, 0.4])
-
-
 def test_rejection_refuses_what_the_prior_dislikes():
     def inside(x):
         return np.where(np.abs(x[..., 0]) <= 1, 0.0, -INF)
@@ -103,10 +92,6 @@ def test_rejection_refuses_what_the_prior_dislikes():
         lambda: GaussianDiffusion(np.array([-1.0])),
         lambda: GaussianDiffusion(np.array([np.nan])),
         lambda: GaussianDiffusion(np.ones((2, 2))),
-        lambda: AdaptiveDiffusion(-1.0),
-        lambda: HeavyTail(1.5, 2.0, np.ones(1, bool)),
-        lambda: RejectionSampling(stay, lambda x: x[..., 0], tau=0.0),
-        lambda: RejectionSampling(stay, lambda x: x[..., 0], trials=0),
     ],
 )
 def test_settings_are_checked(make):

@@ -160,15 +160,6 @@ def test_weigh_sees_the_population_and_the_estimate_comes_before_selection():
     np.testing.assert_array_equal(best.estimate, result.resampled.values[0])
 
 
-def test_lost_evidence_is_survived():
-    blind = SmoothedWeight(lambda h, z: np.full(h.count, np.nan))
-    recipe = Recipe("blind", (Layer(GaussianDiffusion(SIGMA), blind, systematic),))
-    result = search(Hypotheses.uniform(START), recipe, None, partial(stream, 0, 0))
-    assert result.weighted.evidence_lost
-    np.testing.assert_allclose(result.estimate, result.weighted.values.mean(0))
-    np.testing.assert_array_equal(result.resampled.values, result.weighted.values)  # nobody dies of a blind frame
-
-
 def test_same_seed_is_bit_identical_and_a_resumed_run_too():
     layer = Layer(GaussianDiffusion(SIGMA), SmoothedWeight(energy), systematic)
     recipe = Recipe("sir", (layer, layer))

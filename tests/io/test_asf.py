@@ -72,16 +72,6 @@ def files(tmp_path):
     return tmp_path
 
 
-def test_skeleton(files):
-    asf = read_asf(files / "a.asf")
-    assert asf.names == ("root", "upper", "stiff", "lower")  # parents first, whatever the order of :bonedata
-    assert asf.parents.tolist() == [-1, 0, 0, 1]
-    np.testing.assert_allclose(asf.directions[asf.index("lower")], [0, 0, 1])  # made a unit vector
-    assert asf.lengths.tolist() == [0, 3, 1, 2]
-    assert asf.metres_per_unit == pytest.approx(0.0254 / 0.45)
-    assert asf.dofs[1] == ("rx", "ry", "rz")
-
-
 def test_rotations_are_conjugated_by_the_axis_and_follow_the_parent(files):
     asf, frames = read_asf(files / "a.asf"), read_amc(files / "a.amc")
     position, r = global_rotations(asf, frames)

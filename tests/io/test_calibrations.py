@@ -31,15 +31,10 @@ def assert_same(a, b, tolerance=1e-9):
         assert np.allclose(x.project(POINTS), y.project(POINTS), atol=tolerance)
 
 
-def test_round_trip(tmp_path):
+def test_names_and_lenses_come_back(tmp_path):
     rig = CameraRig((make_camera("cam 1.a"), make_camera('ü"\\#', 2.0, fisheye=True), make_camera("3", -1.0)))
     write_calibration(rig, tmp_path / "calibration.toml")
     assert_same(rig, read_any(tmp_path / "calibration.toml")[0])
-    first = (tmp_path / "calibration.toml").read_bytes()
-    write_calibration(read_any(tmp_path / "calibration.toml")[0], tmp_path / "again.toml")
-    again = read_any(tmp_path / "again.toml")[0]
-    assert_same(rig, again)
-    assert first.startswith(b'["cam 1.a"]')
 
 
 def test_written_file_serves_pose2sim_and_anipose(tmp_path):
@@ -103,13 +98,6 @@ def test_unit_can_be_forced(tmp_path):
     assert_same(make_rig(), read_any(tmp_path / "c.toml", "cm")[0], 1e-8)
     with pytest.raises(CalibrationError, match="unit 'inch' is not known"):
         read_any(tmp_path / "c.toml", "inch")[0]
-
-
-def test_cameras_without_pose_that_are_ignored(tmp_path):
-    extra = "[cam_9]\nsize = [64, 48]\nmatrix = [[1,0,0],[0,1,0],[0,0,1]]\nignore = true\n"
-    (tmp_path / "c.toml").write_text(extra + family("matrix"))
-    rig, notes = read_any(tmp_path / "c.toml")
-    assert rig.names == ("cam_1", "cam_2") and "cam_9" in notes[0]
 
 
 def test_find_calibration(tmp_path):
@@ -408,16 +396,6 @@ def test_anything_else_in_a_pickle_is_refused(content, capsys):
     assert capsys.readouterr().out == ""
 
 
-def test_bad_pickles_name_the_file(tmp_path):
-    path = tmp_path / "cam.pickle"
-    path.write_bytes(pickle.dumps({"intrinsicMat": _Evil()}))
-    with pytest.raises(CalibrationError, match=r"cam\.pickle is not an OpenCap camera file: it asks for"):
-        read_any(path)
-    path.write_bytes(pickle.dumps({"intrinsicMat": np.eye(2), "imageSize": np.ones(2)}))
-    with pytest.raises(CalibrationError, match="intrinsicMat must be numbers of shape 3 x 3"):
-        read_any(path)
-
-
 def test_what_a_format_cannot_hold_is_not_written(tmp_path, rng):
     rig = random_rig(rng)
     fisheye = CameraRig((Camera("f", rig[0].K, np.zeros(4), np.eye(4), (640, 480), True),))
@@ -531,65 +509,32 @@ def test_optitrack(tmp_path):
     assert_same_cameras(read_any(tmp_path / "b.mcal")[0], RIG)
 
 
-def test_a_folder_of_opencv_lenses(tmp_path, rng):
+@pytest.mark.parametrize("ending", ["xml", "yml"])
+def test_a_folder_of_opencv_lenses(tmp_path, rng, ending):
     rig = random_rig(rng)
     for c in rig:
-        storage = cv2.FileStorage(str(tmp_path / f"{c.name}.xml"), cv2.FILE_STORAGE_WRITE)
-        storage.write("image_width", 1280)
-        storage.write("image_height", 720)
-        storage.write("camera_matrix", c.K)
-        storage.write("distortion_coefficients", c.distortion)
-        storage.write("rvec", cv2.Rodrigues(c.camera_from_world[:3, :3])[0])
-        storage.write("tvec", c.camera_from_world[:3, 3])
+        storage = cv2.FileStorage(str(tmp_path / f"{c.name}.{ending}"), cv2.FILE_STORAGE_WRITE)
+        values = {"image_width": 1280, "image_height": 720, "camera_matrix": c.K, "tvec": c.camera_from_world[:3, 3]}
+        values |= {"distortion_coefficients": c.distortion, "rvec": cv2.Rodrigues(c.camera_from_world[:3, :3])[0]}
+        for name, value in values.items():
+            storage.write(name, value)
         storage.release()
     found, _ = read_any(tmp_path)
     assert found.names == rig.names
     assert_same_cameras(found, rig)
 
 
-# ---- test opencv storage -------------------------------------------------------------------------------------------
-# OpenCV's own writer is the oracle: what it writes is read back, in both of its forms.
-
-
-@pytest.mark.parametrize("ending", ["yml", "xml"])
-def test_what_opencv_writes_is_read(tmp_path, rng, ending):
-    matrix, vector = rng.normal(size=(3, 4)) * 1e-7, np.array([[1.0], [np.inf], [-0.5]])
-    path = tmp_path / f"a.{ending}"
-    file = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
-    file.write("K_01", matrix)
-    file.write("T", vector)
-    file.write("width", 1920)
-    file.write("rms", 0.25)
-    file.write("title", "left camera: 1")
-    file.startWriteStruct("names", cv2.FILE_NODE_SEQ)
-    for name in ("cam 1", "07", "x"):
-        file.write("", name)
-    file.endWriteStruct()
-    file.startWriteStruct("nested", cv2.FILE_NODE_MAP)
-    file.write("a", 1)
-    file.endWriteStruct()
-    file.release()
-    found = (parse_yaml if ending == "yml" else parse_xml)(path.read_text())
-    np.testing.assert_array_equal(found["K_01"], matrix)
-    np.testing.assert_array_equal(found["T"], vector)
-    assert (found["width"], found["rms"], found["title"]) == (1920, 0.25, "left camera: 1")
-    assert found["names"] == ["cam 1", "07", "x"]
-    assert "a" not in found
-
-
 @pytest.mark.parametrize(
-    "text",
-    ["", "a: [ 1, 2", "- 1", "a: &b [1]\nc: [*b, *b]", "a: !!python/object:os.system x", "a: " + "[" * 100_000],
+    ("parse", "text"),
+    [
+        *((parse_yaml, t) for t in ("", "a: [ 1, 2", "- 1", "a: &b [1]\nc: [*b, *b]", "a: " + "[" * 100_000)),
+        (parse_yaml, "a: !!python/object:os.system x"),
+        *((parse_xml, t) for t in ("<opencv_storage>", "<!DOCTYPE a><opencv_storage/>")),
+    ],
 )
-def test_yaml_that_is_no_calibration_is_refused(text):
+def test_text_that_is_no_calibration_is_refused(parse, text):
     with pytest.raises(ValueError, match="it "):
-        parse_yaml(text)
-
-
-@pytest.mark.parametrize("text", ["<opencv_storage>", "<!DOCTYPE a><opencv_storage/>"])
-def test_xml_that_is_no_calibration_is_refused(text):
-    with pytest.raises(ValueError, match="it "):
-        parse_xml(text)
+        parse(text)
 
 
 def test_a_matrix_of_another_size_than_it_says_is_empty():

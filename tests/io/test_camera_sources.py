@@ -190,22 +190,20 @@ def free_port():
         return s.getsockname()[1]
 
 
-@pytest.mark.parametrize("address", ["http://127.0.0.1:{}/v", "http://127.0.0.1:port/v", "http://", "http://[::1/v"])
-def test_nobody_there_is_one_sentence(address):
-    with pytest.raises(InputError) as refused:
+@pytest.mark.parametrize(
+    ("address", "sentence"),
+    [
+        *((a, "The stream http://.*check the address") for a in ("http://127.0.0.1:{}/v", "http://", "http://[::1/v")),
+        ("http://127.0.0.1:port/v", "The stream http://.*check the address"),
+        ("rtsp://me:secret@127.0.0.1:{}/s", r"The stream rtsp://me:\.\.\.@127.* cannot be opened"),
+        ("97", "Camera 97 of this computer cannot be opened"),
+        ("nothing.mp4", r"There is no file nothing\.mp4"),
+        ("²", "There is no file ²"),
+    ],
+)
+def test_a_camera_that_is_not_there_is_one_sentence(address, sentence):
+    with pytest.raises(InputError, match=f"^[^\n]*{sentence}[^\n]*$"):
         open_camera(address.format(free_port()), 30.0, SIZE)
-    sentence = str(refused.value)
-    assert sentence.startswith("The stream http://") and "check the address" in sentence and "\n" not in sentence
-
-
-def test_a_stream_that_ffmpeg_cannot_open_is_one_sentence():
-    with pytest.raises(InputError, match=r"The stream rtsp://me:\.\.\.@127.* cannot be opened"):
-        open_camera(f"rtsp://me:secret@127.0.0.1:{free_port()}/s", 30.0, SIZE)
-
-
-def test_a_device_that_is_not_there_is_one_sentence():
-    with pytest.raises(InputError, match="Camera 97 of this computer cannot be opened"):
-        open_camera("97", 30.0, SIZE)
 
 
 # ---- pictures ----
@@ -292,16 +290,6 @@ def test_a_file_that_is_over_says_so(folder, clock):
     assert grey(source.read()) == 180  # the last one stays until it has been seen
     with pytest.raises(StreamEnded, match="is over"):
         source.read()
-
-
-def test_files_that_are_not_there_say_what_a_camera_can_be(tmp_path):
-    with pytest.raises(InputError, match=r"There is no file .*nothing\.mp4"):
-        open_camera(str(tmp_path / "nothing.mp4"), 30.0, SIZE)
-    with pytest.raises(InputError, match="holds no images"):
-        open_camera(str(tmp_path), 30.0, SIZE)
-    for number in ("²", "99999999999999999999"):
-        with pytest.raises(InputError, match=f"There is no file {number}"):
-            open_camera(number, 30.0, SIZE)
 
 
 def test_a_film_begins_again_and_all_cameras_with_it(folder, clock):

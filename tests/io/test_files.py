@@ -50,13 +50,6 @@ def test_what_is_no_file_of_that_size_is_refused_at_once(tmp_path, name, kind):
         READERS[name](path)
 
 
-def test_a_fifo_that_takes_the_place_of_a_file_is_not_waited_for(tmp_path, monkeypatch):
-    os.mkfifo(tmp_path / "a.json")
-    monkeypatch.setattr("pathlib.Path.is_file", lambda path: True)  # as it was a moment before
-    with pytest.raises(InputError):
-        read_json(tmp_path / "a.json", "a file")
-
-
 def test_text_is_utf8_and_json_is_json(tmp_path):
     path = tmp_path / "a.json"
     path.write_bytes(b"\xef\xbb\xbf[1,\r\n2]")
@@ -170,13 +163,6 @@ def test_a_killed_run_holds_nothing(holder, tmp_path):
     with claimed(tmp_path / "out"):
         pass
     assert list((tmp_path / "out").iterdir()) == []
-
-
-def test_what_a_run_leaves_behind_is_no_claim_after_an_error(tmp_path):
-    for _ in range(2):
-        with pytest.raises(ZeroDivisionError), claimed(tmp_path):
-            raise ZeroDivisionError
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="NOT tested: flock; run the tests on Linux")

@@ -1,28 +1,24 @@
 """The frame stream on a small film of four views, and on the real recordings when they are there."""
 
 import json
-import shutil
 from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 
+from benchmarks.multiview.real_recordings import balancing_recording, uu4cam_recording
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.compute import mask_runs
-from hypose.compute.mask_runs import draw, runs_of
 from hypose.errors import InputError
 from hypose.evidence.background import from_frames
 from hypose.evidence.colours import colour_codes
 from hypose.evidence.hull import hull_iou, visual_hull
 from hypose.evidence.keypoints import BODY_25B, triangulate_keypoints
-from hypose.evidence.outlines import WORKING_HEIGHT, view_outline
-from hypose.evidence.silhouettes import SilhouetteSettings, as_mask, biggest_parts, make_segmenter
-from hypose.geometry import se3, so3_exp
+from hypose.evidence.silhouettes import biggest_parts, make_segmenter
 from hypose.io.recordings.frames import (
     FrameSettings,
     FrameStream,
-    PackedMask,
     working_rig,
     write_masks,
 )
@@ -140,7 +136,8 @@ def test_views_that_fail_are_left_out_with_a_reason(film, tmp_path):
         )
     views = (recording.views[0], replace(recording.views[1], images=short), replace(recording.views[2], images=dark))
     with FrameStream(replace(recording, views=views), OPTIONS) as stream:
-        frames = list(stream)
+        frames, notes = list(stream), stream.notes
+    assert any("View b has no mask in 5 frames, the first of them 9" in n and "0009.png" in n for n in notes)
     assert [f.silhouettes.usable.tolist() for f in (frames[5], frames[6], frames[10])] == [
         [True, True, True],
         [True, True, False],
@@ -148,17 +145,6 @@ def test_views_that_fail_are_left_out_with_a_reason(film, tmp_path):
     ]
     assert "c, frame 6" in frames[6].silhouettes.reasons[2]
     assert "b, frame 10" in frames[10].silhouettes.reasons[1] and "damaged" in frames[10].silhouettes.reasons[1]
-
-
-def test_one_damaged_image_costs_one_frame_and_is_named(film, tmp_path):
-    recording, _ = film
-    spoilt = shutil.copytree(recording.views[1].images, tmp_path / "spoilt")
-    (spoilt / "0005.png").write_bytes(b"cut off")
-    views = (recording.views[0], replace(recording.views[1], images=spoilt), recording.views[2])
-    with FrameStream(replace(recording, views=views), OPTIONS) as stream:
-        usable = [f.silhouettes.usable.tolist() for f in stream]
-        assert any("View b has no mask in frame 5" in n and "0005.png" in n for n in stream.notes)
-    assert [u[1] for u in usable] == [n != 5 for n in range(COUNT)]
 
 
 def test_masks_written_are_read_back_exactly(film, tmp_path):
@@ -237,20 +223,9 @@ def test_key_points_of_image_pixels_are_scaled(film, tmp_path):
 # ---- real recordings -----------------------------------------------------------------------------------------
 
 
-def uu4cam(folder):
-    cameras, views = [], []
-    for k, c in json.loads((folder / "calib_refined.json").read_text()).items():
-        rotation = so3_exp(np.ravel(c["rvec"])) @ np.diag([1.0, -1.0, -1.0])  # its world has z down
-        pose = se3(rotation, np.ravel(c["tvec"]) / 1000)
-        cameras.append(Camera(f"cam{k}", np.array(c["K"]), np.ravel(c["D"]), pose, (644, 486)))
-        sub = folder / f"cam{k}"
-        views.append(ViewSettings(f"cam{k}", video=sub / "video.avi", background=sub / "background.avi"))
-    return Recording(folder, "uu4cam", CameraRig(tuple(cameras)), tuple(views), 50.0, (0, 426), None, n_frames=426)
-
-
 @pytest.mark.slow
 def test_uu4cam_masks_agree_with_the_students_and_the_hull_with_the_masks(shared_data):
-    recording = uu4cam(shared_data("uu4cam"))
+    recording = uu4cam_recording(shared_data("uu4cam"))
     students = tuple(ViewSettings(v.name, masks=v.video.with_name("foreground_mask.avi")) for v in recording.views)
     with FrameStream(recording) as ours, FrameStream(replace(recording, views=students)) as theirs:
         found, hulls = [], []
@@ -267,30 +242,7 @@ def test_uu4cam_masks_agree_with_the_students_and_the_hull_with_the_masks(shared
 
 
 def balancing(folder, keypoints):
-    import re
-    import tomllib
-
-    table = tomllib.loads((folder / "calibration/Calib_qualisys.toml").read_text())
-    lens = re.findall(r"<intrinsic ([^>]*)>", (folder / "calibration/Calib.qca.txt").read_text())
-    refined = json.loads((folder / "extrinsics_refined.json").read_text())
-    kinds = ("radialDistortion1", "radialDistortion2", "tangentalDistortion1", "tangentalDistortion2")
-    cameras, views = [], []
-    for i in range(4):
-        n = f"cam0{i + 1}"
-        distortion = np.array([float(re.search(rf'{k}="([^"]*)"', lens[i])[1]) for k in kinds])
-        pose = se3(so3_exp(refined["rvec"][i]), refined["tvec"][i])
-        k = np.array(table[f"cam_0{i + 1}"]["matrix"])
-        cameras.append(Camera(n, k, distortion, pose, (1088, 1920)))
-        photo = folder / f"calibration/extrinsics/ext_{n}_img/{n}_ext.png"
-        json_folder = folder / f"pose/{n}_json" if keypoints else None
-        shift = (6.0 if i == 0 else 0.0, 0.0)
-        views.append(
-            ViewSettings(
-                n, video=folder / f"videos/{n}.mp4", background=photo, keypoints=json_folder, image_shift=shift
-            )
-        )
-    names = "BODY_25B" if keypoints else None
-    return Recording(folder, "b", CameraRig(tuple(cameras)), tuple(views), 60.0, (1, 100), names, 1, n_frames=100)
+    return replace(balancing_recording(folder, keypoints=keypoints), frame_range=(1, 100))
 
 
 LIMBS = [(a, a + 2) for a in (5, 6, 7, 8, 11, 12, 13, 14)]
@@ -331,38 +283,13 @@ def test_balancing_key_points_agree_with_the_reference(shared_data):
     assert np.isnan(error).mean() < np.isnan(reference).any(-1).mean() + 0.03
 
 
-def test_mog2_and_key_point_only_streams(film):
-    recording, truth = film
-    with FrameStream(recording, replace(OPTIONS, silhouettes=SilhouetteSettings(method="mog2"))) as stream:
-        assert iou(stream.frame(7).silhouettes.masks[0], as_mask(truth[0, 7])) > 0.85
+def test_a_stream_of_key_points_alone_decodes_no_image(film):
+    recording, _ = film
     with (
         FrameStream(recording, FrameSettings(silhouettes=None)) as stream,
         pytest.raises(InputError, match="decodes no"),
     ):
         stream.image(0, 0)
-
-
-# ---- test masks in work --------------------------------------------------------------------------------------------
-# Masks of a stream, packed.
-
-
-@pytest.mark.parametrize("box", [(0, 40, 0, 30), (17, 60, 23, 64), (5, 6, 9, 10), (0, 0, 0, 0)])
-def test_a_packed_mask_comes_back_and_so_does_its_outline(box):
-    y0, y1, x0, x1 = box
-    mask = np.zeros((60, 64), np.uint8)
-    mask[y0:y1, x0:x1] = np.random.default_rng(0).random((y1 - y0, x1 - x0)) < 0.9
-    packed = PackedMask(runs_of(mask), "")
-    np.testing.assert_array_equal(draw(packed.runs), mask)
-    assert packed.area == mask.sum()
-    made, whole = packed.outline(), view_outline(mask, working_height=WORKING_HEIGHT)
-    assert made.corner == whole.corner and made.found == whole.found
-    np.testing.assert_array_equal(made.distance, whole.distance)
-    np.testing.assert_array_equal(made.points, whole.points)
-
-
-def test_no_mask_has_no_outline():
-    packed = PackedMask(None, "cam1: no image")
-    assert packed.outline() is None and packed.area == 0 and packed.reason == "cam1: no image"
 
 
 # ---- test view source ----------------------------------------------------------------------------------------------

@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 import trimesh
 
-from hypose.body.body import Body
-from hypose.body.coarse_mesh import enclosed_volume, is_closed
+from hypose.body.body import Body, enclosed_volume
+from hypose.body.coarse_mesh import is_closed
 from hypose.body.default_body import JOINT_NAMES, human
-from hypose.body.fit_skeleton import scan_pose
 from hypose.body.joint_names import MIXAMO, SMPL_JOINTS, renamed_body
 from hypose.body.motion import Motion, isotropic
 from hypose.errors import InputError
 from hypose.io.motions.gltf import write_glb
 from hypose.io.motions.meshes import PersonMesh, closed_surface, read_person
 from hypose.pipeline.mesh_subject import rig_mesh
+from hypose.pipeline.scan_fit import scan_pose
 
 Y_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
 
@@ -166,22 +166,24 @@ def test_a_model_in_smpl_format_is_read_with_joints_and_weights(tmp_path):
     assert np.ptp(posed, axis=0) == pytest.approx(np.ptp(own.skin(scan_pose(own, "t"), own.fine), axis=0), abs=1e-3)
 
 
-def test_models_that_would_run_code_or_do_not_fit_are_refused(tmp_path):
-    path = smpl_like(tmp_path / "model.npz", J_regressor=np.array([{"sparse": 1}], dtype=object))
-    with pytest.raises(InputError, match="J_regressor holds object, which is not allowed"):
-        read_person(path)
-    with pytest.raises(InputError, match="do not belong to one model"):
-        read_person(smpl_like(tmp_path / "short.npz", weights=np.zeros((10, 24))))
-    (tmp_path / "model.pkl").write_bytes(b"cos\nsystem\n")
-    with pytest.raises(InputError, match="is a pickle, which may run any program"):
-        read_person(tmp_path / "model.pkl")
-    np.savez(tmp_path / "other.npz", a=np.zeros(3))
-    with pytest.raises(InputError, match=r"v_template.* is missing"):
-        read_person(tmp_path / "other.npz")
-    with zipfile.ZipFile(tmp_path / "broken.npz", "w") as archive:
-        archive.writestr("v_template.npy", io.BytesIO(b"nothing").getvalue())
-    with pytest.raises(InputError, match="is not an SMPL-format model"):
-        read_person(tmp_path / "broken.npz")
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"J_regressor": np.array([{"sparse": 1}], dtype=object)}, "J_regressor holds object, which is not allowed"),
+        ({"weights": np.zeros((10, 24))}, "do not belong to one model"),
+        ({"f": np.zeros(3)}, "vertices and 1 faces|do not belong"),
+    ],
+)
+def test_models_that_would_run_code_or_do_not_fit_are_refused(tmp_path, changes, message):
+    with pytest.raises(InputError, match=message):
+        read_person(smpl_like(tmp_path / "model.npz", **changes))
+
+
+def npz(name, data):
+    """An archive with one entry."""
+    with zipfile.ZipFile(stream := io.BytesIO(), "w") as archive:
+        archive.writestr(name, data)
+    return stream.getvalue()
 
 
 @pytest.mark.parametrize(
@@ -195,6 +197,9 @@ def test_models_that_would_run_code_or_do_not_fit_are_refused(tmp_path):
         ("a.gltf", b"{}", "names other files"),
         ("a.fbx", b"x", "export the scan in one of these formats"),
         ("a.npz", b"x", "is not an SMPL-format model .File is not a zip"),
+        ("a.npz", npz("a.npy", b""), r"v_template.* is missing"),
+        ("a.npz", npz("v_template.npy", b"nothing"), "is not an SMPL-format model"),
+        ("a.pkl", b"cos\nsystem\n", "is a pickle, which may run any program"),
     ],
 )
 def test_damaged_and_foreign_files_are_named(tmp_path, name, data, message):

@@ -4,7 +4,8 @@ import importlib
 import os
 import subprocess
 import sys
-import types
+from pathlib import Path
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -15,63 +16,31 @@ from hypose.io.motions.export import export_motion
 from tests import missing
 
 
-class _Stream:
-    """What a recording stream was told, in place of a file."""
-
-    def __init__(self, name, recording_id):
-        self.times, self.logged = [], []
-
-    def save(self, path):
-        with open(path, "wb") as file:
-            file.write(b"RRF2")
-
-    def set_time(self, timeline, **value):
-        self.times.append((timeline, value))
-
-    def log(self, place, what, static=False):
-        self.logged.append((place, what, static))
-
-    def flush(self):
-        pass
-
-    disconnect = flush
-
-
 @pytest.fixture
-def streams(monkeypatch):
-    made = []
-
-    def stream(*given, **named):
-        made.append(_Stream(*given, **named))
-        return made[-1]
-
-    archetype = lambda name: lambda *given, **named: (name, given, named)  # noqa: E731
-    module = types.ModuleType("rerun")
-    module.RecordingStream = stream
-    module.ViewCoordinates = types.SimpleNamespace(RIGHT_HAND_Z_UP="z up")
-    for name in ("LineStrips3D", "Points3D", "Ellipsoids3D", "Mesh3D"):
-        setattr(module, name, archetype(name))
+def rerun(monkeypatch):
+    """A stand-in for Rerun whose recording stream writes a file and notes what is logged."""
+    module = MagicMock()
+    module.RecordingStream.return_value.save.side_effect = lambda path: Path(path).write_bytes(b"RRF2")
     monkeypatch.setitem(sys.modules, "rerun", module)
-    return made
+    return module
 
 
-def test_what_is_written(tmp_path, small_motion, small_body, streams):
+def test_what_is_written(tmp_path, small_motion, small_body, rerun):
     (path,) = export_motion(small_motion, small_body, tmp_path, ["rrd"])
     assert path.name == "motion.rrd" and [p.name for p in tmp_path.iterdir()] == ["motion.rrd"]
-    (stream,) = streams
-    assert ("/", "z up", True) in stream.logged
-    seconds = [value["duration"] for timeline, value in stream.times if timeline == "time"]
+    stream = rerun.RecordingStream.return_value
+    stream.log.assert_any_call("/", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    seconds = [c.kwargs["duration"] for c in stream.set_time.call_args_list if c.args == ("time",)]
     np.testing.assert_allclose(seconds, small_motion.times)
-    points = [what for place, what, _ in stream.logged if place == "person/joints"]
-    for joints, (_, (given,), named) in zip(small_motion.joints, points, strict=True):
+    for joints, call in zip(small_motion.joints, rerun.Points3D.call_args_list, strict=True):
         seen = np.isfinite(joints).all(1)
-        np.testing.assert_allclose(given, joints[seen])
-        assert len(named["labels"]) == seen.sum()
-    for t, (_, _, named) in enumerate(w for place, w, _ in stream.logged if place == "person/regions_90"):
+        np.testing.assert_allclose(call.args[0], joints[seen])
+        assert len(call.kwargs["labels"]) == seen.sum()
+    for t, call in enumerate(rerun.Ellipsoids3D.call_args_list):
         covariance = small_motion.joint_covariance[t]
         known = np.isfinite(small_motion.joints[t]).all(1) & np.isfinite(covariance).all((1, 2))
-        turn = Rotation.from_quat(named["quaternions"]).as_matrix()
-        back = np.einsum("jab,jb,jcb->jac", turn, named["half_sizes"] ** 2 / 6.2514, turn)  # chi-square, 90 % of 3
+        turn = Rotation.from_quat(call.kwargs["quaternions"]).as_matrix()
+        back = np.einsum("jab,jb,jcb->jac", turn, call.kwargs["half_sizes"] ** 2 / 6.2514, turn)  # chi-square, 90 %
         np.testing.assert_allclose(back, covariance[known], atol=1e-8)
 
 

@@ -6,7 +6,6 @@ import io
 import json
 import pickle
 import zipfile
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,7 @@ import pytest
 from hypose.body.default_body import human
 from hypose.body.motion import Modes, Motion
 from hypose.errors import InputError
-from hypose.io.files import atomic_path, check_writable
+from hypose.io.files import atomic_path
 from hypose.io.motions.results import (
     _BODY_LAYOUT,
     Checkpoint,
@@ -58,19 +57,11 @@ def test_motion_round_trip(small_motion, tmp_path):
 
 
 def test_rivals_are_kept_with_their_weights(small_motion, tmp_path):
-    n, d = len(small_motion), small_motion.skeleton.dof
-    rivals = np.random.default_rng(1).normal(size=(n, 2, d)).astype(np.float32)
-    rivals[0, 1] = np.nan
-    weights = np.full((n, 2), 0.2, np.float32)
-    weights[0, 1] = 0
+    rivals = np.random.default_rng(1).normal(size=(60, 2, small_motion.skeleton.dof)).astype(np.float32)
+    rivals[0, 1], weights = np.nan, np.full((60, 2), 0.2, np.float32)
     motion = dataclasses.replace(small_motion, rivals=rivals, rival_weights=weights)
     save_motion(motion, tmp_path / "motion.npz")
-    back = load_motion(tmp_path / "motion.npz")
-    assert_same(motion, back)
-    save_motion(back, tmp_path / "again.npz")
-    assert (tmp_path / "motion.npz").read_bytes() == (tmp_path / "again.npz").read_bytes()
-    save_motion(small_motion, tmp_path / "none.npz")
-    assert load_motion(tmp_path / "none.npz").rivals is None
+    assert_same(motion, load_motion(tmp_path / "motion.npz"))
     for wrong in ({"rivals": rivals[:, :1]}, {"rivals": rivals[1:]}, {"rival_weights": None}, {"rivals": None}):
         with pytest.raises(InputError, match="Motion.rival"):
             dataclasses.replace(motion, **wrong)
@@ -170,16 +161,10 @@ def test_hostile_or_damaged_motion(small_motion, tmp_path, monkeypatch, change, 
 
 def test_compressed_archives_are_refused_before_unpacking(small_motion, tmp_path):
     path = tmp_path / "motion.npz"
-    save_motion(small_motion, path)
-    bomb = header((30_000_000,)) + bytes(240_000_000)
-    rewrite(path, entries(path) | {"cost.npy": bomb}, compression=zipfile.ZIP_DEFLATED)
-    assert path.stat().st_size < 1_000_000
-    with pytest.raises(InputError, match=r"its contents are larger than the file"):
-        load_motion(path)
-    save_motion(small_motion, path)
-    rewrite(path, {"times.npy": npy(np.arange(9.0))}, compression=zipfile.ZIP_DEFLATED)
-    with pytest.raises(InputError, match=r"larger than the file|times is compressed"):
-        load_motion(path)
+    for content in ({"cost.npy": header((30_000_000,)) + bytes(240_000_000)}, {"times.npy": npy(np.arange(9.0))}):
+        rewrite(path, content, compression=zipfile.ZIP_DEFLATED)
+        with pytest.raises(InputError, match="its contents are larger than the file|times is compressed"):
+            load_motion(path)
 
 
 # ---- checkpoints -------------------------------------------------------------------------------------------
@@ -226,19 +211,20 @@ def test_checkpoint_of_another_run_is_refused(tmp_path, change, message):
 
 def test_damaged_checkpoint(tmp_path, small_motion):
     path = tmp_path / "checkpoint.npz"
-    with pytest.raises(InputError, match=r"The checkpoint .* does not exist"):
-        Checkpoint.load(path, RUN)
+
+    def refused(message):
+        with pytest.raises(InputError, match=message):
+            Checkpoint.load(path, RUN)
+
+    refused(r"The checkpoint .* does not exist")
     path.write_bytes(b"PK nonsense")
-    with pytest.raises(InputError, match=r"is not a checkpoint of hypose, or is damaged"):
-        Checkpoint.load(path, RUN)
+    refused(r"is not a checkpoint of hypose, or is damaged")
     save_motion(small_motion, path)
-    with pytest.raises(InputError, match=r"is not a checkpoint of hypose"):
-        Checkpoint.load(path, RUN)
+    refused(r"is not a checkpoint of hypose")
     make_checkpoint(path)
     document = str(np.load(path)["checkpoint"]).replace('"format": 1', '"format": 2')
     rewrite(path, entries(path) | {"checkpoint.npy": npy(np.array(document))})
-    with pytest.raises(InputError, match=r"is a checkpoint of another version of hypose"):
-        Checkpoint.load(path, RUN)
+    refused(r"is a checkpoint of another version of hypose")
 
 
 # ---- files -------------------------------------------------------------------------------------------------
@@ -248,13 +234,9 @@ def test_results_folder(tmp_path):
     results = ResultsFolder.of(tmp_path, "hpf")
     assert results.path == tmp_path / "results" / "hpf" and not results.path.exists()
     results.write_text("a.txt", "ä\n")
-    results.write_bytes("b.bin", b"\0")
     results.write_json("provenance.json", {"b": np.float64(1.5), "a": [np.int32(2), Path("x")]})
-    check_writable(results.path)
     assert results.file("a.txt").read_bytes() == "ä\n".encode()
     assert json.loads(results.file("provenance.json").read_text()) == {"a": [2, "x"], "b": 1.5}
-    assert sorted(p.name for p in results.path.iterdir()) == ["a.txt", "b.bin", "provenance.json"]
-    assert results.motion.name == "motion.npz" and results.checkpoint.name == "checkpoint.npz"
 
 
 def test_an_interrupted_write_leaves_the_old_file(tmp_path):
@@ -340,14 +322,6 @@ def test_equal_bodies_give_equal_bytes(saved, tmp_path):
     assert (tmp_path / "again.npz").read_bytes() == saved.read_bytes()
 
 
-def test_a_body_without_landmarks(tmp_path):
-    from hypose.body.body import Landmarks
-
-    bare = replace(human(), landmarks=Landmarks((), np.zeros(0, np.int64), np.zeros((0, 3))))
-    save_body(bare, tmp_path / "b.npz")
-    assert load_body(tmp_path / "b.npz").landmarks.names == ()
-
-
 @pytest.mark.parametrize("name", sorted(_BODY_LAYOUT))
 def test_every_array_is_needed(saved, tmp_path, name):
     with pytest.raises(InputError, match=f"{name}.* is missing; give the results folder"):
@@ -405,24 +379,18 @@ def test_read_back(tmp_path) -> None:
     np.testing.assert_array_equal(weights, modes.weights)
 
 
-def test_joints_and_weights_must_belong_together(tmp_path) -> None:
-    np.savez(tmp_path / "modes.npz", joints=np.zeros((4, 2, 3, 3)), weights=np.zeros((4, 3)))
-    with pytest.raises(InputError, match="do not belong together"):
-        load_joints_of_modes(tmp_path / "modes.npz")
-
-
-@pytest.mark.parametrize("content", [b"", b"no archive", None])
-def test_other_files_are_refused(tmp_path, content) -> None:
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [(None, "does not exist"), (b"", "is empty"), (b"no archive", "not a file of modes"),
+     ({"x": np.zeros(3)}, "unknown array|is missing"),
+     ({"joints": np.zeros((4, 2, 3, 3)), "weights": np.zeros((4, 3))}, "do not belong together|is missing")],
+)  # fmt: skip
+def test_other_files_are_refused(tmp_path, content, message):
     path = tmp_path / "modes.npz"
-    if content is not None:
+    if isinstance(content, bytes):
         path.write_bytes(content)
-    with pytest.raises(InputError, match="modes.npz"):
-        load_modes(path)
-
-
-def test_arrays_of_something_else_are_refused(tmp_path) -> None:
-    np.savez(tmp_path / "modes.npz", x=np.zeros(3))
-    with pytest.raises(InputError, match="not a file of modes"):
-        load_modes(tmp_path / "modes.npz")
-    with pytest.raises(InputError, match="unknown array|joints, weights is missing"):
-        load_joints_of_modes(tmp_path / "modes.npz")
+    elif content is not None:
+        np.savez(path, **content)
+    for load in (load_modes, load_joints_of_modes):
+        with pytest.raises(InputError, match=f"modes.npz.*({message})"):
+            load(path)

@@ -127,13 +127,6 @@ def test_a_recording_can_be_read_while_it_is_written(tmp_path):
         FolderWriter(tmp_path / "rec")
 
 
-def spoil(folder, file, old, new):
-    path = folder / file
-    text = path.read_text()
-    assert old in text
-    path.write_text(text.replace(old, new, 1))
-
-
 def test_depth_maps_give_the_depth_at_every_joint(tmp_path):
     folder = tmp_path / "rec"
     writer = FolderWriter(folder)
@@ -151,7 +144,7 @@ def test_depth_maps_give_the_depth_at_every_joint(tmp_path):
     made = read_skeletons(folder).streams[0]
     assert made.joint_depth[0, 0] == pytest.approx([1.9, 2.1, 0])
     assert made.joint_depth[1, 0].tolist() == [0, 0, 0]
-    spoil(folder, "frames.csv", "d.png", "../../d.png")
+    (folder / "frames.csv").write_text((folder / "frames.csv").read_text().replace("d.png", "../../d.png"))
     with pytest.raises(InputError, match="outside the folder"):
         read_skeletons(folder)
 
@@ -212,28 +205,27 @@ def test_real_recordings_of_two_kinects(shared_data):
     made = read_skeletons(shared_data("kinect_multitrack") / "Study_2_Kinect_2_Time_12_32_04_PM.csv.gz")
     assert len(made.streams) == 2 and made.common_clock
     for s in made.streams:
-        assert set(s.joint_names) == set(KINECT_V2)
-        assert 25 < s.rate < 32
+        assert set(s.joint_names) == set(KINECT_V2) and 25 < s.rate < 32
         assert np.isfinite(s.positions).all(-1).mean() > 0.4
 
 
 # ---- NTU ----
 
 
-def ntu(frames=5, bodies=1, joints=25, rng=None):
-    rng = rng or np.random.default_rng(0)
-    lines = [str(frames)]
-    for _ in range(frames):
+def ntu(bodies):
+    """The lines of five frames with random joints."""
+    rng, lines = np.random.default_rng(0), ["5"]
+    for _ in range(5):
         lines.append(str(bodies))
         for b in range(bodies):
-            lines += [f"7205759403793{b} 0 1 0 1 0 0 0.1 -0.2 2", str(joints)]
-            lines += [" ".join(f"{v:.5f}" for v in rng.normal(size=11)) + " 2" for _ in range(joints)]
+            lines += [f"7205759403793{b} 0 1 0 1 0 0 0.1 -0.2 2", "25"]
+            lines += [" ".join(f"{v:.5f}" for v in rng.normal(size=11)) + " 2" for _ in range(25)]
     return lines
 
 
 def test_ntu_of_several_cameras(tmp_path):
     for c in (1, 2):
-        (tmp_path / f"S001C00{c}P001R001A001.skeleton").write_text("\n".join(ntu(bodies=c)) + "\n")
+        (tmp_path / f"S001C00{c}P001R001A001.skeleton").write_text("\n".join(ntu(c)) + "\n")
     made = read_skeletons(tmp_path)
     assert made.name == "S001P001R001A001" and [s.name for s in made.streams] == ["C001", "C002"]
     assert made.streams[0].joint_names == KINECT_V2 and made.streams[1].people == 2
@@ -254,30 +246,16 @@ def test_a_gzip_bomb_stops_at_the_limit(tmp_path):
             pass
 
 
-def test_a_cut_off_gzip_is_refused(tmp_path):
-    (tmp_path / "k.csv.gz").write_bytes(gzip.compress(kinect_csv(2000).encode())[:-3000])
-    with pytest.raises(InputError, match="damaged or cut-off"):
-        read_skeletons(tmp_path / "k.csv.gz")
-    (tmp_path / "k.csv.gz").write_bytes(b"not gzip at all")
-    with pytest.raises(InputError, match="damaged or cut-off"):
-        read_skeletons(tmp_path / "k.csv.gz")
-
-
 # ---- Azure Kinect ----
 
 
-def test_azure_recording(shared_data):
+def test_azure_recording(shared_data, tmp_path):
     missing.module("av", "depth of Azure Kinect recordings", "pip install 'hypose[azure]'")
     calibration, frames = read_azure_mkv(shared_data("azure_kinect_mkv") / "recording.mkv")
-    maps = list(frames)
-    assert len(maps) == 1 and maps[0].depth.shape == (576, 640)
-    seen = maps[0].depth[maps[0].depth > 0]
-    assert seen.size > 1000 and 0.2 < np.median(seen) < 5
+    (one,) = frames
+    seen = one.depth[one.depth > 0]
+    assert one.depth.shape == (576, 640) and seen.size > 1000 and 0.2 < np.median(seen) < 5
     assert "CalibrationInformation" in calibration
-
-
-def test_azure_recording_that_is_none(tmp_path):
-    missing.module("av", "depth of Azure Kinect recordings", "pip install 'hypose[azure]'")
     (tmp_path / "a.mkv").write_bytes(b"nothing" * 100)
     with pytest.raises(InputError, match="not a video"):
         read_azure_mkv(tmp_path / "a.mkv")
@@ -287,19 +265,16 @@ def test_azure_recording_that_is_none(tmp_path):
 # The line protocol for skeletons: what is read, what is refused.
 
 
-JOINTS_LINES = ("head", "neck", "torso")
-
-
 def test_a_line_comes_back_as_it_was(rng):
     positions = rng.normal(size=(3, 3))
     positions[1] = np.nan
-    line = SensorReport("left-1", 12.5, 3, JOINTS_LINES, positions, np.array([2, 0, 1], np.uint8), 99.25)
-    back, token = parse_line(format_line(line, "secret").encode())
+    line = SensorReport("left-1", 12.5, 3, JOINTS, positions, np.array([2, 0, 1], np.uint8), 99.25)
+    back, token = parse_line(format_line(line).replace('"sensor"', '"token":"secret","sensor"').encode())
     np.testing.assert_allclose(back.positions, positions, atol=1e-5)
-    assert back.state.tolist() == [2, 0, 1] and back.joint_names == JOINTS_LINES
+    assert back.state.tolist() == [2, 0, 1] and back.joint_names == JOINTS
     assert (back.sensor, back.time, back.person, token, back.arrival) == ("left-1", 12.5, 3, "secret", 99.25)
-    nobody, _ = parse_line(format_line(SensorReport("a", 1.0, None, (), np.zeros((0, 3)), np.zeros(0, np.uint8))))
-    assert nobody.person is None and nobody.joint_names == ()
+    empty, _ = parse_line(format_line(SensorReport("a", 1.0, None, (), np.zeros((0, 3)), np.zeros(0, np.uint8))))
+    assert empty.person is None and empty.joint_names == ()
 
 
 def test_units_and_ways_to_say_missing():
@@ -363,7 +338,7 @@ def test_a_file_of_lines(tmp_path, rng):
     lines = []
     for n in range(10):
         for k in "ab":
-            names = JOINTS_LINES if k == "a" or n % 2 == 0 else JOINTS_LINES[::-1]
+            names = JOINTS if k == "a" or n % 2 == 0 else JOINTS[::-1]
             p = np.stack([np.full(3, float(len(x))) for x in names])
             lines.append(format_line(SensorReport(k, n / 30, 0, names, p, np.full(3, 2, np.uint8))))
     (tmp_path / "s.jsonl.gz").write_bytes(gzip.compress("\n".join(lines).encode()))

@@ -5,7 +5,6 @@ import pytest
 
 from benchmarks.synthetic.mono_scenes import body_scene
 from hypose.body.default_body import human
-from hypose.errors import InputError
 from hypose.evidence.frame import Frame, Picture
 from hypose.synthetic.scenes import look_at
 from hypose.tracking.monocular.initialise import initialise, rival_poses
@@ -87,11 +86,6 @@ def test_proportions_are_found_with_the_pose_and_are_mirrored() -> None:
     prior = proportions(human(), scene.subject.stature)
     assert (fit.factors >= prior.lower - 1e-9).all()
     assert (fit.factors <= prior.upper + 1e-9).all()
-
-
-def test_a_height_that_is_none() -> None:
-    with pytest.raises(InputError, match="height of 17 m is implausible"):
-        proportions(human(), 17.0)
 
 
 def test_the_height_is_known_or_that_of_adults() -> None:

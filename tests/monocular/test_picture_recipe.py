@@ -7,6 +7,7 @@ import pytest
 
 from hypose.body.default_body import human
 from hypose.cameras.camera import CameraRig
+from hypose.compute.mono_terms import GAUSSIAN, LORENTZIAN
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.frame import Frame, Keypoints, Picture
 from hypose.inference.hypotheses import Hypotheses
@@ -18,7 +19,6 @@ from hypose.tracking.monocular.settings import MonoSettings, body_dofs
 from hypose.tracking.tracker import (
     Tracker,
     TrackerSettings,
-    TrackerState,
 )
 from tests.monocular.pictures import SIZE, camera, mask, picture, wall
 
@@ -110,26 +110,14 @@ def test_the_same_seed_gives_the_same_numbers_on_any_number_of_threads(clip):
         np.testing.assert_array_equal(a.uncertainty.modes.covariances, b.uncertainty.modes.covariances)
 
 
-def test_a_saved_state_goes_on_with_the_same_numbers(clip):
-    body, view, poses, pictures = clip
-    tracker = tracker_of(body)
-    state = tracker.start(at(poses[0]))
-    for i in (1, 2):
-        state, _ = tracker.step(state, frame_of(view, pictures, i))
-    again = TrackerState.from_arrays(state.to_arrays())
-    (first, one), (second, other) = (tracker.step(s, frame_of(view, pictures, 3)) for s in (state, again))
-    np.testing.assert_array_equal(one.pose, other.pose)
-    np.testing.assert_array_equal(first.hypotheses.columns["velocity"], second.hypotheses.columns["velocity"])
-
-
 def test_every_ablation_runs_and_keeps_what_is_not_estimated(clip):
     body, view, poses, pictures = clip
     s, search = SETTINGS, SETTINGS.search
     ablations = (
-        s.robust("gaussian"),
-        s.robust("lorentzian"),
-        replace(s, flow=replace(s.flow, use=False)),
-        replace(s, edge=replace(s.edge, motion_boundaries=False)),
+        s.robust(GAUSSIAN),
+        s.robust(LORENTZIAN),
+        replace(s, flow=s.flow._replace(use=False)),
+        replace(s, edge=s.edge._replace(motion_boundaries=False)),
         replace(s, velocity=0.0, limits=False, interpenetration=0.0, second_order=False),
         replace(s, search=replace(search, hypotheses=1)),
         replace(s, search=replace(search, flips=True, flip_every=1)),
@@ -144,15 +132,6 @@ def test_every_ablation_runs_and_keeps_what_is_not_estimated(clip):
         assert not estimate.uncertainty.modes.covariances[:, :, held].any()
         if settings.search.hypotheses == 1:
             assert estimate.uncertainty.modes.alive == 1
-
-
-def test_limits_are_hard(clip):
-    body, view, poses, pictures = clip
-    s = body.skeleton
-    for estimate in follow(body, view, poses, pictures):
-        for q in estimate.uncertainty.modes.poses[0]:
-            assert (q >= s.lower - 1e-9).all()
-            assert (q <= s.upper + 1e-9).all()
 
 
 def test_mirrored_limbs_look_alike_and_lie_elsewhere(clip):

@@ -1,14 +1,22 @@
 """Poses and proportions together from points: derivatives, and what more than one picture is worth."""
 
 import numpy as np
+import pytest
 
+from hypose.body.body import Shape, deform
 from hypose.body.default_body import human
 from hypose.synthetic.scenes import look_at
 from hypose.tracking.contacts import soles_of
 from hypose.tracking.monocular.points import clicked_joints
-from hypose.tracking.monocular.points_fit import fit_proportions, image_jacobian, points_on_body
+from hypose.tracking.monocular.points_fit import fit_proportions
 from hypose.tracking.monocular.problem import floor_arrays
-from hypose.tracking.monocular.proportions import PROPORTION_NAMES, proportions, shaped
+from hypose.tracking.monocular.proportions import (
+    FACTORS,
+    PROPORTION_NAMES,
+    proportions,
+    shape_from_factors,
+    shaped,
+)
 from hypose.tracking.monocular.settings import MonoSettings, body_dofs
 
 POINTS = tuple(
@@ -32,17 +40,6 @@ def points_of(body, pose):
     uv = CAMERA.project_pinhole(body.joints(pose))
     clicks = {n: (float(u), float(v)) for n in POINTS for u, v in [uv[body.skeleton.joint(n)]]}
     return lambda b: clicked_joints(b, clicks, 0.5)
-
-
-def test_the_jacobian_of_the_points_is_exact() -> None:
-    body = human()
-    pose = stance(body, 0)
-    points = points_of(body, pose)(body)
-    exact, h = image_jacobian(body, CAMERA, points, pose), 1e-6
-    for d in range(len(pose)):
-        step = h * (np.arange(len(pose)) == d)
-        up, down = (CAMERA.project_pinhole(points_on_body(body, pose + k * step, points)) for k in (1, -1))
-        np.testing.assert_allclose(exact[:, :, d], (up - down) / (2 * h), atol=1e-3)
 
 
 def test_more_pictures_measure_lengths_better() -> None:
@@ -90,3 +87,18 @@ def test_who_stands_on_a_known_floor_is_measured_better() -> None:
         for f in (None, soles)
     ]
     assert errors[1].mean() < 0.75 * errors[0].mean()
+
+
+def test_factors_are_shapes():
+    body = human()
+    assert shape_from_factors(np.zeros(len(FACTORS))).scale == 1.0
+    same = deform(body, shape_from_factors(np.zeros(len(FACTORS))))
+    np.testing.assert_allclose(same.fine.vertices, body.fine.vertices, atol=1e-12)
+    index = {f.name: k for k, f in enumerate(FACTORS)}
+    x = np.zeros(len(FACTORS))
+    x[index["scale"]], x[index["thigh"]], x[index["chest width"]] = np.log([1.1, 1.2, 1.3])
+    shape = shape_from_factors(x)
+    assert isinstance(shape, Shape)
+    longer = deform(body, shape).segment_lengths()["left_thigh"]
+    assert longer == pytest.approx(body.segment_lengths()["left_thigh"] * 1.1 * 1.2)
+    assert shape.girth["chest"] == pytest.approx((1.3, 1.0, 1.0))

@@ -9,23 +9,22 @@ from scipy.ndimage import correlate, gaussian_filter
 
 from benchmarks.papers.superquadrics import grid, nodes, superquadric_body
 from hypose.body.default_body import human
-from hypose.compute import mono, mono_rows
-from hypose.compute.mono_terms import GAUSSIAN, LECLERC, LORENTZIAN, FlowArrays
+from hypose.compute import mono
+from hypose.compute.mono_terms import GAUSSIAN, LECLERC, LORENTZIAN, EdgeSettings, FlowArrays
 from hypose.compute.solver import bounded_step_kernel
 from hypose.evidence.edges_flow import Flow, edge_field, optical_flow
 from hypose.evidence.frame import Picture
 from hypose.inference.layer import Layer, Recipe, search
 from hypose.inference.resampling import keep
-from hypose.tracking.monocular.evidence import edge_arrays
 from hypose.tracking.monocular.pool import OPTIMISED, accumulated, candidates, prune, uncertain_samples
-from hypose.tracking.monocular.problem import field_of, fixed_parts, frame_problem, with_prediction
-from hypose.tracking.monocular.settings import EdgeSettings, MonoSettings, body_dofs
+from hypose.tracking.monocular.problem import edge_arrays, field_of, fixed_parts, frame_problem, with_prediction
+from hypose.tracking.monocular.settings import MonoSettings, body_dofs
 from tests.monocular.pictures import SIZE, camera, picture, wall
-from tests.monocular.test_cost import evaluate, flow_cost, flow_problem
+from tests.monocular.test_cost import FLOW, evaluate, flow_cost, flow_problem
 from tests.papers.test_body_equations import transforms
 
 NO_BACKGROUND = replace(
-    MonoSettings(), edge=replace(MonoSettings().edge, background=0.0, form="leclerc"), interpenetration=0.0
+    MonoSettings(), edge=MonoSettings().edge._replace(background=0.0, form=LECLERC), interpenetration=0.0
 )
 
 
@@ -84,13 +83,13 @@ def test_equations_2_and_3_robust_forms(sigma):
         (LECLERC, 1 - np.exp(-s / sigma**2)),
         (GAUSSIAN, s / sigma**2),
     ):
-        found = np.array([mono_rows.robust(form, x, sigma**2) for x in s])
+        found = np.array([mono.robust(form, x, sigma**2) for x in s])
         np.testing.assert_allclose(found[:, 0], rho, atol=1e-14)
         # rho(0) = 0 and rho'(0) = nu / sigma^2, nu = 1
         np.testing.assert_allclose(found[0, :2], [0, 1 / sigma**2])
         h = 1e-6
         for k in (0, 1):  # rho' and rho'' by central differences
-            up, down = (np.array([mono_rows.robust(form, x + e, sigma**2)[k] for x in s]) for e in (h, -h))
+            up, down = (np.array([mono.robust(form, x + e, sigma**2)[k] for x in s]) for e in (h, -h))
             np.testing.assert_allclose(found[:, k + 1], (up - down) / (2 * h), atol=1e-8 / sigma**4)
 
 
@@ -123,7 +122,7 @@ def test_equations_5_and_6_assigned_nodes_cost_half_rho_and_occluded_ones_k_nu(s
             expected += 0.5 * share * e.occluded * most
             continue
         scratch, offset, strength = np.empty(2 * window + 1), np.empty(16), np.empty(16)
-        m = mono_rows.line_search(problem.edges.field, *node[1:5], window, e.threshold, scratch, offset, strength)
+        m = mono.line_search(problem.edges.field, *node[1:5], window, e.threshold, scratch, offset, strength)
         w = strength[:m] / max(1.0, strength[:m].sum())
         rho = 1 - np.exp(-(offset[:m] ** 2) / sigma2)
         expected += 0.5 * share * ((w * rho).sum() + (1 - w.sum()) * most)
@@ -168,12 +167,12 @@ def test_equation_7_all_edges_in_the_window_are_assigned_by_strength():
         x = np.arange(w)
         field[:, :, 0] += strength * np.exp(-0.5 * ((x - centre) / 1.2) ** 2)
     scratch, offset, strength = np.empty(29), np.empty(16), np.empty(16)
-    m = mono_rows.line_search(field, 38.0, 20.0, 1.0, 0.0, 14, 0.08, scratch, offset, strength)
+    m = mono.line_search(field, 38.0, 20.0, 1.0, 0.0, 14, 0.08, scratch, offset, strength)
     assert m == 3
     np.testing.assert_allclose(offset[:3], [-7.75, 2.0, 9.0], atol=0.15)
     np.testing.assert_allclose(strength[:3], [1.0, 0.4, 0.7], atol=0.05)
     # edges across the normal count nothing
-    assert mono_rows.line_search(field, 38.0, 20.0, 0.0, 1.0, 14, 0.08, scratch, offset, strength) == 0
+    assert mono.line_search(field, 38.0, 20.0, 0.0, 1.0, 14, 0.08, scratch, offset, strength) == 0
 
 
 def test_equation_7_motion_boundaries_weigh_the_edges():
@@ -186,21 +185,21 @@ def test_equation_7_motion_boundaries_weigh_the_edges():
     assert out[0, 0, 1] == pytest.approx(0.1)  # where nothing moves it is worth the floor
 
 
-@pytest.mark.parametrize("form", ["lorentzian", "leclerc"])
+@pytest.mark.parametrize("form", [LORENTZIAN, LECLERC])
 def test_equation_7_inner_nodes_are_compared_with_where_flow_carries_them(form):
     body, active = human(), body_dofs(human().skeleton)
     pose = body.skeleton.rest_pose()
     problem, ws, n = flow_problem(body, active, pose)
-    problem = problem._replace(flow=problem.flow._replace(form={"lorentzian": LORENTZIAN, "leclerc": LECLERC}[form]))
+    problem = problem._replace(flow=problem.flow._replace(settings=problem.flow.settings._replace(form=form)))
     at = pose + 0.01
     total = flow_cost(problem, ws, n, at)[0]
     v, view = body.skin(at), camera(body, distance=1.7)
-    sigma2, height = problem.flow.sigma**2, problem.flow.height
+    sigma2, height = problem.flow.settings.sigma_px**2, problem.flow.settings.height
     expected = 0.0
     for face, (w1, w2, u, y, weight) in zip(ws.flow_faces[:n], ws.flow_nodes[:n, :5], strict=True):
         place = (1 - w1 - w2) * v[face[0]] + w1 * v[face[1]] + w2 * v[face[2]]
         s = ((view.project(place[None])[0] - [u, y]) ** 2).sum()
-        rho = np.log1p(s / sigma2) if form == "lorentzian" else 1 - np.exp(-s / sigma2)
+        rho = np.log1p(s / sigma2) if form == LORENTZIAN else 1 - np.exp(-s / sigma2)
         expected += 0.5 * height * weight * rho
     p = problem.priors
     expected += 0.5 * (p.weight * (at[problem.model.active] - p.centre) ** 2).sum()  # equation (10)
@@ -212,7 +211,7 @@ def test_equations_8_and_9_gradient_and_hessian_are_sums_over_nodes(scene, secon
     # the rows of the kernel against J^T (sum rho' W dr) and J^T (sum rho' W + 2 rho'' (W dr)(W dr)^T) J, with J by
     # finite differences of the node's place along its normal
     body, pose, _ = scene
-    settings = replace(NO_BACKGROUND, second_order=second_order, edge=replace(NO_BACKGROUND.edge, spacing_px=40.0))
+    settings = replace(NO_BACKGROUND, second_order=second_order, edge=NO_BACKGROUND.edge._replace(spacing_px=40.0))
     problem, ws = problem_of(scene, settings)
     a = len(problem.model.active)
     hessian, gradient = np.empty((a, a)), np.empty(a)
@@ -236,7 +235,7 @@ def test_equations_8_and_9_gradient_and_hessian_are_sums_over_nodes(scene, secon
         if node[6] == 0:
             continue
         scratch, offset, strength = np.empty(29), np.empty(16), np.empty(16)
-        m = mono_rows.line_search(problem.edges.field, *node[1:5], 14, e.threshold, scratch, offset, strength)
+        m = mono.line_search(problem.edges.field, *node[1:5], 14, e.threshold, scratch, offset, strength)
         w = e.height * node[5] / e.sample_px * strength[:m] / max(1.0, strength[:m].sum())
         r1 = np.exp(-(offset[:m] ** 2) / 9) / 9
         first[i] = -(w * r1 * offset[:m]).sum()
@@ -264,23 +263,13 @@ def test_section_3_2_samples_are_ranked_by_edges_and_priors_and_not_by_flow(scen
     pose, a = scene[1], len(problem.model.active)
     problem = with_prediction(problem, pose + 0.02, np.full(a, 0.25))
     hessian, gradient = np.empty((a, a)), np.empty(a)
-    edges = mono.image_cost(pose, problem, problem.edges.sigma, 0, False, ws, hessian, gradient)
+    edges = mono.image_cost(pose, problem, problem.edges.settings.sigma_px, 0, False, ws, hessian, gradient)
     p = problem.priors
     priors = 0.5 * (p.weight * (pose[problem.model.active] - p.centre) ** 2).sum()
     h, w = problem.edges.field.shape[:2]
-    flow = FlowArrays(
-        np.full((h, w, 2), 5, np.float32),
-        np.zeros((h, w), np.float32),
-        np.zeros(2, np.int64),
-        1,
-        4.0,
-        1.0,
-        14.0,
-        6.0,
-        1.0,
-    )
+    flow = FlowArrays(np.full((h, w, 2), 5, np.float32), np.zeros((h, w), np.float32), np.zeros(2, np.int64), FLOW)
     for with_flow in (problem, problem._replace(flow=flow)):
-        assert mono.rank_cost(pose, with_flow, ws, hessian, gradient) == pytest.approx(edges + priors)
+        assert mono.score(pose[None], with_flow, ws) == pytest.approx(edges + priors)
     assert priors > 0.05
 
 

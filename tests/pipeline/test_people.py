@@ -8,8 +8,8 @@ import pytest
 from hypose.body.default_body import human
 from hypose.cameras.camera import CameraRig
 from hypose.errors import InputError
+from hypose.evidence.association import PersonTrack
 from hypose.evidence.frame import Frame, Silhouettes
-from hypose.evidence.person_tracks import PersonTrack
 from hypose.io.motions.results import ResultsFolder
 from hypose.pipeline.people_run import PeopleRun
 from hypose.pipeline.person_paths import KeypointPeople, count_people

@@ -9,7 +9,7 @@ from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import load_recording
 from hypose.pipeline.one_of_several import people_frames
 from hypose.pipeline.track_options import TrackOptions, check_views
-from hypose.synthetic.depth_scenes import depth_rig, depth_scene, to_profile, turning
+from hypose.synthetic.depth_scenes import depth_rig, depth_scene
 from hypose.synthetic.motions import act
 from hypose.synthetic.subjects import load_subjects
 from hypose.synthetic.write_recording import walking_scene, write_depth_scene
@@ -53,22 +53,6 @@ def test_edges_have_holes_and_values_between_both_sides(scene):
     assert (seen[edge] == 0).mean() > 0.15 > 3 * (seen[inner] == 0).mean() / 2
     between = (seen[edge] > clean[edge] + 0.1) & (seen[edge] < 4.9)
     assert between.mean() > 0.02
-
-
-def test_two_sensors_disturb_each_other(scene):
-    alone = depth_scene(scene.performance, scene.subject, depth_rig("depth-1"), seed=3)
-    near = scene._rooms[0] < 4.0
-    holes = [np.mean([(s.empty_map(0, k) == 0)[near].mean() for k in range(8)]) for s in (alone, scene)]
-    assert holes[0] + 0.002 < holes[1] < holes[0] + 0.01  # one row in twenty, a tenth of it
-
-
-def test_turning_turns_and_keeps_the_bones(scene):
-    heading = to_profile(len(scene.performance), 1)
-    assert abs(np.degrees(heading)).max() == pytest.approx(90, abs=12)
-    p = turning(scene.performance, scene.subject, heading)
-    before, after = (np.linalg.norm(np.diff(x.joints[:, 13:16], axis=1), axis=-1) for x in (scene.performance, p))
-    assert np.abs(before - after).max() < 1e-9
-    assert np.abs(p.joints[..., 2] - scene.performance.joints[..., 2]).max() < 1e-9
 
 
 def test_sensors_by_name():

@@ -36,11 +36,6 @@ def test_neighbouring_frames_are_alike_and_the_room_stands_still(frames):
     assert max(float((c > 200).mean()) for c in change) < 0.08
 
 
-def test_the_same_seed_is_the_same_person():
-    a, b = (next(live_person(3, "ok", np.random.default_rng(1), RATE)).depth for _ in range(2))
-    np.testing.assert_array_equal(a, b)
-
-
 def test_who_and_what_must_exist():
     with pytest.raises(InputError, match="0 to 17"):
         live_person(99, "tee", np.random.default_rng(0), RATE)

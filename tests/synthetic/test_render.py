@@ -24,16 +24,6 @@ def test_interpolation_is_perspective_correct():
     assert np.abs(points @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3] - depth[drawn]).max() < 1e-4
 
 
-def test_the_nearer_face_wins_and_faces_from_behind_are_culled():
-    v = np.array([[0, 0], [9, 0], [0, 9], [0, 0], [9, 0], [0, 9]], float)
-    z = np.array([2.0, 2, 2, 1, 1, 1])
-    f = np.array([[0, 2, 1], [3, 5, 4]], np.int32)
-    depth, face, _ = rasterize(v, z, f, (10, 10))
-    assert face[2, 2] == 1 and depth[2, 2] == 1 and face[9, 9] == -1 and np.isinf(depth[9, 9])
-    assert rasterize(v, z, f[:, ::-1], (10, 10))[1].max() == -1
-    assert rasterize(v, z * 0, f, (10, 10))[1].max() == -1  # at the camera: not drawn
-
-
 @pytest.mark.parametrize("cull", [True, False])
 def test_the_nearest_faces_are_those_of_the_definition(cull, rng):
     uv, z = rng.uniform(-10, [90, 70], (60, 2)), rng.uniform(0.02, 3, 60)

@@ -81,15 +81,6 @@ def test_shape_of_another_body_is_found_from_motion(body, moving, frame_of, rng)
     )
 
 
-def test_fit_is_the_same_twice(body, moving, frame_of):
-    contours = [[contour_term(frame_of(body, q, k).silhouettes)] for k, q in enumerate(moving[:2])]
-    quick = ShapeSettings(iterations=(1, 1, 1))
-    a = refine_shape(body, moving[:2], contours, options=quick)
-    b = refine_shape(body, moving[:2], contours, options=quick)
-    np.testing.assert_array_equal(a.log_factors, b.log_factors)
-    np.testing.assert_array_equal(a.poses, b.poses)
-
-
 def test_height_and_mass_are_kept(body, moving, frame_of):
     quick = ShapeSettings(iterations=(2, 3), coarse=(2.0, 1.0))
     contours = [[contour_term(frame_of(body, moving[0]).silhouettes)]]
@@ -98,11 +89,6 @@ def test_height_and_mass_are_kept(body, moving, frame_of):
     assert taller.body.stature > free.body.stature + 0.002
     heavy = refine_shape(body, moving[:1], contours, known=Known(mass=100.0), options=quick)
     assert heavy.body.coarse.volume > free.body.coarse.volume
-
-
-def test_no_frame_is_refused(body):
-    with pytest.raises(EvidenceError, match="at least one frame"):
-        refine_shape(body, np.zeros((0, body.skeleton.dof)), [])
 
 
 def test_subject_from_the_hull_alone(body, standing, frame_of, tmp_path):

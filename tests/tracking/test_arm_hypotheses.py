@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hypose.inference.hypotheses import BEFORE, Hypotheses
-from hypose.tracking.arm_hypotheses import LookedUp, RefineRivals, rival_arms
+from hypose.tracking.arm_hypotheses import RefineRivals
 from hypose.tracking.arm_workspace import arm_reach, ends
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.pose_covariance import uncertainty_of_pose
@@ -65,19 +65,6 @@ def test_the_table_has_an_arm_near_every_arm(body, arms, rng):
     assert np.median(apart) < 0.06 and apart.max() < 0.13
 
 
-def test_a_lost_arm_is_among_the_rivals(body, arms, standing, raised, frame_of):
-    frame = prepare(frame_of(body, raised), body, standing)
-    arm = arms["l"]
-    found = rival_arms(arm, standing, frame, LookedUp())
-    assert found and min(wrist_error(body, pose, raised) for pose in found) < 0.15
-    others = np.setdiff1d(np.arange(body.skeleton.dof), arm.own)
-    for pose in found:
-        np.testing.assert_array_equal(pose[others], standing[others])
-        a, b = ends(arm.here(np.stack([standing, pose])))
-        assert np.linalg.norm(a - b, axis=-1).max() > LookedUp().far
-    assert len(found) <= LookedUp().most
-
-
 def test_a_found_arm_stands_still_and_the_body_goes_on(body, arms, standing, raised, frame_of, rng):
     """The estimate of the next frame is expected by its parent's step, but for the arm that lay elsewhere."""
     before = standing.copy()
@@ -93,29 +80,6 @@ def test_a_found_arm_stands_still_and_the_body_goes_on(body, arms, standing, rai
     np.testing.assert_allclose(out.columns[BEFORE][best, own], out.values[best, own], atol=1e-6)
     np.testing.assert_array_equal(np.delete(out.columns[BEFORE][best], own), np.delete(before, own))
     assert (out.origin == 0).all()
-
-
-def test_what_is_right_in_one_rival_and_wrong_in_the_other_is_crossed(body, arms, standing, raised, frame_of, rng):
-    """Nothing is looked up: the estimate has one arm of the two, and a rival has the other."""
-    s = body.skeleton
-    truth, right = raised.copy(), s.dofs_of(*RIGHT)
-    truth[right] = s.clamp(raised)[right] + [*[0.0] * (len(right) - 4), 1.3, 0.0, -0.3, 0.9][-len(right) :]
-    truth = s.clamp(truth)
-    other = standing.copy()
-    other[right] = truth[right]
-    before = np.stack([standing, other])
-    before[1, right[-1]] -= 0.2
-    rivals = Hypotheses(np.stack([raised, other]), np.array([0.0, -1.0]), columns={BEFORE: before})
-    frame = replace(prepare(frame_of(body, truth), body, raised), rivals=rivals)
-    never = ((arms["l"], lambda h, frame: False), (arms["r"], lambda h, frame: False))
-    out = RefineRivals(never)(off_guard(body, raised), frame, rng)
-    best = int(out.relative_log_weights.argmax())
-    assert wrist_error(body, out.values[best], truth) < 0.05
-    assert wrist_error(body, out.values[best], truth, "right") < 0.05
-    np.testing.assert_array_equal(
-        out.columns[BEFORE][best, right], before[1, right]
-    )  # the arm brings its history along
-    assert out.origin[best] == 0
 
 
 def follow(tracker, state, poses, frame_of, dead=()):
@@ -159,15 +123,6 @@ def test_rivals_live_on_and_a_saved_state_goes_on_with_the_same_bytes(body, hidd
         ends_at[n] = state
     for name, values in ends_at[0].to_arrays().items():
         assert values.tobytes() == ends_at[1].to_arrays()[name].tobytes(), name
-
-
-def test_any_number_of_threads_finds_the_same_bytes(body, hidden, frame_of, monkeypatch):
-    found = []
-    for threads in ("1", "3"):
-        monkeypatch.setenv("NUMBA_NUM_THREADS", threads)
-        tracker = Tracker(body, default(body, particles=32))
-        found.append(follow(tracker, tracker.start(hidden[0]), hidden[:5], frame_of, FACING).to_arrays())
-    assert all(found[0][name].tobytes() == found[1][name].tobytes() for name in found[0])
 
 
 def test_the_covariance_is_that_of_the_mixture(body, standing, raised, frame_of):

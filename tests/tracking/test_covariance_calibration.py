@@ -13,7 +13,6 @@ from hypose.tracking.covariance_calibration import (
     beyond_usual,
     fitted_spread_table,
     kind_of,
-    pose_covariance,
     with_fitted_angles,
     with_fitted_joints,
 )
@@ -47,12 +46,6 @@ def test_variances_of_angles_are_those_of_samples(poses):
     spread = joint_angles(s, np.concatenate([poses[:1], samples]))[1][1:]
     found = angle_variance(s, poses, np.stack([covariance] * 2))[0]
     assert np.sqrt(found) == pytest.approx(spread.std(0), rel=0.08)
-
-
-def test_what_is_not_known_is_limited_by_anatomy(poses):
-    s = BODY.skeleton
-    nothing = pose_covariance(np.zeros((1, s.dof, s.dof)))
-    assert np.isfinite(nothing).all() and np.diag(nothing[0])[6:].max() == pytest.approx(20.0)
 
 
 @pytest.mark.parametrize("evidence", ["silhouettes", "keypoints", "both"])

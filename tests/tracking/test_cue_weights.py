@@ -11,7 +11,7 @@ from hypose.body.default_body import human
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.keypoints import BODY_25
 from hypose.geometry import se3
-from hypose.tracking.cue_weights import LEAST_POINT_WEIGHT, weigh_against_masks
+from hypose.tracking.cue_weights import weigh_against_masks
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.keypoint_evidence import keypoint_model
 from hypose.tracking.keypoint_offsets import calibrate_keypoints
@@ -55,46 +55,6 @@ def test_points_weigh_in_full_beside_masks_that_are_elsewhere(clip, model):
     aside = [replace(f, silhouettes=replace(f.silhouettes, rig=rig)) for f in frames]
     right, wrong = (weigh_against_masks(body, model, f).cue_weight[:, model.known] for f in (frames, aside))
     assert np.median(right) < 0.6 and np.median(wrong) == 1 and (wrong > right).mean() > 0.9
-
-
-def test_limbs_that_are_hardly_seen_weigh_as_the_others_do(clip, model):
-    frames, body = clip
-    arms = np.array([n.endswith(("elbow", "wrist")) for n in BODY_25])
-    points = [f.keypoints.points.copy() for f in frames]
-    for p in points[1:]:
-        p[:, arms] = 0.0
-    seldom = [replace(f, keypoints=replace(f.keypoints, points=p)) for f, p in zip(frames, points, strict=True)]
-    cue_weight = weigh_against_masks(body, model, seldom).cue_weight
-    others = np.unique(cue_weight[:, model.known & ~arms], axis=1)
-    assert (cue_weight[:, arms] < 0.5).all() and (cue_weight[:, arms] >= others.min(1, keepdims=True)).all()
-
-
-BOX = small_scene(1, N, "box")
-
-
-@pytest.fixture(scope="module")
-def guessed(clip):
-    """A boxer's frames with the right leg in two pictures only, in the second one of these where it is not."""
-    frames = list(BOX.mask_frames(1.0, keypoints=True))
-    leg = [k for k, n in enumerate(BODY_25) if n.startswith("right_") and n.endswith(("knee", "ankle", "toe", "heel"))]
-    out = []
-    for f in frames:
-        p = f.keypoints.points.copy()
-        p[2:, leg] = 0.0
-        p[1, leg, 0] += 0.15 * np.ptp(p[1, p[1, :, 2] > 0, 1])
-        out.append(replace(f, keypoints=replace(f.keypoints, points=p)))
-    return out, leg
-
-
-def test_a_limb_guessed_in_one_of_two_views_weighs_nothing_there(clip, guessed):
-    (_, body), (frames, leg) = clip, guessed
-    cue_weight = weigh_against_masks(body, calibrated(body, frames), frames).cue_weight
-    others = np.setdiff1d(np.arange(len(BODY_25)), leg)
-    assert (
-        (cue_weight[1, leg] < 1e-3).all()
-        and (cue_weight[0, leg] >= LEAST_POINT_WEIGHT).all()
-        and (cue_weight[:, others] >= LEAST_POINT_WEIGHT).all()
-    )
 
 
 def test_solves_weigh_points_less_where_there_are_masks(clip, model):

@@ -7,9 +7,7 @@ from hypose.body.default_body import human
 from hypose.evidence.cues import MEASURED
 from hypose.tracking.arm_hypotheses import LookedUp, rival_arms
 from hypose.tracking.arm_workspace import arm_reach, in_practice
-from hypose.tracking.costs import frame_energy, limb_energy
-from hypose.tracking.error_model import GROUPS, depth_error_model
-from hypose.tracking.frame_evidence import prepare
+from hypose.tracking.frame_evidence import frame_energy, limb_energy, prepare
 from hypose.tracking.starts import known_pose
 from tests.depth_pictures import frame_of, sensors
 
@@ -50,13 +48,3 @@ def test_an_arm_that_is_seen_where_it_is_is_looked_for_nowhere_else(frame, monke
     assert len(rival_arms(arm, other, frame, LookedUp()))
     monkeypatch.setattr("hypose.tracking.arm_hypotheses.limb_energy", None)
     assert rival_arms(arm, frame.prediction, frame, LookedUp()) == []
-
-
-def test_before_one_sensor_the_same_signs_make_arms_more_doubtful_than_before_two():
-    fitted, arms = depth_error_model(), GROUPS.index("wrists")
-    odds, groups = np.full((3, 1), -4.0), np.array([arms])
-    told = fitted.log_odds(odds, groups, [1, 2, 5])
-    assert told.shape == (3, 1) and told[0] > told[1]
-    assert (fitted.log_odds(odds + 1, groups, [1, 2, 5]) > told).all()
-    trunk = fitted.log_odds(odds, np.array([GROUPS.index("shoulders")]), [1, 1, 1])
-    assert np.array_equal(trunk, odds)

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hypose.evidence.frame import Frame
 from hypose.synthetic.scenes import make_scene
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.joint_features import AUDITED, audit_frame
@@ -57,23 +56,6 @@ def test_key_points_tell_how_far_a_joint_is_off(seen):
     assert 0.4 * min(away, 0.5) < column(off, "points_median")[wrist] <= 0.5
     assert np.isnan(column(right, "bare")).all()
     assert (column(right, "points_views")[wrist] >= 2) and (column(right, "points_all") < 0.06).all()
-
-
-def test_rivals_say_where_else_a_joint_may_be(seen):
-    frame, body, pose, wrong = seen
-    others = np.stack([wrong, np.full_like(wrong, np.nan)]), np.array([0.2, 0.0])
-    spread = column(audit_frame(body, pose, frame, None, others), "rival")
-    away = np.linalg.norm(body.joints(wrong) - body.joints(pose), axis=-1)
-    assert spread == pytest.approx(np.sqrt(0.2) * away, abs=1e-6)
-    alone = column(audit_frame(body, pose, frame), "rival")
-    assert (alone == 0).all()
-
-
-def test_a_frame_without_evidence_says_nothing(seen):
-    _, body, pose, _ = seen
-    audit = audit_frame(body, pose, Frame(0.0, 0))
-    kept = [n != "rival" for n in AUDITED]
-    assert np.isnan(audit[:, kept]).all()
 
 
 def test_an_arm_that_masks_hide_may_turn_and_one_that_stands_apart_may_not(seen):

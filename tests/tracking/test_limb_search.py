@@ -5,8 +5,7 @@ import pytest
 
 from hypose.inference.hypotheses import Hypotheses
 from hypose.tracking.arm_workspace import in_practice
-from hypose.tracking.costs import frame_energy, limb_energy
-from hypose.tracking.frame_evidence import prepare
+from hypose.tracking.frame_evidence import frame_energy, limb_energy, prepare
 from hypose.tracking.published_recipes import LIMB_LAYERS
 from hypose.tracking.recipes import LimbSearch
 from hypose.tracking.refinement import COMPOSITE, SOLVED
@@ -59,17 +58,3 @@ def test_it_never_leaves_the_limits_and_draws_the_same_from_the_same_seed(
     assert len(np.unique(tried, axis=0)) == 95
     # a quarter lies over the whole range, far beyond what steps reach
     assert 0.1 < (np.abs(tried - standing[search.own]).max(1) > 0.8).mean() < 0.4
-
-
-def test_evidence_of_ones_own_decides_too(body, search, standing, raised, frame_of, rng):
-    class Wants:
-        def rows(self, body, frame):
-            return None
-
-        def energy(self, body, poses, frame):
-            return 1e3 * (poses[:, search.own[-1]] > standing[search.own[-1]] + 0.05)
-
-    frame = prepare(frame_of(body, raised), body, standing, own=(Wants(),))
-    out = search(at(standing), frame, rng).values
-    assert out[1, search.own[-1]] <= standing[search.own[-1]] + 0.05
-    assert not np.isinf(limb_energy(out, frame, search.moving)).any()

@@ -7,7 +7,7 @@ from hypose.evidence.keypoints import BODY_25B
 from hypose.tracking.keypoint_clip import track_keypoint_clip
 from hypose.tracking.keypoint_evidence import keypoint_model
 from hypose.tracking.recipes import recipe
-from hypose.tracking.smooth_motion import smooth_motion
+from hypose.tracking.smoothing import smooth_motion
 from hypose.tracking.tracker import Tracker, motion_of
 from tests.tracking.test_keypoint_evidence import seen_by
 

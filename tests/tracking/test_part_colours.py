@@ -123,34 +123,6 @@ def test_an_arm_is_found_where_its_colours_are(body, folded, painted, learnt, le
     assert (pose[others] == wrong[others]).all()
 
 
-def with_edges(frame, body, pose):
-    """The frame, all of one colour, with edges where the left arm of a pose ends before the rest."""
-    arm, v = part_labels(body), body.skin(pose)
-    edges = np.zeros((len(frame.colours.codes), 2, *frame.colours.codes.shape[1:]), np.uint8)
-    for c, p in enumerate(frame.silhouettes.rig.projections):
-        shown, _ = shown_parts(v, body.coarse.faces, arm, p, edges.shape[2:])
-        edges[c, 0, :, :-1] = 200 * ((shown[:, 1:] != shown[:, :-1]) & (shown[:, 1:] * shown[:, :-1] > 0))
-        edges[c, 1, :-1] = 200 * ((shown[1:] != shown[:-1]) & (shown[1:] * shown[:-1] > 0))
-    return replace(frame, colours=replace(frame.colours, edges=edges))
-
-
-def part_labels(body):
-    names = body.skeleton.joint_names
-    left = np.isin(body.coarse.main_joint, [names.index(f"left_{n}") for n in ("shoulder", "elbow", "wrist")])
-    return left[body.coarse.faces].all(1).astype(np.uint8)
-
-
-def test_the_arm_whose_rims_lie_on_edges_is_better(body, folded, standing, painted):
-    alike, memory = (100,) * len(PARTS), {}
-    for t in range(3):
-        frame = prepare(painted(standing, t, alike), body, standing)
-        memory = LearnColours()(memory, standing, Hypotheses.uniform(standing[None]), frame)
-    frame = with_edges(painted(folded, clothes=alike), body, folded)
-    poses = np.stack([folded, with_elbow(body, folded, 0.4), with_elbow(body, folded, -0.4)])
-    scores = colour_scores(poses, replace(prepare(frame, body, folded), memory=memory), SETTINGS)
-    assert scores[0] < min(scores[1:]) - 0.01
-
-
 def run(tracker, frames, state):
     estimates = []
     for frame in frames:

@@ -7,16 +7,14 @@ import pytest
 
 from hypose.errors import InputError
 from hypose.evidence.terms import PointTerm
-from hypose.fitting import SolveSettings, fit_pose
 from hypose.inference.annealing import SmoothedWeight, SurvivalRate
 from hypose.inference.kernels import GaussianDiffusion
 from hypose.inference.layer import Layer, Recipe
 from hypose.inference.resampling import systematic
 from hypose.tracking import refinement
-from hypose.tracking.costs import SilhouetteXor
-from hypose.tracking.frame_evidence import prepare
+from hypose.tracking.frame_evidence import SilhouetteXor
 from hypose.tracking.recipes import RECIPES, citation_of, recipe
-from hypose.tracking.refinement import pose_mean, refine
+from hypose.tracking.refinement import pose_mean
 from hypose.tracking.tracker import Tracker, TrackerSettings
 from tests.tracking.measures import joint_error
 
@@ -54,13 +52,6 @@ def test_what_is_published_never_solves_and_never_recovers(body, standing, frame
     for t, pose in enumerate([standing, jumped, jumped]):
         state, estimate = tracker.step(state, frame_of(body, pose, t))
     assert np.linalg.norm(estimate.pose[:2] - jumped[:2]) > 0.3 and np.isnan(estimate.exchanged)
-
-
-def test_a_published_filter_begins_at_the_given_pose_and_expects_no_step(body, standing, frame_of):
-    made = recipe("hpf", body)
-    frame = prepare(frame_of(body, standing), body, standing)
-    assert (made.start(standing + 0.05, frame) == standing + 0.05).all()
-    assert (made.predict(np.ones(body.skeleton.dof), 0) == 0).all()
 
 
 @pytest.mark.parametrize("name", SOLVING)
@@ -131,16 +122,3 @@ def test_evidence_of_ones_own_finds_an_arm_that_no_mask_shows(body, standing, fr
         wrist = body.skeleton.joint("left_wrist")
         errors.append(np.linalg.norm(body.joints(estimate.pose)[wrist] - body.joints(raised)[wrist]))
     assert errors[1] < 0.6 * errors[0]
-
-
-def test_own_points_of_two_scales_are_one_solve(body, standing, frame_of):
-    """Halved weight and scale halved: four times the pull near the point, and the cost of a twice as sure one."""
-    frame = frame_of(body, standing)
-    own = [Wrist(body, [standing]), Wrist(body, [standing + 0.1], 0.05)]
-    prepared = prepare(frame, body, standing, own=own)
-    assert len(prepared.terms) == 3 and np.isfinite(refine(body, standing[None], prepared, SolveSettings())[0].cost)
-    both, one, other = (
-        fit_pose(body, standing, terms, options=SolveSettings(0, 0)).cost
-        for terms in (prepared.terms[1:], prepared.terms[1:2], prepared.terms[2:])
-    )
-    assert both == pytest.approx(one + other)

@@ -12,8 +12,7 @@ from hypose.evidence.terms import PointTerm
 from hypose.tracking.keypoint_clip import solve_keypoint_clip, track_keypoint_clip
 from hypose.tracking.keypoint_evidence import keypoint_model
 from hypose.tracking.pose_covariance import packed
-from hypose.tracking.smooth_motion import smooth_motion
-from hypose.tracking.smoothing import ClipSettings, smooth_poses
+from hypose.tracking.smoothing import ClipSettings, smooth_motion, smooth_poses
 from tests.tracking.test_keypoint_evidence import exchanged, seen_by
 
 RATE = 25.0
@@ -88,15 +87,6 @@ def test_a_gap_is_bridged_flagged_and_less_certain(body, swing):
     sd = result.joint_sd.mean(1)
     assert sd[17] > sd[15] > sd[13] and sd[17] > 1.5 * sd[5]
     assert sd[18] > sd[20]
-
-
-def test_extrapolation_comes_to_rest(body, swing):
-    poses = swing.copy()
-    poses[:, 0] += 1.5 * np.arange(40) / RATE
-    given = np.stack([packed(i) for i in information(poses, 0.02)])
-    result = smooth_motion(body, motion_of(body, poses, range(20, 40)), given).motion
-    ahead = result.poses[20:, 0] - result.poses[19, 0]
-    assert 0.02 < ahead[-1] < 0.8 and (np.diff(result.joint_sd[19:].mean(1)) > 0).all()
 
 
 def test_feet_are_held(body, swing, rng):

@@ -61,15 +61,6 @@ def test_published_recipes_stay_with_the_body(body, standing, frame_of, name):
     assert np.mean([joint_error(body, e.pose, p) for e, p in zip(estimates, poses, strict=True)]) < 0.05
 
 
-def test_refinement_after_a_published_recipe_improves_it(body, standing, frame_of):
-    poses = moving(body, standing, 6)
-    errors = {}
-    for refine in (False, True):
-        _, estimates = run(small(body, "hpf", 60, refine=refine), poses, frame_of)
-        errors[refine] = np.mean([joint_error(body, e.pose, p) for e, p in zip(estimates, poses, strict=True)])
-    assert errors[True] < 0.6 * errors[False]
-
-
 def test_without_evidence_it_extrapolates_with_growing_uncertainty(body, standing, frame_of):
     poses = moving(body, standing, 9)
     blind = range(4, 7)

@@ -5,13 +5,10 @@ another program.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from rich.table import Table
-
-from hypose.app.commands.console import Stages, print_notes, print_table, say, titled_table
+from hypose.app.commands.console import Stages, print_notes, print_table, say
 from hypose.app.jobs.checking import check_picture, write_image
 from hypose.app.jobs.person_job import calibrate_recording
 from hypose.app.options import CalibrateCommand
@@ -24,6 +21,7 @@ from hypose.cameras.camera import CameraRig
 from hypose.errors import CalibrationError, InputError
 from hypose.io.calibrations.calibration_formats import read_any, write_any, writer_of
 from hypose.io.files import check_writable
+from hypose.options import named_values
 
 
 def calibrate(c: CalibrateCommand) -> None:
@@ -112,25 +110,25 @@ def _from_points(path: Path, intrinsics: Path | None) -> CameraRig:
 
 
 def _show_points(result: PointCalibration) -> None:
-    table = titled_table(
-        f"Fit of the points: {result.rms_px:.2f} px rms",
-        ("camera", "points", "worst point (px)", "focal (px)", "position (m)", "uncertain by (mm)"),
-    )
+    """Print how well a calibration from measured points fits."""
+    rows = []
     for camera, sd in zip(result.rig, result.position_sd, strict=True):
-        errors = result.errors[camera.name]
+        errors, (x, y, z) = result.errors[camera.name], camera.position
         worst = max(errors, key=lambda n: errors[n])
-        x, y, z = camera.position
-        table.add_row(
-            camera.name, str(len(errors)), f"{worst} {errors[worst]:.1f}", f"{camera.K[0, 0]:.0f}",
-            f"{x:.3f} {y:.3f} {z:.3f}", f"{1e3 * sd:.0f}",
-        )  # fmt: skip
-    _say_doubts(table, result)
+        fit = f"{worst} {errors[worst]:.1f}", f"{camera.K[0, 0]:.0f}", f"{x:.3f} {y:.3f} {z:.3f}", f"{1e3 * sd:.0f}"
+        rows.append((camera.name, str(len(errors)), *fit))
+    columns = ("camera", "points", "worst point (px)", "focal (px)", "position (m)", "uncertain by (mm)")
+    print_table(f"Fit of the points: {result.rms_px:.2f} px rms", columns, rows)
+    _say_notes(result)
 
 
 def _from_boards(c: CalibrateCommand, sheet: Path) -> CameraRig:
     board = _board_of(c)
     check_picture(sheet, "--sheet")
-    sources = _with_lags(find_sources(c.sources), c.lag)
+    sources = find_sources(c.sources)
+    form = f"CAMERA=FRAMES with one of the cameras {', '.join(s.name for s in sources)}"
+    lags = named_values("--lag", c.lag, form, {s.name for s in sources}, r"[+-]?\d{1,6}")
+    sources = [replace(s, lag=int(lags.get(s.name, 0))) for s in sources]
     lenses = lens_sources = None
     if c.intrinsics is not None and c.intrinsics.is_dir() and not (c.intrinsics / "intri.yml").is_file():
         lens_sources = find_sources([c.intrinsics], "lens videos")
@@ -149,29 +147,12 @@ def _from_boards(c: CalibrateCommand, sheet: Path) -> CameraRig:
     return result.rig
 
 
-def _with_lags(sources: list, texts: Sequence[str]) -> list:
-    lags = {}
-    for text in texts:
-        name, _, number = text.rpartition("=")
-        if not re.fullmatch(r"[+-]?\d{1,6}", number) or name not in {s.name for s in sources}:
-            raise InputError(
-                f"--lag {text!r} is not understood; write CAMERA=FRAMES with one of the cameras "
-                f"{', '.join(s.name for s in sources)}."
-            )
-        lags[name] = int(number)
-    return [replace(s, lag=lags.get(s.name, 0)) for s in sources]
-
-
 def _show(result: BoardCalibration) -> None:
-    fit = result.fit
-    table = titled_table(
-        f"Joint fit of all boards: {fit.rms_px:.2f} px rms",
-        ("camera", "boards", "left out", "area", "rms (px)", "focal (px)", "position (m)", "uncertain by (mm)"),
-    )
+    """Print how well a calibration from boards fits."""
+    fit, rows = result.fit, []
     for c, (camera, view) in enumerate(zip(result.rig, result.views, strict=True)):
-        sd, position_sd = fit.focal_sd[c], fit.position_sd[c]
-        x, y, z = camera.position
-        table.add_row(
+        sd, position_sd, (x, y, z) = fit.focal_sd[c], fit.position_sd[c], camera.position
+        rows.append((
             camera.name,
             f"{len(view.sightings)} of {len(view.looks)}",
             str(sum(1 for k, _ in fit.dropped if k == c)),
@@ -180,12 +161,13 @@ def _show(result: BoardCalibration) -> None:
             f"{camera.K[0, 0]:.1f}" + (f" +- {sd:.1f}" if sd == sd else " (given)"),
             f"{x:.3f} {y:.3f} {z:.3f}",
             f"{1e3 * position_sd:.0f}" if position_sd == position_sd else "-",
-        )
-    _say_doubts(table, result)
+        ))  # fmt: skip
+    columns = ("camera", "boards", "left out", "area", "rms (px)", "focal (px)", "position (m)", "uncertain by (mm)")
+    print_table(f"Joint fit of all boards: {fit.rms_px:.2f} px rms", columns, rows)
+    _say_notes(result)
 
 
-def _say_doubts(table: Table, result: PointCalibration | BoardCalibration) -> None:
-    print_table(table)
+def _say_notes(result: PointCalibration | BoardCalibration) -> None:
     for text in result.notes:
         say(f"note: {text}")
     for text in result.warnings:

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 from click.exceptions import Exit
 
-from hypose.app.commands.console import ProgressCall, Stages, each, print_table, say
-from hypose.app.jobs.checking import camera_table, check_picture, check_recording, examine_recording, write_findings
+from hypose.app.commands.console import ProgressCall, Stages, each, say
+from hypose.app.jobs.checking import check_picture, check_recording, examine_recording, print_cameras, write_findings
 from hypose.app.options import CheckCommand, SyncCommand
 from hypose.calibration.diagnose_points import undistorted
 from hypose.calibration.diagnostics import Cured, PersonReport
@@ -60,7 +60,7 @@ def check(c: CheckCommand) -> None:
     loaded = load_recording(c.recording, c.calibration)
     for name in c.keep:
         loaded.rig.select([name])
-    print_table(camera_table(loaded))
+    print_cameras(loaded)
     for text in loaded.notes:
         say(f"note: {text}")
     path = c.out or loaded.folder / "results" / "check.png"

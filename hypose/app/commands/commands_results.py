@@ -40,9 +40,7 @@ def export(
     target = out or (results if results.is_dir() else results.parent)
     names = split_names(formats)
     with claimed(target), Stages() as progress:
-        progress("export", 0, 1)
-        written = export_motion(motion, body, target, names)
-        progress("export", 1, 1)
+        written = [p for name in each(progress, "export", names) for p in export_motion(motion, body, target, (name,))]
     for path in written:
         say(str(path))
 

@@ -23,7 +23,6 @@ from hypose.errors import visible
 if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions, RenderableType
     from rich.progress import Progress, TaskID
-    from rich.table import Table
 
 TITLES = {
     "prepare": "Prepare",
@@ -136,19 +135,19 @@ def _bars(console: Console) -> Progress:
     )
 
 
-def titled_table(title: str, columns: Iterable[str]) -> Table:
-    """Make a table with a title and columns, without rows."""
+def print_table(title: str, columns: Iterable[str], rows: Iterable[Sequence[str]]) -> None:
+    """Print a table; at full width where the output is no terminal.
+
+    columns: headings.
+    rows: texts, as many as headings.
+    """
     from rich.table import Table
 
-    table = Table(title=title, title_justify="left")
+    table, console = Table(title=title, title_justify="left"), out()
     for column in columns:
         table.add_column(column)
-    return table
-
-
-def print_table(table: object) -> None:
-    """Print a table; at full width where the output is no terminal."""
-    console = out()
+    for row in rows:
+        table.add_row(*row)
     if not console.is_terminal:
         console.width = 160
     console.print(table)

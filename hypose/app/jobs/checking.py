@@ -7,9 +7,8 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from rich.table import Table
 
-from hypose.app.commands.console import ProgressCall, each, ignore, titled_table
+from hypose.app.commands.console import ProgressCall, each, ignore, print_table
 from hypose.app.reports.calibration_pages import residual_picture, write_check_page
 from hypose.app.reports.result_pictures import Canvas, Drawing, open_images
 from hypose.calibration.diagnostics import Cured, PersonReport, examine
@@ -20,7 +19,7 @@ from hypose.geometry import Image
 from hypose.io.files import write_bytes, write_text
 from hypose.io.motions.results import to_json
 from hypose.io.recordings.frames import FrameStream
-from hypose.io.recordings.recording import Recording, ViewSettings
+from hypose.io.recordings.recording import Recording
 from hypose.io.recordings.recording_views import open_pictures
 from hypose.pipeline.one_of_several import frames_to_examine
 from hypose.pipeline.recording_diagnostics import observe_recording
@@ -40,41 +39,31 @@ class Findings:
     warnings: tuple[str, ...]
 
 
-def camera_table(recording: Recording) -> Table:
-    """Build a table with one row per camera: files, sizes, frame rate, frames, background, key points, position."""
+def print_cameras(recording: Recording) -> None:
+    """Print a table with one row per camera: files, sizes, frame rate, frames, background, key points, position."""
     title = f"{recording.name}: {len(recording.views)} views, {recording.n_frames} frames, "
     title += f"{recording.frame_rate:g} frames/s"
     columns = ("view", "camera", "images", "size", "calibrated", "fps", "frames", "masks", "background", "key points")
-    table = titled_table(title, (*columns, "position (m)"))
+    rows = []
     for view, camera in zip(recording.views, recording.rig, strict=True):
-        size, rate, frames = _stream_facts(view)
+        size = rate = frames = "-"
+        if view.has_pictures:
+            with open_pictures(view) as reader:
+                size, frames = f"{reader.size[0]}x{reader.size[1]}", str(reader.n_frames)
+                rate = "-" if reader.frame_rate is None else f"{reader.frame_rate:g}"
+        room = "from the recording" if not view.masks else "-"
         x, y, z = camera.position
-        table.add_row(
-            view.name,
-            camera.name,
-            _name(view.source),
-            size,
-            f"{camera.size[0]}x{camera.size[1]}",
-            rate,
-            frames,
-            _name(view.masks),
-            _name(view.background) if view.background else "from the recording" if not view.masks else "-",
+        rows.append((
+            *(view.name, camera.name, _name(view.source), size, f"{camera.size[0]}x{camera.size[1]}", rate, frames),
+            *(_name(view.masks), _name(view.background) if view.background else room),
             f"{_name(view.keypoints)} ({recording.keypoint_set})" if view.keypoints else "-",
             f"{x:.2f} {y:.2f} {z:.2f}",
-        )
-    return table
+        ))  # fmt: skip
+    print_table(title, (*columns, "position (m)"), rows)
 
 
 def _name(path: Path | None) -> str:
     return "-" if path is None else path.name
-
-
-def _stream_facts(view: ViewSettings) -> tuple[str, str, str]:
-    if not view.has_pictures:
-        return "-", "-", "-"
-    with open_pictures(view) as reader:
-        rate = "-" if reader.frame_rate is None else f"{reader.frame_rate:g}"
-        return f"{reader.size[0]}x{reader.size[1]}", rate, str(reader.n_frames)
 
 
 def check_recording(recording: Recording, sheet: Path, samples: int, progress: ProgressCall = ignore) -> Findings:

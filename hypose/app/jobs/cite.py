@@ -41,87 +41,88 @@ class Paper:
         return f"@{self.kind}{{{self.key},\n" + "".join(f"  {k} = {{{v}}},\n" for k, v in fields) + "}"
 
 
-HYPOSE = Paper(
-    "hypose",
-    "software",
-    "The hypose developers",
-    2026,
-    "hypose: human motion from ordinary cameras",
-    (("version", f"version {__version__}"),),
-)
-_THESIS = Paper(
-    "alcoverro2014",
-    "phdthesis",
-    "Alcoverro, M.",
-    2014,
-    "Stochastic optimization and interactive machine learning for human motion analysis",
-    (("school", "Universitat Politècnica de Catalunya"),),
-)
-ANNEALED = Paper(
-    "deutscher2005",
-    "article",
-    "Deutscher, J. and Reid, I.",
-    2005,
-    "Articulated body motion capture by stochastic search",
-    (("journal", "International Journal of Computer Vision"), ("volume", "61(2)"), ("pages", "185-205")),
-)
-CONDENSATION = Paper(
-    "isard1998",
-    "article",
-    "Isard, M. and Blake, A.",
-    1998,
-    "CONDENSATION: conditional density propagation for visual tracking",
-    (("journal", "International Journal of Computer Vision"), ("volume", "29(1)"), ("pages", "5-28")),
-)
-PARTITIONED = Paper(
-    "maccormick2000",
-    "inproceedings",
-    "MacCormick, J. and Isard, M.",
-    2000,
-    "Partitioned sampling, articulated objects, and interface-quality hand tracking",
-    (("booktitle", "European Conference on Computer Vision"), ("pages", "3-19")),
-)
-_SWARM = Paper(
-    "asteriadis2013",
-    "inproceedings",
-    "Asteriadis, S. and Chatzitofis, A. and Zarpalas, D. and Alexiadis, D. S. and Daras, P.",
-    2013,
-    "Estimating human motion from multiple Kinect sensors",
-    (("booktitle", "MIRAGE 2013, Berlin"),),
-)
-MONOCULAR = Paper(
-    "sminchisescu2001",
-    "techreport",
-    "Sminchisescu, C. and Triggs, B.",
-    2001,
-    "A robust multiple hypothesis approach to monocular human motion tracking",
-    (("institution", "INRIA"), ("number", "Rapport de recherche 4208")),
-)
-FORESTS = Paper(
-    "saffari2009",
-    "inproceedings",
-    "Saffari, A. and Leistner, C. and Santner, J. and Godec, M. and Bischof, H.",
-    2009,
-    "On-line random forests",
-    (("booktitle", "ICCV Workshops"), ("pages", "1393-1400")),
-)
+_WORKS = [
+    Paper(
+        "hypose",
+        "software",
+        "The hypose developers",
+        2026,
+        "hypose: human motion from ordinary cameras",
+        (("version", f"version {__version__}"),),
+    ),
+    Paper(
+        "alcoverro2014",
+        "phdthesis",
+        "Alcoverro, M.",
+        2014,
+        "Stochastic optimization and interactive machine learning for human motion analysis",
+        (("school", "Universitat Politècnica de Catalunya"),),
+    ),
+    Paper(
+        "deutscher2005",
+        "article",
+        "Deutscher, J. and Reid, I.",
+        2005,
+        "Articulated body motion capture by stochastic search",
+        (("journal", "International Journal of Computer Vision"), ("volume", "61(2)"), ("pages", "185-205")),
+    ),
+    Paper(
+        "isard1998",
+        "article",
+        "Isard, M. and Blake, A.",
+        1998,
+        "CONDENSATION: conditional density propagation for visual tracking",
+        (("journal", "International Journal of Computer Vision"), ("volume", "29(1)"), ("pages", "5-28")),
+    ),
+    Paper(
+        "maccormick2000",
+        "inproceedings",
+        "MacCormick, J. and Isard, M.",
+        2000,
+        "Partitioned sampling, articulated objects, and interface-quality hand tracking",
+        (("booktitle", "European Conference on Computer Vision"), ("pages", "3-19")),
+    ),
+    Paper(
+        "asteriadis2013",
+        "inproceedings",
+        "Asteriadis, S. and Chatzitofis, A. and Zarpalas, D. and Alexiadis, D. S. and Daras, P.",
+        2013,
+        "Estimating human motion from multiple Kinect sensors",
+        (("booktitle", "MIRAGE 2013, Berlin"),),
+    ),
+    Paper(
+        "sminchisescu2001",
+        "techreport",
+        "Sminchisescu, C. and Triggs, B.",
+        2001,
+        "A robust multiple hypothesis approach to monocular human motion tracking",
+        (("institution", "INRIA"), ("number", "Rapport de recherche 4208")),
+    ),
+    Paper(
+        "saffari2009",
+        "inproceedings",
+        "Saffari, A. and Leistner, C. and Santner, J. and Godec, M. and Bischof, H.",
+        2009,
+        "On-line random forests",
+        (("booktitle", "ICCV Workshops"), ("pages", "1393-1400")),
+    ),
+]
+PAPERS = {paper.key: paper for paper in _WORKS}
+"""Works by the key of their BibTeX entry."""
 
-_THESIS_RECIPES = ("hpf", "hpf+", "hpf-apo", "hpf-apo+", "dd-hpf", "dd-hpf+", "dd-hpf+5", "dd-hpf+rivals")
-PAPERS: dict[str, tuple[Paper, ...]] = {
-    "default": (_THESIS,),
-    "sir": (CONDENSATION,),
-    "apf": (ANNEALED,),
-    "partitioned": (PARTITIONED,),
-    **dict.fromkeys(_THESIS_RECIPES, (_THESIS,)),
-    "subject": (_THESIS,),
-    "monocular": (MONOCULAR,),
-    "fusion-fit": (_SWARM,),
-    "fusion-swarm": (_SWARM,),
-    "fusion-published": (_SWARM,),
-    "fusion-published-window": (_SWARM,),
-    "gesture": (_THESIS, FORESTS),
+_THESIS, _SWARM = ("alcoverro2014",), ("asteriadis2013",)
+METHODS: dict[str, tuple[str, ...]] = {
+    "default": _THESIS,
+    "sir": ("isard1998",),
+    "apf": ("deutscher2005",),
+    "partitioned": ("maccormick2000",),
+    **dict.fromkeys(("hpf", "hpf+", "hpf-apo", "hpf-apo+", "dd-hpf", "dd-hpf+", "dd-hpf+5", "dd-hpf+rivals"), _THESIS),
+    "subject": _THESIS,
+    "monocular": ("sminchisescu2001",),
+    **dict.fromkeys(("fusion-fit", "fusion-swarm", "fusion-published", "fusion-published-window"), _SWARM),
+    "gesture": (*_THESIS, "saffari2009"),
 }
-"""Works behind each method; hypose itself is added to them."""
+"""Keys of the works behind each method, without hypose itself."""
 
 
 def papers_of(name: str) -> tuple[Paper, ...]:
@@ -130,7 +131,7 @@ def papers_of(name: str) -> tuple[Paper, ...]:
     Raises: InputError lists the methods.
     """
     path, method = Path(name), name
-    if name not in PAPERS and (path.is_dir() or path.suffix == ".json"):
+    if name not in METHODS and (path.is_dir() or path.suffix == ".json"):
         path = path / "provenance.json" if path.is_dir() else path
         try:
             method = str(read_json(path, "a provenance.json")["recipe"])
@@ -138,12 +139,12 @@ def papers_of(name: str) -> tuple[Paper, ...]:
             raise InputError(
                 f"{path} tells no method ({error}); give a folder that hypose track or fuse wrote, or a method's name."
             ) from None
-    if method not in PAPERS and not method.startswith("fusion-"):
+    if method not in METHODS and not method.startswith("fusion-"):
         raise InputError(
             f"There is no method or results folder {name!r}; give a folder that hypose track or fuse wrote, or one of "
-            f"{', '.join(PAPERS)}."
+            f"{', '.join(METHODS)}."
         )
-    return (HYPOSE, *PAPERS.get(method, ()))  # the baselines of fusion are textbook filters
+    return tuple(PAPERS[key] for key in ("hypose", *METHODS.get(method, ())))  # other baselines are textbook filters
 
 
 def formatted_papers(papers: Sequence[Paper], bibtex: bool) -> str:

@@ -14,9 +14,10 @@ import numpy as np
 from hypose import __version__
 from hypose.app.reports.charts import RIGHT_COLOUR, Axes, chart, over_known
 from hypose.app.reports.summary import page
-from hypose.errors import InputError
+from hypose.body.default_body import JOINT_NAMES
 from hypose.io.files import write_text
 from hypose.io.motions.results import load_result
+from hypose.options import named_values
 from hypose.pipeline.comparison import Agreement, CompareOptions, Comparison, compare_motions, read_other
 from hypose.pipeline.settings import SETTINGS
 
@@ -76,23 +77,13 @@ def mean_coverage(found: Comparison) -> float:
 
 
 def parse_joints(texts: Sequence[str]) -> dict[str, tuple[str, ...]]:
-    """Parse options joint=MARKER+MARKER to markers by joint.
+    """Parse the options JOINT=MARKER+MARKER to names of markers by joint.
 
-    Raises: InputError for another form.
+    Raises: InputError for another form, an unknown joint, or one that is given twice.
     """
-    from hypose.body.default_body import JOINT_NAMES
-
-    out = {}
-    for text in texts:
-        joint, equals, markers = text.partition("=")
-        names = tuple(m.strip() for m in markers.split("+") if m.strip())
-        if not equals or not names or joint.strip() not in JOINT_NAMES:
-            raise InputError(
-                f"--joint {text!r} is not understood; write JOINT=MARKER+MARKER, with one of the joints "
-                f"{', '.join(JOINT_NAMES)}."
-            )
-        out[joint.strip()] = names
-    return out
+    form = f"JOINT=MARKER+MARKER, with one of the joints {', '.join(JOINT_NAMES)}"
+    given = named_values("--joint", texts, form, JOINT_NAMES, r"\s*[^+\s].*")
+    return {joint: tuple(m.strip() for m in names.split("+") if m.strip()) for joint, names in given.items()}
 
 
 def write_csv(path: Path, compared: Sequence[Compared]) -> None:

@@ -15,8 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from hypose.app.commands.console import ProgressCall, ignore
+from hypose.app.commands.console import ProgressCall, each, ignore
 from hypose.app.jobs.job import compile_before
+from hypose.app.reports.report import write_report
 from hypose.app.studio.view_bundle import load_view
 from hypose.body.body import Body
 from hypose.body.motion import Motion
@@ -128,14 +129,10 @@ def corrected_motion(
     save_body(body, out.file("body.npz"))
     save_motion(joined, out.motion)
     out.write_json("provenance.json", joined.provenance)
-    progress("export", 0, 1)
-    export_motion(joined, body, out.path, formats)
-    progress("export", 1, 1)
-    progress("report", 0, 1)
-    from hypose.app.reports.report import write_report
-
-    write_report(out.file("report.html"), load_view(out.path, recording), recording)
-    progress("report", 1, 1)
+    for name in each(progress, "export", formats):
+        export_motion(joined, body, out.path, (name,))
+    for path in each(progress, "report", [out.file("report.html")]):
+        write_report(path, load_view(out.path, recording), recording)
     return joined
 
 

@@ -339,22 +339,18 @@ def evaluate_model(model: GestureModel, recording: GestureRecording) -> dict[str
     if len(model.names) > 1:
         raise InputError("A model of several gestures cannot be judged here; give a model of one gesture.")
     number, forest = recording.number(name), loaded_forests([model])[0]
-    scratch, plan = Scratch(), model.settings.plan
-    scores, px, metres, measured = [], [], [], 0
+    scratch, plan, rows, measured = Scratch(), model.settings.plan, [], 0
     for f in recording.learned():
-        depth = recording.picture(f)
+        depth, shows = recording.picture(f), f.phase == "positive" and f.gesture == number
         found = localise(depth, recording.lens, [forest], model.settings, scratch)[0]
-        shown = f.phase == "positive" and f.gesture == number
-        error = float(np.hypot(found.x - f.x, found.y - f.y)) if shown else np.inf
-        surface = surface_depth(depth, f.x, f.y) if shown else None
+        off = float(np.hypot(found.x - f.x, found.y - f.y)) if shows else np.inf
+        surface = surface_depth(depth, f.x, f.y) if shows else None
         measured += surface is not None and plan.near_mm <= surface <= plan.far_mm
         z = found.position[2] if found.position is not None else np.inf
-        scores.append(found.score)
-        px.append(error)
-        metres.append(error * z / recording.lens.fx if shown else np.inf)
-    if not scores:
+        rows.append((found.score, off, off * z / recording.lens.fx if shows else np.inf))
+    if not rows:
         raise InputError(f"{recording.folder} has no labelled frames; record a session with prompts.")
-    s, e, m = np.array(scores), np.array(px), np.array(metres)
+    s, e, m = np.array(rows).T
     shown = np.isfinite(e)
     if shown.any() and not measured:
         raise InputError(_NOTHING.format(gesture=name, where=_range(plan)))

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any
 
 from hypose.app.commands.console import ProgressCall, each, ignore
 from hypose.app.options import TrackCommand
-from hypose.app.reports.overlay import OverlayRows, PictureRows, write_overlay
-from hypose.app.reports.report import report_pictures
+from hypose.app.reports.overlay import PictureRows, write_overlay
+from hypose.app.reports.report import picture_rows, report_html
 from hypose.app.reports.summary import DESCRIPTIONS
-from hypose.app.studio.view_bundle import Rivals, ViewResult, pictured
+from hypose.app.studio.view_bundle import Rivals, in_recording
 from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.compute.warming import warm_up
@@ -99,9 +99,10 @@ def job_of(command: TrackCommand, recording: Recording | None = None) -> TrackJo
     loaded = recording or recording_of(command)
     height = loaded.subject_height if command.height is None else command.height
     options = replace(command.options, height=height).suited_to(loaded)
-    results = ResultsFolder.of(loaded.folder, options.recipe) if command.out is None else ResultsFolder(command.out)
-    if command.people is not None and command.out is None:
-        results = people_results(loaded.folder, options.recipe)
+    name = options.recipe
+    if command.people is not None:
+        name = "people" if name == "default" else f"{name}-people"
+    results = ResultsFolder.of(loaded.folder, name) if command.out is None else ResultsFolder(command.out)
     return TrackJob(loaded, options, results, command)
 
 
@@ -147,13 +148,6 @@ def choose_frames(recording: Recording, text: str | None) -> Recording:
     return replace(recording, frame_range=(a, b))
 
 
-def people_results(recording_folder: Path, recipe: str) -> ResultsFolder:
-    """Return the folder for results of several people: results/people/ of a recording, or results/RECIPE-people/ for
-    another recipe than the default.
-    """
-    return ResultsFolder.of(recording_folder, "people" if recipe == "default" else f"{recipe}-people")
-
-
 def run_job(job: TrackJob, progress: ProgressCall = ignore, seconds: Mapping[str, float] | None = None) -> Outcome:
     """Track, export, draw and report.
 
@@ -185,10 +179,8 @@ def run_job(job: TrackJob, progress: ProgressCall = ignore, seconds: Mapping[str
         truth = job.truth(tracked.motion, tracked.body) if job.truth is not None else None
         if not tracked.complete:
             return Outcome(tracked.motion, tracked.body, False, tuple(files), notes, truth)
-        said = (f"Assessment: {assessment.sentence}", *notes)
-        about = {"notes": said, "seconds": seconds or {}, "truth": truth}
-        view = ViewResult(recording.name, tracked.motion, tracked.body, **about)
-        files += export_and_report(job, tracked, view, source, files, progress)
+        about = {"notes": notes, "seconds": seconds or {}, "truth": truth, "assessment": assessment}
+        files += export_and_report(job, tracked, source, files, progress, **about)
     remove_stale(results, files)
     return Outcome(tracked.motion, tracked.body, True, tuple(files), notes, truth, assessment)
 
@@ -313,38 +305,45 @@ def finished_before(job: TrackJob, record: Mapping[str, Any]) -> TrackResult | N
 def export_and_report(
     job: TrackJob,
     tracked: TrackResult,
-    view: ViewResult,
     source: FrameStream,
     written: Sequence[Path],
     progress: ProgressCall,
+    **about: Any,  # noqa: ANN401 (fields of the report)
 ) -> list[Path]:
-    """Write motion files, overlay and report of a tracked person, where they are wanted; return their paths.
+    """Write motion files, overlay and report of a tracked person, where they are wanted.
 
-    view: title, notes and figures of the report.
+    source: frames of the recording.
     written: files that exist already.
+    about: fields of `ViewResult` for the report: notes, assessment, title, ...
+    Returns: paths of the new files.
     """
+    motion, body, results, recording = tracked.motion, tracked.body, job.results, job.recording
     files: list[Path] = []
     for name in each(progress, "export", job.formats):
-        files += export_motion(tracked.motion, tracked.body, job.results.path, (name,))
-    if not (job.command.overlay or job.command.report):
+        files += export_motion(motion, body, results.path, (name,))
+    video, reported = job.command.overlay, job.command.report
+    if not (video or reported):
         return files
-    recording, modes = job.recording, tracked.modes
-    about = replace(
-        view,
-        rig=recording.rig,
-        image_shifts=[v.image_shift for v in recording.views],
-        pictures=pictured(recording),
+    modes, report, path = tracked.modes, results.file("report.html"), results.file("overlay.mp4")
+    view = in_recording(
+        recording,
+        motion,
+        body,
         citation=citation_of(job.options.recipe, job.options.refine),
         complete=tracked.complete,
         first_frame=recording.frames.start,
-        rivals=Rivals.of_motion(tracked.motion) if modes is None else Rivals.of(modes.joints, modes.weights),
+        rivals=Rivals.of_motion(motion) if modes is None else Rivals.of(modes.joints, modes.weights),
+        **about,
     )
-
-    def overlay(path: Path, wanted: PictureRows) -> OverlayRows:
-        return write_overlay(path, recording, source, tracked.motion, tracked.body, wanted, progress)
-
-    there, wanted = [*written, *files], (job.command.overlay, job.command.report)
-    return files + report_pictures(job.results, about, overlay, there, wanted, progress)
+    wanted = picture_rows(view, video) if reported else PictureRows(video)
+    drawn = write_overlay(path, recording, source, motion, body, wanted, progress)
+    files += [path] if video else []
+    if reported:
+        progress("report", 0, 1)
+        listed = [(p.name, DESCRIPTIONS.get(p.name, ""), 0) for p in (*written, *files, report)]
+        files.append(results.write_text("report.html", report_html(replace(view, files=listed), drawn)))
+        progress("report", 1, 1)
+    return files
 
 
 def remove_stale(results: ResultsFolder, written: Sequence[Path]) -> None:

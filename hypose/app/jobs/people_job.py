@@ -27,7 +27,6 @@ from hypose.app.jobs.job import (
 )
 from hypose.app.reports.overlay import colour_of, write_people_overlay
 from hypose.app.reports.summary import CONTENT_POLICY, page, require_found, summarize
-from hypose.app.studio.view_bundle import ViewResult
 from hypose.calibration.findings import REVIEW, Finding
 from hypose.errors import InputError
 from hypose.io.files import check_writable, claimed
@@ -163,7 +162,11 @@ def run_people(job: TrackJob, people: str, progress: ProgressCall = ignore) -> O
 
 
 def _no_such_person(name: str, wanted: Sequence[Wanted], people: Sequence[TrackedPerson]) -> str:
-    """Return the sentence that the requested person was not found, and who was."""
+    """Return the sentence that the requested person was not found, and who was.
+
+    name: of the requested person, one of `wanted`.
+    people: those who were found.
+    """
     one = next(w for w in wanted if w.name == name)
     return (
         f"{one.not_found}; the results are those of {', '.join(p.name for p in people)} instead: "
@@ -172,7 +175,7 @@ def _no_such_person(name: str, wanted: Sequence[Wanted], people: Sequence[Tracke
 
 
 def worst_assessment(people: Sequence[TrackedPerson]) -> Assessment:
-    """Combine the assessments of several people: the worst word, with the sentences of those who have it."""
+    """Combine the assessments of several people: the worst word, with the sentences and frames of those who have it."""
     assessments = {p.name: p.assessment for p in people}
     order = ("good", "look", UNTRUSTED)
     word = max((v.word for v in assessments.values()), key=order.index)
@@ -186,7 +189,7 @@ def worst_assessment(people: Sequence[TrackedPerson]) -> Assessment:
 
 
 def _written(one: TrackedPerson, results: ResultsFolder) -> list[Path]:
-    """Write the files of one person that need no drawing."""
+    """Write the files of one person that need no drawing; return their paths."""
     save_body(one.result.body, results.file("body.npz"))
     results.write_json("provenance.json", one.result.motion.provenance)
     results.write_json(ASSESSMENT_FILE, {**one.assessment.with_joints(one.result.motion), "there": _there(one)})
@@ -194,19 +197,23 @@ def _written(one: TrackedPerson, results: ResultsFolder) -> list[Path]:
 
 
 def _there(one: TrackedPerson) -> list[list[int]]:
+    """List the rows [first, one after the last] of the motion in which a person is present."""
     return [[r.start, r.stop] for r in runs(one.present)]
 
 
 def _one_report(
     job: TrackJob, one: TrackedPerson, source: FrameStream, written: Sequence[Path], progress: ProgressCall
 ) -> list[Path]:
-    """Write motion files and report of one person."""
+    """Write motion files and report of one person, and delete files of earlier runs; return the paths.
+
+    source: frames of the recording with all people.
+    written: files that exist already, of all people.
+    """
     results = ResultsFolder(job.results.path / one.name)
     own = replace(job, results=results, command=replace(job.command, overlay=False))
-    notes = (f"Assessment: {one.assessment.sentence}", *one.result.notes)
-    view = ViewResult(f"{job.recording.name}: {one.name}", one.result.motion, one.result.body, notes=notes)
+    about = {"title": f"{job.recording.name}: {one.name}", "notes": one.result.notes, "assessment": one.assessment}
     before = [p for p in written if p.parent == results.path]
-    files = export_and_report(own, one.result, view, source, before, progress)
+    files = export_and_report(own, one.result, source, before, progress, **about)
     remove_stale(results, [*before, *files])
     return files
 
@@ -214,7 +221,11 @@ def _one_report(
 def _together(
     job: TrackJob, people: Sequence[TrackedPerson], source: FrameStream, notes: Sequence[str], progress: ProgressCall
 ) -> list[Path]:
-    """Write overlay, C3D, GLB and index of all people."""
+    """Write overlay, C3D, GLB, people.json and index page of all people; return their paths.
+
+    source: frames of the recording with all people.
+    notes: for people.json and the page.
+    """
     results, files = job.results, list[Path]()
     if job.command.overlay:
         path = results.file("overlay.mp4")
@@ -227,13 +238,8 @@ def _together(
         write_people_glb(path, [(p.name, p.result.motion, p.result.body) for p in people])
         files.append(path)
     about = [
-        {
-            "name": p.name,
-            "folder": p.name,
-            "assessment": p.assessment.word,
-            "there": _there(p),
-            "stature": p.result.body.stature,
-        }
+        {"name": p.name, "folder": p.name, "assessment": p.assessment.word, "there": _there(p)}
+        | {"stature": p.result.body.stature}
         for p in people
     ]
     files.append(results.write_json(PEOPLE, {"people": about, "notes": list(notes)}))
@@ -244,8 +250,10 @@ def _together(
 
 
 def write_people_c3d(path: Path, people: Sequence[TrackedPerson]) -> Path:
-    """Write the joint centres of all people, named NAME:JOINT, as one C3D with subjects; points of absent people are
-    marked as not seen.
+    """Write the joint centres of all people as one C3D with subjects; return its path.
+
+    Points are named NAME:JOINT. The residual of a point is its standard deviation (mm), 0 where it was not measured;
+    points of absent people are marked as not seen.
     """
     subjects = [p.name.replace(" ", "-").replace(":", "-") for p in people]
     names = [f"{s}:{j}" for s, p in zip(subjects, people, strict=True) for j in p.result.motion.skeleton.joint_names]

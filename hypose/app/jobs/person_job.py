@@ -16,7 +16,7 @@ import numpy as np
 from click.exceptions import Exit
 
 from hypose.app.commands.commands_check import keep_offsets
-from hypose.app.commands.console import Stages, print_note, print_notes, print_table, say, stopping, titled_table
+from hypose.app.commands.console import Stages, print_note, print_notes, print_table, say, stopping
 from hypose.app.jobs.checking import write_image
 from hypose.app.jobs.job import choose_frames, job_of, recording_of
 from hypose.app.jobs.people_job import track_shown
@@ -137,18 +137,15 @@ def with_focal_lengths(rig: CameraRig, given: Sequence[str]) -> CameraRig:
 
 
 def _show(found: PersonCalibration) -> None:
-    table = titled_table(
-        f"Fit of the person's key points: {found.median_px:.1f} px median",
-        ("camera", "late (frames)", "focal (px)", "position (m)", "uncertain by (mm)", "turned by (deg)"),
-    )
-    sds = zip(found.late, found.sds.late, found.sds.focal, found.sds.place_m, found.sds.turn_deg, strict=True)
-    for camera, (late, late_sd, focal_sd, place_sd, turn_sd) in zip(found.rig, sds, strict=True):
+    """Print how well a calibration from a person fits."""
+    sds, rows = found.sds, []
+    for k, (camera, late) in enumerate(zip(found.rig, found.late, strict=True)):
         f, (x, y, z) = camera.K[0, 0], camera.position
-        table.add_row(
-            camera.name, f"{late:+.2f} +- {late_sd:.2f}", f"{f:.0f}" + (f" +- {focal_sd * f:.0f}" if focal_sd else ""),
-            f"{x:.3f} {y:.3f} {z:.3f}", f"{1e3 * place_sd:.0f}", f"{turn_sd:.2f}",
-        )  # fmt: skip
-    print_table(table)
+        focal = f"{f:.0f}" + (f" +- {sds.focal[k] * f:.0f}" if sds.focal[k] else "")
+        place = f"{x:.3f} {y:.3f} {z:.3f}", f"{1e3 * sds.place_m[k]:.0f}", f"{sds.turn_deg[k]:.2f}"
+        rows.append((camera.name, f"{late:+.2f} +- {sds.late[k]:.2f}", focal, *place))
+    columns = ("camera", "late (frames)", "focal (px)", "position (m)", "uncertain by (mm)", "turned by (deg)")
+    print_table(f"Fit of the person's key points: {found.median_px:.1f} px median", columns, rows)
     for text in found.approximate:
         say(f"warning: approximate: {text}.", "yellow")
 

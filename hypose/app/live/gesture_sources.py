@@ -4,7 +4,7 @@ sensor.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,7 +16,7 @@ from hypose.errors import InputError
 from hypose.gestures.depth_pictures import KINECT, DepthLens, millimetres
 
 if TYPE_CHECKING:
-    from hypose.io.sensors.depth import DepthFrame
+    from hypose.io.sensors.depth import DepthFile
 
 PERSON_RATE = 15.0
 """Rate of the simulated person, Hz."""
@@ -69,13 +69,15 @@ def open_source(text: str, gesture: str = "tee", seed: int = 0) -> GestureSource
     """
     if text == "simulated" or text.startswith("simulated:"):
         return _simulated(text.partition(":")[2] or "0", gesture, seed)
+    from hypose.io.sensors.depth import open_depth, open_realsense, read_realsense
+
     if text == "realsense":
-        return _realsense(None)
+        return _opened("realsense", open_realsense())
     path = Path(text)
     if path.suffix.lower() in (".bag", ".db3"):
-        return _realsense(path)
+        return _opened(path.name, read_realsense(path))
     if path.suffix.lower() in (".mkv", ".r3d"):
-        return _filmed(path)
+        return _opened(path.name, open_depth(path))
     if path.is_dir():
         return _recorded(path)
     raise InputError(
@@ -99,29 +101,16 @@ def _recorded(folder: Path) -> GestureSource:
     return GestureSource(folder.name, recording.lens, recording.size, take)
 
 
-def _filmed(path: Path) -> GestureSource:
-    from hypose.io.sensors.depth import open_depth
-
-    opened = open_depth(path)
+def _opened(name: str, opened: DepthFile) -> GestureSource:
+    """Make the source of an opened depth camera or recording."""
     k = opened.camera.K  # distortion is left out: tests span a hand
     lens = DepthLens(*(float(v) for v in (k[0, 0], k[1, 1], k[0, 2], k[1, 2])))
-    return _of_frames(path.name, lens, opened.camera.size, opened.frames)
 
-
-def _realsense(path: Path | None) -> GestureSource:
-    from hypose.io.sensors.depth import open_realsense, read_realsense
-
-    opened = open_realsense() if path is None else read_realsense(path)
-    name = "realsense" if path is None else path.name
-    return _of_frames(name, DepthLens(*opened.intrinsics), opened.size, opened.frames)
-
-
-def _of_frames(name: str, lens: DepthLens, size: tuple[int, int], frames: Iterator[DepthFrame]) -> GestureSource:
     def take(phase: str) -> Taken | None:
-        frame = next(frames, None)
+        frame = next(opened.frames, None)
         return None if frame is None else Taken(frame.time, millimetres(frame.depth, name))
 
-    return GestureSource(name, lens, size, take, getattr(frames, "close", lambda: None))
+    return GestureSource(name, lens, opened.camera.size, take, getattr(opened.frames, "close", lambda: None))
 
 
 def _simulated(who: str, gesture: str, seed: int) -> GestureSource:

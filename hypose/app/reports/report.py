@@ -6,7 +6,7 @@ import base64
 import gzip
 import html
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,18 +14,18 @@ from typing import Any
 import numpy as np
 
 from hypose import __version__
-from hypose.app.commands.console import ProgressCall
 from hypose.app.reports import charts
 from hypose.app.reports.overlay import OverlayRows, PictureRows, still_rows, write_overlay
 from hypose.app.reports.result_pictures import jpeg
-from hypose.app.reports.summary import DESCRIPTIONS, page, picture_of, subject_rows, summarize
+from hypose.app.reports.summary import page, picture_of, subject_rows, summarize
 from hypose.app.studio.view_bundle import ViewResult, view_bundle
 from hypose.body.body import Body
 from hypose.body.motion import Motion, sd_per_axis
 from hypose.io.files import write_text
-from hypose.io.motions.results import ResultsFolder, to_json
+from hypose.io.motions.results import to_json
 from hypose.io.recordings.frames import FrameSettings, FrameStream
 from hypose.io.recordings.recording import Recording
+from hypose.pipeline.assessment import GOOD, UNTRUSTED
 from hypose.pipeline.gait import angle_cycles, gait_of
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.trace import trace_of
@@ -38,35 +38,6 @@ PLACE = '<div id="hypose-viewer" class="viewer"><noscript>The view in 3D needs J
 _PICTURES, _MIN_ROWS, _MAX_ROWS = 48, 4, 16  # of the viewer
 
 
-def report_pictures(
-    results: ResultsFolder,
-    result: ViewResult,
-    overlay: Callable[[Path, PictureRows], OverlayRows],
-    written: Sequence[Path],
-    wanted: tuple[bool, bool],
-    progress: ProgressCall,
-) -> list[Path]:
-    """Write overlay.mp4 and report.html of a finished motion.
-
-    overlay: draws pictures of rows.
-    written: files that exist already.
-    wanted: whether the video, and the report, are wanted.
-    Returns: paths of the new files.
-    """
-    video, reported = wanted
-    path, report = results.file("overlay.mp4"), results.file("report.html")
-    rows = _rows(result, video) if reported else PictureRows(video)
-    shown = overlay(path, rows)
-    out = [path] if video else []
-    if not reported:
-        return out
-    progress("report", 0, 1)
-    files = [(p.name, DESCRIPTIONS.get(p.name, ""), 0) for p in [*written, *out, report]]
-    write_text(report, report_html(replace(result, files=files), shown))
-    progress("report", 1, 1)
-    return [*out, report]
-
-
 def write_report(path: Path, result: ViewResult, recording: Recording | None) -> Path:
     """Write the report of a result in a folder, with pictures of its recording; return its path."""
     write_text(path, report_html(result, drawn_of(result, recording)))
@@ -75,7 +46,7 @@ def write_report(path: Path, result: ViewResult, recording: Recording | None) ->
 
 def drawn_of(result: ViewResult, recording: Recording | None) -> OverlayRows:
     """Draw the pictures for a report of a result, from its recording; empty without one."""
-    motion, body, wanted = result.motion, result.body, _rows(result, False)
+    motion, body, wanted = result.motion, result.body, picture_rows(result, False)
     if recording is None:
         return OverlayRows()
     if body is None or motion.poses is None:
@@ -88,16 +59,17 @@ def drawn_of(result: ViewResult, recording: Recording | None) -> OverlayRows:
         return write_overlay("", recording, stream, motion, body, wanted)
 
 
-def _rows(result: ViewResult, video: bool) -> PictureRows:
-    """Select the rows of a result whose pictures are drawn; without a built viewer no small ones."""
-    small = stored_rows(result.motion, len(result.pictures)) if _built() and result.pictures else []
+def picture_rows(result: ViewResult, video: bool) -> PictureRows:
+    """Select the rows of a result whose pictures are drawn for its report.
+
+    video: all rows are drawn for the overlay as well.
+    Returns: four rows and the one with the worst fit as stills; for the viewer, where it was built, more small ones,
+        fewer with many views.
+    """
+    small: Sequence[int] = ()
+    if _built() and result.pictures:
+        small = still_rows(result.motion, max(_MIN_ROWS, min(_MAX_ROWS, _PICTURES // len(result.pictures))))
     return PictureRows(video, still_rows(result.motion), small)
-
-
-def stored_rows(motion: Motion, views: int) -> list[int]:
-    """Select rows whose pictures are stored in a report: evenly spread, fewer with many views, and the worst one."""
-    count = min(len(motion), max(_MIN_ROWS, min(_MAX_ROWS, _PICTURES // max(1, views))))
-    return still_rows(motion, count)
 
 
 def _built() -> bool:
@@ -178,24 +150,29 @@ def _text(what: ViewResult, drawn: OverlayRows) -> str:
 
 
 def _head(what: ViewResult) -> str:
-    recipe = str(what.motion.provenance.get("recipe", "unknown"))
+    """Build the title, the assessment, and where and when the result comes from."""
+    recipe, a = str(what.motion.provenance.get("recipe", "unknown")), what.assessment
+    about = [f"recorded {what.date}" if what.date else "", f"recipe {recipe}", f"hypose {__version__}"]
+    tone = "" if a is None else {GOOD: "good", UNTRUSTED: "bad"}.get(a.word, "")
     return (
         f"<h1>{html.escape(what.title)}</h1>"
-        f'<p class="dim">recipe {html.escape(recipe)} · hypose {html.escape(__version__)}</p>'
+        + (f'<p class="{tone}">{html.escape(a.sentence)}</p>' if a is not None else "")
+        + f'<p class="dim">{html.escape(" · ".join(filter(None, about)))}</p>'
     )
 
 
 def _cards(what: ViewResult) -> str:
+    """Build the figures of the result, each with what is usual."""
     s = summarize(what.motion)
     cards = [(f"{s.frames}", f"frames, {s.seconds:.1f} s")]
     if what.rig is not None:
         cards.append((str(len(what.rig)), "views"))
-    cards.append((f"{s.lost}", "frames lost"))
-    cards.append((f"{s.extrapolated}", "frames extrapolated"))
+    cards.append((f"{s.lost}", "frames lost (a good clip: none)"))
+    cards.append((f"{s.extrapolated}", "frames extrapolated (a good clip: none)"))
     if np.isfinite(s.iou):
-        cards.append((f"{s.iou:.3f}", f"mean IoU (worst {s.worst_iou:.2f})"))
+        cards.append((f"{s.iou:.3f}", f"mean IoU (.85 and more is usual for a good fit; worst {s.worst_iou:.2f})"))
     if np.isfinite(s.sd_mm):
-        cards.append((f"{s.sd_mm:.1f} mm", "median joint sd"))
+        cards.append((f"{s.sd_mm:.1f} mm", "median joint sd (90 % of joints are within 2.5 of theirs)"))
     if what.truth is not None:
         cards.append((f"{what.truth.mean_mm:.1f} mm", "mean joint error"))
     if what.seconds.get("track"):

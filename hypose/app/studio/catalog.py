@@ -121,6 +121,10 @@ class Catalog:
         return folder if folder is not None and folder.is_relative_to(self.root) else None
 
     def _look(self, fresh: bool) -> None:
+        """Search the folder where the last search is older than _FRESH_S seconds.
+
+        fresh: search it in any case.
+        """
         if not fresh and time.monotonic() - self._looked < _FRESH_S:
             return
         found: dict[str, Item] = {}
@@ -144,6 +148,7 @@ def recording_above(results: Path) -> Path | None:
 
 
 def _changed(path: Path) -> float:
+    """Return the time (s) at which an item was last changed: its motion.npz or itself; 0 where it is gone."""
     motion = path / "motion.npz"
     try:
         return (motion if motion.is_file() else path).stat().st_mtime

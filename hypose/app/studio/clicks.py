@@ -100,7 +100,13 @@ class _Clicks:
 
     @classmethod
     def of(cls, views: Sequence[_View], rig: CameraRig, body: Body) -> _Clicks:
-        """Make the arrays from checked views, for the cameras that have clicks."""
+        """Make the arrays from checked views, for the cameras that have clicks.
+
+        views: result of `checked_views`.
+        rig: all cameras of the recording.
+        body: on which the clicked points lie.
+        Raises: InputError where nothing is clicked.
+        """
         found = {v["camera"]: {p["joint"]: p for p in v["points"]} for v in views if v["points"]}
         cameras = [n for n in rig.names if n in found]
         if not cameras:
@@ -144,7 +150,12 @@ def checked_views(views: Any, recording: Recording) -> list[_View]:
 
 
 def fit_clicks(value: Mapping[str, Any], catalog: Catalog, recordings: Recordings) -> dict[str, Any]:
-    """Fit a pose to the clicks of a request, and return the answer for the page (docs/studio-protocol.md)."""
+    """Fit a pose to the clicks of a request, and return the answer for the page (docs/studio-protocol.md).
+
+    value: the request: views, frame, recording or result, height, start.
+    catalog, recordings: of the studio.
+    Raises: InputError names the value that cannot be used, or says that too few joints are clicked.
+    """
     item = _recording(value, catalog)
     recording = recordings.load(item)
     views = checked_views(value.get("views"), recording)
@@ -228,6 +239,14 @@ def _placed(body: Body, pose: Array) -> dict[str, Array]:
 
 
 def _starts(body: Body, clicks: _Clicks, scale: float) -> list[Array]:
+    """Find poses from which the fit begins: one by triangulation where at least 6 joints are clicked in several views,
+    else the poses that look the same in the view with most clicks.
+
+    body: that is fitted.
+    clicks: to which it is fitted.
+    scale: standard deviation of a click, px.
+    Returns: poses, each (D,).
+    """
     if len(clicks.rig) > 1:
         world, _ = triangulate(clicks.rig, clicks.uv, clicks.weight)
         if np.isfinite(world).all(1).sum() >= 6:
@@ -239,7 +258,13 @@ def _starts(body: Body, clicks: _Clicks, scale: float) -> list[Array]:
 
 
 def _flipped(body: Body, clicks: _Clicks, pose: Array, other: Array) -> list[str]:
-    """List joints whose segment points the other way along the line of sight in another pose."""
+    """List the joints whose segment points the other way along the line of sight in another pose.
+
+    body: of both poses.
+    clicks: their first camera gives the line of sight.
+    pose, other: (D,).
+    Returns: names of the lower joint of each such segment of arms and legs.
+    """
     s, sight = body.skeleton, clicks.rig[0].camera_from_world[2, :3]
     a, b = body.joints(pose) @ sight, body.joints(other) @ sight
     out = []
@@ -251,7 +276,12 @@ def _flipped(body: Body, clicks: _Clicks, pose: Array, other: Array) -> list[str
 
 
 def body_block(asked: dict[str, str], catalog: Catalog, recordings: Recordings) -> bytearray:
-    """Build the block (`view_bundle`) of the body that clicks are fitted with, one frame at rest."""
+    """Build the block (`view_bundle`) of the body that clicks are fitted with, one frame at rest.
+
+    asked: query of the page: recording or result, height.
+    catalog, recordings: of the studio.
+    Raises: InputError where the height is no number from 0.4 to 2.8 m.
+    """
     item = _recording(asked, catalog)
     try:
         height = float(asked["height"]) if "height" in asked else None
@@ -266,6 +296,11 @@ def body_block(asked: dict[str, str], catalog: Catalog, recordings: Recordings) 
 
 
 def _recording(value: Mapping[str, Any], catalog: Catalog) -> Item:
+    """Return the recording that a request names by its id, or by the id of a result in its folder.
+
+    value: the request.
+    Raises: InputError where it names neither.
+    """
     given = value.get("recording")
     if isinstance(given, str):
         return catalog.find("recording", given)
@@ -279,9 +314,11 @@ def _recording(value: Mapping[str, Any], catalog: Catalog) -> Item:
 def _body(
     value: Mapping[str, Any], item: Item, catalog: Catalog, recording: Recording
 ) -> tuple[Body, Array | None, bool]:
-    """Choose the body for a request: of the result, as measured, or the template.
+    """Choose the body for a request: that of the result, as measured in the recording, or the template.
 
-    Returns: the body; the pose that is corrected, or None; whether the height is known.
+    value: the request: frame, and result or height (m).
+    item, recording: recording of the clicks.
+    Returns: the body; the pose (D,) that is corrected, or None; whether the height is known.
     """
     frame = whole(value.get("frame"), "the frame in which the joints were clicked", 0, 10**9)
     measured = item.path / "subject" / "body.npz"
@@ -313,13 +350,19 @@ def _corrected(folder: ResultsFolder, changed: int, frame: int) -> tuple[Body, A
 
 
 def _pose(value: Any, body: Body) -> Array:
+    """Return a pose (D,) of a request, within the limits of the joints; InputError where it is not D numbers."""
     if not isinstance(value, list) or len(value) != body.skeleton.dof:
         raise InputError(f"A pose has {body.skeleton.dof} numbers.")
     return body.skeleton.clamp(np.array([request_number(v, "a number of the pose", -1e6, 1e6) for v in value]))
 
 
 def save(value: dict[str, Any], item: Item, catalog: Catalog, recordings: Recordings) -> dict[str, Any]:
-    """Fit the clicks of a request, and save both in starts/NAME.json of the recording; return the document."""
+    """Fit the clicks of a request, and save both in starts/NAME.json of the recording; return the document.
+
+    value: the request as for `fit_clicks`, with name, camera, since and until.
+    item: the recording.
+    Raises: InputError where a value cannot be used.
+    """
     name, starts = value.get("name") or f"frame-{value.get('frame')}", item.path / "starts"
     if not isinstance(name, str) or not is_name(name):
         raise InputError("Give the start a name of letters, digits, - and _.")
@@ -345,8 +388,11 @@ def _for_one_camera(views: Sequence[Mapping[str, Any]], wanted: Any, recording: 
     """Convert clicks to the form that `hypose track --recipe monocular --start FILE` reads
     (hypose.pipeline.one_camera).
 
-    The wanted camera is used where enough is clicked there, else the one with most clicks. Pixels are those of the
-    recorded picture. Hidden joints are used only where there are too few others.
+    views: checked views.
+    wanted: name of a camera, which is used where enough is clicked there; else the camera with most clicks.
+    recording: of the clicks.
+    Returns: camera, and joints: pixels of the recorded picture by joint name. Hidden joints are used only where there
+        are too few others; joints is empty where the view has no pictures.
     """
     view = max(views, key=lambda v: (v["camera"] == wanted and len(v["points"]) >= LEAST_CLICKS, len(v["points"])))
     index = recording.rig.names.index(view["camera"])

@@ -37,7 +37,7 @@ def list_folder(catalog: Catalog, folder: Path, within: bool) -> dict[str, Any]:
     with relative path and kind.
     """
     entries = _entries(folder)
-    found = list(_usable(folder, entries, _DEPTH)) if within else []
+    found = list(_usable(entries, _DEPTH)) if within else []
     facts = [(p, _facts(p)) for p in found[:_MOST_LISTED]]
     return {
         "name": text_of(folder.name),
@@ -50,7 +50,11 @@ def list_folder(catalog: Catalog, folder: Path, within: bool) -> dict[str, Any]:
 
 
 def first_picture(catalog: Catalog, where: str) -> bytes:
-    """Read the first picture of a video, an image or a folder of images as a small JPEG."""
+    """Read the first picture of a video, an image or a folder of images as a small JPEG.
+
+    catalog: of the served folder.
+    where: path in it.
+    """
     with open_video(catalog.inside(where)) as reader:
         return jpeg(reader.read(0), _PICTURE_PX)
 
@@ -59,6 +63,8 @@ def make_recording(catalog: Catalog, wanted: Mapping[str, Any]) -> Path:
     """Write recording.toml into a folder as a page requests it (docs/studio-protocol.md); its files stay in place.
 
     A recording without a calibration, whose cameras are found later from a board or the person, is not checked further.
+    catalog: of the served folder.
+    wanted: the request: folder, name, views, calibration and settings.
     Returns: the folder.
     Raises: InputError or NotNow where it cannot be used; then nothing is left behind.
     """
@@ -100,7 +106,13 @@ def make_recording(catalog: Catalog, wanted: Mapping[str, Any]) -> Path:
 
 
 def _placed(catalog: Catalog, folder: Path, view: Mapping[str, Any], role: str) -> Path:
-    """Resolve the file of a view, which must lie in its recording's folder."""
+    """Resolve the file of a view, which must lie in its recording's folder.
+
+    catalog: of the served folder.
+    folder: of the recording.
+    view: of the request.
+    role: key of the file in it, one of _ROLES.
+    """
     path = catalog.inside(text(view.get(role), role, 1000, "choose one"), folder)
     if not path.is_relative_to(folder):
         raise InputError(f"{path.name} does not lie in {folder.name}; choose a folder that holds all files.")
@@ -116,15 +128,19 @@ def _entries(folder: Path) -> list[Path]:
     return sorted(found, key=lambda p: natural_key(p.name))
 
 
-def _usable(folder: Path, entries: list[Path], depth: int) -> Iterator[Path]:
-    """Yield files, and folders with a file per frame, that can be part of a recording; other recordings are skipped."""
+def _usable(entries: list[Path], depth: int) -> Iterator[Path]:
+    """Yield files, and folders with a file per frame, that can be part of a recording; other recordings are skipped.
+
+    entries: of a folder.
+    depth: number of levels of subfolders that are searched.
+    """
     for path in entries:
         if path.is_dir() and path.name != "results":
             below = _entries(path)
             if any(sum(p.suffix.lower() in e for p in below) >= _SERIES for e in (IMAGE_ENDINGS, (".json",))):
                 yield path
             elif depth and not is_recording(path):
-                yield from _usable(path, below, depth - 1)
+                yield from _usable(below, depth - 1)
         elif path.suffix.lower() in (*VIDEO_ENDINGS, *IMAGE_ENDINGS, *_CALIBRATION_ENDINGS, *_TABLE_ENDINGS):
             yield path
 

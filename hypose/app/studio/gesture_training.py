@@ -1,5 +1,6 @@
 """Process the frames of a gesture session: teach a gesture (all is recorded and saved), or watch for gestures; each
-frame gives the message that the page shows.
+frame gives the message that the page shows. A forest is tested during its training on held-back frames, and on movement
+before it is learned.
 """
 
 from __future__ import annotations
@@ -7,16 +8,16 @@ from __future__ import annotations
 import threading
 import time as clock
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hypose.app.jobs.gesture_job import growing_model, loaded_forests, new_learner, thresholds
-from hypose.app.live.gesture_sources import Taken
-from hypose.app.studio.gesture_start import STUDIO_PHASES, Controls, GestureFeed, SessionRequest
+from hypose.app.live.gesture_sources import GestureSource, Taken
+from hypose.app.studio.http import request_number
 from hypose.compute.forests import DepthImage
 from hypose.gestures.depth_pictures import DepthLens, surface_depth
 from hypose.gestures.events import (
@@ -31,14 +32,11 @@ from hypose.gestures.events import (
 from hypose.gestures.forest import Forest
 from hypose.gestures.localise import Localisation, LocaliseSettings, Scratch, densities, localise, settle
 from hypose.gestures.model import GestureModel
-from hypose.gestures.trainer import Command, Feedback, Trainer
-from hypose.gestures.trainer import advance as peek
+from hypose.gestures.trainer import Command, Feedback, SessionSettings, Trainer, advance
 from hypose.pipeline.gesture_files import SessionWriter, content_of, save_model
 
-# ---- gesture judge -------------------------------------------------------------------------------------------------
-# Test a forest during its training: on held-back frames, and on movement before it is learned.
-
-
+PHASES = ("do_gesture", "positive", "release", "negative")
+"""Phases of a training session, in their order."""
 _KEPT = 40
 """Frames of each kind that are kept for testing; every frame has the same chance."""
 _WINDOW_S = 60.0
@@ -47,17 +45,11 @@ _POINTS = 100
 """Most points of a curve that are reported."""
 
 
-class _Seen(NamedTuple):
-    """Result of one test frame: score, error (m; infinite where the gesture is not shown), and whether it is shown."""
-
-    score: float
-    error: float
-    shown: bool
-
-
 class HeldBack:
-    """Held-back frames on which a forest is tested while it is trained; in a thread of its own, so that the session
-    does not wait.
+    """Frames on which a forest is tested while it is trained: held-back ones, in a thread of its own, so that the
+    session does not wait, and those of the test phase.
+
+    lens: of the depth camera.
     """
 
     def __init__(self, lens: DepthLens) -> None:
@@ -65,13 +57,14 @@ class HeldBack:
         # by whether the gesture is done: depth, its pixel (None: it is not done), segment
         self._frames: dict[bool, list[tuple[DepthImage, tuple[float, float] | None, int]]] = {True: [], False: []}
         self._count = {True: 0, False: 0}
-        self._tested: list[_Seen] = []
+        self._tested: list[tuple[float, float]] = []
         self._busy: threading.Thread | None = None
         self._result: dict[str, Any] | None = None
 
     def keep(self, depth: DepthImage, at: tuple[float, float] | None, segment: int) -> None:
-        """Hold back a frame of a training segment.
+        """Hold back a frame of a training segment; every frame of its kind has the same chance to stay.
 
+        depth: (h, w) uint16 mm.
         at: pixel of the gesture; None for other movement.
         segment: number of its segment.
         """
@@ -83,8 +76,13 @@ class HeldBack:
             kept[place] = depth, at, segment
 
     def test(self, depth: DepthImage, at: tuple[float, float] | None, found: Localisation) -> None:
-        """Add a frame of the test phase with a known result."""
-        self._tested.append(_judged(depth, self._lens, at, found))
+        """Add a frame of the test phase.
+
+        depth: (h, w) uint16 mm.
+        at: true pixel of the gesture; None: it is not done.
+        found: place that the forest found.
+        """
+        self._tested.append(self._judged(depth, at, found))
 
     def drop(self, undone: tuple[int, ...]) -> None:
         """Remove the frames of segments that were undone."""
@@ -93,35 +91,45 @@ class HeldBack:
     def begin(self, forest: Forest) -> None:
         """Start testing the held-back frames with the current forest, unless a test is running."""
         if self._busy is None or not self._busy.is_alive():
-            frames = [*self._frames[True], *self._frames[False]]
-            self._busy = threading.Thread(target=self._look, args=(forest, frames), daemon=True)
+            self._busy = threading.Thread(target=self._look, args=(forest, sum(self._frames.values(), [])), daemon=True)
             self._busy.start()
 
     def _look(self, forest: Forest, frames: list[tuple[DepthImage, tuple[float, float] | None, int]]) -> None:
+        """Test a forest on held-back frames (depth, pixel or None, segment), and keep the result."""
         scratch = Scratch()
         found = [(d, at, localise(d, self._lens, [forest], None, scratch)[0]) for d, at, _ in frames]
-        self._result = _curve([_judged(d, self._lens, at, f) for d, at, f in found]) | {"on": "held-back"}
+        self._result = _curve([self._judged(*f) for f in found]) | {"on": "held-back"}
+
+    def _judged(self, depth: DepthImage, at: tuple[float, float] | None, found: Localisation) -> tuple[float, float]:
+        """Return the score of a frame and its error, m: NaN where the gesture is not done, infinite where no depth is
+        measured at its pixel. Arguments as in `test`.
+        """
+        if at is None:
+            return found.score, np.nan
+        z = surface_depth(depth, *at)
+        far = np.inf if z is None else z / 1000 / self._lens.fx
+        return found.score, float(np.hypot(found.x - at[0], found.y - at[1])) * far
 
     def result(self, threshold: float | None) -> dict[str, Any] | None:
-        """Return the newest result once; None where there is no new one. It is of the test phase once that has both
-        kinds of frames, else of the held-back frames.
+        """Return the newest result once; None where there is no new one.
+
+        threshold: cm^2, at which precision and recall are reported; None: not known yet.
+        It is of the test phase once that has both kinds of frames, else of the held-back frames.
         """
         new, self._result = self._result, None
-        if {s.shown for s in self._tested} == {True, False}:
+        if {bool(np.isnan(error)) for _, error in self._tested} == {True, False}:
             new = _curve(self._tested) | {"on": "test"}
         return None if new is None else new | {"at": _at(new, threshold)}
 
 
-def _judged(depth: DepthImage, lens: DepthLens, at: tuple[float, float] | None, found: Localisation) -> _Seen:
-    z = None if at is None else surface_depth(depth, *at)
-    if at is None or z is None:
-        return _Seen(found.score, np.inf, at is not None)
-    return _Seen(found.score, float(np.hypot(found.x - at[0], found.y - at[1])) * z / 1000 / lens.fx, True)
+def _curve(seen: list[tuple[float, float]]) -> dict[str, Any]:
+    """Compute the curve of precision over recall, in the form of the page.
 
-
-def _curve(seen: list[_Seen]) -> dict[str, Any]:
-    scores, correct = np.array([s.score for s in seen]), np.array([s.error for s in seen]) <= RADIUS_M
-    positives = sum(s.shown for s in seen)
+    seen: score (cm^2) and error (m; NaN where the gesture is not done) of each frame.
+    Returns: empty lists where all frames are of one kind.
+    """
+    scores, errors = np.array(seen).reshape(-1, 2).T
+    correct, positives = errors <= RADIUS_M, int((~np.isnan(errors)).sum())
     out: dict[str, Any] = {"frames": len(seen), "positives": positives, "ap": None}
     if not positives or positives == len(seen):
         return out | {"precision": [], "recall": [], "scores": []}
@@ -138,13 +146,13 @@ def _curve(seen: list[_Seen]) -> dict[str, Any]:
 
 
 def _at(curve: dict[str, Any], threshold: float | None) -> dict[str, float] | None:
-    """Return precision and recall at a threshold."""
+    """Return precision and recall at a threshold, cm^2; None without a threshold or a curve."""
     if threshold is None or not curve["scores"]:
         return None
-    passed = [k for k, s in enumerate(curve["scores"]) if s >= threshold]
+    passed = sum(s >= threshold for s in curve["scores"])
     if not passed:
         return {"precision": 1.0, "recall": 0.0}
-    return {"precision": curve["precision"][passed[-1]], "recall": curve["recall"][passed[-1]]}
+    return {"precision": curve["precision"][passed - 1], "recall": curve["recall"][passed - 1]}
 
 
 class FalseAlarms:
@@ -156,7 +164,13 @@ class FalseAlarms:
         self._starts: list[float] = []
 
     def see(self, time: float, found: Localisation, threshold: float | None, hold_s: float) -> None:
-        """Count the events of a frame of other movement, before it is learned."""
+        """Count the events of a frame of other movement, before it is learned.
+
+        time: s.
+        found: place that the forest found.
+        threshold: cm^2, from which it counts; None: not known yet.
+        hold_s: time for which a gesture must be held, s.
+        """
         if self._last is not None and 0 < time - self._last < 1:
             self._clock += time - self._last
         elif self._last is not None:  # another segment: an event that was going on has ended
@@ -175,6 +189,42 @@ class FalseAlarms:
         return {"false_per_min": recent * 60 / seconds if seconds > 5 else None, "tested_s": round(seconds, 1)}
 
 
+@dataclass
+class Controls:
+    """Settings that a page changes while a session runs.
+
+    box: (x, y) px where the gesture is asked for; None: the middle.
+    threshold: cm^2; None: automatic.
+    hold_s: time for which a gesture must be held, s.
+    map: the map of votes is wanted.
+    """
+
+    box: tuple[float, float] | None = None
+    threshold: float | None = None
+    hold_s: float = 0.15
+    map: bool = False
+
+    def change(self, message: Mapping[str, Any], size: tuple[int, int]) -> bool:
+        """Apply a message that changes box, threshold, hold or map.
+
+        size: (width, height) of the pictures, px; a box outside is moved to the border.
+        Returns: False where the message is none of these.
+        Raises: InputError where its value is not possible.
+        """
+        kind = message.get("t")
+        if kind == "box":
+            x, y = (request_number(message.get(k), f"the box's {k}", -1e9, 1e9) for k in ("x", "y"))
+            self.box = (min(max(x, 0.0), size[0] - 1.0), min(max(y, 0.0), size[1] - 1.0))
+        elif kind == "threshold":
+            value = message.get("value")
+            self.threshold = None if value is None else request_number(value, "the threshold (cm²)", 1e-3, 1e6)
+        elif kind == "hold":
+            self.hold_s = request_number(message.get("seconds"), "the time to hold (s)", 0, 10)
+        elif kind == "map":
+            self.map = message.get("on") is True
+        return kind in ("box", "threshold", "hold", "map")
+
+
 BOX_M = 0.1
 """Half side of the box on the page, at the surface in it, m."""
 _ADAPTATION_RATE = 0.8
@@ -183,25 +233,42 @@ _HELD_EVERY = 5
 """Of so many seconds of training, one second is held back."""
 
 
-_Shown = tuple[dict[str, Any], NDArray[np.float32] | None]
+_Step = tuple[dict[str, Any], NDArray[np.float32] | None]
 """Result of a frame for the page: the step message (without seq), and the map of votes where wanted."""
 
 
 class Training:
-    """Training of one gesture. Only the session's thread may call it; `save` also after that thread has ended."""
+    """Training of one gesture: all is recorded and saved. Only the session's thread may call it; `save` also after that
+    thread has ended.
 
-    def __init__(self, start: SessionRequest, feed: GestureFeed, old: Path | None, folder: Path, model: Path) -> None:
-        self.feed, self.folder, self.path, self.names = feed, folder, model, [start.gesture]
-        self._old = growing_model(old, start.gesture) if old is not None else None
-        # this checks the name before anything is written
-        learner = (self._old.learner if self._old is not None else None) or new_learner(start.seed)
-        GestureModel((start.gesture,), learner.forest, (None,), LocaliseSettings(), learner)
-        self.trainer = Trainer(learner, start.settings)
-        s = start.settings
-        seconds = {name: getattr(s, f"{name}_s") for name in STUDIO_PHASES}
-        self.reported = {"rounds": s.rounds, "seconds": seconds}
-        source = feed.source
-        self._writer = SessionWriter(folder, [start.gesture], source.lens, source.size, self.reported)
+    source: of the pictures.
+    gesture: its name.
+    settings: of the training.
+    seed: of random numbers, for a new forest.
+    knows: the box of a picture is the true place of the gesture, and None means that it is not shown.
+    old: file of the model that is trained further, or None.
+    folder: new folder for the recording.
+    model: file for the model.
+    """
+
+    def __init__(
+        self,
+        source: GestureSource,
+        gesture: str,
+        settings: SessionSettings,
+        seed: int,
+        knows: bool,
+        old: Path | None,
+        folder: Path,
+        model: Path,
+    ) -> None:
+        self.folder, self.path, self.names = folder, model, [gesture]
+        self._source, self._knows = source, knows
+        self._old = growing_model(old, gesture) if old is not None else None
+        learner = (self._old.learner if self._old is not None else None) or new_learner(seed)
+        self.trainer = Trainer(learner, settings)
+        self.reported = {"rounds": settings.rounds, "seconds": {p: getattr(settings, f"{p}_s") for p in PHASES}}
+        self._writer = SessionWriter(folder, self.names, source.lens, source.size, self.reported)
         self._held, self._alarms = HeldBack(source.lens), FalseAlarms()
         self._scratch, self._events = Scratch(), EventState()
         self._final: float | None = None  # the threshold that a saved model gets, found when the test begins
@@ -221,26 +288,25 @@ class Training:
         """Whether the session waits for the page."""
         return self.trainer.session.paused is not None
 
-    def frame(self, taken: Taken, controls: Controls, commands: Sequence[Command], fresh: bool) -> _Shown:
+    def frame(self, taken: Taken, controls: Controls, commands: Sequence[Command], fresh: bool) -> _Step:
         """Process a picture.
 
+        taken: the picture.
+        controls: settings of the page.
+        commands: of the page since the last picture.
         fresh: False: only the commands are new, the picture was processed before.
         """
-        source, trainer = self.feed.source, self.trainer
-        if not self.feed.knows:
-            self._place = controls.box or self._place
-        elif taken.box is not None:
-            self._place = taken.box
-        before = trainer.session
-        session, instruction = peek(before, trainer.settings, taken.time, commands)
+        trainer, before, lens = self.trainer, self.trainer.session, self._source.lens
+        self._place = (taken.box if self._knows else controls.box) or self._place
+        session, instruction = advance(before, trainer.settings, taken.time, commands)
         kept = instruction.learn is not None and int(taken.time - session.entered) % _HELD_EVERY == _HELD_EVERY - 1
         # where the source knows the truth, a picture must show the kind of movement to be learned
-        sure = instruction.learn is None or not self.feed.knows
+        sure = instruction.learn is None or not self._knows
         usable = fresh and (sure or (taken.box is not None) == (instruction.learn == "gesture"))
         if session.segment != self._before[0]:
             self._before = (session.segment, dict(self._frames), list(self._pixels))
         began = clock.perf_counter()
-        f = trainer.frame(taken.time, taken.depth, source.lens, self._place, commands, learn=usable and not kept)
+        f = trainer.frame(taken.time, taken.depth, lens, self._place, commands, learn=usable and not kept)
         learned = clock.perf_counter()
         found, density = self._look(taken, f, controls.map)
         looked = clock.perf_counter()
@@ -252,22 +318,21 @@ class Training:
             self._final = trainer.final_threshold()
         threshold, events = self._threshold(controls), []
         if fresh:
-            self._keep(taken, f, found, usable and kept, threshold, controls.hold_s)
-            if not self.paused:
-                self._write(taken, f)
+            self._count(taken, f, found, usable and kept, threshold, controls.hold_s)
             if self.asks == "test" and threshold is not None and threshold > 0:
                 settings = [EventSettings(threshold, hold_s=controls.hold_s)]
                 self._events, events = detect_events(self._events, [found], taken.time, settings)
         for c in commands:
             gone = trainer.session.undone[len(before.undone) :] if c == "undo" else ()
             self._writer.act(taken.time, c, str(gone[0]) if gone else "")
-        message = self._message(taken, f, found, threshold, controls, events)
+        message = self._message(taken, f, found, threshold, controls) | {"events": _shown(events, self.names)}
         message["ms"] = {"learn": round(1e3 * (learned - began), 2), "look": round(1e3 * (looked - learned), 2)}
         return message, density
 
     def _look(self, taken: Taken, f: Feedback, wanted: bool) -> tuple[Localisation, NDArray[np.float32] | None]:
         """Localise the gesture in a picture; where the picture is learned, with the forest as it was before.
 
+        taken, f: the picture, and what the trainer did with it.
         wanted: the map of votes is wanted.
         Returns: the place of the gesture, and the map or None.
         """
@@ -275,7 +340,7 @@ class Training:
         if maxima and not wanted:
             return maxima[0], None
         look = LocaliseSettings() if f.instruction.phase == "test" else self.trainer.learner.settings.look
-        lens, forest = self.feed.source.lens, self.trainer.learner.forest
+        lens, forest = self._source.lens, self.trainer.learner.forest
         maps = densities(taken.depth, lens, [forest], look, self._scratch)
         found = maxima[0] if maxima else settle(maps, taken.depth, lens, look, self._scratch)[0]
         return found, maps[0][0] if wanted else None
@@ -283,40 +348,43 @@ class Training:
     def _threshold(self, controls: Controls) -> float | None:
         return controls.threshold or (self._final if self.asks == "test" else None) or self.trainer.threshold
 
-    def _keep(
+    def _count(
         self, taken: Taken, f: Feedback, found: Localisation, kept: bool, threshold: float | None, hold_s: float
     ) -> None:
-        """Count learned frames, and hold back frames for testing."""
+        """Count and record a new frame, and hold it back for testing where `kept`.
+
+        taken, f: the picture, and what the trainer did with it.
+        found: place of the gesture.
+        threshold: cm^2 or None; hold_s: s. Both count false alarms.
+        """
         kind, phase = f.instruction.learn, f.instruction.phase
         if kind is not None and f.taught is not None:
             self._frames[kind] += 1
-            for k, n in enumerate(f.taught.learned):
-                self._pixels[k] += n
+            self._pixels = [a + b for a, b in zip(self._pixels, f.taught.learned, strict=True)]
         if kept:
-            at = self._place if kind == "gesture" else None
-            self._held.keep(taken.depth, at, f.instruction.segment)
-        if phase == "negative" and not self.paused:
-            self._alarms.see(taken.time, found, threshold, hold_s)
-        if phase == "test" and self.feed.source.clear():
+            self._held.keep(taken.depth, self._place if kind == "gesture" else None, f.instruction.segment)
+        if phase == "test" and self._source.clear():
             self._held.test(taken.depth, taken.box, found)
-
-    def _write(self, taken: Taken, f: Feedback) -> None:
-        phase, learned = f.instruction.phase, f.taught is not None
-        self._writer.add(
-            taken.time,
-            taken.depth,
-            "free" if phase in ("positive", "negative") and not learned else phase,
-            f.instruction.segment,
-            int(f.instruction.learn == "gesture"),
-            self._place,
-        )
+        if self.paused:
+            return
+        if phase == "negative":
+            self._alarms.see(taken.time, found, threshold, hold_s)
+        used = "free" if kind is not None and f.taught is None else phase
+        self._writer.add(taken.time, taken.depth, used, f.instruction.segment, int(kind == "gesture"), self._place)
 
     def _message(
-        self, taken: Taken, f: Feedback, found: Localisation, threshold: float | None, c: Controls, events: list[Event]
+        self, taken: Taken, f: Feedback, found: Localisation, threshold: float | None, c: Controls
     ) -> dict[str, Any]:
+        """Return the step message (docs/studio-protocol.md) without events and times.
+
+        taken, f: the picture, and what the trainer did with it.
+        found: place of the gesture.
+        threshold: cm^2; None: not known yet.
+        c: settings of the page.
+        """
         s, i = self.trainer.session, f.instruction
         z = surface_depth(taken.depth, *self._place)
-        half = BOX_M * self.feed.source.lens.fx / (2.0 if z is None else z / 1000)
+        half = BOX_M * self._source.lens.fx / (2.0 if z is None else z / 1000)
         return {
             "t": "step",
             "time": round(taken.time, 3),
@@ -327,13 +395,13 @@ class Training:
             "paused": s.paused is not None,
             "box": [round(self._place[0], 1), round(self._place[1], 1), round(half, 1)],
             "cross": [round(found.x, 1), round(found.y, 1)] if found.score > 0 else None,
-            "position": position(found),
+            "position": _position(found),
             "learned": None if f.taught is None else list(f.taught.learned),
             "mined": [] if f.taught is None else [[round(m.x, 1), round(m.y, 1)] for m in f.taught.mined],
             "score": round(found.score, 3),
-            "high": rounded(s.high),
-            "low": rounded(s.low),
-            "threshold": rounded(threshold),
+            "high": _rounded(s.high),
+            "low": _rounded(s.low),
+            "threshold": _rounded(threshold),
             "manual": c.threshold is not None,
             "detected": threshold is not None and found.score >= threshold,
             "counts": {
@@ -342,11 +410,13 @@ class Training:
                 "nodes": int(self.trainer.learner.forest.size.sum()),
                 "segments": s.segment - len(s.undone),
             },
-            "events": [event_message(e, self.names) for e in events],
         }
 
     def judged(self, time: float, controls: Controls) -> dict[str, Any] | None:
-        """Return the newest test result, about once per second of the session; None where there is no new one."""
+        """Return the newest test result, about once per second of the session; None where there is no new one.
+
+        time: of the last picture, s.
+        """
         if abs(time - self._judged_at) < 1.0:
             return None
         self._judged_at = time
@@ -360,10 +430,7 @@ class Training:
         if not sum(self._frames.values()):
             return None
         threshold = controls.threshold or self._final or self.trainer.final_threshold()
-        old = self._old.history if self._old is not None else ()
-        if (
-            threshold is None and self._old is not None
-        ):  # the session ended before both gesture and movement were seen again
+        if threshold is None and self._old is not None:  # only one of gesture and movement was seen this time
             threshold = self._old.thresholds[0]
         entry: Mapping[str, Any] = {
             "session": self.folder.name,
@@ -371,11 +438,11 @@ class Training:
             "computing_s": round(self._seconds, 3),
             "content": content_of(self.folder),
         }
-        learner = self.trainer.learner
-        model = GestureModel(
-            tuple(self.names), learner.forest, (threshold,), LocaliseSettings(), learner, (*old, entry)
+        learner, old = self.trainer.learner, () if self._old is None else self._old.history
+        look = LocaliseSettings()
+        save_model(
+            GestureModel(tuple(self.names), learner.forest, (threshold,), look, learner, (*old, entry)), self.path
         )
-        save_model(model, self.path)
         return self.path
 
     def close(self) -> None:
@@ -384,40 +451,33 @@ class Training:
 
 
 class Watching:
-    """Search for the gestures of all models; nothing is learned or written."""
+    """Search for the gestures of all models; nothing is learned or written.
+
+    source: of the pictures.
+    models: of one gesture each, or one of several gestures.
+    """
 
     reported: dict[str, Any] = {"rounds": 0, "seconds": {}}
     folder = None
     asks = "free"
 
-    def __init__(self, feed: GestureFeed, models: Sequence[GestureModel]) -> None:
-        self.feed = feed
+    def __init__(self, source: GestureSource, models: Sequence[GestureModel]) -> None:
+        self._lens = source.lens
         self.names = [n for m in models for n in m.names]
         self._forests, self._limits = loaded_forests(models), thresholds(models, None)
         self._look = LocaliseSettings(adaptation_rate=_ADAPTATION_RATE)
-        self._scratch, self._state, self._pause = Scratch(), EventState(), False
+        self._scratch, self._state, self.paused = Scratch(), EventState(), False
 
-    @property
-    def paused(self) -> bool:
-        """Whether the session waits for the page."""
-        return self._pause
-
-    def frame(self, taken: Taken, controls: Controls, commands: Sequence[Command], fresh: bool) -> _Shown:
-        """Process a picture.
-
-        fresh: False: only the commands are new, the picture was processed before.
-        """
+    def frame(self, taken: Taken, controls: Controls, commands: Sequence[Command], fresh: bool) -> _Step:
+        """Process a picture; arguments as in `Training.frame`."""
         for c in commands:
-            self._pause = c == "pause" if c in ("pause", "continue") else self._pause
-        lens = self.feed.source.lens
+            self.paused = c == "pause" if c in ("pause", "continue") else self.paused
         began = clock.perf_counter()
-        maps = densities(taken.depth, lens, self._forests, self._look, self._scratch)
-        found = settle(
-            maps, taken.depth, lens, self._look if fresh else replace(self._look, adaptation_rate=1.0), self._scratch
-        )
+        maps = densities(taken.depth, self._lens, self._forests, self._look, self._scratch)
+        look = self._look if fresh else replace(self._look, adaptation_rate=1.0)
+        found = settle(maps, taken.depth, self._lens, look, self._scratch)
         spent = clock.perf_counter() - began
-        limits = [controls.threshold or t for t in self._limits]
-        events = []
+        limits, events = [controls.threshold or t for t in self._limits], []
         if fresh:
             settings = [EventSettings(t, hold_s=controls.hold_s) for t in limits]
             self._state, events = detect_events(self._state, found, taken.time, settings)
@@ -427,19 +487,19 @@ class Watching:
             "t": "step",
             "time": round(taken.time, 3),
             "phase": "test",
-            "prompt": "Paused" if self._pause else "Watching",
+            "prompt": "Paused" if self.paused else "Watching",
             "left_s": None,
             "round": 0,
-            "paused": self._pause,
+            "paused": self.paused,
             "box": None,
             "cross": [round(best.x, 1), round(best.y, 1)] if best.score > 0 else None,
-            "position": position(best),
+            "position": _position(best),
             "learned": None,
             "mined": [],
             "score": round(best.score, 3),
             "high": None,
             "low": None,
-            "threshold": rounded(limit),
+            "threshold": _rounded(limit),
             "manual": controls.threshold is not None,
             "detected": best.score >= limit,
             "counts": {"gesture": 0, "negative": 0, "pixels": [], "nodes": 0, "segments": 0},
@@ -449,11 +509,11 @@ class Watching:
                     "score": round(f.score, 3),
                     "x": round(f.x, 1),
                     "y": round(f.y, 1),
-                    "threshold": rounded(t),
+                    "threshold": _rounded(t),
                 }
                 for f, t in zip(found, limits, strict=True)
             ],
-            "events": [event_message(e, self.names) for e in events],
+            "events": _shown(events, self.names),
             "ms": {"look": round(1e3 * spent, 2)},
         }
         return message, maps[best.gesture - 1][0] if controls.map else None
@@ -470,23 +530,26 @@ class Watching:
         """Do nothing; there is nothing to close."""
 
 
-def event_message(event: Event, names: Sequence[str]) -> dict[str, Any]:
-    """Convert an event to the form of the page."""
-    return {
-        "kind": event.kind,
-        "gesture": names[event.gesture - 1],
-        "time": round(event.time, 3),
-        "x": round(event.x, 1),
-        "y": round(event.y, 1),
-        "score": round(event.score, 3),
-    }
+def _shown(events: Sequence[Event], names: Sequence[str]) -> list[dict[str, Any]]:
+    """Convert events to the form of the page; names: of the gestures."""
+    return [
+        {
+            "kind": e.kind,
+            "gesture": names[e.gesture - 1],
+            "time": round(e.time, 3),
+            "x": round(e.x, 1),
+            "y": round(e.y, 1),
+            "score": round(e.score, 3),
+        }
+        for e in events
+    ]
 
 
-def position(found: Localisation) -> list[float] | None:
-    """Return the place of a gesture in the camera's frame of reference, rounded, m."""
+def _position(found: Localisation) -> list[float] | None:
+    """Return the place of a gesture in the camera's frame of reference, rounded, m; None where it is not measured."""
     return None if found.position is None else [round(float(v), 3) for v in found.position]
 
 
-def rounded(value: float | None) -> float | None:
-    """Round a value for JSON."""
+def _rounded(value: float | None) -> float | None:
+    """Round a value for JSON; None stays None."""
     return None if value is None else round(value, 3)

@@ -73,6 +73,7 @@ def _levels() -> NDArray[np.uint8]:
 
 @cache
 def _palette() -> NDArray[np.uint8]:
+    """Return the colours (256, 1, 3) BGR of the levels of `_levels`."""
     at, colours = zip(*_COLOURS, strict=True)
     share = np.linspace(0, 1, 255)
     rows = np.stack([np.interp(share, at, [c[k] for c in colours]) for k in range(3)], 1)

@@ -56,6 +56,9 @@ _STATUS: tuple[tuple[type[HyposeError], int], ...] = ((NotFound, 404), (NotNow, 
 def answer(value: Any, status: int = 200) -> JSONResponse:
     """Build a JSON answer; numpy values become plain ones, NaN becomes null. The browser must not cache it, since files
     change.
+
+    value: anything that `json_values` converts.
+    status: of HTTP.
     """
     return JSONResponse(json_values(value), status, headers={"Cache-Control": "no-store"})
 
@@ -90,8 +93,11 @@ def error_response(status: int, sentence: str) -> JSONResponse:
 def route(path: str, call: Callable[..., Any], method: str = "GET", status: int = 200) -> Route:
     """Make the route of an address.
 
+    path: of the address.
     call: gets the request, for POST also its JSON object; returns a response, or a value for a JSON answer. It runs in
         a thread unless it is asynchronous; its HyposeErrors become error answers.
+    method: GET, POST or DELETE.
+    status: of HTTP for a value.
     """
 
     async def endpoint(request: Request) -> Response:
@@ -154,7 +160,13 @@ def _inside(value: dict[str, Any] | list[Any]) -> list[Any]:
 
 
 def request_number(value: Any, what: str, low: float, high: float) -> float:
-    """Return a number after checking that it is from low to high."""
+    """Return a number of a request after checking it.
+
+    value: of the request.
+    what: what it is, for the message.
+    low, high: least and largest value.
+    Raises: InputError where it is no number from low to high.
+    """
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise InputError(f"There is no number for {what} in {_short(value)}; give {low:g} to {high:g}.")
     if not low <= value <= high:  # NaN is neither
@@ -163,16 +175,26 @@ def request_number(value: Any, what: str, low: float, high: float) -> float:
 
 
 def whole(value: Any, what: str, low: int, high: int) -> int:
-    """Return a whole number after checking that it is from low to high."""
+    """Return a whole number of a request after checking it.
+
+    value: of the request.
+    what: what it is, for the message.
+    low, high: least and largest value.
+    Raises: InputError where it is no whole number from low to high.
+    """
     if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
         raise InputError(f"{_capital(what)} cannot be {_short(value)}; give a whole number from {low} to {high}.")
     return value
 
 
 def text(value: Any, what: str, longest: int, advice: str) -> str:
-    """Return a text after checking that it is not empty and not too long.
+    """Return a text of a request after checking it.
 
+    value: of the request.
+    what: what it is, for the message.
+    longest: most letters.
     advice: next step for the user where it is missing.
+    Raises: InputError where it is empty, too long or no text.
     """
     if not isinstance(value, str) or not value.strip():
         raise InputError(f"There is no {what}; {advice}.")
@@ -182,7 +204,13 @@ def text(value: Any, what: str, longest: int, advice: str) -> str:
 
 
 def request_choice(value: Any, what: str, allowed: Sequence[str]) -> str:
-    """Return a word after checking that it is one of the allowed ones."""
+    """Return a word of a request after checking it.
+
+    value: of the request.
+    what: what it is, for the message.
+    allowed: words of which it must be one.
+    Raises: InputError lists the allowed words.
+    """
     if not isinstance(value, str) or value not in allowed:
         words = f"{', '.join(allowed[:-1])} or {allowed[-1]}" if len(allowed) > 1 else "".join(allowed)
         raise InputError(f"There is no {what} {_short(value)}; choose {words}.")
@@ -190,7 +218,12 @@ def request_choice(value: Any, what: str, allowed: Sequence[str]) -> str:
 
 
 def digits(value: str, what: str) -> int:
-    """Parse a whole number from an address or query, from 0 with at most nine digits."""
+    """Parse a whole number from an address or query, from 0 with at most nine digits.
+
+    value: the text.
+    what: what it is, for the message.
+    Raises: InputError where it is no such number.
+    """
     if not value.isascii() or not value.isdigit() or len(value) > 9:
         raise InputError(f"{_capital(what)} must be a whole number, {_short(value)} is none.")
     return int(value)
@@ -274,6 +307,7 @@ class Guard:
         return None
 
     def _hardened(self, scope: Scope, send: Send) -> Send:
+        """Return a `send` that adds security headers to an HTTP answer; for a WebSocket, `send` itself."""
         if scope["type"] != "http":
             return send
 

@@ -94,8 +94,14 @@ class Hub:
             self._later(lambda: [page.put(text, key) for page in self._pages[topic]])
 
     def picture(self, topic: str, kind: int, seq: int, time: float, data: bytes) -> None:
-        """Send a picture to all pages of a topic: 16 bytes with type, stream, number and time (s), then the file. Of
-        each type only the newest waits.
+        """Send a picture to all pages of a topic: 16 bytes with type, stream, number and time, then the file. Of each
+        type only the newest waits.
+
+        topic: name of the topic.
+        kind: DEPTH or MAP.
+        seq: number of the picture, which the page answers.
+        time: s.
+        data: the file, JPEG or PNG.
         """
         if self.listens(topic):
             message = struct.pack("<BBHId", kind, 0, 0, seq & 0xFFFFFFFF, time) + data
@@ -125,7 +131,11 @@ class _Page:
         self._awake.set()
 
     def show(self, kind: int, message: bytes) -> None:
-        """Queue a picture; it is sent when the page has drawn the last ones."""
+        """Queue a picture; it is sent when the page has drawn the last ones.
+
+        kind: type of the picture, of which only the newest waits.
+        message: header and file.
+        """
         self._pictures[kind] = message
         self._awake.set()
 
@@ -147,6 +157,7 @@ class _Page:
             await asyncio.gather(reading, return_exceptions=True)
 
     async def _send(self) -> None:
+        """Send all queued texts, and pictures while the page has drawn enough of the earlier ones."""
         try:
             while self._texts:
                 await self._ws.send_text(self._texts.pop(next(iter(self._texts))))
@@ -158,6 +169,7 @@ class _Page:
             raise WebSocketDisconnect(1006) from None
 
     async def _read(self, topic: Topic) -> None:
+        """Pass messages of the page to a topic, until the page ends the connection (WebSocketDisconnect)."""
         while True:
             received = await self._ws.receive()
             if received["type"] == "websocket.disconnect":

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from hypose.app import options
-from hypose.app.commands import commands_data, commands_results, commands_track
+from hypose.app.commands import commands_recordings, commands_results
 from hypose.app.jobs.correct import read_correction
 from hypose.app.studio.catalog import Catalog, Item
 from hypose.errors import HyposeError, InputError
@@ -62,17 +62,17 @@ _KINDS: Mapping[str, tuple[str, Callable[..., Any], str]] = {
     "in_step": ("Synchronise {}", options.SyncCommand, "offsets"),
     "check": ("Check {}", options.CheckCommand, "samples frames"),
     "refine": ("Refine the calibration of {}", options.CheckCommand, "using far focal height"),
-    "keypoints": ("Find the person in the videos of {}", commands_data.keypoints, "yes"),
-    "silhouettes": ("Silhouettes of {}", commands_data.silhouettes, "frames"),
+    "keypoints": ("Find the person in the videos of {}", commands_recordings.keypoints, "yes"),
+    "silhouettes": ("Silhouettes of {}", commands_recordings.silhouettes, "frames"),
     "subject": ("Measure the person in {}", options.SubjectCommand, "height mass start frames poses"),
     "track": (
         "Track {}",
         options.TrackCommand,
         "recipe refine evidence start height frames seed formats camera subject overlay",
     ),
-    "correct": ("Track {} again from frame {}", commands_track.correct, "until"),
+    "correct": ("Track {} again from frame {}", commands_recordings.correct, "until"),
     "export": ("Export {}", commands_results.export, "formats"),
-    "demo": ("Make a demo recording and track it", commands_track.demo, "seconds seed"),
+    "demo": ("Make a demo recording and track it", commands_recordings.demo, "seconds seed"),
     "fuse": ("Fuse {}", options.FuseCommand, ""),
 }
 """Title of each kind, the declaration of its command's options, and those which a page may set."""
@@ -101,8 +101,10 @@ def forms() -> dict[str, list[dict[str, Any]]]:
 
 
 def _arguments(kind: str, given: Mapping[str, Any]) -> list[str]:
-    """Convert options to arguments, each with its value included, so that none can be read as another
-    option or file.
+    """Convert options to arguments, each with its value included, so that none can be read as another option or file.
+
+    kind: of the job.
+    given: values of the page by the options' names.
     """
     out = []
     for option in form_of(kind):
@@ -115,6 +117,11 @@ def _arguments(kind: str, given: Mapping[str, Any]) -> list[str]:
 
 
 def _word(name: str, value: Any) -> str:
+    """Convert a value of an option to the text of its argument.
+
+    name: of the option, for the message.
+    Raises: InputError where the value is no number, printable text without "/", or list of these.
+    """
     if isinstance(value, list) and value:
         return ",".join(_word(name, v) for v in value)
     if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= 1e9:  # NaN is not
@@ -125,8 +132,11 @@ def _word(name: str, value: Any) -> str:
 
 
 def plan_job(kind: str, request: Mapping[str, Any], catalog: Catalog) -> Plan:
-    """Plan the command of a job that the page requests: {"recording" or "result": id, "options": {...}}.
+    """Plan the command of a job that the page requests.
 
+    kind: one of JOB_KINDS.
+    request: {"recording", "result" or "skeletons": id, "options": {...}}.
+    catalog: of the served folder.
     Raises: InputError for an unknown kind or option; NotFound for an unknown id.
     """
     if kind not in JOB_KINDS:
@@ -176,7 +186,11 @@ def plan_job(kind: str, request: Mapping[str, Any], catalog: Catalog) -> Plan:
 
 
 def _inside(catalog: Catalog, item: Item, out: Path) -> Path:
-    """Return an output folder after checking that no link leads it out of the served folder."""
+    """Return an output folder after checking that no link leads it out of the served folder.
+
+    item: to which it belongs, for the message.
+    out: the folder, which need not exist.
+    """
     if not catalog.contains(out):
         raise InputError(f"The results of {item.path.name} lie outside the served folder; use the command line.")
     return out
@@ -243,8 +257,10 @@ def uncalibrated(folder: Path) -> bool:
 def found_offsets(folder: Path, names: Sequence[str]) -> list[float] | None:
     """Read how late `hypose sync` found each view to be.
 
+    folder: of the recording.
+    names: of its C views, in their order.
     Returns: (C,) frames, relative to the median view, so that few frames are lost; 0 where the lag is less than its
-        error. None where it has not been found.
+        error. None where it has not been found for these views.
     """
     found = read_found(folder, "sync.json") or {}
     views = found.get("views", [])
@@ -287,6 +303,10 @@ def board_files(folder: Path) -> list[Path]:
 def with_result_name(kind: str, request: Mapping[str, Any], catalog: Catalog) -> Mapping[str, Any]:
     """Complete a request so that it means the same when it is planned again: a new track gets a free name, so that it
     does not overwrite an older result.
+
+    kind: of the job; requests of others than "track" are returned as they are.
+    request: of the page.
+    catalog: of the served folder.
     """
     given = request.get("options") or {}
     if kind != "track" or not isinstance(given, dict):
@@ -296,6 +316,7 @@ def with_result_name(kind: str, request: Mapping[str, Any], catalog: Catalog) ->
 
 
 def _result_name(given: Mapping[str, Any]) -> str:
+    """Return the name for a track's result: the given name, else the recipe, else "default"."""
     name = given.get("name") or given.get("recipe") or "default"
     if not isinstance(name, str) or not is_name(name):
         raise InputError(f"{str(name)[:40]!r} is no name for a result; use letters, digits, -, _ and dots between.")
@@ -303,6 +324,12 @@ def _result_name(given: Mapping[str, Any]) -> str:
 
 
 def _track(item: Item, given: Mapping[str, Any], title: str, catalog: Catalog) -> Plan:
+    """Plan `hypose track` of a recording.
+
+    item: the recording.
+    given: options of the page; its start may be the name of saved clicks, its subject is True or False.
+    title: for the page.
+    """
     out = _inside(catalog, item, item.path / "results" / _result_name(given))
     paths = ["--out", str(out)]
     if isinstance(start := given.get("start"), str) and start.startswith(_CLICKS):
@@ -316,6 +343,12 @@ def _track(item: Item, given: Mapping[str, Any], title: str, catalog: Catalog) -
 
 
 def _correct(item: Item, given: Mapping[str, Any], catalog: Catalog) -> Plan:
+    """Plan `hypose correct` of a result.
+
+    item: the result.
+    given: options of the page; its start is the name of saved clicks.
+    Raises: InputError where the clicks are missing, or the result is in no recording's folder.
+    """
     folder, start = catalog.recording_of(item.path), given.get("start")
     if folder is None or not isinstance(start, str) or not start.startswith(_CLICKS):
         raise InputError("Say which clicks the result is to be tracked again from.")
@@ -328,7 +361,12 @@ def _correct(item: Item, given: Mapping[str, Any], catalog: Catalog) -> Plan:
 
 
 def _clicked(folder: Path, start: str) -> Path:
-    """Return the file of clicks that the page saved under a name."""
+    """Return the file of clicks that the page saved under a name.
+
+    folder: of the recording.
+    start: "clicks:NAME".
+    Raises: InputError where there are none.
+    """
     name = start.removeprefix(_CLICKS)
     path = folder / "starts" / f"{name}.json"
     if not is_name(name) or not path.is_file():
@@ -337,6 +375,7 @@ def _clicked(folder: Path, start: str) -> Path:
 
 
 def _id(request: Mapping[str, Any], name: str) -> str:
+    """Return the id that a request gives as `name`; InputError where it gives none."""
     value = request.get(name)
     if not isinstance(value, str):
         raise InputError(f"Say which {name} is meant.")

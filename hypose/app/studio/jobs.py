@@ -111,16 +111,21 @@ class _StudioJob:
         shown, interrupted = record["job"], record["job"]["state"] not in ENDED
         if shown["kind"] not in JOB_KINDS:
             raise ValueError(shown["kind"])
-        ids = shown["recording"], shown["result"]
-        made = Plan((), str(shown["title"]), *ids, resumable=bool(record["resumable"]), makes=shown["makes"])
-        state = "failed" if interrupted else shown["state"]
-        stages = {str(s["name"]): dict(s) for s in shown["stages"]}
-        error = _INTERRUPTED if interrupted else shown["error"]
-        lines = deque(map(str, shown["lines"]), _KEPT_LINES)
+        ids, resumable = (shown["recording"], shown["result"]), bool(record["resumable"])
         return cls(
-            str(shown["id"]), shown["kind"], dict(record["request"]), made, float(shown["created"]),
-            str(shown["command"]), state, stages, lines, error, shown["began"], shown["ended"],
-        )  # fmt: skip
+            id=str(shown["id"]),
+            kind=shown["kind"],
+            request=dict(record["request"]),
+            plan=Plan((), str(shown["title"]), *ids, resumable=resumable, makes=shown["makes"]),
+            created=float(shown["created"]),
+            command=str(shown["command"]),
+            state="failed" if interrupted else shown["state"],
+            stages={str(s["name"]): dict(s) for s in shown["stages"]},
+            lines=deque(map(str, shown["lines"]), _KEPT_LINES),
+            error=_INTERRUPTED if interrupted else shown["error"],
+            began=shown["began"],
+            ended=shown["ended"],
+        )
 
 
 class Jobs(Topic):
@@ -208,6 +213,12 @@ class Jobs(Topic):
         write_jobs(self._catalog, self.every())
 
     def _queue(self, kind: str, request: Mapping[str, Any], made: Plan) -> _StudioJob:
+        """Add a job to the queue and return it; the oldest ended jobs beyond _KEPT_JOBS are forgotten.
+
+        kind, request: what the page requested.
+        made: its command.
+        Raises: NotNow where the queue is full, or the same job for the same result is waiting or running.
+        """
         job = _StudioJob(secrets.token_hex(6), kind, request, made, time.time(), "hypose " + shlex.join(made.arguments))
         with self._lock:
             waiting = [j for j in self._jobs.values() if j.state not in ENDED]
@@ -250,6 +261,7 @@ class Jobs(Topic):
     # ---- the thread that runs them ----
 
     def _work(self) -> None:
+        """Run the jobs of the queue one after the other, until the server ends; the work of the thread."""
         while True:
             with self._lock:
                 self._lock.wait_for(lambda: self._closed or self._waiting_job() is not None)
@@ -293,6 +305,7 @@ class Jobs(Topic):
         return min(waiting, key=lambda j: j.created, default=None)
 
     def _run(self, job: _StudioJob) -> None:
+        """Run the process of a job, take its output line by line, and end the job."""
         try:
             process = subprocess.Popen(
                 # neither import modules nor read settings of libraries from the served folder
@@ -325,6 +338,12 @@ class Jobs(Topic):
         self._end(job, problem, process.wait())
 
     def _end(self, job: _StudioJob, problem: str, code: int) -> None:
+        """Set the final state of a job.
+
+        problem: sentence of the command on why it failed; "" where it gave none.
+        code: exit code of the process.
+        """
+
         def said(what: str) -> str:
             return next((t for t in reversed(job.lines) if what in t), "")
 
@@ -348,7 +367,12 @@ class Jobs(Topic):
 
 
 def _progress(job: _StudioJob, text: str) -> bool:
-    """Take a line of progress from a command's output; return False where it is none."""
+    """Take a line of progress from a command's output.
+
+    job: whose stages are changed.
+    text: the line, JSON with stage, title, done and total.
+    Returns: False where it is no such line.
+    """
     try:
         value = parse_json(text)
         name, title, done, total = value["stage"], value["title"], int(value["done"]), int(value["total"])

@@ -50,9 +50,12 @@ _STREAMS = ("http://", "https://", "rtsp://")
 
 
 def recording_folder(catalog: Catalog, folder: str, name: str) -> Path:
-    """Return a new folder for a recording, in a folder of the served one.
+    """Return a new folder for a recording.
 
-    Raises: InputError where that is a link that leads out of it.
+    catalog: of the served folder.
+    folder: folder in the served one in which it lies.
+    name: wanted name, to which a number is added where it is taken.
+    Raises: InputError where `folder` is a link that leads out of the served folder.
     """
     if not catalog.contains(catalog.root / folder):
         raise InputError(f"{folder} is a link that leads out of the served folder; remove it first.")
@@ -60,7 +63,13 @@ def recording_folder(catalog: Catalog, folder: str, name: str) -> Path:
 
 
 def _target(message: Message, kind: str, port: int) -> str | None:
-    """Read the address HOST:PORT to send to; None where none is given."""
+    """Read the address HOST:PORT to send to.
+
+    message: of the page.
+    kind: its key of the address.
+    port: example for the message where the address is no text.
+    Returns: None where none is given.
+    """
     if message.get(kind) in (None, ""):
         return None
     return text(message[kind], "address to send to", 100, f"give HOST:PORT, for example 127.0.0.1:{port}").strip()
@@ -361,6 +370,7 @@ class _Pictures:
         self._thread.join(5)
 
     def _draw(self) -> None:
+        """Send pictures of the newest instant whenever they are due; the work of the thread."""
         while not self._ended:
             self._wake.wait()
             self._wake.clear()
@@ -371,7 +381,12 @@ class _Pictures:
 
 
 def _picture(jpeg: bytes | None, bits: np.ndarray | None) -> str | None:
-    """Encode a small picture with the mask as a tint, base64; None without a picture."""
+    """Encode a small picture with the mask as a tint, base64.
+
+    jpeg: the picture as captured, or None.
+    bits: mask (h, w / 8), eight pixels per byte, or None.
+    Returns: None without a picture.
+    """
     image = None if jpeg is None else CameraImage(0.0, None, jpeg).picture((_WIDTH, 1))
     if image is None:
         return None

@@ -34,11 +34,12 @@ class _Entry(Generic[V]):
 class LruCache(Generic[V]):
     """Bounded least-recently-used cache for several threads.
 
-    most: bytes of all values together; the least recently used are released beyond it, but never one in use.
+    most: bytes of all values together; the least recently used are released beyond it, but never one in use, nor the
+        last used one, however large it is.
     weigh: gives the bytes of a value.
     let_go: releases a value.
     idle_s: time without use after which a value is released anyway, s.
-    one_more: the last used value stays, however large it is.
+    clock: gives the time, s.
     """
 
     def __init__(
@@ -48,9 +49,7 @@ class LruCache(Generic[V]):
         let_go: Callable[[V], None] = lambda value: None,
         idle_s: float = IDLE_S,
         clock: Callable[[], float] = time.monotonic,
-        one_more: bool = False,
     ) -> None:
-        self._one_more = one_more
         self._most, self._weigh, self._let_go, self._idle_s, self._clock = most, weigh, let_go, idle_s, clock
         self._lock = threading.RLock()
         self._entries: OrderedDict[Hashable, _Entry[V]] = OrderedDict()
@@ -87,7 +86,7 @@ class LruCache(Generic[V]):
     def tidy(self) -> None:
         """Release values beyond the limit and values not used for long."""
         with self._lock:
-            self._shrink(self._most, next(reversed(self._entries), None) if self._one_more else None)
+            self._shrink(self._most, next(reversed(self._entries), None))
             if self._entries and (self._timer is None or not self._timer.is_alive()):
                 self._timer = threading.Timer(self._idle_s, self._tidy_later)
                 self._timer.daemon = True

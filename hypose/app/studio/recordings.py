@@ -6,12 +6,10 @@ from __future__ import annotations
 
 import contextlib
 import json
-import math
 import re
-import threading
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, cast
 
@@ -24,14 +22,12 @@ from hypose.app.studio.http import request_choice, text, whole
 from hypose.app.studio.http import request_number as number_of
 from hypose.app.studio.job_kinds import CALIBRATION, board_files, found_offsets, next_step, read_found, uncalibrated
 from hypose.app.studio.lru_cache import LruCache
-from hypose.app.studio.view_pictures import AnyFrame
+from hypose.app.studio.view_pictures import OpenRecording
 from hypose.calibration.views import find_sources
-from hypose.cameras.camera import Camera
 from hypose.errors import HyposeError, InputError
 from hypose.evidence.silhouettes import SilhouetteSettings
 from hypose.geometry import Image, Mask
 from hypose.io.files import read_text, read_toml, toml_value, write_text
-from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import (
     SILHOUETTE_KEYS,
     Recording,
@@ -40,7 +36,6 @@ from hypose.io.recordings.recording import (
     silhouette_options,
     write_recording,
 )
-from hypose.io.recordings.view_source import Preparer
 from hypose.json_text import parse_json
 
 # ---- edits ---------------------------------------------------------------------------------------------------------
@@ -61,9 +56,11 @@ _REFINED = "results/calibration_refined*.toml"
 def edit_recording(folder: Path, recording: Recording | None, asked: dict[str, Any], catalog: Catalog) -> None:
     """Correct a fault of a recording by an edit of recording.toml.
 
+    folder: of the recording.
     recording: as it is read now; None where it cannot be read.
     asked: {"what": one of _KINDS, "view": name, "path": picture or video of an empty room, "frames": by which key
         points are early, "x", "y": px by which a view's pictures are moved, "metres": height}.
+    catalog: of the served folder, in which `path` must lie.
     Raises: InputError names the cause. Where the recording cannot be read with the edit, the old text is restored
         first; height and board are not checked in this way.
     """
@@ -146,6 +143,12 @@ def newest_refined_calibration(folder: Path) -> str | None:
 
 
 def _try(path: Path, before: str, after: str) -> None:
+    """Write a changed text, and restore the old one where the recording cannot be read with it.
+
+    path: of recording.toml.
+    before, after: old and new text.
+    Raises: InputError says why it cannot be read.
+    """
     write_text(path, after)
     try:
         load_recording(path.parent)
@@ -155,7 +158,13 @@ def _try(path: Path, before: str, after: str) -> None:
 
 
 def _changed(whole: str, number: int, change: Callable[[list[str]], list[str]]) -> str:
-    """Return the text with the lines of view `number` changed."""
+    """Return the text of a recording.toml with the lines of one view changed.
+
+    whole: the text.
+    number: of the view, from 0.
+    change: gets the view's lines and returns the new ones.
+    Raises: InputError where the views are not written as [[view]].
+    """
     lines = whole.split("\n")
     heads = [i for i, line in enumerate(lines) if line.split("#")[0].strip() == "[[view]]"]
     if number >= len(heads):
@@ -169,18 +178,29 @@ def _changed(whole: str, number: int, change: Callable[[list[str]], list[str]]) 
 
 
 def _at_top(whole: str, key: str, value: Any) -> str:
-    """Return the text with a key of the recording itself set."""
+    """Return the text of a recording.toml with a key of the recording itself set.
+
+    whole: the text.
+    key: of the recording; an older line of it is removed.
+    value: of the key.
+    """
     lines = whole.split("\n")
     end = next((i for i, line in enumerate(lines) if line.lstrip().startswith("[")), len(lines))
     return "\n".join([f"{key} = {toml_value(value)}", *_set_aside(lines[:end], key), *lines[end:]])
 
 
 def _set_aside(lines: list[str], key: str) -> list[str]:
+    """Return lines without those that set a key."""
     return [line for line in lines if not re.match(rf"\s*{key}\s*=", line)]
 
 
 def _with_calibration(whole: str, name: str | None) -> str:
-    """Return the text with another calibration, in metres with z up; the old lines become comments."""
+    """Return the text with another calibration, in metres with z up; the old lines become comments.
+
+    whole: text of a recording.toml.
+    name: path of the calibration, relative to the recording.
+    Raises: InputError where it is None.
+    """
     if name is None:
         raise InputError("There is no refined calibration yet; refine it first.")
     lines = whole.split("\n")
@@ -190,77 +210,9 @@ def _with_calibration(whole: str, name: str | None) -> str:
     return "\n".join([f"calibration = {toml_value(name)}", *head, *lines[end:]])
 
 
-_OPEN, _LENSES, _QUALITY = 128 << 20, 32 << 20, 85
-"""Most bytes of all open recordings, and of one recording's undistortion maps; JPEG quality."""
-_PER_PIXEL, _PER_LENS_PIXEL, _PER_WORKING_PIXEL = 40, 8, 30
-"""Approximate bytes per pixel of an open video, of an undistortion map, and of a background."""
+_OPEN, _QUALITY = 128 << 20, 85
+"""Most bytes of all open recordings; JPEG quality."""
 _EDGE = (70, 60, 255)  # BGR; the same pink as in the report
-
-
-@dataclass
-class _Open:
-    """Recording that is open, for one thread at a time.
-
-    images: readers by view.
-    stored: frame number and picture that each reader read last.
-    masks: stream that makes the masks.
-    lenses: undistortion maps by (view, width).
-    """
-
-    recording: Recording
-    lock: threading.Lock = field(default_factory=threading.Lock)
-    images: dict[int, AnyFrame] = field(default_factory=dict)
-    stored: dict[int, tuple[int, Image]] = field(default_factory=dict)
-    masks: FrameStream | None = None
-    lenses: dict[tuple[int, int], Preparer] = field(default_factory=dict)
-
-    def image(self, view: int, frame: int, small: Camera) -> Image:
-        """Return the undistorted picture of a view, of the size of the camera `small`."""
-        v, key = self.recording.views[view], (view, small.size[0])
-        if key not in self.lenses:
-            while self.lenses and self._of_lenses + _PER_LENS_PIXEL * math.prod(small.size) > _LENSES:
-                del self.lenses[next(iter(self.lenses))]
-            self.lenses[key] = Preparer(self.recording.rig[view], small, v.image_shift)
-        return self.lenses[key](self._read(view, frame))
-
-    def mask(self, view: int, frame: int, settings: SilhouetteSettings) -> Mask:
-        """Compute the mask at working size that tracking would get with these settings."""
-        if self.masks is None:
-            self.masks = FrameStream(replace(self.recording, frame_range=None))
-        stored = self._read(view, frame) if self.recording.views[view].source else None
-        return self.masks.mask(view, frame, stored, settings)
-
-    def _read(self, view: int, frame: int) -> Image:
-        """Read the stored picture of a view; the last one of each view is kept."""
-        if view not in self.images:
-            self.images[view] = AnyFrame(self.recording.views[view])
-        if self.stored.get(view, (-1,))[0] != frame:
-            stored = self.images[view].read(frame)
-            if stored is None:
-                raise InputError(f"{self.recording.views[view].name} has no frame {frame}.")
-            self.stored[view] = frame, stored
-        return self.stored[view][1]
-
-    @property
-    def held(self) -> int:
-        """Approximate memory in use, bytes."""
-        r = self.recording
-        videos = sum(math.prod(r.rig[v].size) for v in self.images)
-        working = 0 if self.masks is None else sum(math.prod(c.size) for c in self.masks.rig)
-        return self._of_lenses + _PER_PIXEL * videos + _PER_WORKING_PIXEL * working
-
-    @property
-    def _of_lenses(self) -> int:
-        sizes = [(w, self.recording.rig[v].size) for v, w in list(self.lenses)]
-        return sum(round(_PER_LENS_PIXEL * w * w * size[1] / size[0]) for w, size in sizes)
-
-    def close(self) -> None:
-        """Release the files."""
-        with self.lock:
-            for source in (*self.images.values(), *([] if self.masks is None else [self.masks])):
-                source.close()
-            self.images.clear()
-            self.masks = None
 
 
 class Recordings:
@@ -269,7 +221,7 @@ class Recordings:
     def __init__(self, catalog: Catalog) -> None:
         self._catalog = catalog
         # the last used one stays, however large it is, since backgrounds take seconds to make
-        self._open: LruCache[_Open] = LruCache(_OPEN, lambda o: o.held, _Open.close, one_more=True)
+        self._open: LruCache[OpenRecording] = LruCache(_OPEN, lambda o: o.held, OpenRecording.close)
 
     def load(self, item: Item) -> Recording:
         """Load the recording of an item.
@@ -344,24 +296,25 @@ class Recordings:
     ) -> bytes:
         """Encode an undistorted picture as JPEG, with the mask that `settings` (over the recording's own) would give.
 
+        item: the recording.
+        camera: its name.
+        frame: number of the frame, from 0.
+        width: of the picture, px; at most that of the camera.
         shown: "none", or the mask as "edge", "fill" or "only".
+        settings: of the mask, texts by their names.
         Raises: NotFound or InputError where there is no such picture.
         """
         with self._opened(item) as opened:
             r = opened.recording
             if camera not in r.rig.names:
                 raise NotFound(f"{r.name} has no camera {camera[:40]!r}; it has {', '.join(r.rig.names)}.")
-            if not 0 <= frame < r.n_frames:
-                raise InputError(f"{r.name} has the frames 0 to {r.n_frames - 1}, there is no {frame}.")
-            if not 32 <= width <= 4096:
-                raise InputError(f"Pictures cannot be {width} px wide; ask for 32 to 4096.")
+            opened.check(frame, width)
             view, options = r.rig.names.index(camera), _with_query(r.silhouettes, settings)
             full = r.rig[view]
             w = min(width, full.size[0])
             small = full.scaled((w, max(1, round(full.size[1] * w / full.size[0])))).pinhole()
-            with opened.lock:
-                image = opened.image(view, frame, small) if r.views[view].source else None
-                mask = None if shown == "none" else opened.mask(view, frame, options)
+            image = opened.undistorted(view, frame, small) if r.views[view].source else None
+            mask = None if shown == "none" else opened.mask(view, frame, options)
         if image is None:
             if mask is None:
                 raise NotFound(f"{camera} has masks only, no pictures.")
@@ -382,14 +335,21 @@ class Recordings:
         """Release the files that are not in use."""
         self._open.drop()
 
-    def _opened(self, item: Item) -> AbstractContextManager[_Open]:
+    def _opened(self, item: Item) -> AbstractContextManager[OpenRecording]:
         return self._open.use(
-            (item.id, _stamp(item.path)), lambda: _Open(load_recording(item.path, uncalibrated=uncalibrated(item.path)))
+            (item.id, _stamp(item.path)),
+            lambda: OpenRecording(load_recording(item.path, uncalibrated=uncalibrated(item.path))),
         )
 
 
 def _draw_mask(image: Image, mask: Mask, shown: str) -> Image:
-    """Draw a mask, of any size with the same proportions, on a picture."""
+    """Draw a mask, of any size with the same proportions, on a picture.
+
+    image: (h, w, 3) BGR.
+    mask: (h2, w2) 0/1.
+    shown: "edge", "fill" or "only" (the mask alone, white on black).
+    Returns: a new picture (h, w, 3).
+    """
     h, w = image.shape[:2]
     whole = np.asarray(cv2.resize(mask * np.uint8(255), (w, h), interpolation=cv2.INTER_LINEAR) > 127, np.uint8)
     if shown == "only":

@@ -19,8 +19,7 @@ from hypose.app.studio.job_kinds import Plan
 from hypose.app.studio.lru_cache import LruCache
 from hypose.app.studio.recordings import Recordings
 from hypose.app.studio.view_bundle import first_frame, in_recording, json_values, load_view, quality_of, view_bundle
-from hypose.app.studio.view_pictures import ViewPictures
-from hypose.body.motion import Motion
+from hypose.app.studio.view_pictures import OpenRecording
 from hypose.body.skeleton import Skeleton
 from hypose.errors import HyposeError
 from hypose.geometry import Array, Image
@@ -45,29 +44,20 @@ Stamp = tuple[float | None, ...]
 
 
 @dataclass(frozen=True)
-class Glimpse:
-    """Part of a motion that is kept for its thumbnail.
-
-    rows: rows with their joints (J, 3) m; the first that has a picture is shown.
-    skeleton: of the joints.
-    """
-
-    rows: tuple[tuple[int, Array], ...]
-    skeleton: Skeleton
-
-
-@dataclass(frozen=True)
 class _Head:
     """Facts of a result for a list.
 
     stamp: state of the files at that time.
     facts: for the page.
-    glimpse: None where the motion cannot be read.
+    drawn: rows with their joints (J, 3) m for the thumbnail, of which the first that has a picture is shown: the middle
+        frame, and the first one for pictures that end before; empty where the motion cannot be read.
+    skeleton: of the joints.
     """
 
     stamp: Stamp
     facts: dict[str, Any]
-    glimpse: Glimpse | None
+    drawn: tuple[tuple[int, Array], ...] = ()
+    skeleton: Skeleton | None = None
 
 
 class Results:
@@ -75,11 +65,9 @@ class Results:
 
     def __init__(self, catalog: Catalog) -> None:
         self._catalog = catalog
-        self._blocks: LruCache[bytearray] = LruCache(_BLOCKS, len, one_more=True)
-        # four cameras of 1080p exceed the limit; one_more keeps them, since opening them takes seconds
-        self._pictures: LruCache[ViewPictures] = LruCache(
-            _PICTURES, lambda p: p.held, ViewPictures.close, one_more=True
-        )
+        self._blocks: LruCache[bytearray] = LruCache(_BLOCKS, len)
+        # four cameras of 1080p exceed the limit; the last used ones stay, since opening them takes seconds
+        self._pictures: LruCache[OpenRecording] = LruCache(_PICTURES, lambda p: p.held, OpenRecording.close)
         self._thumbnails: LruCache[bytes] = LruCache(_THUMBNAILS, len)
         self._heads: dict[str, _Head] = {}
         self._gaits: LruCache[bytes] = LruCache(_GAITS, len)
@@ -97,7 +85,7 @@ class Results:
         with self._blocks.use((item.id, _stamp(item.path, (*_JUDGED, *DESCRIPTIONS)), described), make) as block:
             return block
 
-    def pictures(self, item: Item) -> AbstractContextManager[ViewPictures]:
+    def pictures(self, item: Item) -> AbstractContextManager[OpenRecording]:
         """Open the pictures of a result's recording, as a context; results of the same frames share them.
 
         Raises: NotFound where there is no recording.
@@ -106,9 +94,9 @@ class Results:
         if folder is None:
             raise NotFound("The result is in no recording's folder, so there are no pictures of it.")
         facts = self.head(item)  # the motion itself, which may be large, is not needed
-        frames = facts["first_frame"], facts["frames"]
+        frames = facts["first_frame"], facts["first_frame"] + facts["frames"]
         return self._pictures.use(
-            (folder, _stamp(folder, _DESCRIBED), *frames), lambda: ViewPictures(load_recording(folder), *frames)
+            (folder, _stamp(folder, _DESCRIBED), *frames), lambda: OpenRecording(load_recording(folder), frames)
         )
 
     def head(self, item: Item) -> dict[str, Any]:
@@ -116,6 +104,7 @@ class Results:
         return self._head(item).facts
 
     def _head(self, item: Item) -> _Head:
+        """Return the kept facts of a result; they are read again where its files have changed."""
         stamp = _stamp(item.path, (*_MOTION, *_JUDGED))
         known = self._heads.get(item.id)  # without waiting for a thread that loads a motion
         if known is not None and known.stamp == stamp:
@@ -126,15 +115,22 @@ class Results:
             return self._heads[item.id]
 
     def _read_head(self, item: Item, stamp: Stamp) -> _Head:
+        """Read the facts of a result; frames is 0 where its motion cannot be read.
+
+        item: the result.
+        stamp: state of its files.
+        """
         folder = self._catalog.recording_of(item.path)
-        recipe, correctable, quality, first, glimpse = "unknown", False, {}, 0, None
+        recipe, correctable, quality, first, drawn, skeleton = "unknown", False, {}, 0, (), None
         try:
             motion = load_motion(item.path / "motion.npz")
             frames, rate = len(motion), motion.frame_rate
             recipe = str(motion.provenance.get("recipe", recipe))
             first = first_frame(motion)
             correctable = folder is not None and motion.poses is not None and not (item.path / "modes.npz").exists()
-            quality, glimpse = quality_of(item.path, motion), glimpse_of(motion)
+            quality, skeleton = quality_of(item.path, motion), motion.skeleton
+            seen = np.flatnonzero(np.isfinite(motion.joints).all((1, 2))).tolist()
+            drawn = tuple((t, motion.joints[t].copy()) for t in (seen and [seen[len(seen) // 2], seen[0]]))
         except HyposeError:
             frames, rate = 0, 0.0
         facts = {
@@ -154,7 +150,7 @@ class Results:
             "pictured": folder is not None,
             **quality,
         }
-        return _Head(stamp, facts, glimpse)
+        return _Head(stamp, facts, drawn, skeleton)
 
     def thumbnail(self, item: Item) -> bytes:
         """Return a small JPEG of the middle frame with the skeleton, from the first camera."""
@@ -162,11 +158,13 @@ class Results:
             return data
 
     def _thumbnail(self, item: Item) -> bytes:
-        glimpse = self._head(item).glimpse
-        if glimpse is None:
-            raise NotFound("This result cannot be read, so there is no picture of it.")
+        """Draw the thumbnail of a result; NotFound where it cannot be read or has no pictures."""
+        head = self._head(item)
         with self.pictures(item) as opened:
-            return thumbnail(glimpse, opened)
+            for row, joints in head.drawn:
+                if head.skeleton is not None and (found := opened.seen(row, joints)) is not None:
+                    return _drawn(*found, head.skeleton)
+        raise NotFound("There are no pictures of this result.")
 
     def gait(self, item: Item) -> bytes:
         """Return the gait of a result as JSON."""
@@ -181,7 +179,9 @@ class Results:
     def so_far(self, plan: Plan, began: float | None, recordings: Recordings) -> bytearray | None:
         """Build the block of what a job has tracked so far, from its checkpoint or the finished result.
 
+        plan: of the job.
         began: when the job began, s; older files are not its own.
+        recordings: open recordings of the studio.
         Returns: None while there is nothing.
         Raises: NotFound where the job makes no motion that can be shown.
         """
@@ -224,26 +224,13 @@ def _stamp(folder: Path, files: Sequence[str] = _MOTION) -> Stamp:
     return tuple(written(n) for n in files)
 
 
-def glimpse_of(motion: Motion) -> Glimpse:
-    """Keep the middle frame of a motion, and the first one for pictures that end before."""
-    seen = np.flatnonzero(np.isfinite(motion.joints).all((1, 2)))
-    rows = [int(seen[k]) for k in (len(seen) // 2, 0)] if len(seen) else []
-    return Glimpse(tuple((t, motion.joints[t].copy()) for t in rows), motion.skeleton)
-
-
-def thumbnail(glimpse: Glimpse, pictures: ViewPictures) -> bytes:
-    """Draw a JPEG from the first camera with a picture.
-
-    Raises: NotFound where there is no picture.
-    """
-    for row, joints in glimpse.rows:
-        found = pictures.seen(row, joints)
-        if found is not None:
-            return _drawn(*found, glimpse.skeleton)
-    raise NotFound("There are no pictures of this result.")
-
-
 def _drawn(image: Image, points: Array, skeleton: Skeleton) -> bytes:
+    """Cut the person out of a picture, draw the skeleton, and encode it as a JPEG of _SIZE.
+
+    image: (h, w, 3) BGR.
+    points: (J, 2) px, joints; NaN where not known.
+    skeleton: of the joints.
+    """
     h, w = image.shape[:2]
     inside = points[np.isfinite(points).all(1)]
     low, high = (inside.min(0), inside.max(0)) if len(inside) else (np.zeros(2), np.array([w, h], dtype=float))

@@ -126,6 +126,7 @@ class Studio:
 
     @contextlib.asynccontextmanager
     async def _lifespan(self, app: Starlette) -> AsyncIterator[None]:
+        """Compile kernels while the server starts; stop all topics and jobs when it ends."""
         warm = threading.Thread(target=_warm, name="warm", daemon=True)
         warm.start()
         yield
@@ -169,18 +170,23 @@ NOT_BUILT = (
 
 
 async def _bug(request: Request, error: Exception) -> Response:
+    """Answer a request in which the server failed; the traceback is in its log."""
     return error_response(
         500, f"This should not have happened ({type(error).__name__}); the server's terminal says more."
     )
 
 
 async def _nothing(request: Request, error: Exception) -> Response:
+    """Answer a request for an unknown address."""
     return error_response(404, "There is nothing at this address.")
 
 
 def config(studio: Studio, host: str, port: int) -> uvicorn.Config:
     """Return how the application is served: limited connections, small messages, no compression (pictures are
     compressed), no server name, and no trust in proxy headers.
+
+    studio: the application's state.
+    host, port: address; port 0: any free one.
     """
     made = uvicorn.Config(
         studio.app,
@@ -221,7 +227,11 @@ class _Server(uvicorn.Server):
 def make_server(
     studio: Studio, host: str, port: int, ready: Callable[[int], None] = lambda port: None
 ) -> uvicorn.Server:
-    """Make a server that is not running yet; `should_exit` ends it."""
+    """Make a server that is not running yet; `should_exit` ends it.
+
+    studio, host, port: as for `config`.
+    ready: called with the port as soon as the server listens.
+    """
     return _Server(config(studio, host, port), ready)
 
 
@@ -288,7 +298,10 @@ ItemOf = Callable[[Kind, Request], Item]
 
 
 def _of_folders(studio: Studio, item_of: ItemOf) -> list[Route]:
-    """Build the routes that rename recordings and results, and delete results."""
+    """Build the routes that rename recordings and results, and delete results.
+
+    item_of: finds the item of a kind that a request's address names.
+    """
     catalog = studio.catalog
 
     @contextlib.contextmanager
@@ -332,6 +345,7 @@ def _of_folders(studio: Studio, item_of: ItemOf) -> list[Route]:
 
 
 def _of_jobs(studio: Studio) -> list[Route]:
+    """Build the routes that list, start, stop, resume and show jobs."""
     jobs = studio.jobs
 
     def start(request: Request, body: _Body) -> Any:
@@ -353,6 +367,7 @@ def _of_jobs(studio: Studio) -> list[Route]:
 
 
 def _of_recordings(studio: Studio, item_of: ItemOf) -> list[Route]:
+    """Build the routes of recordings and folders; item_of as in `_of_folders`."""
     catalog, recordings = studio.catalog, studio.recordings
 
     def one(request: Request) -> Any:
@@ -418,6 +433,7 @@ def _of_recordings(studio: Studio, item_of: ItemOf) -> list[Route]:
 
 
 def _of_results(studio: Studio, item_of: ItemOf) -> list[Route]:
+    """Build the routes of results; item_of as in `_of_folders`."""
     catalog, results = studio.catalog, studio.results
     blocks, gaits = asyncio.Lock(), asyncio.Lock()  # slow answers are made one at a time
 
@@ -481,6 +497,7 @@ def _of_results(studio: Studio, item_of: ItemOf) -> list[Route]:
 
 
 def _of_clicks(studio: Studio, item_of: ItemOf) -> list[Route]:
+    """Build the routes of clicked joints; item_of as in `_of_folders`."""
     catalog, recordings = studio.catalog, studio.recordings
 
     def body(request: Request) -> Response:

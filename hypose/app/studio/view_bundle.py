@@ -12,6 +12,7 @@ import contextlib
 import json
 import math
 import struct
+import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field
@@ -106,6 +107,7 @@ class ViewResult:
     complete: every frame was tracked.
     rivals: other poses, where the method keeps any.
     assessment: of the result; None where there is none.
+    date: day on which the first recorded file was last written, YYYY-MM-DD; "" where not known.
     """
 
     title: str
@@ -123,6 +125,7 @@ class ViewResult:
     complete: bool = True
     rivals: Rivals | None = None
     assessment: Assessment | None = None
+    date: str = ""
 
 
 def pictured(recording: Recording) -> list[str]:
@@ -153,6 +156,7 @@ def view_bundle(result: ViewResult) -> bytearray:
 
 
 def _arrays(result: ViewResult) -> dict[str, np.ndarray]:
+    """Make the arrays of the block by their names; they are listed in web/src/lib/bundle.ts."""
     m = result.motion
     # first the arrays whose computation needs most memory
     turns = {} if m.poses is None else _turns(m.skeleton, m.poses)
@@ -221,7 +225,12 @@ def _upper(matrices: NDArray[np.floating]) -> np.ndarray:
 
 
 def _in_degrees(names: Sequence[str], values: Array | NDArray[np.float32]) -> np.ndarray:
-    """Convert angles (A, T) to degrees; lengths stay in metres."""
+    """Convert angles to degrees; lengths stay in metres.
+
+    names: (A,) names of the angles, as in ANGLE_NAMES.
+    values: (A, T) rad or m.
+    Returns: (A, T) float32.
+    """
     out = np.empty(values.shape, "<f4")
     for n, (name, value) in enumerate(zip(names, values, strict=True)):
         out[n] = value if is_length(name) else np.degrees(value)
@@ -236,6 +245,7 @@ def _flags(motion: Motion) -> np.ndarray:
 
 
 def _mesh(level: str, mesh: Mesh) -> dict[str, np.ndarray]:
+    """Make the arrays of a mesh; level ("fine", "coarse") is the first part of their names."""
     index = "<u2" if len(mesh.vertices) < 2**16 else "<u4"
     return {
         f"{level}_vertices": mesh.vertices.astype("<f4"),
@@ -287,6 +297,7 @@ def _header(result: ViewResult) -> dict[str, Any]:
 
 
 def _cameras(result: ViewResult) -> list[dict[str, Any]]:
+    """Describe the cameras for the header; empty where they are not known."""
     rig = result.rig
     if rig is None:
         return []
@@ -307,7 +318,11 @@ def _cameras(result: ViewResult) -> list[dict[str, Any]]:
 
 
 def _floor(motion: Motion, body: Body | None) -> float:
-    """Estimate the height of the floor, m: 0, unless the feet are clearly elsewhere."""
+    """Estimate the height of the floor, m, world: 0, unless the feet are clearly elsewhere.
+
+    motion: its feet are at their lowest twentieth on the floor.
+    body: gives the height of the ankle above the sole; None: 8 cm.
+    """
     feet = [j for j, n in enumerate(motion.skeleton.joint_names) if n.endswith(("ankle", "foot"))]
     low = motion.joints[:, feet, 2]
     low = low[np.isfinite(low)]
@@ -393,7 +408,10 @@ def in_recording(recording: Recording | None, motion: Motion, body: Body | None,
     if recording is None:
         return ViewResult(motion=motion, body=body, **more)
     shifts = [v.image_shift for v in recording.views]
-    cameras = {"rig": recording.rig, "image_shifts": shifts, "pictures": pictured(recording)}
+    cameras = {"rig": recording.rig, "image_shifts": shifts, "pictures": pictured(recording), "date": ""}
+    files = [v.source or v.masks or v.depth or v.keypoints for v in recording.views]
+    with contextlib.suppress(OSError, StopIteration):
+        cameras["date"] = time.strftime("%Y-%m-%d", time.localtime(next(filter(None, files)).stat().st_mtime))
     return ViewResult(**{"title": recording.name, **cameras, "motion": motion, "body": body, **more})
 
 
@@ -418,6 +436,13 @@ def _citation(motion: Motion) -> str:
 
 
 def _body(folder: ResultsFolder, motion: Motion) -> Body | None:
+    """Load the body of a result.
+
+    folder: of the result.
+    motion: of the result.
+    Returns: None where the motion has no poses, or no body was kept.
+    Raises: InputError where body and motion do not belong together.
+    """
     path = folder.file("body.npz")
     if motion.poses is None or not path.is_file():
         return None
@@ -445,8 +470,12 @@ def _assessment(path: Path, motion: Motion) -> Assessment | None:
 
 
 def quality_of(folder: Path, motion: Motion) -> dict[str, Any]:
-    """Summarize the quality of a result for a list: assessment (word or None) and its sentence, iou, sd_mm, lost (share
-    of frames)."""
+    """Summarize the quality of a result for a list.
+
+    folder: of the result.
+    motion: of the result.
+    Returns: assessment (word or None) and its sentence, iou (0..1), sd_mm, lost (share of frames).
+    """
     reported, s = _assessment(folder / "assessment.json", motion), summarize(motion)
     lost = (s.lost + s.extrapolated) / max(1, s.frames)
     word, sentence = (reported.word, reported.sentence) if reported else (None, None)

@@ -1,4 +1,4 @@
-"""Read recorded pictures and masks of any frame of a result, for the View screen.
+"""Read recorded pictures and masks of any frame, for the View and Set up screens.
 
 A user who drags along the timeline requests frames in any order, and decoding a long video from its start would take
 seconds. So frames are reached by seeking where that was found to be exact in this video, and by decoding otherwise.
@@ -19,21 +19,26 @@ from numpy.typing import NDArray
 
 from hypose.app.reports.result_pictures import as_shown, jpeg, mask_outline
 from hypose.app.studio.lru_cache import LruCache
+from hypose.cameras.camera import Camera
 from hypose.errors import InputError
 from hypose.evidence.frame import Silhouettes
-from hypose.geometry import Array, Image
+from hypose.evidence.silhouettes import SilhouetteSettings
+from hypose.geometry import Array, Image, Mask
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.object_masks import ObjectMasks
 from hypose.io.recordings.recording import Recording, ViewSettings
 from hypose.io.recordings.recording_views import open_pictures
+from hypose.io.recordings.view_source import Preparer
 from hypose.io.videos.video import VideoReader, open_capture, open_video
 
 _DECODED_AHEAD = 24  # frames ahead that are faster decoded than reached by seeking
 _TRIAL = 10  # the frame at which seeking is tested
 _CACHE_BYTES = 16 << 20
-_PER_PIXEL, _PER_WORKING_PIXEL = 40, 60
-"""Approximate memory of an open video per pixel of its frames, and of a view's masks per pixel of the working size,
-bytes.
+_LENSES = 32 << 20
+"""Most bytes of the undistortion maps of one recording."""
+_PER_PIXEL, _PER_LENS_PIXEL, _PER_WORKING_PIXEL = 40, 8, 60
+"""Approximate memory of an open video per pixel of its frames, of an undistortion map, and of a view's masks per pixel
+of the working size, bytes.
 """
 
 
@@ -43,7 +48,6 @@ class AnyFrame:
     def __init__(self, view: ViewSettings) -> None:
         source = view.source or view.masks
         assert source is not None
-        self.only_masks = view.source is None
         self._reader: VideoReader | ObjectMasks = open_pictures(view)
         self._jumps: cv2.VideoCapture | None = None
         self._next = 0
@@ -62,6 +66,7 @@ class AnyFrame:
         return self._jump(index)
 
     def _can_jump(self) -> bool:
+        """Return whether seeking is exact in this video; the first call tests it on frame _TRIAL."""
         if self._exact is None:
             self._exact = False
             if self._reader.n_frames > _TRIAL + 1:
@@ -75,6 +80,7 @@ class AnyFrame:
         return self._exact
 
     def _jump(self, index: int) -> Image | None:
+        """Read a frame by seeking, or by decoding a few frames more; None where it cannot be read."""
         capture = self._jumps
         assert capture is not None
         if self._next < 0 or not 0 <= index - self._next <= _DECODED_AHEAD:
@@ -94,50 +100,109 @@ class AnyFrame:
             self._jumps.release()
 
 
-class ViewPictures:
-    """Pictures and masks of a recording by row of a motion whose row 0 is frame `first`; for several threads."""
+class OpenRecording:
+    """Pictures and masks of a recording that is open, by row, for several threads. Files are opened when they are
+    needed first.
 
-    def __init__(self, recording: Recording, first: int, rows: int) -> None:
-        self._recording = replace(recording, frame_range=(first, first + rows))
-        self._first, self._rows = first, rows
-        self._views = [AnyFrame(v) if v.source or v.masks else None for v in recording.views]
+    recording: the recording.
+    frames: first frame and end of the rows; None: all frames, so that a row is a frame.
+    """
+
+    def __init__(self, recording: Recording, frames: tuple[int, int] | None = None) -> None:
+        self.recording, self._frames = recording, frames
+        self._first, self._end = frames or (0, recording.n_frames)
+        self._readers: dict[int, AnyFrame] = {}
+        self._last: dict[int, tuple[int, Image]] = {}  # row and picture that each reader read last
+        self._lenses: LruCache[Preparer] = LruCache(_LENSES, lambda p: _PER_LENS_PIXEL * math.prod(p.size))
+        self._jpegs: LruCache[bytes] = LruCache(_CACHE_BYTES, len)
         self._stream: FrameStream | None = None
-        self._lock, self._mask_lock = threading.Lock(), threading.Lock()
-        self._kept: LruCache[bytes] = LruCache(_CACHE_BYTES, len, one_more=True)
+        self._lock, self._mask_lock = threading.RLock(), threading.Lock()
 
     @property
     def held(self) -> int:
         """Approximate memory in use, bytes."""
-        rig = self._recording.rig
+        videos = sum(math.prod(self.recording.rig[v].size) for v in self._readers)
         working = 0 if self._stream is None else sum(math.prod(c.size) for c in self._stream.rig)
-        return self._kept.held + _PER_PIXEL * sum(math.prod(c.size) for c in rig) + _PER_WORKING_PIXEL * working
+        return self._jpegs.held + self._lenses.held + _PER_PIXEL * videos + _PER_WORKING_PIXEL * working
+
+    def read(self, view: int, row: int) -> Image | None:
+        """Read the stored picture of a view, or its masks where it has only these; the last one of each view is kept.
+
+        view, row: of the picture.
+        Returns: (h, w, 3) BGR; None beyond the end of the view.
+        """
+        settings = self.recording.views[view]
+        if not (settings.source or settings.masks):
+            return None
+        if view not in self._readers:
+            self._readers[view] = AnyFrame(settings)
+        row_of_last, image = self._last.get(view, (-1, None))
+        if row_of_last != row:
+            image = self._readers[view].read(self._first + row)
+            if image is not None:
+                self._last[view] = row, image
+        return image
+
+    def undistorted(self, view: int, row: int, small: Camera) -> Image:
+        """Return the undistorted picture of a view, of the size of the pinhole camera `small`.
+
+        Raises: InputError where the view has no such frame.
+        """
+        v = self.recording.views[view]
+        with self._lock, self._lenses.use((view, small.size), lambda: self._lens(view, small)) as lens:
+            stored = self.read(view, row)
+            if stored is None:
+                raise InputError(f"{v.name} has no frame {row}.")
+            return lens(stored)
+
+    def _lens(self, view: int, small: Camera) -> Preparer:
+        """Make the map from stored pictures of a view to the pinhole camera `small`."""
+        return Preparer(self.recording.rig[view], small, self.recording.views[view].image_shift)
+
+    def mask(self, view: int, row: int, settings: SilhouetteSettings) -> Mask:
+        """Compute the mask that tracking would get with other settings.
+
+        view, row: of the picture.
+        settings: of the mask.
+        Returns: (h, w) 0/1, at working size.
+        """
+        with self._lock, self._mask_lock:
+            stored = self.read(view, row) if self.recording.views[view].source else None
+            return self._masks().mask(view, self._first + row, stored, settings)
 
     def row(self, row: int, width: int) -> bytes:
         """Encode the pictures of all views in a row as JPEG, at most `width` px wide.
 
         Returns: number of views (uint32), length of each file (uint32, 0 = no picture), then the files; little-endian.
+        Raises: InputError where there is no such row or width.
         """
-        self._check(row)
-        if not 32 <= width <= 4096:
-            raise InputError(f"Pictures cannot be {width} px wide; ask for 32 to 4096.")
+        self.check(row, width)
+        views = range(len(self.recording.views))
 
         def make() -> bytes:
-            with self._lock, ThreadPoolExecutor(len(self._views)) as pool:
-                files = list(pool.map(partial(self._jpeg, row=row, width=width), self._views))
+            with self._lock, ThreadPoolExecutor(len(views)) as pool:
+                files = list(pool.map(partial(self._jpeg, row=row, width=width), views))
             return struct.pack(f"<{1 + len(files)}I", len(files), *map(len, files)) + b"".join(files)
 
-        with self._kept.use((row, width), make) as data:
+        with self._jpegs.use((row, width), make) as data:
             return data
+
+    def _jpeg(self, view: int, row: int, width: int) -> bytes:
+        """Encode the picture of a view in a row, at most `width` px wide; empty where there is none."""
+        image = self.read(view, row)
+        if image is None:
+            return b""
+        if self.recording.views[view].source is None:  # masks
+            image = (image // 3 + 40).astype(np.uint8)
+        return jpeg(image, width)
 
     def seen(self, row: int, points: Array) -> tuple[Image, Array] | None:
         """Return the picture (BGR) of the first view that has one in `row`, and the pixels (N, 2) of points (N, 3) m,
         world, in it; None where no view has one.
         """
-        self._check(row)
         with self._lock:
-            for reader, view, camera in zip(self._views, self._recording.views, self._recording.rig, strict=True):
-                image = reader.read(self._first + row) if reader is not None else None
-                if image is not None:
+            for k, (view, camera) in enumerate(zip(self.recording.views, self.recording.rig, strict=True)):
+                if (image := self.read(k, row)) is not None:
                     return image, as_shown(view, camera, (image.shape[1], image.shape[0])).project(points)
         return None
 
@@ -146,41 +211,40 @@ class ViewPictures:
         seconds.
 
         Returns: per view, polygons [x0, y0, x1, y1, ...] in px of the calibrated size, shifted by image_shift.
+        Raises: InputError where there is no such row.
         """
-        self._check(row)
+        self.check(row)
         with self._mask_lock:
-            if self._stream is None:
-                self._stream = FrameStream(self._recording)
-            masks = self._stream.frame(row).of(Silhouettes)
-        found: list[list[list[float]]] = [[] for _ in self._views]
+            masks = self._masks().frame(row).of(Silhouettes)
+        found: list[list[list[float]]] = [[] for _ in self.recording.views]
         for silhouettes in masks:
-            for c, (view, camera) in enumerate(zip(self._recording.views, self._recording.rig, strict=True)):
+            for c, (view, camera) in enumerate(zip(self.recording.views, self.recording.rig, strict=True)):
                 shown = as_shown(view, camera, camera.size)
                 lines = mask_outline(shown, silhouettes.rig[c], silhouettes.masks[c])
                 found[c] = [_pixels(line) for line in lines]
         return found
 
+    def check(self, row: int, width: int = 640) -> None:
+        """Raise InputError where there is no such row, or pictures cannot have this width, px."""
+        if not 0 <= row < self._end - self._first:
+            raise InputError(f"There is no frame {row} here; the frames are 0 to {self._end - self._first - 1}.")
+        if not 32 <= width <= 4096:
+            raise InputError(f"Pictures cannot be {width} px wide; ask for 32 to 4096.")
+
+    def _masks(self) -> FrameStream:
+        """Return the stream that makes masks; called with the lock of the masks."""
+        if self._stream is None:
+            self._stream = FrameStream(replace(self.recording, frame_range=self._frames))
+        return self._stream
+
     def close(self) -> None:
         """Release the files."""
-        self._kept.drop()
         with self._lock, self._mask_lock:
-            for view in self._views:
-                if view is not None:
-                    view.close()
-            if self._stream is not None:
-                self._stream.close()
-
-    def _check(self, row: int) -> None:
-        if not 0 <= row < self._rows:
-            raise InputError(f"There is no frame {row} in this result; its frames are 0 to {self._rows - 1}.")
-
-    def _jpeg(self, view: AnyFrame | None, row: int, width: int) -> bytes:
-        image = view.read(self._first + row) if view is not None else None
-        if view is None or image is None:
-            return b""
-        if view.only_masks:
-            image = (image // 3 + 40).astype(np.uint8)
-        return jpeg(image, width)
+            for source in (*self._readers.values(), *([] if self._stream is None else [self._stream])):
+                source.close()
+            self._readers.clear()
+            self._last.clear()
+            self._stream = None
 
 
 def _pixels(line: NDArray[np.int32]) -> list[float]:

@@ -60,7 +60,12 @@ def numbers(where: str, table: Mapping[str, Any], keys: tuple[str, ...], *shapes
 def numbers_if_any(
     where: str, table: Mapping[str, Any], keys: tuple[str, ...], *shapes: tuple[int, ...]
 ) -> Array | None:
-    """Get the finite numbers of a table's entry as `numbers` does; None where the entry is missing."""
+    """Get the finite numbers of a table's first key that is present.
+
+    where, keys, shapes: as for `numbers`.
+    Returns: None where the table has none of the keys.
+    Raises: CalibrationError where the entry is wrong.
+    """
     key = next((k for k in keys if table.get(k) is not None), None)
     if key is None:
         return None
@@ -76,7 +81,11 @@ def numbers_if_any(
 
 
 def _fitting(array: Array, shapes: tuple[tuple[int, ...], ...]) -> tuple[int, ...] | None:
-    """Choose the accepted shape that an array has or can be given; None where there is none."""
+    """Choose the shape that an array has or can be given.
+
+    shapes: accepted shapes; none for a row of any length.
+    Returns: None where no shape fits.
+    """
     for s in shapes or ((array.size,),):
         if array.size == math.prod(s) and (array.shape == s or 1 in (array.ndim, len(s))):
             return s
@@ -117,6 +126,7 @@ class RigFile:
         rotation: camera_from_world, a matrix (3, 3) or rotation vector (3,).
         translation: (3,) camera_from_world, in the file's unit.
         size: width and height, px; None for twice the principal point, with a note.
+        fisheye: the coefficients are the four of OpenCV's fisheye model.
         Raises: CalibrationError where a number is implausible.
         """
         if size is None:
@@ -154,6 +164,7 @@ class RigFile:
             raise CalibrationError(f"{self.path}: {error}") from None
 
     def _likely_unit(self) -> str:
+        """Determine the unit, "m" or "mm", from the distances of the cameras; a note says so for millimetres."""
         centres = np.array([c.position for c in self._cameras])
         if len(centres) > 1:
             i, j = np.triu_indices(len(centres), 1)
@@ -194,6 +205,12 @@ def plain_lenses(rig: CameraRig, program: str) -> list[Array]:
 def _checked(
     where: str, name: str, k: Array, distortion: Array, rotation: Array, translation: Array, size: Array, fisheye: bool
 ) -> Camera:
+    """Make a camera of numbers, as `RigFile.add` takes them, after checking that they are plausible.
+
+    where: start of the error messages.
+    rotation: camera_from_world (3, 3); the nearest exact rotation is used.
+    Raises: CalibrationError where a number is implausible; it names the first.
+    """
     (w, h), n = size, len(distortion)
     allowed = (0, 1, 2, 4) if fisheye else (0, 1, 2, 4, 5, 8, 12, 14)
     whole = float(w).is_integer() and float(h).is_integer()

@@ -58,7 +58,13 @@ def _attributes(
 def _video_cameras(
     rig: RigFile, elements: list[Element], is_video: Callable[[Element], bool], key: str
 ) -> Iterator[tuple[str, str, Element]]:
-    """Yield name, start of messages and element of each video camera; all cameras where none is marked as video."""
+    """Select the video cameras of a file, and note how many others are left out.
+
+    elements: XML elements of all cameras.
+    is_video: test whether an element is marked as a video camera; where none is, all are taken.
+    key: attribute with the camera's serial number, by which they are sorted.
+    Returns: an iterator over name, start of error messages and element of each camera.
+    """
     video = [e for e in elements if is_video(e)] or elements
     if len(video) < len(elements):
         left = len(elements) - len(video)
@@ -156,7 +162,12 @@ def _radial(where: str, frame: Element) -> Array:
 
 
 def _straightened(coefficients: Array, focal: float, radius: float) -> Array:
-    """Fit OpenCV's k1 k2 k3 to Vicon's undistortion in pixels, by least squares over the picture."""
+    """Fit OpenCV's k1 k2 k3 to Vicon's undistortion in pixels, by least squares over the picture.
+
+    coefficients: (3,) Vicon's k1 k2 k3, for radii in px.
+    focal: focal length, px.
+    radius: largest distance from the centre in the picture, px.
+    """
     d = np.linspace(0, radius, 200)[1:]
     u = d * (1 + coefficients[0] * d**2 + coefficients[1] * d**4 + coefficients[2] * d**6) / focal
     powers = np.stack([u**3, u**5, u**7], 1)
@@ -262,6 +273,7 @@ def read_plain_pickle(data: bytes) -> Any:
 
 
 def _plain(value: Any) -> Any:
+    """Replace the arrays that were read in nested lists, tuples and dictionaries by numpy's arrays."""
     if isinstance(value, _Array):
         return _plain(value.value)
     if isinstance(value, dict):

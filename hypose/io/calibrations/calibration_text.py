@@ -283,7 +283,12 @@ def parse_xml(text: str) -> Any:
 
 
 def _matrix(sizes: list[str], data: Any) -> Array:
-    """Shape the numbers of a matrix; empty where their number does not agree with the sizes or they are not numbers."""
+    """Shape the numbers of a matrix.
+
+    sizes: texts of its numbers of rows and columns.
+    data: list of numbers or of their texts.
+    Returns: an empty array where the number of data does not agree with the sizes, or they are not numbers.
+    """
     shape = [int(s) if re.fullmatch(r"\s*\d{1,5}\s*", s, re.ASCII) else 0 for s in sizes[:8]]
     values = [scalar(item) if isinstance(item, str) else item for item in (data if isinstance(data, list) else [data])]
     array = as_numbers(values)
@@ -327,6 +332,7 @@ def write_easymocap(rig: CameraRig, path: Path) -> list[Path]:
 
 
 def _yaml_matrix(key: str, value: Array) -> str:
+    """Format a matrix as an entry of OpenCV's YAML."""
     rows, columns = value.shape
     texts = [repr(float(v)) for v in value.ravel()]
     data = ", ".join(t if "." in t or "e" in t or "n" in t else f"{t}." for t in texts)

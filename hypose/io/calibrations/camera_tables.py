@@ -114,7 +114,10 @@ def tables_of(document: Any, name: str) -> dict[str, Table]:
 
 
 def strange_keys(document: Any, tables: Mapping[str, Table]) -> list[str]:
-    """List the keys next to the cameras of a document whose plain values are not understood."""
+    """List the keys of a document, next to its cameras, whose plain values are not understood.
+
+    tables: tables of the cameras, as `tables_of` finds them.
+    """
     if not isinstance(document, Mapping) or any(table is document for table in tables.values()):
         return []
     plain = (k for k, v in document.items() if isinstance(v, str | int | float) and k not in _UNDERSTOOD)
@@ -195,7 +198,12 @@ def _chained(rig: RigFile, tables: Mapping[str, Table]) -> Iterator[tuple[str, A
 
 
 def _pose(where: str, table: Table, order: str = "") -> Array | None:
-    """Get the pose camera_from_world (4, 4) of a table; None where it has none."""
+    """Get the pose camera_from_world (4, 4) of a table, in the file's unit.
+
+    order: order of quaternions that do not state it, "wxyz" or "xyzw".
+    Returns: None where the table has neither rotation nor translation.
+    Raises: CalibrationError where one of them is missing or a value is wrong.
+    """
     if not any(k in table for k in _MATRIX):
         _, rotation, translation = decomposed(numbers(where, table, _PROJECTION, (3, 4)), where)
         return _joined(rotation, translation)
@@ -226,8 +234,11 @@ def _joined(rotation: Array, translation: Array) -> Array:
 
 
 def _rotation(where: str, table: Table, order: str) -> Array | None:
-    """Get the rotation (3,) or (3, 3) of a table; None where it has none. order: of quaternions that do not state
-    it."""
+    """Get the rotation of a table: a vector (3,), rad, or a matrix (3, 3).
+
+    order: order of quaternions that do not state it, "wxyz" or "xyzw".
+    Returns: None where the table has none.
+    """
     key = next((k for k in _QUATERNION if k in table), None)
     if key is None:
         return numbers_if_any(where, table, _ROTATION, (3,), (3, 3))

@@ -301,6 +301,7 @@ def _caliscope(source: Source) -> dict[str, KeypointTable]:
 def _first_frame(shown: Sequence[int], numbers: Sequence[int], where: str) -> int:
     """Determine the sync_index of the recording's first frame.
 
+    shown: sync indices of all frames with points.
     numbers: the recording's own sync indices. Older versions count the points from 0, although the recording's times
         continue those of the calibration.
     """
@@ -319,6 +320,9 @@ def _first_frame(shown: Sequence[int], numbers: Sequence[int], where: str) -> in
 
 def _point_order(stem: str, ids: set[int]) -> list[int]:
     """Order the ids of points as in a key-point set.
+
+    stem: name of the file without its ending, in lower case, which holds the tracker's name.
+    ids: ids of all points in the file.
 
     MediaPipe's trackers number the body 0 to 32, the right hand from 100 and the left hand from 200. SIMPLE_HOLISTIC
     has no wrists but those of the hands.
@@ -401,6 +405,7 @@ def _mmpose(source: Source) -> KeypointTable:
 
 
 def _names_of_meta(meta: Any) -> tuple[str, ...] | None:
+    """Get the names of the points from MMPose's meta_info; None where they are not all there."""
     table = meta.get("keypoint_id2name") if isinstance(meta, Mapping) else None
     if not isinstance(table, Mapping) or not all(isinstance(v, str) for v in table.values()):
         return None
@@ -438,17 +443,11 @@ def _coco(source: Source) -> KeypointTable:
 
 
 def _image_numbers(images: Any) -> dict[int, int]:
-    """Map image ids to frame numbers, where all images' file names end in a number."""
-    if not isinstance(images, list):
-        return {}
-    out = {}
-    for image in images:
-        name, identity = (image.get("file_name"), image.get("id")) if isinstance(image, Mapping) else (None, None)
-        number = last_number(Path(name).stem) if isinstance(name, str) else None
-        if number is None or not isinstance(identity, int):
-            return {}
-        out[identity] = number
-    return out if len(set(out.values())) == len(out) else {}
+    """Map image ids to frame numbers; empty unless every image has an id and a file name with a number of its own."""
+    listed = images if isinstance(images, list) else []
+    numbers = {i.get("id"): last_number(Path(str(i.get("file_name", ""))).stem) for i in listed}
+    known = {n for n in numbers.values() if n is not None}
+    return {i: n for i, n in numbers.items() if n is not None} if len(known) == len(listed) else {}
 
 
 def _alphapose_frames(source: Source) -> KeypointTable:
@@ -559,6 +558,9 @@ def text_lines_or_none(path: Path) -> list[str]:
 
 
 def _row_reader(count: int, per_point: int) -> Callable[[Path], Array]:
+    """Make the reader of a label file with `count` points of `per_point` numbers: a function of the path that gives the
+    people (P, K, 3), as shares of the picture."""
+
     def read(path: Path) -> Array:
         people = []
         for line in text_lines_or_none(path):
@@ -665,25 +667,24 @@ def _sleap_h5(source: Source) -> KeypointTable:
 
 
 def _deeplabcut_h5(source: Source) -> KeypointTable:
+    """Read the table that pandas stored, in its format "table" or "fixed"."""
+    where = str(source.path)
     with _h5(source) as file:
-        return _deeplabcut_group(file[_h5_group(file)], str(source.path))
-
-
-def _deeplabcut_group(group: Any, where: str) -> KeypointTable:
-    if "table" in group:
-        table = _sized(group["table"], where)
-        block = next(n for n in table.dtype.names if n.startswith("values_block"))
-        values, numbers = np.asarray(table[block], dtype=np.float64), table["index"]
-        raw = group.attrs["non_index_axes"]  # a pickle, of which only plain text, numbers and tuples are read
-        columns = read_plain_pickle(bytes(raw))[0][1]
-    else:
-        values = np.asarray(_sized(group["block0_values"], where), dtype=np.float64)
-        numbers = _sized(group["axis1"], where)
-        levels = sorted(k for k in group if k.startswith("block0_items_level"))
-        labels = sorted(k for k in group if k.startswith(("block0_items_label", "block0_items_code")))
-        words = [[w.decode(errors="replace") for w in _sized(group[k], where).tolist()] for k in levels]
-        found = ([w[i] for i in _sized(group[k], where)] for w, k in zip(words, labels, strict=True))
-        columns = list(zip(*found, strict=True))
+        group = file[_h5_group(file)]
+        if "table" in group:
+            table = _sized(group["table"], where)
+            block = next(n for n in table.dtype.names if n.startswith("values_block"))
+            values, numbers = np.asarray(table[block], dtype=np.float64), table["index"]
+            raw = group.attrs["non_index_axes"]  # a pickle, of which only plain text, numbers and tuples are read
+            columns = read_plain_pickle(bytes(raw))[0][1]
+        else:
+            values = np.asarray(_sized(group["block0_values"], where), dtype=np.float64)
+            numbers = _sized(group["axis1"], where)
+            levels = sorted(k for k in group if k.startswith("block0_items_level"))
+            labels = sorted(k for k in group if k.startswith(("block0_items_label", "block0_items_code")))
+            words = [[w.decode(errors="replace") for w in _sized(group[k], where).tolist()] for k in levels]
+            found = ([w[i] for i in _sized(group[k], where)] for w, k in zip(words, labels, strict=True))
+            columns = list(zip(*found, strict=True))
     wide = [tuple(str(c) for c in column) for column in columns]
     if not wide or {len(c) for c in wide} - {3, 4} or values.shape != (len(numbers), len(wide)):
         raise InputError(f"{where}: its columns are not scorer, body part and coordinate; analyse the video again.")

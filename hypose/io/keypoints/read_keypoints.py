@@ -22,6 +22,7 @@ from hypose.geometry import Array
 from hypose.io.file_names import file_name, match_names
 from hypose.io.files import read_json, write_text
 from hypose.io.keypoints.keypoint_files import KEYPOINTS, MAX_POINT_FRAMES, KeypointTable, clock_file
+from hypose.io.videos.video import evenly_spread
 
 _OUTSIDE = 0.3  # share of points outside the picture above which its size must be wrong
 _CHECKED = 80  # number of frames for the check of the views' agreement
@@ -160,6 +161,14 @@ def keypoints_of_views(
 def _of_view(
     path: Path, index: int, names: Sequence[str], cameras: Sequence[str], paths: Sequence[Path | None]
 ) -> KeypointTable:
+    """Read the key points of one view.
+
+    path: file or folder of the view.
+    index: number of the view.
+    names, cameras, paths: of all views, as for `keypoints_of_views`.
+    Returns: the only table of the file, or the one of the view's camera.
+    Raises: InputError where the cameras of the file do not fit the views that name it.
+    """
     found = read_keypoints(path)
     if "" in found:
         return found[""]
@@ -185,6 +194,17 @@ def _reported(
     alike: Sequence[Array],
     stated: str | None,
 ) -> tuple[ViewKeypoints | None, str]:
+    """Determine the set, the unit and the scale of the scores of a view's key points.
+
+    path: file or folder, for later messages.
+    table: what the file holds.
+    first: the file's number of the video's first frame.
+    sample: (N, K, 3) people of some frames, as `KeypointTable.sample` gives them.
+    alike: samples of all views with as many points without names, by whose bones the set is found.
+    stated: name of the set that the user states.
+    Returns: the key points, None where the sample shows no person; and how the set was found, as part of a note.
+    Raises: InputError where the points belong to no set, or not to the stated one.
+    """
     if len(sample) == 0:
         return None, ""
     if (last := max(table.people)) - first > MAX_POINT_FRAMES:
@@ -213,6 +233,7 @@ def _reported(
 
 
 def _sentence(name: str, view: ViewKeypoints, how: str) -> str:
+    """Describe the key points of a view as a note: its name, a colon, and what was assumed. how: as of `_reported`."""
     table = view.table
     parts = [f"{table.layout}, {view.keypoint_set} ({how})"]
     if not table.scored:
@@ -246,11 +267,14 @@ def check_keypoints(
 ) -> None:
     """Check that key points lie in their pictures and agree between the views.
 
+    views: key points of each view; None where it has none.
+    names: names of the views.
+    rig: calibrated cameras of the views.
     frames: frames of the video that are checked.
     stored: per view as in `ViewKeypoints.frame`.
     Raises: InputError where they were misread: another picture size, y upwards, or mirrored.
     """
-    some = [frames[int(i)] for i in np.unique(np.linspace(0, len(frames) - 1, min(_CHECKED, len(frames))).astype(int))]
+    some = evenly_spread(frames.start, frames.stop, _CHECKED)
     people: list[list[Array | None]] = []
     for view, name, camera, size in zip(views, names, rig, stored, strict=True):
         found = [None if view is None else view.frame(i, camera.size, size) for i in some]

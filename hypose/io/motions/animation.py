@@ -46,7 +46,8 @@ def filled_poses(motion: Motion, path: str | Path) -> Array:
 def local_joint_rotations(skeleton: Skeleton, poses: Array) -> Array:
     """Compute the rotation of each joint relative to its parent, in the axes of the file.
 
-    poses: (T, D).
+    skeleton: the skeleton with J joints.
+    poses: (T, D) pose vectors, rad and m.
     Returns: (T, J, 3, 3) parent_from_joint; world_from_joint for the root.
     """
     world_from_joint, _ = skeleton.forward(poses)
@@ -104,7 +105,13 @@ def write_bvh(path: str | Path, motion: Motion) -> None:
 
 
 def _joint(skeleton: Skeleton, j: int, depth: int, lines: list[str], order: list[int]) -> None:
-    """Append joint j and its subtree to the lines; `order` collects the joints in the order of their channels."""
+    """Append a joint and the joints below it to the lines of the file.
+
+    j: number of the joint.
+    depth: its distance from the root in joints, for the indent.
+    lines: lines of the file, which are extended.
+    order: numbers of the joints in the order of their channels, which is extended.
+    """
     indent = "\t" * depth
     root = skeleton.parents[j] < 0
     order.append(j)
@@ -126,7 +133,7 @@ def _joint(skeleton: Skeleton, j: int, depth: int, lines: list[str], order: list
 
 
 def _end(skeleton: Skeleton, j: int) -> Array:
-    """Compute the offset of the end site of a leaf joint, in the axes of the file, cm."""
+    """Compute the offset (3,), cm, from joint j, the last of its limb, to the end of its bone, in the file's axes."""
     name = skeleton.joint_names[j]
     if name == "head":
         model = _UP
@@ -138,6 +145,11 @@ def _end(skeleton: Skeleton, j: int) -> Array:
 
 
 def _channels(skeleton: Skeleton, poses: Array, order: list[int]) -> Array:
+    """Compute the channels (T, 3 + 3 J) of all frames: the root's position, cm, and the Euler angles Z X Y, degrees.
+
+    poses: (T, D) pose vectors.
+    order: numbers of the joints in the order of their channels.
+    """
     local = local_joint_rotations(skeleton, poses)[:, order]
     # a body's heading is unbounded, so the root's branch is judged by its second angle and the others' by
     # their twist

@@ -73,10 +73,19 @@ def write_c3d(
         file["parameters"]["POINT"][key]["value"] = value
     file.add_parameter("POINT", "X_SCREEN", ("+X",))
     file.add_parameter("POINT", "Y_SCREEN", ("+Z",))
+    # both groups as Vicon writes them
+    several = len(subjects) > 1
     if subjects:
-        _add_subjects(file, subjects)
-    if events:
-        _add_events(file, events[:255], subjects[0] if subjects else "")
+        about: dict[str, Any] = {"USED": [len(subjects)], "IS_STATIC": [0], "USES_PREFIXES": [int(several)]}
+        about |= {"NAMES": list(subjects), "LABEL_PREFIXES": [f"{s}:" if several else "" for s in subjects]}
+        _add_group(file, "SUBJECTS", about)
+    if events := events[:255]:
+        times, contexts, labels = zip(*events, strict=True)
+        about = {"USED": [len(events)], "CONTEXTS": list(contexts), "LABELS": list(labels)}
+        about |= {"SUBJECTS": [subjects[0] if subjects else ""] * len(events)}
+        about |= {"ICON_IDS": [1 if label == "Foot Strike" else 2 for label in labels]}
+        about |= {"TIMES": np.array([[time // 60 for time in times], [time % 60 for time in times]])}
+        _add_group(file, "EVENT", about)
     data = np.ones((4, m, t))
     data[:3] = p.transpose(2, 1, 0) * 1000
     file["data"]["points"] = data
@@ -87,28 +96,10 @@ def write_c3d(
             file.write(name)
 
 
-def _add_subjects(file: Any, subjects: Sequence[str]) -> None:
-    """Add the SUBJECTS group as Vicon writes it: the prefix of each subject's points."""
-    several = len(subjects) > 1
-    prefixes = [f"{s}:" if several else "" for s in subjects]
-    about = {"USED": [len(subjects)], "IS_STATIC": [0], "USES_PREFIXES": [int(several)], "NAMES": list(subjects)}
-    for name, value in (about | {"LABEL_PREFIXES": prefixes}).items():
-        file.add_parameter("SUBJECTS", name, value)
-
-
-def _add_events(file: Any, events: Sequence[tuple[float, str, str]], subject: str) -> None:
-    """Add the EVENT group as Vicon writes it, with times in minutes and seconds."""
-    times, contexts, labels = zip(*events, strict=True)
-    about = {
-        "USED": [len(events)],
-        "CONTEXTS": list(contexts),
-        "LABELS": list(labels),
-        "SUBJECTS": [subject] * len(events),
-        "ICON_IDS": [1 if label == "Foot Strike" else 2 for label in labels],
-        "TIMES": np.array([[time // 60 for time in times], [time % 60 for time in times]]),
-    }
+def _add_group(file: Any, group: str, about: Mapping[str, Any]) -> None:
+    """Add parameters to a file of ezc3d. about: values by name."""
     for name, value in about.items():
-        file.add_parameter("EVENT", name, value)
+        file.add_parameter(group, name, value)
 
 
 def read_c3d(path: str | Path) -> Markers:
@@ -132,7 +123,14 @@ def read_c3d(path: str | Path) -> Markers:
 
 
 def _read(file: BinaryIO, size: int, path: str | Path) -> tuple[bytes, _Layout, dict[str, tuple[Any, ...]], str]:
-    """Read the bytes of the frames, their layout, the parameters and the byte order."""
+    """Read the frames of a file after checking every size against that of the file.
+
+    file: the open file.
+    size: size of the file, bytes.
+    path: for the error messages.
+    Returns: bytes of the frames, their layout, the parameters by GROUP:NAME, and the byte order: intel, dec or mips.
+    Raises: InputError where the file is not C3D, damaged or truncated.
+    """
     head = file.read(_BLOCK)
     if len(head) < _BLOCK or head[1] != 0x50 or head[0] < 1:
         raise InputError(f"{path} is not {_KIND}: its header lacks the C3D mark.")
@@ -158,7 +156,15 @@ _PROCESSORS = {84: "intel", 85: "dec", 86: "mips"}
 
 @dataclass(frozen=True)
 class _Layout:
-    """Layout of the frames in the file: points and analog samples per frame, scale (negative: floats), first byte."""
+    """Layout of the frames in the file.
+
+    points: number of points.
+    analog: number of analog samples per frame.
+    frames: number of frames.
+    rate: frames/s.
+    scale: factor of integers to the unit of the file; negative where the numbers are floats.
+    data_start: byte of the file at which the first frame begins.
+    """
 
     points: int
     analog: int
@@ -168,12 +174,9 @@ class _Layout:
     data_start: int
 
     @property
-    def word(self) -> int:
-        return 4 if self.scale < 0 else 2
-
-    @property
     def frame_bytes(self) -> int:
-        return (4 * self.points + self.analog) * self.word
+        """Size of a frame, bytes; numbers are 32-bit floats or 16-bit integers."""
+        return (4 * self.points + self.analog) * (4 if self.scale < 0 else 2)
 
 
 def _integers(data: bytes, order: str) -> np.ndarray:
@@ -189,7 +192,14 @@ def _floats(data: bytes, order: str) -> Array:
 
 
 def _parameters(section: bytes, order: str, path: str | Path) -> dict[str, tuple[Any, ...]]:
-    """Parse the parameters; keys are "GROUP:NAME", values are strings or numbers."""
+    """Parse the parameters.
+
+    section: bytes of the parameter section.
+    order: byte order: intel, dec or mips.
+    path: for the error message.
+    Returns: strings or numbers of each parameter by "GROUP:NAME".
+    Raises: InputError where the section is damaged.
+    """
     groups: dict[int, str] = {}
     found: list[tuple[int, str, tuple[Any, ...]]] = []
     at = 4
@@ -217,6 +227,7 @@ def _parameters(section: bytes, order: str, path: str | Path) -> dict[str, tuple
 
 
 def _value(section: bytes, at: int, order: str) -> tuple[Any, ...]:
+    """Parse the strings or numbers of the parameter whose type stands at byte `at`; ValueError where it is damaged."""
     kind, dimensions = struct.unpack_from("bB", section, at)
     shape = list(section[at + 2 : at + 2 + dimensions])
     if dimensions > 7 or len(shape) < dimensions or kind not in (-1, 1, 2, 4):
@@ -239,6 +250,12 @@ def _first(value: tuple[Any, ...] | None, default: Any) -> Any:  # noqa: ANN401 
 
 
 def _layout(head: bytes, parameters: Mapping[str, tuple[Any, ...]], order: str, path: str | Path) -> _Layout:
+    """Determine the layout of the frames; InputError where there are none, or the numbers are not possible.
+
+    head: the first 512 bytes of the file.
+    parameters: by GROUP:NAME; where they disagree with the header, they win.
+    order: byte order: intel, dec or mips.
+    """
     words = _integers(head, order) & 0xFFFF
     points = int(_first(parameters.get("POINT:USED"), words[1])) & 0xFFFF
     first, last = int(words[3]), int(words[4])
@@ -270,6 +287,7 @@ def _points(raw: bytes, layout: _Layout, order: str) -> Array:
 
 
 def _names(parameters: Mapping[str, tuple[Any, ...]], count: int) -> tuple[str, ...]:
+    """Collect the names of the points; point_1 and so on for those without a label. count: number of points."""
     labels = list(parameters.get("POINT:LABELS", ()))
     k = 2
     while f"POINT:LABELS{k}" in parameters:

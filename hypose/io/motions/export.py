@@ -81,6 +81,14 @@ def write_rrd(path: str | Path, motion: Motion, body: Body) -> None:
 
 
 def _regions(rr: Any, centres: np.ndarray, reach: np.ndarray, axes: np.ndarray, colour: tuple[int, int, int]) -> Any:  # noqa: ANN401 (an archetype of rerun)
+    """Make the ellipsoids of the joints' 90 % regions.
+
+    rr: the package of Rerun.
+    centres: (N, 3) m.
+    reach: (N, 3) half axes, m.
+    axes: (N, 3, 3) directions of the half axes, as columns.
+    colour: red, green, blue, 0 to 255.
+    """
     from scipy.spatial.transform import Rotation
 
     turns = Rotation.from_matrix(axes).as_quat() if len(axes) else np.zeros((0, 4))

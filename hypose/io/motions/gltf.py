@@ -43,26 +43,23 @@ def write_glb(path: str | Path, motion: Motion, body: Body) -> None:
 
     Raises: InputError where the motion has no poses or its skeleton is not that of the body.
     """
-    _write(path, [("", motion, body)])
+    write_people_glb(path, [("", motion, body)])
 
 
 def write_people_glb(path: str | Path, people: Sequence[tuple[str, Motion, Body]]) -> None:
-    """Write the motions of several people as one GLB file with one animation; nodes are named NAME.JOINT.
+    """Write the motions of several people as one GLB file with one animation.
 
-    people: name, motion and body of each person.
+    people: name, motion and body of each person. Nodes are named NAME.JOINT, or JOINT where the name is "".
     Raises: InputError as `write_glb`.
     """
-    _write(path, [(f"{name}.", motion, body) for name, motion, body in people])
-
-
-def _write(path: str | Path, people: Sequence[tuple[str, Motion, Body]]) -> None:
     store = _BinaryBuffer()
     nodes: list[dict[str, Any]] = []
     roots: list[int] = []
     meshes: list[dict[str, Any]] = []
     skins: list[dict[str, Any]] = []
     whole: dict[str, Any] = {"name": "motion", "channels": [], "samplers": []}
-    for prefix, motion, body in people:
+    for person, motion, body in people:
+        prefix = person and f"{person}."
         poses = filled_poses(motion, path)
         skeleton, first = motion.skeleton, len(nodes)
         if skeleton.joint_names != body.skeleton.joint_names or not np.allclose(
@@ -124,6 +121,10 @@ class _BinaryBuffer:
     def add(self, values: np.ndarray, kind: str, target: int | None = None, limits: bool = False) -> int:
         """Append an array whose rows are the elements; float64 is stored as float32.
 
+        values: (N, ...) the elements.
+        kind: type of an element: SCALAR, VEC3, VEC4 or MAT4.
+        target: use of the array, a number of the specification; None where it needs none.
+        limits: store the smallest and largest values, as the specification requires for positions and times.
         Returns: number of its accessor.
         """
         array = np.ascontiguousarray(values.astype("<f4") if values.dtype == np.float64 else values)
@@ -142,6 +143,7 @@ class _BinaryBuffer:
 
 
 def _primitive(store: _BinaryBuffer, mesh: Mesh, joints: int) -> dict[str, Any]:
+    """Store a skinned mesh, with the four largest weights of each vertex, and describe it. joints: their number."""
     vertices = mesh.vertices @ Y_UP.T
     # a vertex must not name a joint twice, and unused slots must name joint 0
     dense = mesh.dense_weights(joints)
@@ -171,7 +173,13 @@ def _normals(vertices: Array, faces: np.ndarray) -> Array:
 
 
 def _animate(whole: dict[str, Any], store: _BinaryBuffer, motion: Motion, poses: Array, first: int) -> None:
-    """Add the motion of the skeleton whose root is node `first` to the animation `whole`."""
+    """Add the motion of a skeleton to an animation.
+
+    whole: the animation, which is extended.
+    store: buffer of the file.
+    poses: (T, D) pose vectors of `motion`, without gaps.
+    first: number of the node of the skeleton's root.
+    """
     skeleton = motion.skeleton
     # frames at equal steps: time stamps of real files may repeat, which glTF forbids
     times = np.arange(len(poses)) / motion.frame_rate
@@ -230,6 +238,13 @@ def read_skin(data: bytes, where: str) -> Skinned | None:
 
 
 def _skin(gltf: Any, blob: bytes) -> Skinned | None:
+    """Collect the triangles, weights and joints of the first skin of a document.
+
+    gltf: the document, as pygltflib reads it.
+    blob: binary part of the file.
+    Returns: as `read_skin`.
+    Raises: ValueError and others where the document is damaged.
+    """
     users = [n for n in gltf.nodes if n.skin is not None and n.mesh is not None]
     if not users:
         return None
@@ -273,7 +288,12 @@ def _skin(gltf: Any, blob: bytes) -> Skinned | None:
 
 
 def _array(gltf: Any, blob: bytes, number: int) -> Array:
-    """Read an accessor as float64 (count, columns); normalised integers become fractions."""
+    """Read an array as float64 (count, columns); normalised integers become fractions.
+
+    gltf, blob: as for `_skin`.
+    number: number of its accessor.
+    Raises: ValueError where it is compressed, in another file, or reaches beyond the end of the file.
+    """
     a = gltf.accessors[number]
     if a.bufferView is None or a.sparse is not None:
         raise ValueError("sparse or compressed data")

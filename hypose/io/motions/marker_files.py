@@ -64,7 +64,9 @@ def checked_markers(
 ) -> tuple[tuple[str, ...], Array]:
     """Check the markers to be written to a file.
 
-    points: (T, M, 3); may be NaN.
+    names: M names.
+    points: (T, M, 3) m; may be NaN.
+    frame_rate: frames/s.
     where: the file, for the error messages.
     Returns: M names as strings, and points as float64.
     Raises: InputError where shapes differ, names are repeated or empty, points are infinite, or the frame rate is not
@@ -99,33 +101,29 @@ def write_trc(
     names: Sequence[str],
     points: ArrayLike,
     frame_rate: float,
-    unit: str = "m",
     start_time: float = 0.0,
 ) -> None:
-    """Write points as a TRC file; cells have a resolution of 0.1 micrometre.
+    """Write points as a TRC file in metres, with a resolution of 0.1 micrometre.
 
     names: M names.
     points: (T, M, 3) world, z up, m; NaN becomes empty cells.
     frame_rate: Hz.
-    unit: unit of length in the file, m or mm.
     start_time: time of the first frame, s.
     Raises: InputError as `checked_markers`.
     """
     names, p = checked_markers(names, points, frame_rate, str(path))
-    scale = metres_per_unit(unit, str(path))
-    digits = 7 + round(math.log10(scale))
-    rows = p[..., _WORLD].reshape(len(p), -1) / scale
+    rows = p[..., _WORLD].reshape(len(p), -1)
     rate = f"{frame_rate:.10g}"
     text = [
         f"PathFileType\t4\t(X/Y/Z)\t{Path(path).name}",
         "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames",
-        f"{rate}\t{rate}\t{len(p)}\t{len(names)}\t{unit}\t{rate}\t1\t{len(p)}",
+        f"{rate}\t{rate}\t{len(p)}\t{len(names)}\tm\t{rate}\t1\t{len(p)}",
         "Frame#\tTime\t" + "\t\t\t".join(names) + "\t\t",
         "\t\t" + "\t".join(f"{axis}{i + 1}" for i in range(len(names)) for axis in "XYZ"),
         "",
     ]
     for t, row in enumerate(rows):
-        cells = ["" if math.isnan(v) else f"{v:.{digits}f}" for v in row.tolist()]
+        cells = ["" if math.isnan(v) else f"{v:.7f}" for v in row.tolist()]
         cells[-1] = cells[-1] or "NaN"
         text.append("\t".join([str(t + 1), f"{start_time + t / frame_rate:.9f}", *cells]))
     write_text(path, "\n".join(text) + "\n")
@@ -168,6 +166,12 @@ def read_trc(path: str | Path) -> Markers:
 
 
 def _row(line: str, markers: int, where: str) -> list[float]:
+    """Parse the coordinates of a line of a TRC file; NaN for empty cells.
+
+    markers: number of markers.
+    where: file and line, for the error message.
+    Raises: InputError where the line has another number of cells, or no numbers.
+    """
     cells, wanted = line.rstrip("\t ").split("\t")[2:], 3 * markers
     # empty cells at the end may have been cut off; a marker is seen whole or not at all
     if len(cells) > wanted or len(cells) % 3:
@@ -197,8 +201,15 @@ _RENAMED = {"neck_extension": "neck_flexion"}
 
 
 def _table(path: str | Path, names: Sequence[str], values: ArrayLike, times: ArrayLike) -> tuple[Array, Array, Array]:
-    """Convert values (T, A) in rad and m to degrees and m; the times (T,) s and the factor of each column are returned
-    too."""
+    """Convert joint angles to degrees; positions stay in metres.
+
+    path: for the error message.
+    names: A names of the columns; those that end in _tx, _ty, _tz are positions.
+    values: (T, A) rad and m.
+    times: (T,) s.
+    Returns: converted values (T, A), times (T,) s, and the factor (A,) of each column.
+    Raises: InputError where the shapes disagree.
+    """
     v, t = np.asarray(values, dtype=np.float64), np.asarray(times, dtype=np.float64)
     if v.shape != (len(t), len(names)):
         raise InputError(f"{path}: {len(names)} names and {len(t)} times need values of that shape, got {v.shape}.")

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.body.coarse_mesh import enclosed_volume
+from hypose.body.body import enclosed_volume
 from hypose.body.joint_names import SMPL_JOINTS
 from hypose.errors import InputError, extra
 from hypose.geometry import Array
@@ -106,6 +106,10 @@ def _read_geometry(path: Path, data: bytes, kind: str) -> tuple[Array, NDArray[n
 
 
 def _read_smpl(path: Path, data: bytes) -> PersonMesh:
+    """Read a body model in SMPL's format from the content of an .npz file, in its rest pose and mean shape.
+
+    Raises: InputError where it is not such a model.
+    """
     names = ("v_template", "f", "weights", "J_regressor", "kintree_table")
     arrays: dict[str, np.ndarray] = {}
     try:
@@ -138,6 +142,10 @@ def _read_smpl(path: Path, data: bytes) -> PersonMesh:
 
 
 def _checked(mesh: PersonMesh) -> PersonMesh:
+    """Check the size and the numbers of a mesh, and return it.
+
+    Raises: InputError where it is no surface, too coarse, too large, or has indices or numbers that cannot be.
+    """
     v, f, source = mesh.vertices, mesh.faces.astype(np.int64), mesh.source
     if len(v) < MIN_VERTICES or len(f) < MIN_VERTICES:
         kind = "a point cloud" if len(v) >= MIN_VERTICES else "too coarse"
@@ -203,6 +211,10 @@ def _merged(v: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 def _main_part(v: Array, f: NDArray[np.int64], source: str) -> tuple[NDArray[np.int64], list[str]]:
     """Keep the faces of the one part that is a person; specks below 2 % of the surface are removed.
 
+    v: (V, 3) vertices.
+    f: (F, 3) faces.
+    source: name of the mesh in error messages.
+    Returns: the faces that are kept, and notes.
     Raises: InputError where there are several parts.
     """
     from scipy.sparse import coo_matrix
@@ -268,6 +280,9 @@ def _holes_closed(
 
     A hole is small when its rim is at most a quarter of the mesh's largest extent long.
 
+    v: (V, 3) vertices.
+    f: (F, 3) faces, all turned the same way.
+    source: name of the mesh in error messages.
     Returns: vertices, faces, for each new vertex the index of a vertex whose weights it takes, and notes.
     Raises: InputError for larger holes.
     """

@@ -60,7 +60,8 @@ def shoulder_places(skeleton: Skeleton, poses: Array) -> tuple[tuple[str, ...], 
     """Compute the shoulder coordinates: the displacement of each shoulder's centre by the clavicle, from its place at
     rest.
 
-    poses: (T, D).
+    skeleton: the tracked body's.
+    poses: (T, D) pose vectors.
     Returns: 4 coordinate names; (T, 4) m, forwards and up relative to the chest, right and left.
     """
     columns = {}
@@ -71,29 +72,30 @@ def shoulder_places(skeleton: Skeleton, poses: Array) -> tuple[tuple[str, ...], 
 
 
 def _moved(skeleton: Skeleton, side: str, about_y: Array, about_z: Array) -> Array:
-    """Compute how the clavicle's rotations (N,) rad move the shoulder's centre: (N, 3) m in the chest frame."""
+    """Compute how rotations of a clavicle move the shoulder's centre.
+
+    side: "left" or "right".
+    about_y, about_z: (N,) angles about the clavicle's two axes, rad.
+    Returns: (N, 3) displacement in the chest's frame, X forwards, Y up, Z right, m.
+    """
     y, z = skeleton.dofs_of(f"{side}_clavicle")
     offset = skeleton.rest_offsets[skeleton.joint(f"{side}_shoulder")]
     turned = so3_exp(about_y[:, None] * skeleton.axes[y]) @ so3_exp(about_z[:, None] * skeleton.axes[z])
     return (turned @ offset - offset) @ BODY_AXES.T
 
 
-def write_osim(path: str | Path, body: Body, mass: float | None = None) -> None:
-    """Write the OpenSim model of a body (metres, kg).
+def write_osim(path: str | Path, body: Body) -> None:
+    """Write the OpenSim model of a body (metres, kg); its mass is computed from its volume.
 
-    mass: mass of the whole body, kg; computed from the volume where it is None.
     Raises: InputError where the body lacks one of the human joints.
     """
-    write_text(path, osim_text(body, mass, Path(path).stem))
+    _write_xml(path, _Writer(body).document(Path(path).stem))
 
 
-def osim_text(body: Body, mass: float | None = None, name: str = "subject") -> str:
-    """Generate the text of the OpenSim model that `write_osim` writes.
-
-    mass: mass of the whole body, kg; computed from the volume where it is None.
-    name: name of the model.
-    """
-    return _Writer(body, mass).document(name)
+def _write_xml(path: str | Path, root: Xml.Element) -> None:
+    """Write an XML document, indented as OpenSim does."""
+    Xml.indent(root, "\t")
+    write_text(path, '<?xml version="1.0" encoding="UTF-8" ?>\n' + Xml.tostring(root, encoding="unicode") + "\n")
 
 
 def marker_names(body: Body) -> tuple[str, ...]:
@@ -102,7 +104,18 @@ def marker_names(body: Body) -> tuple[str, ...]:
 
 
 class _Writer:
-    def __init__(self, body: Body, mass: float | None) -> None:
+    """Writer of the parts of a model; segments are named as in OpenSim's full-body model.
+
+    body: the body at rest, model frame, m.
+
+    Attributes:
+    origin: joint of the skeleton at the origin of each segment.
+    segment_of: segment that carries the skin of each joint.
+    neutral: rotation (3, 3) of each joint's frame in the anatomical neutral.
+    masses: mass (kg), centre and inertia of each segment.
+    """
+
+    def __init__(self, body: Body) -> None:
         self.body, self.skeleton = body, body.skeleton
         self.origin = {name: joint for name, (joint, _) in _TRUNK.items()}
         carried = {name: joints for name, (_, joints) in _TRUNK.items()}
@@ -112,7 +125,7 @@ class _Writer:
                 carried[f"{name}_{s}"] = (f"{side}_{joint}",)
         self.segment_of = {joint: name for name, joints in carried.items() for joint in joints}
         self.neutral = neutral_frames(self.skeleton)
-        self.masses = segment_masses(body, carried, mass)
+        self.masses = segment_masses(body, carried)
 
     def local(self, segment: str, points: Array) -> Array:
         """Convert points (N, 3) of the model frame at rest to the frame of a segment."""
@@ -120,7 +133,8 @@ class _Writer:
         d = points - self.skeleton.rest_joints[self.skeleton.joint(joint)]
         return d @ (BODY_AXES @ self.neutral[joint]).T
 
-    def document(self, name: str) -> str:
+    def document(self, name: str) -> Xml.Element:
+        """Make the whole document; `name` is that of the model."""
         root = Xml.Element("OpenSimDocument", Version="40000")
         about = {
             "credits": "hypose: a model of the tracked body, made of its own joints, lengths and volume",
@@ -139,8 +153,7 @@ class _Writer:
             self.arm(joints, s, side, sign)
         markers = put(put(model, "MarkerSet", name="markerset"), "objects")
         self.markers(markers)
-        Xml.indent(root, "\t")
-        return '<?xml version="1.0" encoding="UTF-8" ?>\n' + Xml.tostring(root, encoding="unicode") + "\n"
+        return root
 
     def segment(self, parent: Xml.Element, name: str, m: SegmentMass) -> None:
         turn = BODY_AXES @ self.neutral[self.origin[name]]
@@ -163,14 +176,14 @@ class _Writer:
             _joint(joints, joint, f"/bodyset/{parent}", child, self.place(parent, child), turn)
 
     def place(self, parent: str, child: str) -> Array:
-        """Compute the origin (3,) of a segment in its parent's frame, m."""
+        """Compute the origin (3,) of the segment `child` at rest, in the frame of the segment `parent`, m."""
         return self.local(parent, self.skeleton.rest_joints[self.skeleton.joint(self.origin[child])][None])[0]
 
     def ball(self, names: Sequence[str], sign: float) -> list[tuple[str, Array]]:
         return list(zip(names, (_Z, sign * _X, sign * _Y), strict=True))
 
     def hinge(self, joint: str, above: str) -> Array:
-        """Compute the axis (3,) of a hinge in the frame of the segment above."""
+        """Compute the axis (3,) of a hinge joint in the frame of the segment above it."""
         return BODY_AXES @ self.neutral[self.origin[above]] @ hinge_axis(self.skeleton, joint)
 
     def leg(self, joints: Xml.Element, s: str, side: str, sign: float) -> None:
@@ -245,7 +258,17 @@ def _joint(
     limits: dict[str, tuple[float, float]] | None = None,
     locked: bool = False,
 ) -> None:
-    """Add a CustomJoint: successive rotations about axes in the parent's frame, and translations along axes."""
+    """Add a CustomJoint: successive rotations about axes in the parent's frame, and translations along axes.
+
+    parent: XML element of the joints.
+    name: name of the joint.
+    above, child: frame of the segment above it, and name of the segment below it.
+    place: (3,) place of the joint in the frame above, m.
+    turn: for each rotation the name of its coordinate, or a fixed angle (rad), and its axis (3,).
+    moves: for each translation the same, and its law as in `_axis`; none where the joint does not translate.
+    limits: lower and upper limit of coordinates by name, rad or m; the others are free.
+    locked: the coordinates are fixed.
+    """
     sockets = {f"socket_{end}_frame": f"{name}_{end}" for end in ("parent", "child")}
     joint = put(parent, "CustomJoint", children=sockets, name=name)
     names = dict.fromkeys(n for n, *_ in (*turn, *moves) if isinstance(n, str))
@@ -288,6 +311,9 @@ def _axis(
 ) -> None:
     """Add one axis of a transform.
 
+    parent: XML element of the transform.
+    name: rotation1 to rotation3, or translation1 to translation3.
+    axis: (3,) direction.
     free: name of its coordinate, a fixed value, or the names of two coordinates.
     law: offset added to one coordinate, or coefficients of the polynomial of two.
     """
@@ -306,8 +332,11 @@ def _axis(
 def put(
     parent: Xml.Element, tag: str, text: str = "", children: Mapping[str, str] | None = None, **attributes: str
 ) -> Xml.Element:
-    """Append a new XML element to `parent`.
+    """Append a new XML element to `parent` and return it.
 
+    tag: its name.
+    text: its content.
+    attributes: its attributes by name.
     children: texts of its child elements by their tags.
     """
     entry = Xml.SubElement(parent, tag, attributes)
@@ -368,8 +397,7 @@ def write_ik_setup(path: str | Path, motion: Motion, body: Body, model: str, mar
     tasks = put(put(tool, "IKTaskSet"), "objects")
     for name, weight in zip(marker_names(body), marker_weights(motion, body).tolist(), strict=True):
         put(tasks, "IKMarkerTask", children={"apply": "true", "weight": f"{weight:.4g}"}, name=name)
-    Xml.indent(root, "\t")
-    write_text(path, '<?xml version="1.0" encoding="UTF-8" ?>\n' + Xml.tostring(root, encoding="unicode") + "\n")
+    _write_xml(path, root)
 
 
 def marker_weights(motion: Motion, body: Body) -> Array:

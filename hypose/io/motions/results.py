@@ -28,7 +28,7 @@ from hypose.body.skeleton import Skeleton
 from hypose.errors import HyposeError, InputError
 from hypose.geometry import Array
 from hypose.io.file_names import natural_key
-from hypose.io.files import atomic_path, open_file, unreadable, write_bytes
+from hypose.io.files import atomic_path, open_file, unreadable, write_text
 from hypose.json_text import parse_json
 
 _MAX_ARCHIVE_BYTES = 4 << 30
@@ -105,7 +105,7 @@ class ResultsFolder:
 
     @staticmethod
     def of(recording_folder: str | Path, recipe: str) -> ResultsFolder:
-        """Locate the folder results/<recipe>/ of a recording."""
+        """Locate the folder results/<recipe>/ of the recording in `recording_folder`."""
         return ResultsFolder(Path(recording_folder) / "results" / recipe)
 
     @property
@@ -124,11 +124,7 @@ class ResultsFolder:
 
     def write_text(self, name: str, text: str) -> Path:
         r"""Write a text file (UTF-8, line ends \n) whole or not at all, and return its path."""
-        return self.write_bytes(name, text.encode("utf-8", "backslashreplace"))
-
-    def write_bytes(self, name: str, data: bytes) -> Path:
-        """Write a binary file whole or not at all, and return its path."""
-        write_bytes(self.path / name, data)
+        write_text(self.path / name, text)
         return self.path / name
 
     def write_json(self, name: str, value: Any) -> Path:
@@ -171,7 +167,11 @@ def open_archive(stream: BinaryIO) -> Iterator[zipfile.ZipFile]:
 
 
 def _read_archive(path: Path, what: str, only: Container[str] | None, packed: int) -> dict[str, np.ndarray]:
-    """Read arrays as `load_archive` does, but raise ValueError with a short reason for an unusable file."""
+    """Read the arrays of an .npz file.
+
+    what, only, packed: as for `load_archive`.
+    Raises: ValueError with a short reason where the file cannot be used.
+    """
     out: dict[str, np.ndarray] = {}
     with open_file(path, what, _MAX_ARCHIVE_BYTES) as stream, open_archive(stream) as archive:
         entries = archive.infolist()
@@ -299,7 +299,11 @@ class Archive:
 
 
 def _stored(values: Any, layout: _Layout) -> dict[str, np.ndarray]:
-    """Convert the attributes that a layout names to the stored types; those that are None are left out."""
+    """Convert the attributes of an object to arrays of the stored types.
+
+    values: the object, such as a motion.
+    layout: names of the attributes and their types; attributes that are None are left out.
+    """
     found = {name: getattr(values, name) for name in layout}
     return {name: np.asarray(v).astype(layout[name][1]) for name, v in found.items() if v is not None}
 
@@ -327,6 +331,7 @@ def _skeleton_of(arrays: Mapping[str, np.ndarray]) -> Skeleton:
 
 
 def _check_joints(arrays: Mapping[str, np.ndarray], name: str) -> None:
+    """Check that the array of this name holds numbers of joints that exist; InputError otherwise."""
     if not ((arrays[name] >= 0) & (arrays[name] < len(arrays["joint_names"]))).all():
         raise InputError(f"{name} names joints that do not exist")
 
@@ -426,16 +431,15 @@ class Checkpoint:
     def read(path: str | Path) -> Checkpoint:
         """Read a checkpoint of any run."""
         path = Path(path)
-        next_step = _AFRESH
-        arrays = load_archive(path, "checkpoint", next_step)
+        arrays = load_archive(path, "checkpoint", _AFRESH)
         try:
             document = parse_json(str(arrays.pop("checkpoint")))
             frame, meta, stored = document["frame"], document["meta"], document["identity"]
             version = document["format"]
         except (ValueError, KeyError, TypeError, RecursionError):
-            raise InputError(f"{path} is not a checkpoint of hypose; {next_step}.") from None
+            raise InputError(f"{path} is not a checkpoint of hypose; {_AFRESH}.") from None
         if version != _FORMAT or not (isinstance(frame, int) and isinstance(meta, dict) and isinstance(stored, dict)):
-            raise InputError(f"{path} is a checkpoint of another version of hypose; {next_step}.")
+            raise InputError(f"{path} is a checkpoint of another version of hypose; {_AFRESH}.")
         return Checkpoint(frame, {k.removeprefix("state."): v for k, v in arrays.items()}, meta, stored)
 
 
@@ -463,6 +467,7 @@ def load_result(path: Path) -> Motion:
 
 
 def _first_difference(stored: Any, current: Any, where: str = "") -> str:
+    """Describe the first difference of two nested tables by its keys and both values; empty where they are equal."""
     if not (isinstance(stored, dict) and isinstance(current, dict)):
         return "" if stored == current else f"{where} was {_short(stored)} then and is {_short(current)} now"
     for key in sorted(set(stored) | set(current)):

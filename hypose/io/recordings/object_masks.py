@@ -317,16 +317,12 @@ def _run_lengths(text: str) -> list[int]:
     """Decode COCO's run lengths from text: groups of five bits; from the fourth number on, each is a difference from
     the number two before it."""
     out: list[int] = []
-    at = 0
-    while at < len(text):
-        value = shift = 0
-        while True:
-            c = ord(text[at]) - 48
-            value |= (c & 0x1F) << shift
-            at, shift = at + 1, shift + 5
-            if not c & 0x20:
-                break
-        if c & 0x10:
-            value -= 1 << shift
-        out.append(value + (out[-2] if len(out) > 2 else 0))
+    value = shift = 0
+    for code in (ord(c) - 48 for c in text):
+        value |= (code & 0x1F) << shift
+        shift += 5
+        if not code & 0x20:  # the last group of a number; its bit 16 is the sign
+            signed = value - (1 << shift) if code & 0x10 else value
+            out.append(signed + (out[-2] if len(out) > 2 else 0))
+            value = shift = 0
     return out

@@ -59,26 +59,23 @@ class DepthPreparer:
     """
 
     def __init__(self, camera: Camera, small: Camera, shift: tuple[float, float]) -> None:
-        self._small = small
-        self._maps = camera.undistort_maps(small.size, small.size)
+        self._camera, self._size, self._shift = camera, small.size, shift
         # a fisheye lens bends rays without coefficients, too
         self._plain = not (camera.fisheye or np.any(camera.distortion)) and tuple(shift) == (0, 0)
-        scale = small.size[0] / camera.size[0], small.size[1] / camera.size[1]
-        self._shift = shift[0] * scale[0], shift[1] * scale[1]
+        self._places: dict[tuple[int, int], NDArray[np.float32]] = {}
 
     def __call__(self, depth: DepthMap) -> DepthMap:
-        """Convert a depth map to the working size (h, w), m, with the nearest stored pixel."""
+        """Convert a depth map to the working size (h, w), m, with the nearest stored pixel.
+
+        Why: no depth was measured between two pixels.
+        """
         stored = depth.shape[1], depth.shape[0]
-        if self._plain and stored == self._small.size:
+        if self._plain and stored == self._size:
             return depth
-        # the nearest pixel, because no depth was measured between two pixels
-        x, y = (m - np.float32(s) for m, s in zip(self._maps, self._shift, strict=True))
-        sx, sy = stored[0] / self._small.size[0], stored[1] / self._small.size[1]
-        x, y = (
-            (x + np.float32(0.5)) * np.float32(sx) - np.float32(0.5),
-            (y + np.float32(0.5)) * np.float32(sy) - np.float32(0.5),
-        )
-        return np.asarray(cv2.remap(depth, x, y, cv2.INTER_NEAREST, borderValue=0), dtype=np.float32)
+        if stored not in self._places:
+            self._places[stored] = places_in_stored(self._camera, self._size, self._shift, stored)
+        moved = cv2.remap(depth, self._places[stored], None, cv2.INTER_NEAREST, borderValue=0)
+        return np.asarray(moved, dtype=np.float32)
 
 
 class DepthSource:

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import itertools
 import os
-import re
 import struct
 import tempfile
 import time
@@ -30,7 +30,7 @@ from hypose.io.calibrations.calibration_formats import read_any
 from hypose.io.file_names import utf8_path
 from hypose.io.files import numbers_of, open_file, read_bytes, readable_size, write_bytes
 from hypose.io.videos.camera_sources import CameraImage, CameraSource, Played, StreamEnded
-from hypose.io.videos.video import PNG_SIGNATURE, is_cut_png, list_images
+from hypose.io.videos.video import PNG_SIGNATURE, is_cut_png, list_images, sequence_numbers
 from hypose.json_text import parse_json
 
 MAX_SIDE = 4096
@@ -117,6 +117,18 @@ class DepthFrame:
     depth: DepthMap
 
 
+@dataclass(frozen=True)
+class DepthFile:
+    """A recording of one depth camera, or a connected one.
+
+    camera: the lens; its pose is the identity.
+    frames: depth maps, each read once; times in s from the first, with gaps where frames were lost.
+    """
+
+    camera: Camera
+    frames: Iterator[DepthFrame]
+
+
 def read_azure_mkv(path: str | Path) -> tuple[dict[str, Any], Iterator[DepthFrame]]:
     """Read the calibration and the depth maps of an Azure Kinect recording (.mkv).
 
@@ -141,8 +153,9 @@ def read_azure_mkv(path: str | Path) -> tuple[dict[str, Any], Iterator[DepthFram
 
 
 def _title(stream: Any) -> str:
+    """Join the title and the names of the tags of a track, in capitals."""
     tags = {str(k).lower(): str(v) for k, v in stream.metadata.items()}
-    return " ".join([tags.get("title", ""), *(k for k in tags)]).upper()
+    return " ".join([tags.get("title", ""), *tags]).upper()
 
 
 def _calibration(container: Any) -> dict[str, Any]:
@@ -179,23 +192,7 @@ _PATIENCE_MS = 2000
 """Time without a frame, ms, after which a recording is at its end and a camera is disconnected."""
 
 
-@dataclass(frozen=True)
-class RealSenseDepth:
-    """Depth maps of a RealSense camera or recording.
-
-    intrinsics: fx, fy, cx, cy of the depth maps, px, as `sample_depth` takes them.
-    size: width and height, px.
-    distorted: the camera reports lens distortion, which the intrinsics do not include.
-    frames: depth maps, each read once; times in s from the first.
-    """
-
-    intrinsics: tuple[float, float, float, float]
-    size: tuple[int, int]
-    distorted: bool
-    frames: Iterator[DepthFrame]
-
-
-def read_realsense(path: str | Path) -> RealSenseDepth:
+def read_realsense(path: str | Path) -> DepthFile:
     """Read the depth of a RealSense recording (.bag, in newer versions .db3), as fast as possible.
 
     Raises: InputError where the file is not such a recording or pyrealsense2 is not installed.
@@ -215,7 +212,7 @@ def read_realsense(path: str | Path) -> RealSenseDepth:
         ) from None
 
 
-def open_realsense(serial: str | None = None) -> RealSenseDepth:
+def open_realsense(serial: str | None = None) -> DepthFile:
     """Start a connected RealSense camera and read its depth.
 
     The frames end when the camera is disconnected; closing the iterator stops the camera.
@@ -249,7 +246,16 @@ def _library() -> Any:
     return extra("pyrealsense2", "Depth of RealSense cameras and their recordings", "realsense", or_else=libusb)
 
 
-def _opened(library: Any, config: Any, what: str, recorded: bool) -> RealSenseDepth:
+def _opened(library: Any, config: Any, what: str, recorded: bool) -> DepthFile:
+    """Start the depth stream of a camera or recording.
+
+    library: the module pyrealsense2.
+    config: its configuration, with the device or file.
+    what: the camera or file, for the error messages.
+    recorded: it is a file, which is read as fast as possible.
+    Returns: the camera, with the lens distortion that it reports, and its depth maps.
+    Raises: InputError where there is no usable depth; RuntimeError of the library where it does not start.
+    """
     pipeline = library.pipeline()
     if recorded:  # set before the start, otherwise frames are dropped when reading is slower than recording
         playback = config.resolve(library.pipeline_wrapper(pipeline)).get_device().as_playback()
@@ -268,7 +274,8 @@ def _opened(library: Any, config: Any, what: str, recorded: bool) -> RealSenseDe
         pipeline.stop()
         raise InputError(f"{what}: depth maps of {lens.width} x {lens.height} in steps of {scale:g} m cannot be used.")
     frames = _frames(pipeline, scale, what)
-    return RealSenseDepth((lens.fx, lens.fy, lens.ppx, lens.ppy), (lens.width, lens.height), any(lens.coeffs), frames)
+    figures, size = (lens.fx, lens.fy, lens.ppx, lens.ppy), (lens.width, lens.height)
+    return DepthFile(_pinhole(Path(what).stem, figures, size, np.array(lens.coeffs, dtype=np.float64)), frames)
 
 
 def _frames(pipeline: Any, scale: float, what: str) -> Iterator[DepthFrame]:
@@ -329,18 +336,6 @@ _PACKED_BYTES = 64 * 2**20
 """Largest unpacked size of one entry of a capture."""
 
 
-@dataclass(frozen=True)
-class DepthFile:
-    """A recording of one depth camera.
-
-    camera: the lens; its pose is the identity.
-    frames: depth maps, each read once; times in s from the first, with gaps where frames were lost.
-    """
-
-    camera: Camera
-    frames: Iterator[DepthFrame]
-
-
 def open_depth(path: str | Path, frame_rate: float = FOLDER_RATE, millimetres: float = 1.0) -> DepthFile:
     """Open a recording of one depth camera: .mkv, .bag, .db3, .r3d, or a folder of 16-bit PNG.
 
@@ -356,12 +351,12 @@ def open_depth(path: str | Path, frame_rate: float = FOLDER_RATE, millimetres: f
         return _azure(path)
     if ending in (".bag", ".db3"):
         found = read_realsense(path)
-        if found.distorted:
+        if np.any(found.camera.distortion):
             raise InputError(
                 f"{path}: this RealSense reports a distorted lens, which its figures do not hold; record the depth "
                 "stream as the camera rectifies it."
             )
-        return DepthFile(_pinhole(path.stem, found.intrinsics, found.size), found.frames)
+        return found
     if ending == ".r3d":
         return _record3d(path)
     raise InputError(
@@ -411,14 +406,11 @@ def _numbers(files: Sequence[Path]) -> NDArray[np.int64]:
     The numbers in the files' names are used where they count in equal steps, so that lost files leave a gap; otherwise
     the files are counted.
     """
-    plain = np.arange(len(files))
-    parts = [re.split(r"(\d+)(?=\D*$)", f.name) for f in files]
-    if any(len(p) != 3 or len(p[1]) > 15 for p in parts) or len({(p[0], p[2]) for p in parts}) > 1:
-        return plain
-    numbers = np.array([int(p[1]) for p in parts], dtype=np.int64)
-    steps = np.diff(numbers)
+    numbers = sequence_numbers(files)
+    steps = np.diff([0, 1] if numbers is None else numbers)
     usual = int(np.median(steps)) if len(steps) else 0
-    return plain if usual < 1 or (steps % usual).any() else (numbers - numbers[0]) // usual
+    counted = numbers is None or usual < 1 or (steps % usual).any()
+    return np.arange(len(files)) if counted else (numbers - numbers[0]) // usual
 
 
 def _azure(path: Path) -> DepthFile:
@@ -428,13 +420,8 @@ def _azure(path: Path) -> DepthFile:
         raise InputError(f"{path} has no depth frame; copy it again if it was cut off, else record for longer.")
     height, width = first.depth.shape
     camera = azure_camera(path.stem, calibration, (width, height), str(path))
-
-    def all_frames() -> Iterator[DepthFrame]:
-        yield DepthFrame(0.0, first.depth)
-        for frame in frames:  # the container's time starts with its first track
-            yield DepthFrame(frame.time - first.time, frame.depth)
-
-    return DepthFile(camera, all_frames())
+    # the container's time starts with its first track
+    return DepthFile(camera, (DepthFrame(f.time - first.time, f.depth) for f in itertools.chain([first], frames)))
 
 
 def azure_camera(name: str, calibration: Mapping[str, Any], size: tuple[int, int], where: str) -> Camera:
@@ -557,7 +544,7 @@ class _RealSense:
 
     live = True
 
-    def __init__(self, found: RealSenseDepth, what: str) -> None:
+    def __init__(self, found: DepthFile, what: str) -> None:
         self._what, self._frames = what, found.frames
 
     def read(self) -> CameraImage:

@@ -304,19 +304,17 @@ def common_times(streams: Sequence[SensorStream], rate: float | None = None) -> 
     return start + np.arange(count) / rate
 
 
-def resample(stream: SensorStream, times: ArrayLike, max_gap: float | None = None) -> SensorStream:
+def resample(stream: SensorStream, times: ArrayLike) -> SensorStream:
     """Interpolate a stream linearly at other instants.
 
-    Nothing is interpolated over a gap longer than `max_gap` or between samples of different people. A joint that only
-    one of the two samples has is kept for half a step. The state is the lower of the two.
+    Nothing is interpolated over a gap longer than 3.2 steps of the stream, or between samples of different people. A
+    joint that only one of the two samples has is kept for half a step. The state is the lower of the two.
 
     times: (N,) s.
-    max_gap: s; 3.2 steps of the stream by default.
     Returns: stream with N instants.
     """
     at = np.asarray(times, dtype=np.float64)
     step = 1 / stream.rate
-    gap = 3.2 * step if max_gap is None else max_gap
     after = np.searchsorted(stream.times, at, side="right")
     i, k = np.clip(after - 1, 0, None), np.clip(after, None, len(stream.times) - 1)
     before_first = after == 0
@@ -326,7 +324,7 @@ def resample(stream: SensorStream, times: ArrayLike, max_gap: float | None = Non
     near_a = np.abs(at - stream.times[i]) <= step * 0.5 + 1e-9
     near_b = np.abs(at - stream.times[k]) <= step * 0.5 + 1e-9
     exact = np.abs(at - stream.times[i]) <= 1e-9
-    same = (stream.person_ids[i] == stream.person_ids[k]) & ((span > 0) & (span <= gap))[:, None]
+    same = (stream.person_ids[i] == stream.person_ids[k]) & ((span > 0) & (span <= 3.2 * step))[:, None]
     wide = w[:, None, None, None]
     between = a + wide * (b - a)
     both = same[..., None] & np.isfinite(between).all(-1)
@@ -529,15 +527,9 @@ def _bad(reason: str) -> NoReturn:
     raise InputError(reason)
 
 
-def format_line(line: SensorReport, token: str = "", digits: int = 5) -> str:
-    """Format a report as a line of the skeleton protocol, without its line end.
-
-    token: secret of the live server, "" for none.
-    digits: number of decimals of positions (m); 5 by default.
-    """
+def format_line(line: SensorReport) -> str:
+    """Format a report as a line of the skeleton protocol, in steps of 0.01 mm, without its line end."""
     value: dict[str, Any] = {"sensor": line.sensor, "time": round(line.time, 6)}
-    if token:
-        value["token"] = token
     if line.arrival is not None:
         value["received"] = round(line.arrival, 6)
     if line.person is None:
@@ -545,7 +537,7 @@ def format_line(line: SensorReport, token: str = "", digits: int = 5) -> str:
     else:
         value["person"] = line.person
         value["joints"] = {
-            n: [*(round(x, digits) for x in p), s] if s and not any(map(math.isnan, p)) else None
+            n: [*(round(x, 5) for x in p), s] if s and not any(map(math.isnan, p)) else None
             for n, p, s in zip(line.joint_names, line.positions.tolist(), line.state.tolist(), strict=True)
         }
     return json.dumps(value, separators=(",", ":"))

@@ -14,7 +14,7 @@ import shutil
 import struct
 import subprocess
 import wave
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -123,6 +123,14 @@ def list_images(folder: Path) -> list[Path]:
     return sorted((p for p in found if p.is_file()), key=lambda p: natural_key(p.name))
 
 
+def sequence_numbers(files: Sequence[Path]) -> NDArray[np.int64] | None:
+    """Read the last number (T,) in the name of each file; None where the names differ in more than this number."""
+    parts = [re.split(r"(\d+)(?=\D*$)", f.name) for f in files]
+    if any(len(p) != 3 or len(p[1]) > 15 for p in parts) or len({(p[0], p[2]) for p in parts}) > 1:
+        return None
+    return np.array([int(p[1]) for p in parts], dtype=np.int64)
+
+
 def check_numbers(folder: Path) -> None:
     """Check that no picture is missing in a numbered sequence.
 
@@ -131,10 +139,9 @@ def check_numbers(folder: Path) -> None:
     Raises: InputError where one is missing, because all later pictures would be shifted in time.
     """
     images = list_images(folder)
-    parts = [re.split(r"(\d+)(?=\D*$)", p.name) for p in images]
-    if len(images) < 3 or any(len(q) != 3 for q in parts) or len({(q[0], q[2]) for q in parts}) > 1:
+    numbers = sequence_numbers(images)
+    if numbers is None or len(images) < 3:
         return
-    numbers = np.array([int(q[1]) for q in parts])
     steps = np.diff(numbers)
     usual = int(np.median(steps))
     if usual < 1 or (steps == usual).all():

@@ -25,10 +25,9 @@ from hypose.pipeline.frame_anomalies import as_now, looked_at, mask_change
 from hypose.pipeline.live.background_work import BackgroundWork, PackedMasks
 from hypose.pipeline.live.live_search import FoundPerson, LivePersonOptions, LiveSearch, paced
 from hypose.pipeline.settings import SETTINGS
-from hypose.tracking.costs import mean_overlap
 from hypose.tracking.covariance_calibration import beyond_usual, with_fitted_joints
 from hypose.tracking.error_model import as_mixture, judged
-from hypose.tracking.frame_evidence import prepare
+from hypose.tracking.frame_evidence import mean_overlap, prepare
 from hypose.tracking.refinement import SETTLING, refine
 from hypose.tracking.several import BLIND, Member, shape_of, step_together
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState, motion_of

@@ -29,8 +29,7 @@ from hypose.pipeline.passes import tracker_of
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.track_management import birth_candidates, candidate_evidence
 from hypose.pipeline.track_options import TrackOptions
-from hypose.tracking.costs import mean_overlap
-from hypose.tracking.frame_evidence import prepare
+from hypose.tracking.frame_evidence import mean_overlap, prepare
 from hypose.tracking.several import Member, step_together
 from hypose.tracking.start_search import starts_in_frame, weigh_starts
 from hypose.tracking.tracker import Tracker, TrackerState

@@ -23,12 +23,11 @@ from hypose.fitting.articulated import SolveSettings, fit_pose
 from hypose.fitting.problem import Quadratic
 from hypose.geometry import Array, so3_exp, so3_log
 from hypose.inference.hypotheses import Hypotheses
-from hypose.tracking.monocular.evidence import checked_picture
 from hypose.tracking.monocular.flips import mirrored
 from hypose.tracking.monocular.picture_search import PictureSearch
 from hypose.tracking.monocular.points import MonoPoints
 from hypose.tracking.monocular.points_fit import PointsOn, fit_proportions, points_on_body
-from hypose.tracking.monocular.problem import floor_arrays
+from hypose.tracking.monocular.problem import checked_picture, floor_arrays
 from hypose.tracking.monocular.proportions import VOLUMETRIC, proportions, search_factors, shaped, without_display
 from hypose.tracking.monocular.settings import MonoSettings, body_dofs
 from hypose.tracking.refinement import anatomical_prior

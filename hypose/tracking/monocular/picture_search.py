@@ -23,7 +23,6 @@ from hypose.evidence.frame import Frame, Picture
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
 from hypose.tracking.frame_evidence import PreparedFrame
-from hypose.tracking.monocular.evidence import checked_picture, grey
 from hypose.tracking.monocular.flips import mirrored
 from hypose.tracking.monocular.points import MonoPoints, keypoints_on
 from hypose.tracking.monocular.pool import (
@@ -38,7 +37,17 @@ from hypose.tracking.monocular.pool import (
     prune,
     uncertain_samples,
 )
-from hypose.tracking.monocular.problem import Fixed, field_of, fixed_parts, frame_problem, with_prediction
+from hypose.tracking.monocular.problem import (
+    Fixed,
+    MonoSolution,
+    checked_picture,
+    field_of,
+    fixed_parts,
+    frame_problem,
+    grey,
+    newton_descent,
+    with_prediction,
+)
 from hypose.tracking.monocular.settings import MonoSettings, body_dofs
 from hypose.tracking.pose_covariance import PoseUncertainty, packed
 
@@ -211,8 +220,8 @@ class PictureSearch:
             place.fixed, picture, points, field_of(picture.image, self.settings), None, self.settings
         )
         found = self._solved(place, problem, poses, poses, iterations // 2, iterations, predict=False)
-        found = sorted(found, key=lambda s: s.cost)
-        cost, where = np.array([s.cost for s in found]), np.stack([s.pose for s in found])
+        found = sorted(found, key=lambda s: s.evidence)
+        cost, where = np.array([s.evidence for s in found]), np.stack([s.pose for s in found])
         still = np.zeros_like(where)
         pool = self._candidates(OPTIMISED, place.fixed, found, still, where, np.zeros(len(found)))
         covariance = self._covariances(place.fixed, pool)
@@ -257,19 +266,19 @@ class PictureSearch:
         iterations: int,
         *,
         predict: bool = True,
-    ) -> list[mono.MonoSolution]:
+    ) -> list[MonoSolution]:
         """Optimise every start (N, D) in several threads.
 
         predict: add to each a pull to its own start as the prediction.
         """
-        solutions: list[mono.MonoSolution | None] = [None] * len(starts)
+        solutions: list[MonoSolution | None] = [None] * len(starts)
         free = list(place.workspaces)
 
         def work(first: int, last: int) -> None:
             ws = free.pop()
             for n in range(first, last):
                 own = with_prediction(problem, starts[n], place.fixed.spread) if predict else problem
-                solutions[n] = mono.newton_descent(starts[n], before[n], own, coarse, iterations, ws)
+                solutions[n] = newton_descent(starts[n], before[n], own, coarse, iterations, ws)
             free.append(ws)
 
         over_chunks(work, len(starts), len(free))
@@ -279,7 +288,7 @@ class PictureSearch:
         self,
         role: str,
         fixed: Fixed,
-        found: Sequence[mono.MonoSolution],
+        found: Sequence[MonoSolution],
         velocities: Array,
         predictions: Array,
         history: Array,

@@ -1,6 +1,6 @@
 """Body proportions as unknowns: logarithms of the template's factors, the same left and right, with prior intervals.
 
-The factors are those of body.fit_skeleton: lengths and widths of the skeleton (scale, segments), and volumes of the
+The factors are lengths and widths of the skeleton (scale, segments), and volumes of the
 parts (girths, hands, feet, head). Source: Sminchisescu & Triggs 2001, section 5: x_i (internal proportions), x_d
 (sizes).
 """
@@ -13,10 +13,51 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hypose.body.body import Body, Mesh, deform
-from hypose.body.fit_skeleton import FACTORS, shape_from_factors
+from hypose.body.body import Body, Mesh, Shape, deform
 from hypose.errors import InputError
 from hypose.geometry import Array
+
+_TRUNK = ("pelvis", "spine", "chest")
+_SIDES = ("left", "right")
+
+
+@dataclass(frozen=True)
+class _Factor:
+    """One proportion; exp(value) multiplies length, girth (along the given axes) or offset of some joints.
+
+    sd: standard deviation of the logarithm between people of one stature.
+    """
+
+    name: str
+    kind: str
+    joints: tuple[str, ...]
+    sd: float
+    axes: tuple[int, ...] = (0, 1, 2)
+
+
+def _pair(joint: str) -> tuple[str, ...]:
+    return tuple(f"{s}_{joint}" for s in _SIDES)
+
+
+FACTORS: tuple[_Factor, ...] = (
+    _Factor("scale", "scale", (), 1.0),
+    _Factor("torso", "length", _TRUNK, 0.05),
+    _Factor("neck", "length", ("neck",), 0.10),
+    _Factor("head", "size", ("head",), 0.07),
+    _Factor("shoulder width", "offset", _pair("shoulder"), 0.10),
+    _Factor("hip width", "offset", _pair("hip"), 0.06),
+    _Factor("upper arm", "length", _pair("shoulder"), 0.06),
+    _Factor("forearm", "length", _pair("elbow"), 0.06),
+    _Factor("hand", "size", _pair("wrist"), 0.08),
+    _Factor("thigh", "length", _pair("hip"), 0.06),
+    _Factor("shank", "length", _pair("knee"), 0.06),
+    _Factor("foot", "size", _pair("ankle"), 0.08),
+    *(_Factor(f"{j} width", "girth", (j,), 0.15, (0,)) for j in _TRUNK),
+    *(_Factor(f"{j} depth", "girth", (j,), 0.20, (1,)) for j in _TRUNK),
+    *(_Factor(f"{j} girth", "girth", _pair(j), 0.20) for j in ("shoulder", "elbow", "hip", "knee")),
+    _Factor("neck girth", "girth", ("neck",), 0.15),
+)
+
 
 PROPORTION_NAMES = tuple(f.name for f in FACTORS)
 INTERNAL: NDArray[np.int64] = np.flatnonzero([f.kind in ("scale", "length", "offset") for f in FACTORS])
@@ -113,3 +154,24 @@ def search_factors(
                 if moved:
                     break
     return x
+
+
+def shape_from_factors(factors: ArrayLike) -> Shape:
+    """Convert the logarithms (K,) of FACTORS into the Shape that `deform` applies."""
+    length: dict[str, float] = {}
+    girth: dict[str, list[float]] = {}
+    offset: dict[str, tuple[float, float, float]] = {}
+    scale = 1.0
+    for factor, value in zip(FACTORS, np.exp(np.asarray(factors, dtype=np.float64)).tolist(), strict=True):
+        if factor.kind == "scale":
+            scale = value
+        for joint in factor.joints:
+            if factor.kind in ("length", "size"):
+                length[joint] = length.get(joint, 1.0) * value
+            if factor.kind in ("girth", "size"):
+                row = girth.setdefault(joint, [1.0, 1.0, 1.0])
+                for axis in factor.axes:
+                    row[axis] *= value
+            if factor.kind == "offset":
+                offset[joint] = (value, 1.0, 1.0)
+    return Shape(scale, length, {j: (g[0], g[1], g[2]) for j, g in girth.items()}, offset)

@@ -26,8 +26,7 @@ from hypose.inference.resampling import keep
 from hypose.tracking.monocular.picture_search import PictureSearch
 from hypose.tracking.monocular.pool import OPTIMISED, accumulated, best_of
 from hypose.tracking.monocular.settings import MonoSettings, body_dofs
-from hypose.tracking.smooth_motion import Clip
-from hypose.tracking.smoothing import ClipSettings, smooth_poses
+from hypose.tracking.smoothing import Clip, ClipSettings, smooth_poses
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState, modes_of
 
 _HELD = 1e8
@@ -183,7 +182,7 @@ def picture_recipe(search: PictureSearch) -> Recipe:
     and pruned.
 
     Deviations: a constant-velocity prediction comes before the optimisation, because without it nothing keeps track;
-        evidence is accumulated over frames; mirrored limbs are an option. See also pool.py and compute's mono_rows.py.
+        evidence is accumulated over frames; mirrored limbs are an option. See also pool.py and compute's mono.py.
     """
     layers = (
         Layer(search.predicted, None, keep, "edges"),

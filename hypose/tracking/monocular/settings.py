@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.skeleton import Skeleton
+from hypose.compute.mono_terms import CueSettings, EdgeSettings, FlowSettings
 
 
 def body_dofs(skeleton: Skeleton) -> NDArray[np.int64]:
@@ -18,77 +19,6 @@ def body_dofs(skeleton: Skeleton) -> NDArray[np.int64]:
     wrists."""
     hidden = ("clavicle", "inversion", "twist", "wrist")
     return np.flatnonzero([not any(h in name for h in hidden) for name in skeleton.dof_names])
-
-
-@dataclass(frozen=True)
-class EdgeSettings:
-    """Settings of the edge term, which compares contours with image edges.
-
-    form: of the cost: 'gaussian', 'lorentzian' or 'leclerc'; sigma_px: its scale, px.
-    height: nu, the cost of one independent sample that finds no edge.
-    sample_px: px of contour per independent sample; spacing_px: distance of the contour's nodes.
-    window_px: reach of the line search to either side.
-    strength: quantile of the image gradient that counts as a full edge; threshold: weakest edge used, as a share of it.
-    smoothing_px: smoothing of the image before.
-    background: expected cost of a node where no body is, as a share of nu, subtracted from each node. Why: a contour
-        that fits worse than by chance would cost less the shorter it is, so with too low a value limbs hide.
-    occluded: k of equation (5), cost of an occluded node as a share of nu; equal to background, hiding has no effect.
-    motion_boundaries: weight the edges by motion boundaries; boundary_floor: weight of an edge where nothing moves.
-    coarse_factor: factor on sigma in the first iterations.
-    """
-
-    form: str = "leclerc"
-    sigma_px: float = 3.0
-    height: float = 5.0
-    sample_px: float = 8.0
-    window_px: int = 14
-    spacing_px: float = 6.0
-    strength: float = 0.93
-    threshold: float = 0.08
-    smoothing_px: float = 1.2
-    background: float = 0.8
-    occluded: float = 0.8
-    motion_boundaries: bool = True
-    boundary_floor: float = 0.1
-    coarse_factor: float = 2.0
-
-
-@dataclass(frozen=True)
-class FlowSettings:
-    """Settings of the flow term, which compares inner nodes with optical flow.
-
-    use: False leaves the term out.
-    form, sigma_px, height: as for edges.
-    area_px: side of the square that makes one independent sample, px.
-    spacing_px: distance of the grid's nodes, px.
-    consistency_px: nodes with a larger forward-backward error are outliers.
-    """
-
-    use: bool = True
-    form: str = "lorentzian"
-    sigma_px: float = 1.2
-    height: float = 0.1
-    area_px: float = 14.0
-    spacing_px: float = 8.0
-    consistency_px: float = 1.0
-
-
-@dataclass(frozen=True)
-class CueSettings:
-    """Settings of silhouettes, 2D points (key points, clicked joints) and the floor.
-
-    silhouette_height, silhouette_form, silhouette_sigma_px: as for edges; height 0: not used.
-    point_weight: factor on all points; 0: not used. The points carry their own scales.
-    point_form: form of the cost of points.
-    floor_sd_m: usual distance of the lower sole from a known floor, m.
-    """
-
-    silhouette_height: float = 2.0
-    silhouette_form: str = "lorentzian"
-    silhouette_sigma_px: float = 4.0
-    point_weight: float = 1.0
-    point_form: str = "lorentzian"
-    floor_sd_m: float = 0.05
 
 
 @dataclass(frozen=True)
@@ -152,11 +82,7 @@ class MonoSettings:
     inflation: float = 2.0
     frame_rate: float = 25.0
 
-    def robust(self, form: str) -> MonoSettings:
-        """Copy the settings with one cost form for every cue ('gaussian' is the non-robust ablation)."""
-        return replace(
-            self,
-            edge=replace(self.edge, form=form),
-            flow=replace(self.flow, form=form),
-            cues=replace(self.cues, silhouette_form=form, point_form=form),
-        )
+    def robust(self, form: int) -> MonoSettings:
+        """Copy the settings with one form of loss for every cue (GAUSSIAN is the ablation without robust losses)."""
+        cues = self.cues._replace(silhouette_form=form, point_form=form)
+        return replace(self, edge=self.edge._replace(form=form), flow=self.flow._replace(form=form), cues=cues)

@@ -40,8 +40,27 @@ class Client:
         assert got == status, (got, body[:500])
         return json.loads(body)
 
+    @property
+    def recording(self):
+        """The id of the first recording."""
+        return self.get("/api/state")["recordings"][0]["id"]
+
+    @property
+    def result(self):
+        """The id of the first result."""
+        return self.get("/api/state")["results"][0]["id"]
+
     def socket(self, path, **more):
         return connect(f"ws://127.0.0.1:{self.port}{path}", compression=None, max_size=None, **more)
+
+
+def until(socket, kind, wanted=lambda message: True):
+    """The next message of a kind that is wanted; an error that is not asked for fails."""
+    while True:
+        message = json.loads(socket.recv(HANG_S))
+        assert message["t"] != "error" or kind == "error", message
+        if message["t"] == kind and wanted(message):
+            return message
 
 
 @contextlib.contextmanager

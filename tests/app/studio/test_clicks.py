@@ -56,15 +56,6 @@ def test_a_job_takes_saved_clicks_by_name(tmp_path):
             plan_job("track", request, catalog)
 
 
-def test_the_person_is_found_in_the_videos_by_the_command(tmp_path):
-    (tmp_path / "walk").mkdir()
-    (tmp_path / "walk" / "recording.toml").write_text("")
-    catalog = Catalog(tmp_path)
-    request = {"recording": catalog.id_of("recording", tmp_path / "walk"), "options": {"yes": True}}
-    made = plan_job("keypoints", request, catalog)
-    assert made.arguments == ("keypoints", str(tmp_path / "walk"), "--yes") and made.resumable
-
-
 def test_the_body_that_is_fitted_comes_as_a_block_of_one_frame(studio):
     state = studio.get("/api/state")
     recording, result = state["recordings"][0]["id"], state["results"][0]["id"]

@@ -51,5 +51,4 @@ def test_results_are_compared_and_plotted(two, page, tmp_path):
 
 
 def test_nobody_walks_where_there_is_nothing_to_walk_with(studio):
-    id = studio.get("/api/state")["results"][0]["id"]
-    assert studio.get(f"/api/results/{id}/gait") == {"events": [], "figures": [], "cycles": []}
+    assert studio.get(f"/api/results/{studio.result}/gait") == {"events": [], "figures": [], "cycles": []}

@@ -1,6 +1,5 @@
 """Folders are looked into where they lie, and become recordings by a recording.toml that names the files in them."""
 
-import json
 import shutil
 
 import cv2
@@ -161,11 +160,3 @@ def test_offsets_give_a_recording_of_their_own(folder):
             plan_job("in_step", {"recording": item.id, "options": bad}, catalog)
     far = plan_job("refine", {"recording": item.id, "options": {"far": True}}, catalog)
     assert far.arguments[2:] == ("--refine", "--far")
-
-
-def test_what_was_found_of_the_timing_is_shown(own_studio, folder):
-    (folder / "walk" / "results" / "sync.json").write_text(
-        json.dumps({"by": "motion", "views": [{"name": "cam1", "late": 1.5, "how": "sd 0.02"}]})
-    )
-    id = own_studio.get("/api/state")["recordings"][0]["id"]
-    assert own_studio.get(f"/api/recordings/{id}")["sync"]["views"][0]["late"] == 1.5

@@ -5,33 +5,14 @@ import json
 import numpy as np
 import pytest
 
-from hypose.app.live import simulated_sensors
-from hypose.app.live.simulated_sensors import FRAME_RATE
 from hypose.app.studio.catalog import Catalog
 from hypose.app.studio.job_kinds import plan_job
 from hypose.io.sensors.skeleton_files import read_skeletons
-from tests.conftest import HANG_S
-
-
-def until(socket, kind, **wanted):
-    """The next message of a kind with these values."""
-    while True:
-        message = json.loads(socket.recv(HANG_S))
-        if message["t"] == kind and all(message.get(k) == v for k, v in wanted.items()):
-            return message
+from tests.app.studio.conftest import until
 
 
 def start(socket, **more):
     socket.send(json.dumps({"t": "start", "udp": 0, "ws": 0, **more}))
-
-
-def test_simulated_sensors_begin_again_where_they_began():
-    for sensors in (2, 3, 4):
-        seen = simulated_sensors.simulated_sensors(sensors, np.random.default_rng(1))
-        assert len(seen.sensor_names) == sensors and 12 < len(seen) / FRAME_RATE < 20
-        # from the last to the first frame is no larger step than between others
-        steps = np.abs(np.diff(seen.truth, axis=0)).max((1, 2))
-        assert np.abs(seen.truth[0] - seen.truth[-1]).max() <= steps.max()
 
 
 def test_simulated_sensors_are_fused_recorded_and_told_where_they_stand(own_studio):
@@ -52,7 +33,7 @@ def test_simulated_sensors_are_fused_recorded_and_told_where_they_stand(own_stud
             pass
         socket.send('{"t": "stop"}')
         assert until(socket, "said")["text"] == "Recorded as live/live."
-        until(socket, "hello", running=False)
+        until(socket, "hello", lambda m: m["running"] is False)
     state = own_studio.get("/api/state")
     assert [s["name"] for s in state["skeletons"]] == ["live"] and state["sessions"] == []
     assert len(read_skeletons(own_studio.studio.catalog.root / "live" / "live").streams) == 2

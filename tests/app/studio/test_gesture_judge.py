@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from hypose.app.studio.gesture_start import Controls, change, read_command, read_start
-from hypose.app.studio.gesture_training import FalseAlarms, HeldBack
+from hypose.app.studio.gesture_session import read_start
+from hypose.app.studio.gesture_training import Controls, FalseAlarms, HeldBack
 from hypose.errors import InputError
 from hypose.gestures.depth_pictures import KINECT
 from hypose.gestures.localise import Localisation
@@ -63,17 +63,15 @@ def test_a_start_that_cannot_be_is_a_sentence(message, part):
 
 def test_what_a_page_changes_is_kept_within_bounds():
     controls = Controls()
-    assert change(controls, {"t": "box", "x": 1e9, "y": -3}, (640, 480))
+    assert controls.change({"t": "box", "x": 1e9, "y": -3}, (640, 480))
     assert controls.box == (639.0, 0.0)
-    assert change(controls, {"t": "threshold", "value": 4}, (640, 480)) and controls.threshold == 4.0
-    assert change(controls, {"t": "threshold", "value": None}, (640, 480)) and controls.threshold is None
-    assert not change(controls, {"t": "command", "command": "next"}, (640, 480))
+    assert controls.change({"t": "threshold", "value": 4}, (640, 480)) and controls.threshold == 4.0
+    assert controls.change({"t": "threshold", "value": None}, (640, 480)) and controls.threshold is None
+    assert not controls.change({"t": "command", "command": "next"}, (640, 480))
     for message in (
         {"t": "threshold", "value": 0},
         {"t": "hold", "seconds": 11},
         {"t": "box", "x": float("nan"), "y": 0},
     ):
         with pytest.raises(InputError):
-            change(controls, message, (640, 480))
-    with pytest.raises(InputError, match="no command .format.; choose next, undo"):
-        read_command({"command": "format"})
+            controls.change(message, (640, 480))

@@ -8,12 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
-from hypose.app.jobs.gesture_job import evaluate_model
 from hypose.app.studio import gesture_views
 from hypose.app.studio.hub import IN_FLIGHT, MAP
-from hypose.gestures.depth_pictures import KINECT
-from hypose.pipeline.gesture_files import SessionWriter, load_model, read_recording
-from hypose.synthetic.gesture_scenes import live_person
+from hypose.pipeline.gesture_files import load_model, read_recording
 from tests.app.studio.conftest import serving
 from tests.conftest import HANG_S
 
@@ -150,33 +147,6 @@ def test_a_session_that_cannot_be_is_refused_in_a_sentence(root):
             page.send(**{"t": "start", "mode": "train", "gesture": "tee", "source": "simulated:0", **change})
             assert page.until("error")["error"].endswith(".")
         assert list(root.rglob("*.npz")) == []
-
-
-@pytest.mark.long
-def test_a_gesture_is_taught_in_ten_rounds(root, tmp_path):
-    """AP of at least 0.75 on frames that the forest has never seen: another room, another view of the same person."""
-    with serving(root) as client, client.socket("/ws/gesture") as socket:
-        page = Page(socket)
-        start(page, rounds=10, seconds={"do_gesture": 2, "positive": 6, "release": 2, "negative": 8})
-        page.until("step", phase="test")
-        page.send(t="stop")
-        page.until("ended")
-        model = load_model(root / model_of(client)["path"])
-    rng = np.random.default_rng(77)
-    writer = SessionWriter(tmp_path / "unseen", ["tee"], KINECT, (640, 480))
-    for setting in range(3):
-        person = live_person(0, "tee", np.random.default_rng([77, setting]), 3.0)
-        frame, shows = next(person), False
-        for k in range(60):
-            if frame.clear:
-                at = frame.point or (-1.0, -1.0)
-                phase = "positive" if frame.point else "negative"
-                writer.add(float(k), frame.depth, phase, 1 + k, 1 if frame.point else 0, at)
-            shows = bool(rng.random() < 0.5) if k % 6 == 0 else shows
-            frame = person.send(shows)
-    writer.close()
-    judged = evaluate_model(model, read_recording(tmp_path / "unseen"))
-    assert judged["positives"] >= 30 and judged["ap_5cm"] >= 0.75, judged
 
 
 def test_the_map_of_votes_is_seen_over_the_picture(root):

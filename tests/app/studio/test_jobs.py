@@ -26,10 +26,6 @@ def wait(client, id, *states):
     raise AssertionError(job)
 
 
-def recording_of(client):
-    return client.get("/api/state")["recordings"][0]["id"]
-
-
 def test_options_become_the_command(folder):
     catalog = Catalog(folder)
     (item,) = catalog.items("recording")
@@ -66,7 +62,7 @@ def test_a_track_takes_a_name_that_is_free_and_keeps_it(folder):
 @pytest.mark.slow
 def test_what_an_input_error_ends_is_not_to_be_gone_on_with(own_studio, folder):
     """The same input is the same error again; what was stopped, or has a checkpoint, goes on."""
-    ask = {"kind": "track", "recording": recording_of(own_studio), "options": {"recipe": "no-such"}}
+    ask = {"kind": "track", "recording": own_studio.recording, "options": {"recipe": "no-such"}}
     job = wait(own_studio, own_studio.get("/api/jobs", ask, status=201)["id"], "failed")
     assert "no-such" in job["error"] and not job["resumable"]
     job = own_studio.get("/api/jobs", {**ask, "options": {"recipe": "no-such-2"}}, status=201)
@@ -141,11 +137,10 @@ def test_progress_is_json_when_a_program_asks_for_it(monkeypatch, capsys):
 
 
 def test_an_export_runs_and_tells(own_studio, folder):
-    result = own_studio.get("/api/state")["results"][0]["id"]
     (folder / "walk/results/default/motion.trc").unlink()
     with own_studio.socket("/ws/jobs") as ws:
         assert json.loads(ws.recv(HANG_S))["t"] == "jobs"
-        job = own_studio.get(f"/api/results/{result}/export", {"formats": ["trc"]}, status=201)
+        job = own_studio.get(f"/api/results/{own_studio.result}/export", {"formats": ["trc"]}, status=201)
         assert job["state"] in ("queued", "running") and job["command"].endswith("--formats=trc")
         reported = []
         while not reported or reported[-1]["t"] != "files":
@@ -157,8 +152,9 @@ def test_an_export_runs_and_tells(own_studio, folder):
 
 
 def test_a_failed_job_says_the_command_lines_sentence(own_studio):
-    result = own_studio.get("/api/state")["results"][0]["id"]
-    job = own_studio.get("/api/jobs", {"kind": "export", "result": result, "options": {"formats": ["fbx"]}}, status=201)
+    job = own_studio.get(
+        "/api/jobs", {"kind": "export", "result": own_studio.result, "options": {"formats": ["fbx"]}}, status=201
+    )
     job = wait(own_studio, job["id"], "failed")
     assert "fbx" in job["error"] and "the formats are" in job["error"] and not job["resumable"]
     assert own_studio.get(f"/api/jobs/{job['id']}/cancel", {}, status=409)["error"]
@@ -167,7 +163,7 @@ def test_a_failed_job_says_the_command_lines_sentence(own_studio):
 
 
 def test_jobs_wait_for_each_other_and_can_be_called_off(own_studio):
-    recording = recording_of(own_studio)
+    recording = own_studio.recording
     first = own_studio.get("/api/jobs", {"kind": "check", "recording": recording}, status=201)
     second = own_studio.get("/api/jobs", {"kind": "silhouettes", "recording": recording}, status=201)
     assert own_studio.get(f"/api/jobs/{second['id']}")["state"] == "queued"
@@ -181,10 +177,10 @@ def test_jobs_wait_for_each_other_and_can_be_called_off(own_studio):
 
 def test_the_list_outlives_the_server(folder):
     with serving(folder) as client:
-        result = client.get("/api/state")["results"][0]["id"]
+        result = client.result
         ask = {"kind": "export", "result": result, "options": {"formats": ["fbx"]}}
         failed = wait(client, client.get("/api/jobs", ask, status=201)["id"], "failed")
-        recording = recording_of(client)
+        recording = client.recording
         check = client.get("/api/jobs", {"kind": "check", "recording": recording}, status=201)
     with serving(folder) as client:
         jobs = {j["id"]: j for j in client.get("/api/jobs")}
@@ -231,7 +227,7 @@ def test_a_list_of_jobs_is_neither_read_nor_written_through_a_link(folder, tmp_p
 @pytest.mark.slow
 def test_tracking_is_stopped_with_its_work_kept_and_resumed_to_the_same_motion(own_studio, folder, served):
     """Also: a closed page loses nothing, because no page is open here at all."""
-    recording = recording_of(own_studio)
+    recording = own_studio.recording
     ask = {"kind": "track", "recording": recording, "options": {"name": "again", "formats": ["csv"], "overlay": False}}
     job = own_studio.get("/api/jobs", ask, status=201)
     assert own_studio.get("/api/jobs", ask, status=409)["error"]

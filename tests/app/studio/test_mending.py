@@ -9,10 +9,9 @@ from hypose.io.recordings.recording import load_recording
 @pytest.fixture
 def asked(own_studio, folder):
     """mend(**wish) -> the recording as the page gets it; and its folder."""
-    id = own_studio.get("/api/state")["recordings"][0]["id"]
 
     def edit_recording(status=200, **wish):
-        return own_studio.get(f"/api/recordings/{id}/repair", wish, status=status)
+        return own_studio.get(f"/api/recordings/{own_studio.recording}/repair", wish, status=status)
 
     return edit_recording, folder / "walk", own_studio
 
@@ -47,8 +46,7 @@ def test_a_recording_that_a_stretched_video_makes_unusable_is_mended(asked):
     )
     assert first != text
     (walk / "calibration.toml").write_text(first)
-    id = client.get("/api/state")["recordings"][0]["id"]
-    problem = client.get(f"/api/recordings/{id}")["problem"]
+    problem = client.get(f"/api/recordings/{client.recording}")["problem"]
     assert problem.startswith("View cam1: ") and "accept_scaled" in problem
     assert edit_recording(what="accept_scaled", view="cam1")["problem"] is None
 

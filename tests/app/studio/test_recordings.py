@@ -7,15 +7,11 @@ import numpy as np
 import pytest
 
 from hypose.app.studio.recordings import without_table
-from hypose.app.studio.view_pictures import ViewPictures
+from hypose.app.studio.view_pictures import OpenRecording
 from hypose.io.motions.results import load_body, load_motion
 from hypose.io.recordings.recording import load_recording
 from hypose.synthetic.write_recording import walking_scene, write_depth_scene
 from tests.app.studio.conftest import serving
-
-
-def recording_of(client):
-    return client.get("/api/state")["recordings"][0]["id"]
 
 
 def image(client, path):
@@ -25,7 +21,7 @@ def image(client, path):
 
 
 def test_a_recording_says_what_it_is(studio):
-    r = studio.get(f"/api/recordings/{recording_of(studio)}")
+    r = studio.get(f"/api/recordings/{studio.recording}")
     assert r["problem"] is None and r["frames"] == 8 and r["frame_rate"] == pytest.approx(25)
     assert [v["video"] for v in r["views"]] == [f"cam{k}.mp4" for k in (1, 2, 3, 4)]
     assert r["cameras"][0]["size"] == [160, 120] and np.shape(r["cameras"][0]["K"]) == (3, 3)
@@ -34,12 +30,12 @@ def test_a_recording_says_what_it_is(studio):
 
 def test_a_recording_that_cannot_be_used_says_why(own_studio, folder):
     (folder / "walk" / "calibration.toml").write_text("nonsense")
-    r = own_studio.get(f"/api/recordings/{recording_of(own_studio)}")
+    r = own_studio.get(f"/api/recordings/{own_studio.recording}")
     assert "calibration.toml" in r["problem"] and r["views"] == [] and r["results"]
 
 
 def test_pictures_are_undistorted_and_masks_follow_the_settings(studio):
-    base = f"/api/recordings/{recording_of(studio)}/image/cam1"
+    base = f"/api/recordings/{studio.recording}/image/cam1"
     plain = image(studio, f"{base}/4.jpg?width=120")
     assert plain.shape == (90, 120, 3)
     usual = image(studio, f"{base}/4.jpg?mask=only") > 127
@@ -57,13 +53,13 @@ def test_depth_views_are_pictures_and_cut_out_by_depth(tmp_path):
     scene = walking_scene("wave", "", "depth-1", seconds=0.2, frame_rate=25.0, seed=5)
     write_depth_scene(scene, tmp_path / "depth")
     with serving(tmp_path) as client:
-        id = recording_of(client)
+        id = client.recording
         (view,) = client.get(f"/api/recordings/{id}")["views"]
         assert view["depth"] == view["name"] and view["masks"] is None
         base = f"/api/recordings/{id}/image/{view['name']}/2.jpg"
         plain, person = image(client, base), image(client, f"{base}?mask=only") > 127
         assert plain[person].mean() > 1.5 * plain[~person].mean() and 0.02 < person.mean() < 0.3
-    pictures = ViewPictures(load_recording(tmp_path / "depth"), 0, 5)
+    pictures = OpenRecording(load_recording(tmp_path / "depth"), (0, 5))
     jpeg = pictures.row(2, 640)[8:]
     (lines,) = pictures.outlines(2)
     pictures.close()
@@ -72,7 +68,7 @@ def test_depth_views_are_pictures_and_cut_out_by_depth(tmp_path):
 
 
 def test_mask_settings_are_kept_in_the_recording_and_used(own_studio, folder):
-    id = recording_of(own_studio)
+    id = own_studio.recording
     before = (folder / "walk" / "recording.toml").read_text()
     saved = own_studio.get(f"/api/recordings/{id}/mask-settings", {"threshold": 6.5, "shadow": False})
     assert saved["threshold"] == 6.5 and saved["shadow"] is False and saved["close_px"] == 5
@@ -111,7 +107,7 @@ def clicks(client, pose, cameras, joints=None):
 
 def test_clicks_in_two_views_give_the_pose(studio, pose):
     views = clicks(studio, pose, ["cam1", "cam2"])
-    ask = {"recording": recording_of(studio), "frame": 4, "views": views}
+    ask = {"recording": studio.recording, "frame": 4, "views": views}
     fit = studio.get("/api/fit-clicks", ask)
     error = np.linalg.norm(np.array(fit["joints"]) - pose[0].joints(pose[1]), axis=1)
     # another body than the one that was clicked: the usual person of the recording's height
@@ -122,7 +118,7 @@ def test_clicks_in_two_views_give_the_pose(studio, pose):
 
 
 def test_one_view_says_how_uncertain_depth_is_and_what_else_it_could_be(studio, pose):
-    ask = {"recording": recording_of(studio), "frame": 4, "views": clicks(studio, pose, ["cam1"])}
+    ask = {"recording": studio.recording, "frame": 4, "views": clicks(studio, pose, ["cam1"])}
     fit = studio.get("/api/fit-clicks", ask)
     assert fit["rms_px"] < 2.0 and 0.05 < fit["depth_sd"] < 1.0 and "distance" in fit["notes"][0]
     assert np.array(fit["joint_sd"]).mean() > 0.05
@@ -134,8 +130,7 @@ def test_one_view_says_how_uncertain_depth_is_and_what_else_it_could_be(studio, 
 def test_a_correction_stays_near_what_was_tracked(studio, pose):
     views = clicks(studio, pose, ["cam1"], {"left_wrist"})
     views[0]["points"][0]["x"] += 6
-    result = studio.get("/api/state")["results"][0]["id"]
-    fit = studio.get("/api/fit-clicks", {"result": result, "frame": 4, "views": views})
+    fit = studio.get("/api/fit-clicks", {"result": studio.result, "frame": 4, "views": views})
     moved = np.linalg.norm(np.array(fit["joints"]) - pose[0].joints(pose[1]), axis=1)
     names = pose[0].skeleton.joint_names
     wrist = moved[names.index("left_wrist")]
@@ -158,12 +153,12 @@ def test_a_correction_stays_near_what_was_tracked(studio, pose):
     ],
 )
 def test_clicks_that_cannot_be_are_answered_with_a_sentence(studio, pose, change):
-    ask = {"recording": recording_of(studio), "frame": 4, "views": clicks(studio, pose, ["cam1"])}
+    ask = {"recording": studio.recording, "frame": 4, "views": clicks(studio, pose, ["cam1"])}
     assert studio.get("/api/fit-clicks", {**ask, **change}, status=400)["error"].endswith(".")
 
 
 def test_clicks_are_kept_as_a_start(own_studio, folder, pose):
-    id = recording_of(own_studio)
+    id = own_studio.recording
     ask = {"frame": 4, "views": clicks(own_studio, pose, ["cam1", "cam2"]), "name": "first"}
     own_studio.get(f"/api/recordings/{id}/starts", ask, status=201)
     kept = json.loads((folder / "walk" / "starts" / "first.json").read_text())
@@ -185,17 +180,16 @@ def test_points_of_the_picture_as_recorded_have_the_lens_taken_out(own_studio, f
     seen = camera.project(body.joints(q)[[body.skeleton.joint(n) for n in names]]) - shift
     points = [{"joint": n, "x": x + 4, "y": y} for n, (x, y) in zip(names, seen.tolist(), strict=True)]
     recorded = [{"camera": "cam2", "recorded": True, "points": points}]
-    result = own_studio.get("/api/state")["results"][0]["id"]
-    ask = {"result": result, "frame": 4}
+    ask = {"result": own_studio.result, "frame": 4}
     fit = own_studio.get("/api/fit-clicks", {**ask, "views": recorded})
     assert np.abs(np.array(fit["pose"]) - q).max() > 1e-3  # what was moved by four pixels is followed
-    id = recording_of(own_studio)
+    id = own_studio.recording
     saved = {**ask, "views": recorded, "name": "arm", "since": 2, "until": 7}
     own_studio.get(f"/api/recordings/{id}/starts", saved, status=201)
     kept = json.loads((folder / "walk" / "starts" / "arm.json").read_text())
     again = own_studio.get("/api/fit-clicks", {**ask, "views": kept["views"]})
     np.testing.assert_allclose(again["pose"], fit["pose"], atol=1e-9)
-    assert (kept["since"], kept["until"], kept["result"]) == (2, 7, result)
+    assert (kept["since"], kept["until"], kept["result"]) == (2, 7, own_studio.result)
     assert own_studio.get(f"/api/recordings/{id}/starts", {**saved, "since": "x"}, status=400)["error"]
     # another correction of the same frame leaves the first as it is
     before = (folder / "walk" / "starts" / "arm.json").read_text()

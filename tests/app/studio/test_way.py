@@ -76,17 +76,15 @@ def test_offsets_count_from_the_middle_and_errors_do_not(folder):
 def test_a_finding_is_ticked_off_by_what_puts_it_right(own_studio, folder):
     walk = folder / "walk"
     checked(walk, {"fault": True, "kind": "keypoint_lag", "views": [], "sentence": "", "cure": "set keypoint_lag = 1"})
-    id = own_studio.get("/api/state")["recordings"][0]["id"]
     edit = {"what": "keypoint_lag", "frames": 1, "findings": [0]}
-    check = own_studio.get(f"/api/recordings/{id}/repair", edit)["check"]
+    check = own_studio.get(f"/api/recordings/{own_studio.recording}/repair", edit)["check"]
     assert check["stale"] and check["findings"][0]["done"]
-    height = own_studio.get(f"/api/recordings/{id}/repair", {"what": "height", "metres": 1.8})
+    height = own_studio.get(f"/api/recordings/{own_studio.recording}/repair", {"what": "height", "metres": 1.8})
     assert height["subject_height"] == 1.8
 
 
 def test_the_files_for_opensim_come_in_one(studio):
-    id = studio.get("/api/state")["results"][0]["id"]
-    status, _, body = studio.ask(f"/api/results/{id}/opensim.zip")
+    status, _, body = studio.ask(f"/api/results/{studio.result}/opensim.zip")
     assert status == 200 and "motion.mot" in zipfile.ZipFile(io.BytesIO(body)).namelist()
 
 

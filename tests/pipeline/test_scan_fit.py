@@ -4,20 +4,17 @@ import numpy as np
 import pytest
 
 from benchmarks.synthetic.scans import scan_of
-from hypose.body.body import Shape, deform
 from hypose.body.default_body import human
-from hypose.body.fit_skeleton import (
-    FACTORS,
+from hypose.errors import InputError
+from hypose.geometry import so3_exp
+from hypose.pipeline.scan_fit import (
     SCAN_POSES,
     find_stances,
     fit_template,
     scan_pose,
-    shape_from_factors,
     surface_samples,
     unposed,
 )
-from hypose.errors import InputError
-from hypose.geometry import so3_exp
 from hypose.synthetic.subjects import load_subjects
 
 Y_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
@@ -60,21 +57,6 @@ def test_undoing_a_pose_is_the_inverse_of_skinning(rng):
     posed = body.skin(pose, body.fine)
     rest = unposed(body, pose, posed, body.fine.dense_weights(19))
     np.testing.assert_allclose(rest, body.fine.vertices, atol=2e-5)  # skinning works in float32
-
-
-def test_factors_are_shapes():
-    body = human()
-    assert shape_from_factors(np.zeros(len(FACTORS))).scale == 1.0
-    same = deform(body, shape_from_factors(np.zeros(len(FACTORS))))
-    np.testing.assert_allclose(same.fine.vertices, body.fine.vertices, atol=1e-12)
-    index = {f.name: k for k, f in enumerate(FACTORS)}
-    x = np.zeros(len(FACTORS))
-    x[index["scale"]], x[index["thigh"]], x[index["chest width"]] = np.log([1.1, 1.2, 1.3])
-    shape = shape_from_factors(x)
-    assert isinstance(shape, Shape)
-    longer = deform(body, shape).segment_lengths()["left_thigh"]
-    assert longer == pytest.approx(body.segment_lengths()["left_thigh"] * 1.1 * 1.2)
-    assert shape.girth["chest"] == pytest.approx((1.3, 1.0, 1.0))
 
 
 def test_unknown_poses_are_named():
