@@ -15,8 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hypose.body.body import Body, Landmarks
-from hypose.body.skeleton import Skeleton
+from hypose.body.body import Body
 from hypose.compute.visibility import nearest_visible
 from hypose.errors import InputError, extra
 from hypose.geometry import Array
@@ -77,42 +76,23 @@ _HUMAN: tuple[tuple[str, tuple[str, ...], tuple[str, ...]], ...] = (
 )
 
 
-def bones_of(
-    skeleton: Skeleton, joints: Array, landmarks: Landmarks | None = None, points: Array | None = None
-) -> Bones:
-    """Make the segments of a skeleton: from every joint to its children.
-
-    joints: (J, 3) m, joint centres.
-    landmarks, points: landmarks of a human body, and their positions (L, 3) m in the same frame; they add ribs, jaw,
-        knuckles, toes and heels. None: no such segments.
-    Returns: the segments. A joint without child and landmark gets a segment in the direction of the one before it, half
-        as long.
-    """
-    place = {n: joints[k] for k, n in enumerate(skeleton.joint_names)}
-    if landmarks is not None and points is not None:
-        place |= {n: points[k] for k, n in enumerate(landmarks.names) if n not in place}
-    rows: list[tuple[Array, Array, int]] = []
-    for name, start, end in _HUMAN:
-        if name in skeleton.joint_names and all(n in place for n in (*start, *end)):
-            a, b = (np.mean([place[n] for n in side], axis=0) for side in (start, end))
-            rows.append((a, b, skeleton.joint(name)))
-    done = {j for _, _, j in rows}
-    for j in (j for j in range(len(joints)) if j not in done):
-        ends = [joints[k] for k in np.flatnonzero(skeleton.parents == j)]
-        if not ends:
-            p = int(skeleton.parents[j])
-            ends = [joints[j] + 0.5 * (joints[j] - joints[p])] if p >= 0 else [joints[j]]
-        rows += [(joints[j], np.asarray(e, dtype=np.float64), j) for e in ends]
-    return Bones(np.array([r[0] for r in rows]), np.array([r[1] for r in rows]), np.array([r[2] for r in rows]))
-
-
 def body_bones(body: Body, pose: ArrayLike | None = None) -> Bones:
-    """Make the segments of a ready body at a pose (D,); None: at rest in the model frame."""
-    marks = body.landmarks
+    """Make the segments of a human body at a pose (D,); None: at rest in the model frame.
+
+    Raises: InputError where the body lacks a joint or a landmark of the human body.
+    """
+    s, marks = body.skeleton, body.landmarks
     if pose is None:
-        joints = body.skeleton.rest_joints
-        return bones_of(body.skeleton, joints, marks, joints[marks.joint] + marks.offset)
-    return bones_of(body.skeleton, body.joints(pose), marks, body.landmark_points(pose))
+        joints, points = s.rest_joints, s.rest_joints[marks.joint] + marks.offset
+    else:
+        joints, points = body.joints(pose), body.landmark_points(pose)
+
+    def middle(names: tuple[str, ...]) -> Array:
+        at = [joints[s.joint(n)] if n in s.joint_names else points[marks.index(n)] for n in names]
+        return np.mean(at, axis=0)
+
+    start, end = (np.array([middle(row[k]) for row in _HUMAN]) for k in (1, 2))
+    return Bones(start, end, np.array([s.joint(row[0]) for row in _HUMAN]))
 
 
 def heat_weights(vertices: ArrayLike, faces: ArrayLike, bones: Bones, n_joints: int) -> Array:

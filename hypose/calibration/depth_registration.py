@@ -21,7 +21,8 @@ from hypose.evidence.terms import BODY_SD, DepthTerm
 from hypose.fitting.problem import Cue, Posed, PoseProblem, Quadratic, Rows, Rule
 from hypose.fitting.rows import rows_of_depth
 from hypose.fusion.clocks import offset_by_movement
-from hypose.geometry import Array, procrustes, se3, se3_inverse, so3_exp, transform
+from hypose.fusion.register import robust_motion
+from hypose.geometry import Array, se3, se3_inverse, so3_exp, transform
 from hypose.tracking.refinement import anatomical_prior
 
 SURE, AGREE_M = 0.5, 0.25
@@ -67,13 +68,9 @@ def rough_registration(times_a: Array, joints_a: Array, times_b: Array, joints_b
     flat = joints_b.reshape(len(tb), -1)
     at = np.stack([np.interp(times_a[inside], tb, column) for column in flat.T], 1).reshape(len(inside), -1, 3)
     a, b = joints_a[inside].reshape(-1, 3), at.reshape(-1, 3)
-    weight = np.ones(len(a))
-    motion = np.eye(4)
-    away = weight
-    for _ in range(8):  # wrong limbs get less weight
-        motion = _level(b, a, weight)
-        away = np.linalg.norm(transform(motion, b) - a, axis=1)
-        weight = 1 / (1 + (away / 0.05) ** 2)
+    flat_a, flat_b = (np.column_stack([p[:, :2], np.zeros(len(p))]) for p in (a, b))
+    motion, _ = robust_motion(flat_b, flat_a, np.ones(len(a)), 8)
+    away = np.linalg.norm(transform(motion, b) - a, axis=1)
     apart = float(np.median(away))
     if apart > AGREE_M:
         raise CalibrationError(
@@ -81,13 +78,6 @@ def rough_registration(times_a: Array, joints_a: Array, times_b: Array, joints_b
             "front for the back: record a person who walks about and turns in front of all of them."
         )
     return CoarseAlignment(motion, seconds, apart)
-
-
-def _level(source: Array, target: Array, weight: Array) -> Array:
-    """Fit the rotation about the vertical and translation along the floor that map source to target points (N, 3): (4,
-    4)."""
-    flat = [np.concatenate([p[:, :2], np.zeros((len(p), 1))], 1) for p in (source, target)]
-    return procrustes(flat[0], flat[1], weight)[0]
 
 
 def refine_registration(

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -400,24 +400,12 @@ _MOST_FRAMES = 30
 _COMMON = 60  # points that two views have to see together to judge each other
 
 
-@dataclass(frozen=True)
-class Extrinsics:
-    """Result of the check of the camera poses.
-
-    findings: faults.
-    changes: change of each camera by the refinement.
-    """
-
-    findings: tuple[Finding, ...]
-    changes: tuple[CameraChange, ...]
-
-
-def judge_extrinsics(rig: CameraRig, pixels: Array, o: Limits) -> Extrinsics | None:
+def judge_extrinsics(rig: CameraRig, pixels: Array, o: Limits) -> tuple[list[Finding], tuple[CameraChange, ...]] | None:
     """Check the camera poses by a refinement on some frames and its effect on others.
 
     pixels: (C, T, K, 3) synchronous distorted px, and confidence.
     o: limits.
-    Returns: findings and camera changes; None where two views see too few common points.
+    Returns: findings, and the change of each camera by the refinement; None where two views see too few common points.
     """
     c, frames = pixels.shape[:2]
     uv, confidence = undistorted(rig, pixels)
@@ -443,7 +431,7 @@ def judge_extrinsics(rig: CameraRig, pixels: Array, o: Limits) -> Extrinsics | N
     findings: list[Finding] = []
     far = any(m.turn_deg > FAR_DEG or m.move_m > FAR_M for m in moved)
     if min(before, after) > o.scatter * person or (far and after > AGREE * person):
-        return Extrinsics((_no_one_person(rig, pixels, before, after),), moved)
+        return [_no_one_person(rig, pixels, before, after)], moved
     if lens is not None:
         findings += _lenses(rig, ideal, lens, uv, confidence, rest, found, person, o)
     if not any(f.fault for f in findings) and after < o.extrinsics * before and before - after > o.gain * person:
@@ -464,7 +452,7 @@ def judge_extrinsics(rig: CameraRig, pixels: Array, o: Limits) -> Extrinsics | N
                 findings.append(Finding("extrinsics", (m.name,), text, cure, float(m.image_px)))
         if unsure and not any(f.fault for f in findings):
             findings.append(_undecided(rig, unsure, confidence, before, after, max(moved[k].image_px for k in unsure)))
-    return Extrinsics(tuple(findings), moved)
+    return findings, moved
 
 
 def _no_one_person(rig: CameraRig, pixels: Array, before: float, after: float) -> Finding:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -29,10 +29,8 @@ from hypose.calibration.diagnose_person import PersonReport, ViewReport, clip_fi
 from hypose.calibration.diagnose_points import (
     FAR_DEG,
     FAR_M,
-    Extrinsics,
     best_trial,
     certain_delays,
-    disagreement,
     geometric_trials,
     gross_finding,
     judge_extrinsics,
@@ -41,7 +39,7 @@ from hypose.calibration.diagnose_points import (
     undistorted,
 )
 from hypose.calibration.findings import REVIEW, Finding, Limits, Trial, ViewFile, depth_findings
-from hypose.calibration.refine_points import apply_parameters, changes, left_out_residual, point_residual
+from hypose.calibration.refine_points import CameraChange, apply_parameters, changes, left_out_residual, point_residual
 from hypose.calibration.sync_motion import MaskTrack, mask_tracks, silhouette_curves
 from hypose.calibration.synchronisation import points_at, sizes
 from hypose.cameras.camera import CameraRig
@@ -398,13 +396,6 @@ class Cured:
     keypoint_lag: int
 
 
-@dataclass
-class _State:
-    rig: CameraRig
-    pixels: Array
-    findings: list[Finding] = field(default_factory=list)
-
-
 def examine(observed: Observed, limits: Limits | None = None) -> tuple[PersonReport, Cured]:
     """Diagnose the calibration of a recording with all checks for which there is evidence, and undo the faults for a
     refinement.
@@ -427,53 +418,61 @@ def examine(observed: Observed, limits: Limits | None = None) -> tuple[PersonRep
         # for depth cameras, masks give no better information: their faults follow from those of the depth maps
         findings += [] if any(f.fault for f in by_depth) else found
         return PersonReport(tuple(findings), views), Cured(observed.rig, observed.keypoints, late, np.zeros((n, 2)), 0)
-    state = _State(observed.rig, observed.keypoints)
-    _gross(state, observed, o)
-    gross = {f.kind for f in state.findings}
-    findings += state.findings
-    alignments, lag, shift = _against_masks(observed, state, findings, o)
+    undone, rig, pixels = _gross(observed, observed.keypoints, o)
+    gross = {f.kind for f in undone}
+    findings += undone
+    scaled = {name for f in undone if f.kind in ("scaled", "cropped") for name in f.views}
+    alignments, lag, shift = _against_masks(observed, pixels, scaled, findings, o)
     late, sd = np.zeros(n), np.zeros(n)
     if not gross & {"inverted"}:
-        late, sd = late_views(state.rig, state.pixels, o)
-        findings += timing_findings(state.rig, late, sd)
-    pixels = np.stack([points_at(p, x) for p, x in zip(state.pixels, late, strict=True)])
+        late, sd = late_views(rig, pixels, o)
+        findings += timing_findings(rig, late, sd)
+    before = pixels
+    pixels = np.stack([points_at(p, x) for p, x in zip(before, late, strict=True)])
     extrinsics = None
-    focal = list(focal_findings(focal_by_points(state.rig, pixels))) if n > 1 and not gross else []
+    focal = list(focal_findings(focal_by_points(rig, pixels))) if n > 1 and not gross else []
     findings += focal
     later = bool((np.isinf(sd) & (late != 0)).any())  # an unknown delay would look like wrong camera poses
     if not focal and n > 1 and not gross & {"inverted"}:
-        extrinsics = judge_extrinsics(state.rig, pixels, o)
-        if extrinsics is not None and later:
-            findings += [f for f in extrinsics.findings if f.kind == "scatter"]
-        elif extrinsics is not None:
-            findings += extrinsics.findings
+        extrinsics = judge_extrinsics(rig, pixels, o)
+        if extrinsics is not None:
+            findings += [f for f in extrinsics[0] if f.kind == "scatter" or not later]
     if any(f.kind == "scatter" for f in findings):  # views that never agree give no delay and no body size
         findings = [f for f in findings if f.kind != "late"]
-        late, pixels = np.zeros(n), state.pixels
+        late, pixels = np.zeros(n), before
     elif not later:
-        findings += person_findings(state.rig, pixels, observed.names, observed.height, o)
-    report = PersonReport(tuple(findings), _views(observed, pixels, alignments, extrinsics))
-    return report, Cured(state.rig, pixels, late, shift, lag)
+        findings += person_findings(rig, pixels, observed.names, observed.height, o)
+    report = PersonReport(tuple(findings), _views(observed, pixels, alignments, extrinsics and extrinsics[1]))
+    return report, Cured(rig, pixels, late, shift, lag)
 
 
-def _gross(state: _State, observed: Observed, o: Limits) -> None:
-    """Find and undo up to three gross faults, the one with the largest effect first."""
-    stored = [c.size for c in observed.clips] if observed.clips else [None] * len(state.rig)
+def _gross(observed: Observed, pixels: Array, o: Limits) -> tuple[list[Finding], CameraRig, Array]:
+    """Find and undo up to three gross faults, the one with the largest effect first.
+
+    pixels: (C, T, K, 3) distorted px, and confidence.
+    Returns: the findings, and the cameras and key points after the faults were undone.
+    """
+    rig, findings = observed.rig, list[Finding]()
+    stored = [c.size for c in observed.clips] if observed.clips else [None] * len(rig)
     for _ in range(3):
-        every = max(1, state.pixels.shape[1] // 15)
-        trial, before, after = best_trial(state.rig, state.pixels, observed.names, stored, every)
+        trial, before, after = best_trial(rig, pixels, observed.names, stored, max(1, pixels.shape[1] // 15))
         limit = o.gross_lens if trial is not None and trial.kind == "distortion" else o.gross
         if trial is None or before < limit or after > o.gross_cured * before:
-            return
-        state.findings.append(gross_finding(state.rig, trial, before, after))
-        state.rig, state.pixels = trial.rig, trial.seen
+            break
+        findings.append(gross_finding(rig, trial, before, after))
+        rig, pixels = trial.rig, trial.seen
+    return findings, rig, pixels
 
 
 def _against_masks(
-    observed: Observed, state: _State, findings: list[Finding], o: Limits
+    observed: Observed, pixels: Array, scaled: set[str], findings: list[Finding], o: Limits
 ) -> tuple[tuple[Alignment | None, ...] | None, int, Array]:
     """Estimate the lag and shift of key points against the masks of the same view, and add the findings.
 
+    pixels: (C, T, K, 3) key points after gross faults were undone.
+    scaled: names of the views whose key points were in pixels of another size; of these, `pixels` are compared.
+    findings: list to which findings are added.
+    o: limits.
     Returns: the alignments, the common lag, and the shifts (C, 2) to add to the images, px of the calibrated size (0
         where none was found).
     """
@@ -481,9 +480,8 @@ def _against_masks(
     small = next((s.rig for s in observed.silhouettes if s is not None), None)
     if small is None or observed.keypoints is None:
         return None, 0, shift
-    scaled = {name for f in state.findings if f.kind in ("scaled", "cropped") for name in f.views}
     uv, confidence = undistorted(observed.rig, observed.keypoints)
-    cured, cured_confidence = undistorted(observed.rig, state.pixels)
+    cured, cured_confidence = undistorted(observed.rig, pixels)
     made: list[Alignment | None] = []
     for c, camera in enumerate(observed.rig):
         ratio = np.array(small[c].size) / np.array(camera.size)
@@ -578,9 +576,14 @@ def _views(
     observed: Observed,
     pixels: Array,
     alignments: tuple[Alignment | None, ...] | None,
-    extrinsics: Extrinsics | None,
+    changed: Sequence[CameraChange] | None,
 ) -> tuple[ViewReport, ...]:
-    """Report residuals of key points and silhouettes for each view."""
+    """Report residuals of key points and silhouettes for each view.
+
+    pixels: (C, T, K, 3) key points as they are judged in the end.
+    alignments: of key points and masks of each view; None where there are no masks.
+    changed: change of each camera by the refinement; None where there was none.
+    """
     c = len(observed.rig)
     uv, confidence = undistorted(observed.rig, pixels)
     flat, seen = uv.reshape(c, -1, 2), confidence.reshape(c, -1)
@@ -594,20 +597,8 @@ def _views(
         masks = masks * observed.rig.sizes[:, 0] / small.sizes[:, 0]
     out = []
     for k, name in enumerate(observed.rig.names):
-        change = None if extrinsics is None else extrinsics.changes[k]
+        change = None if changed is None else changed[k]
         fit = None if alignments is None else alignments[k]
         a, b = (float(np.nanmedian(x[k])) if np.isfinite(x[k]).any() else float("nan") for x in (inside, outside))
         out.append(ViewReport(name, a, b, float(masks[k]), change, fit))
     return tuple(out)
-
-
-__all__ = [
-    "ViewFile",
-    "Cured",
-    "Finding",
-    "Limits",
-    "Observed",
-    "PersonReport",
-    "disagreement",
-    "examine",
-]

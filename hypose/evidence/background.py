@@ -44,14 +44,6 @@ class BackgroundModel:
     valid: NDArray[np.bool_]
     note: str = ""
 
-    def __post_init__(self) -> None:
-        h, w = self.valid.shape
-        if self.mean.shape != (h, w, 3) or self.sd.shape != (h, w, 3):
-            raise InputError(
-                f"A background model of {w} x {h} px needs mean and sd of shape {(h, w, 3)}, got {self.mean.shape} and "
-                f"{self.sd.shape}."
-            )
-
 
 def from_frames(frames: Images, what: str = "background clip") -> BackgroundModel:
     """Build the model from a clip of the empty room (N, h, w, 3) uint8: median and robust sd (1.4826 MAD) per pixel.

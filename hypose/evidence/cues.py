@@ -61,7 +61,7 @@ ARM_M2, ARM_REACH_M, EXPLAINED_M = 0.055, 0.75, 0.08
 LEAST_SHOWN, AGREED, NEARBY = 0.7, 0.8, 0.4
 """Shares of an arm: visible; of the visible part, at the right depth; seen in its reach without belonging to the body.
 An arm that is visible to this degree is not searched elsewhere. Chosen on the seeds 0 to 15 (benchmark `depth`)."""
-_REMEMBERED_POSES = 12
+_REMEMBERED_POSES, _DIGITS = 12, 12
 """results are cached for sets of at most this many poses, because the same pose is judged several times in a frame"""
 
 
@@ -71,23 +71,22 @@ class PoseMemory(Generic[_Found]):
     def __init__(self) -> None:
         self._found: dict[tuple[Body, bytes], _Found] = {}
 
+    @staticmethod
+    def _key(body: Body, pose: Array) -> tuple[Body, bytes]:
+        """Build the key of a pose (D,); poses that differ by rounding errors, as after clamping, have one key."""
+        return body, (pose.round(_DIGITS) + 0.0).tobytes()  # + 0.0: no negative zeros
+
     def get(self, body: Body, pose: Array) -> _Found | None:
         """Look up the result of a pose (D,); None where there is none."""
-        return self._found.get((body, pose.tobytes()))
+        return self._found.get(self._key(body, pose))
 
     def keep(self, body: Body, pose: Array, found: _Found) -> _Found:
         """Store a result and return it.
 
         pose: (D,); found: its result.
         """
-        self._found[body, pose.tobytes()] = found
+        self._found[self._key(body, pose)] = found
         return found
-
-    def same(self, body: Body, pose: Array, other: Array) -> None:
-        """Store the result of a pose (D,) for another pose as well."""
-        known = self.get(body, pose)
-        if known is not None:
-            self.keep(body, other, known)
 
     def all(self, body: Body, poses: Array, find: Callable[[Array], NDArray[Any]]) -> NDArray[Any]:
         """Look up or compute the results of the poses (N, D), row by row.
@@ -155,11 +154,6 @@ class SilhouetteEvidence(Evidence):
                 use = use & (counts[:, 1] > VISIBLE * self.masks.norm)
             return self._overlaps.keep(body, pose, np.where(use, counts[:, 2] / union, np.nan))
 
-    def same(self, body: Body, pose: Array, other: Array) -> None:
-        """Reuse the first pose's results for the other pose."""
-        self._counts.same(body, pose, other)
-        self._overlaps.same(body, pose, other)
-
 
 @dataclass(frozen=True)
 class KeypointEvidence(Evidence):
@@ -207,10 +201,6 @@ class DepthEvidence(Evidence):
             return np.asarray(SHARE * depth_energy(of, *self._about(body)).sum(1))
 
         return self._costs.all(body, poses, measured)
-
-    def same(self, body: Body, pose: Array, other: Array) -> None:
-        """Reuse the first pose's results for the other pose."""
-        self._costs.same(body, pose, other)
 
     def limb_energy(
         self,

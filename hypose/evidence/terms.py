@@ -72,9 +72,6 @@ class Evidence:
         """
         return np.zeros(len(poses))
 
-    def same(self, body: Body, pose: Array, other: Array) -> None:
-        """Reuse the results of a pose (D,) for another pose that differs in its last digits."""
-
 
 class Piece(Protocol):
     """Interface of a further cue that a frame carries, as it was measured; the file of a cue defines all that it
@@ -344,7 +341,7 @@ class DepthTerm(Term):
 
     def arrays(self, body: Body) -> DepthArrays | None:
         """Build the solver's arrays; None where there are no points."""
-        scales = self.scale_m, self.free_share, FREE_SCALE_M, SLACK_M
+        scales = float(self.scale_m), self.free_share, FREE_SCALE_M, SLACK_M
         return DepthArrays._make((*self._flat, *body.coarse.rings, *scales)) if len(self.points) else None
 
     @cached_property

@@ -41,7 +41,6 @@ class ConfidenceSettings:
     defaults are the paper's.
 
     window: number of frames over which F is computed.
-    use_f, use_d, use_a: whether each measure is used; else it is 0.
     thickness: whether to subtract THICKNESS_M from the depth error.
     hold: whether to keep the last depth error over holes of the depth map; else a hole counts as depth 0.
     clip_m: largest D, m.
@@ -51,9 +50,6 @@ class ConfidenceSettings:
     """
 
     window: int = 15
-    use_f: bool = True
-    use_d: bool = True
-    use_a: bool = True
     thickness: bool = False
     hold: bool = False
     clip_m: float = _NO_DEPTH_M
@@ -134,22 +130,16 @@ def confidence_step(
     speeds, activations = memory.speeds.copy(), memory.activations.copy()
     speeds[t % n] = np.where(np.isfinite(speed), speed, 0.0)
     activations[t % n] = speeds.sum(0)  # the ring is zero before it is full, so this is the sum of what there is
-    inputs = np.zeros((3, *state.shape))
-    if settings.use_f:
-        inputs[0] = activations[: t + 1].std(0)
+    off, held = np.zeros(state.shape), memory.held
     lengths, samples = memory.lengths, memory.samples
-    held = memory.held
-    if settings.use_d:
-        if depth is not None:
-            error, held = depth_error(positions[..., 2], depth, held, settings)
-            inputs[1] = error
-        if settings.merge_bones:
-            lengths, samples, deviation = _bone_deviation(positions, state, lengths, samples)
-            inputs[1] = np.maximum(inputs[1], np.minimum(2 * deviation, settings.clip_m))
-        if settings.merge_state:
-            inputs[1] = np.maximum(inputs[1], np.where(state < TRACKED, _INFERRED_M, 0.0))
-    if settings.use_a:
-        inputs[2] = unnatural(positions)
+    if depth is not None:
+        off, held = depth_error(positions[..., 2], depth, held, settings)
+    if settings.merge_bones:
+        lengths, samples, deviation = _bone_deviation(positions, state, lengths, samples)
+        off = np.maximum(off, np.minimum(2 * deviation, settings.clip_m))
+    if settings.merge_state:
+        off = np.maximum(off, np.where(state < TRACKED, _INFERRED_M, 0.0))
+    inputs = np.stack([activations[: t + 1].std(0), off, unnatural(positions)])
     new = ConfidenceState(
         positions, np.asarray(times, dtype=np.float64), speeds, activations, t + 1, held, lengths, samples
     )

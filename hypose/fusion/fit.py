@@ -158,7 +158,6 @@ class FitSettings:
     prediction_sd_m: sd of the prediction per frame of 1/30 s, m.
     blend: share of the new velocity in the smoothed one (0..1).
     inferred: weight of inferred joints.
-    unswap: whether to exchange left and right back.
     lost_after_s: s without any joint after which the person is lost.
     """
 
@@ -170,7 +169,6 @@ class FitSettings:
     prediction_sd_m: float = 0.03
     blend: float = 0.5
     inferred: float = 0.5
-    unswap: bool = True
     lost_after_s: float = 0.5
 
     @cached_property
@@ -257,9 +255,7 @@ def fit_step(
     """
     # a joint of a sensor that is not registered has a state but no position
     states = np.where(np.isfinite(positions[..., 0]), states, 0).astype(np.uint8)
-    side, swapped = state.side, np.zeros(len(positions), dtype=np.bool_)
-    if settings.unswap:
-        positions, states, side, swapped = unswap(positions, states, state.side)
+    positions, states, side, swapped = unswap(positions, states, state.side)
     lengths, samples = state.lengths, state.samples
     if not state.fixed:
         lengths, samples, _ = adapt_lengths(positions, states, lengths, samples)

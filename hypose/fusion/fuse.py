@@ -104,7 +104,6 @@ class FusedFrame:
     choice: (15, K) population of the swarm where it runs, else None.
     lost: whether there was no evidence for too long.
     n_sensors: number of sensors with evidence.
-    swapped: (K,) whether the sides of each sensor were exchanged.
     """
 
     time: float
@@ -117,7 +116,6 @@ class FusedFrame:
     choice: Array | None
     lost: bool
     n_sensors: int
-    swapped: NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -164,7 +162,6 @@ class Fused:
     choice: (T, 15, K) population of the swarm, or None.
     registration: of the sensors; with "published" that of the last frame.
     lengths: (18,) m of joints.SKELETON_BONES.
-    swapped: (T, K) whether the sides of a sensor were exchanged.
     sensor_names: names of the K sensors.
     """
 
@@ -173,7 +170,6 @@ class Fused:
     choice: Array | None
     registration: Registration
     lengths: Array
-    swapped: NDArray[np.bool_]
     sensor_names: tuple[str, ...]
 
 
@@ -240,7 +236,7 @@ def fuse_frame(state: FusionState, frame: SensorJoints) -> tuple[FusionState, Fu
     eyes = np.full((len(world), 3), np.nan) if s.registered else state.registration.common_from_sensor[:, :3, 3]
     if s.method == FIT or estimate is None:
         fit, found = fit_step(state.fit, world, raw.state, time, s.fit, eyes)
-        joints, shares, lost, swapped = found.joints, found.shares, found.lost, found.swapped
+        joints, shares, lost = found.joints, found.shares, found.lost
         variance, systematic, wrong = found.variance, found.systematic, found.wrong
     else:
         known = np.isfinite(world[..., 0]).any()
@@ -250,12 +246,11 @@ def fuse_frame(state: FusionState, frame: SensorJoints) -> tuple[FusionState, Fu
         left = joints[jt.LEFT_SHOULDER] - joints[jt.RIGHT_SHOULDER]
         systematic, wrong = remaining_uncertainty(world, raw.state, eyes, left, state.fit.lengths, joints, variance)
         lost = not known and time - seen.max() > s.fit.lost_after_s
-        swapped = np.zeros(len(world), dtype=np.bool_)
     sd, systematic = np.sqrt(variance + systematic), np.sqrt(systematic)
     joints, sd, systematic, wrong = _with_rest(state, frame, joints, (sd, systematic, wrong), shares)
     fused = FusedFrame(
         *(time, state.joint_names, joints, sd, systematic, wrong, shares, choice),
-        *(bool(lost), n_sensors, swapped),
+        *(bool(lost), n_sensors),
     )
     return replace(state, fit=fit, swarm=swarm), fused
 
@@ -321,7 +316,6 @@ def fuse_clip(
         choice,
         state.registration,
         lengths,
-        np.stack([f.swapped for f in frames]),
         joints[0].sensor_names,
     )
 

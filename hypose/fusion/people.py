@@ -15,11 +15,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from hypose.compute.losses import lorentzian_weight
 from hypose.fusion.align import Instant, SensorBody
 from hypose.fusion.joints import MIRROR, TRUNK_JOINTS
-from hypose.fusion.register import register
-from hypose.geometry import Array, procrustes
+from hypose.fusion.register import register, robust_motion
+from hypose.geometry import Array
 
 
 @dataclass(frozen=True)
@@ -479,13 +478,7 @@ def _fit(body: Array, ours: Array, iterations: int) -> tuple[Array, float] | Non
     use = np.isfinite(source[:, 0]) & np.isfinite(target[:, 0])
     if int(use.sum()) < 20:
         return None
-    a, b = source[use], target[use]
-    motion, distance, weight = np.eye(4), np.zeros(len(a)), None
-    for _ in range(iterations):
-        motion = procrustes(a, b, weight)[0]
-        distance = np.linalg.norm(transform_points(motion, a) - b, axis=-1)
-        weight = lorentzian_weight((distance / 0.06) ** 2)
-    return motion, float(np.median(distance))
+    return robust_motion(source[use], target[use], np.ones(int(use.sum())), iterations)
 
 
 def _centres(shots: Sequence[_SensorInstant]) -> tuple[Array, Array]:

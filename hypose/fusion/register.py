@@ -165,7 +165,7 @@ def register(
         use = both > 0
         a = transform(transforms[anchor], s[:, anchor][use])
         before = transforms[k] if start is not None and start.registered[k] else None
-        transforms[k], residual[k] = _robust(s[:, k][use], a, both[use], iterations, before)
+        transforms[k], residual[k] = robust_motion(s[:, k][use], a, both[use], iterations, before)
         done[k] = True
         waiting.remove(k)
     if start is not None:
@@ -173,13 +173,16 @@ def register(
     return Registration(transforms, residual, done)
 
 
-def _robust(
+def robust_motion(
     moving: Array, target: Array, weight: Array, iterations: int, start: Array | None = None
 ) -> tuple[Array, float]:
-    """Solve for one rigid transform with Cauchy weights, starting from plain least squares or from the known motion
-    `start`.
+    """Estimate a rigid motion between corresponding points with Cauchy weights.
 
-    Returns: the transform (4, 4) and the median distance, m.
+    moving, target: (N, 3) m.
+    weight: (N,) weights of the pairs.
+    iterations: largest number of weighted Procrustes solves; with 1 it is plain least squares.
+    start: (4, 4) known motion that gives the first weights; None: all pairs count by `weight`.
+    Returns: target_from_moving (4, 4) and the median distance after it, m.
     """
     w, distance = weight, np.zeros(len(weight))
     motion = np.eye(4)

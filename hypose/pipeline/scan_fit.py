@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import KDTree
 
-from hypose.body.anthropometry import body_of, entity, prior_mean
+from hypose.body.anthropometry import body_of, entity, prior_covariance, prior_mean
 from hypose.body.body import Body
 from hypose.body.skin_weights import vertex_normals
 from hypose.errors import InputError
@@ -26,12 +26,13 @@ _ARMS = {"a": (0.75, 0.0, -0.66), "t": (1.0, 0.0, 0.0), "standing": (0.18, 0.0, 
 SCAN_POSES = tuple(_ARMS)
 """Poses in which a person may be scanned: A-pose, T-pose, standing with hanging arms, hands up."""
 
-_ROUGH = ShapeSettings(iterations=(4,), coarse=(3.0,))
-_FINE = ShapeSettings(iterations=(6, 8, 10), coarse=(2.0, 1.0, 0.6))
+_ROUGH = ShapeSettings(iterations=(4,), coarse=(4.0,))
+_FINE = ShapeSettings(iterations=(6, 8, 10), coarse=(2.7, 1.4, 0.8))
 _WEIGHT = 150.0
 """Weight of all samples of a scan together: errors of neighbouring samples are correlated."""
-_SCALE = 0.02
-"""Robust scale of a sample's distance, share of the stature."""
+UNLIKELY = 8.0
+"""Mahalanobis distance of proportions above which a scan is no person: heavy people have 6, a person squeezed to a pole
+10."""
 
 
 @dataclass(frozen=True)
@@ -65,12 +66,14 @@ class ScanFit:
     body: body with the scan's proportions, at rest.
     pose: (D,) in the upright frame of the scan.
     distance: median distance between the two surfaces in both directions, m.
+    unlikely: Mahalanobis distance of the proportions from those of the population, the stature left out.
     far: share of the samples farther than 5 % of the stature.
     """
 
     body: Body
     pose: Array
     distance: float
+    unlikely: float
     far: float
 
 
@@ -188,7 +191,10 @@ def fit_template(surface: ScanSamples, template: Body, stances: list[ScanPose]) 
     own = np.concatenate([v, v[faces].mean(1)])
     gaps = np.concatenate([KDTree(points).query(own)[0], KDTree(own).query(points)[0]])
     far = float((gaps > 0.05 * np.ptp(points[:, 2])).mean())
-    return ScanFit(body_of(template, fit.log_factors), fit.poses[0], float(np.median(gaps)), far), stance
+    off = (fit.log_factors - prior_mean())[1:]
+    unlikely = float(np.sqrt(off @ np.linalg.solve(prior_covariance()[1:, 1:], off)))
+    body = body_of(template, fit.log_factors)
+    return ScanFit(body, fit.poses[0], float(np.median(gaps)), unlikely, far), stance
 
 
 def _scan_term(points: Array, normals: Array) -> DepthTerm:
@@ -202,8 +208,7 @@ def _scan_term(points: Array, normals: Array) -> DepthTerm:
     first = np.searchsorted(sensor[order], np.arange(len(axes) + 1))
     weight = np.full(len(points), _WEIGHT / len(points))
     no_maps = np.zeros((6, 1, 1), np.float32), np.ones((6, 2), np.int64), np.zeros((6, 3, 4))
-    scale = _SCALE * float(np.ptp(points[:, 2]))
-    return DepthTerm(points[order], normals[order], weight, first, 1e3 * axes, *no_maps, scale_m=scale)
+    return DepthTerm(points[order], normals[order], weight, first, 1e3 * axes, *no_maps)
 
 
 def unposed(body: Body, pose: ArrayLike, points_world: ArrayLike, weights: ArrayLike) -> Array:

@@ -134,8 +134,6 @@ class RefineRivals:
             found = found.marked(role, np.arange(row, row + len(of)))
             row += len(of)
         living = self._living(scores, costs, at.reshape(len(poses), -1, 3), frame)
-        for one in frame.evidence:  # the clamped estimate is evaluated again later
-            one.same(frame.body, poses[living[0]], found.values[living[0]])
         return _roles(found.take(living))
 
     def before_solve(self, frame: PreparedFrame, /) -> None:

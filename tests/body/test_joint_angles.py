@@ -93,29 +93,6 @@ def test_all_angles_are_zero_in_the_neutral(skeleton, neutral):
 
 
 @pytest.mark.parametrize(("s", "side", "sign"), SIDES)
-@pytest.mark.parametrize("degrees", [-20, 35, 70])
-def test_one_rotation_gives_one_angle(skeleton, neutral, s, side, sign, degrees):
-    """Model axes: thigh forwards is about -x (x left: down turns forwards), towards the midline about
-    +-y, ..."""
-    inwards = {"left": -1, "right": 1}[side]
-    cases = [
-        (f"{side}_hip", (-1, 0, 0), f"hip_flexion_{s}"),
-        (f"{side}_hip", (0, -inwards, 0), f"hip_adduction_{s}"),
-        (f"{side}_hip", (0, 0, inwards), f"hip_rotation_{s}"),
-        (f"{side}_shoulder", (-1, 0, 0), f"arm_flex_{s}"),
-        (f"{side}_shoulder", (0, -inwards, 0), f"arm_add_{s}"),
-        (f"{side}_shoulder", (0, 0, inwards), f"arm_rot_{s}"),
-    ]
-    for joint, axis, name in cases:
-        got = named(skeleton, turned(skeleton, neutral, joint, axis, degrees))
-        for other in ANGLE_NAMES:
-            if other == name:
-                assert got[other][0] == pytest.approx(degrees, abs=1e-6), name
-            elif other.endswith(f"_{s}") and other.split("_")[0] == name.split("_")[0]:
-                assert got[other][0] == pytest.approx(0, abs=1e-6), (name, other)
-
-
-@pytest.mark.parametrize(("s", "side", "sign"), SIDES)
 def test_signs_seen_on_the_body(skeleton, neutral, s, side, sign):
     """The signs again, from where the limb goes rather than from axes."""
     pelvis = skeleton.forward(neutral)[1]
@@ -200,14 +177,6 @@ def test_general_rotations_follow_the_stated_order(skeleton, neutral):
         got = named(skeleton, q)
         assert [got[f"hip_{k}_{s}"][0] for k in ("flexion", "adduction", "rotation")] == pytest.approx([50, -20, 15])
         assert [got[f"arm_{k}_{s}"][0] for k in ("flex", "add", "rot")] == pytest.approx([80, -35, -30])
-
-
-def test_turning_on_the_spot_has_no_jump(skeleton, neutral):
-    q = np.tile(neutral, (200, 1))
-    turn = np.linspace(0, 6 * np.pi, 200)
-    q[:, 3:6] = turn[:, None] * [0, 0, 1]
-    rotation = named(skeleton, *q)["pelvis_rotation"]
-    np.testing.assert_allclose(np.diff(rotation), np.degrees(turn[1]), atol=1e-6)
 
 
 def test_arm_raised_sideways_past_the_gimbal_lock(skeleton, neutral, rng):

@@ -2,17 +2,10 @@
 
 import numpy as np
 import pytest
-from scipy.stats import chi2, norm, t
+from scipy.stats import norm, t
 
 from hypose.body.motion import TAILS, region_reach
 from tests.tailed import tailed
-
-
-@pytest.mark.parametrize("dimensions", [1, 3])
-def test_at_90_percent_it_is_that_of_a_normal_distribution(dimensions):
-    assert region_reach(0.9, dimensions) ** 2 == pytest.approx(chi2.ppf(0.9, dimensions))
-    assert region_reach(0.5, dimensions) < np.sqrt(chi2.ppf(0.5, dimensions))
-    assert region_reach(0.95, dimensions) > np.sqrt(chi2.ppf(0.95, dimensions))
 
 
 def test_of_one_number_it_is_the_quantile_of_students_t():

@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.papers.superquadrics import PARAMETERS, fit_parts, grid, nodes, superquadric_body
-from hypose.body.default_body import human
-from hypose.errors import InputError
+from benchmarks.papers.superquadrics import PARAMETERS, grid, nodes
 
 PART = np.array([0.06, 0.05, 0.20, 0.7, 0.9, -0.3, 0.2, 1.5, 0.4])
 
@@ -33,22 +31,3 @@ def test_taper_is_a_ratio_of_widths_and_a_bend_keeps_the_axis_length():
     poles = bent[[0, -1]]
     # an arc of length 0.4 and curvature 2: its chord
     assert np.linalg.norm(poles[1] - poles[0]) == pytest.approx(2 / 2.0 * np.sin(0.4 * 2.0 / 2), abs=1e-9)
-
-
-def test_a_body_of_superquadrics_is_closed_and_about_as_large_as_its_skin():
-    body = human()
-    double = superquadric_body(body)
-    assert double.coarse.edges.shape[1] == 4  # raises when the mesh is not closed
-    assert (double.coarse.skin_weight[:, 0] == 1).all()
-    assert double.coarse.volume == pytest.approx(body.fine.volume, rel=0.35)
-    assert np.ptp(double.coarse.vertices[:, 2]) == pytest.approx(body.stature, rel=0.05)
-    names = [body.skeleton.joint_names[p.joint] for p in fit_parts(body)]
-    assert {"left_elbow", "right_knee", "chest", "head"} <= set(names)
-
-
-def test_wrong_parameters_are_refused_by_name():
-    angles, _ = grid()
-    with pytest.raises(InputError, match="a1, a2, a3"):
-        nodes(np.zeros(9), angles)
-    with pytest.raises(InputError, match="ring"):
-        grid(0, 2)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.cameras.sync_accuracy import late_scene, seen_masks, seen_points
-from hypose.calibration.sync_motion import Curves, fundamental, solve_offsets
+from hypose.calibration.sync_motion import Curves, solve_offsets
 from hypose.calibration.synchronisation import (
     Resampled,
     light_event,
@@ -19,15 +19,6 @@ from hypose.evidence.frame import Frame, Keypoints
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.io.videos.video import Sound, read_sound
 from hypose.synthetic.scenes import camera_rig as named_rig
-
-
-def test_fundamental_matrix_puts_points_on_their_epipolar_lines(rng):
-    rig = named_rig("humaneva-4")
-    x = rng.normal(0, 0.5, (20, 3)) + [0, 0, 1]
-    a, b = (np.concatenate([rig[k].project_pinhole(x), np.ones((20, 1))], 1) for k in (0, 2))
-    lines = a @ fundamental(rig, 0, 2).T
-    distance = (b * lines).sum(1) / np.linalg.norm(lines[:, :2], axis=1)
-    assert np.abs(distance).max() < 1e-6
 
 
 @pytest.mark.parametrize("evidence", ["keypoints", "silhouettes"])

@@ -24,21 +24,6 @@ def test_a_stream_learns_where_its_sensors_stand(rng):
     assert fused.joint_names == jt.COMMON and fused.n_sensors == 3 and not fused.lost
 
 
-def test_a_sensor_that_is_wrong_about_a_hand_carries_nothing_of_it(rng):
-    truth, poses = moving_person(60), sensor_poses(rng, 3)
-    frames = seen(truth, poses, rng, noise=0.005)
-    bad = []
-    for f in frames:
-        p = f.positions.copy()
-        p[2, jt.LEFT_HAND] += 0.4
-        bad.append(SensorJoints(p, f.state, f.times, f.joint_names, f.sensor_names))
-    for method in ("fit", "swarm"):
-        fused = fuse_clip(bad, method)
-        assert fused.shares[30:49, jt.LEFT_HAND, 2].mean() < 0.15, method
-        error = np.linalg.norm(common_positions(fused.motion) - in_reference(truth, poses), axis=-1)
-        assert error[30:49, jt.LEFT_HAND].mean() < 0.03, method
-
-
 @pytest.mark.parametrize("n", [1, 2])
 def test_the_other_joints_of_larger_sets_are_passed_through(n, rng):
     known = jt.joint_sets()[n]

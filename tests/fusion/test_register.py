@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
-from benchmarks.depth_sensors.sensor_choice import heading, register_per_frame
+from benchmarks.depth_sensors.sensor_choice import register_per_frame
 from hypose.errors import InputError
 from hypose.evidence.frame import SensorJoints
 from hypose.fusion import joints as jt
-from hypose.fusion.register import check_same_person, identity_registration, measured_joint_depth, register, upward
+from hypose.fusion.register import check_same_person, identity_registration, measured_joint_depth, register
 from tests.fusion.people import in_reference, moving_person, seen, sensor_poses
 
 
@@ -90,16 +90,6 @@ def test_depth_is_read_at_the_joints_pixels_and_nothing_outside_the_image():
     p[0, 0], p[0, 1], p[0, 2] = (0, 0, 2.0), (0.2, 0.2, 2.0), (5, 0, 2.0)
     f = SensorJoints(p, np.full((1, 15), 2), np.zeros(1), jt.COMMON, ("a",), depth, k[None])
     assert measured_joint_depth(f)[0, :4] == pytest.approx([2.0, 1.9, 0, 0])
-
-
-def test_heading_follows_a_turn_and_up_is_up():
-    truth = moving_person(300)
-    expected = 0.6 * np.sin(0.7 * np.arange(300) / 30)
-    up = upward(truth)
-    assert up @ [0, 0, 1] > 0.99
-    found = heading(truth[:, None], up)
-    offset = np.median(found[5:] - expected[:-5])
-    assert np.abs(found[20:] - offset - expected[16:-4]).max() < 0.05
 
 
 def test_a_sensor_that_reports_a_point_is_refused(rng):

@@ -56,14 +56,6 @@ def test_inferred_joints_and_bones_of_another_length_are_trusted_less():
     assert open_at([REST], [FRONT], states=1)[1][jt.LEFT_HAND] > 2 * usual
 
 
-def test_a_joint_that_no_sensor_reports_is_as_sure_as_its_prediction():
-    gone = REST.copy()
-    gone[jt.LEFT_HAND] = np.nan
-    for sd, least in ((0.01, 0.0), (0.3, 0.9)):
-        wrong = open_at([gone], [FRONT], variance=sd**2)[1][jt.LEFT_HAND]
-        assert least <= wrong < least + 0.1
-
-
 def test_the_kernel_sums_over_who_is_right(rng):
     """Against the sum over all sets of sensors that are right, of which the first one says where the joint is."""
     weights, own, guess, jitter = np.array([[0.9], [0.6], [0.3]]), np.array([0.03]), 0.1, 0.01

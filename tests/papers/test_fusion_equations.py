@@ -106,7 +106,7 @@ def test_section_2_5_the_joint_is_the_average_of_the_candidates_that_the_wheel_l
 
 
 def test_equation_5_inverse_fluidity_of_a_stream_equals_its_definition(rng):
-    settings = ConfidenceSettings(window=5, use_d=False, use_a=False)
+    settings = ConfidenceSettings(window=5)
     positions = np.cumsum(rng.normal(0, 0.02, (23, 2, 15, 3)), axis=0)
     times = np.cumsum(rng.uniform(0.02, 0.05, (23, 2)), axis=0)  # ds/dt: clocks of their own, uneven
     state, memory = np.full((2, 15), 2, np.uint8), start_confidence(2, settings)

@@ -45,7 +45,11 @@ def printed_board(paper: str) -> bytes:
 
 
 def _text(x: float, y: float, size: float, words: str) -> str:
-    """Return the PDF operators of a line of text; x, y and size in mm."""
+    """Return the PDF operators of a line of text.
+
+    x, y: left end of the base line, mm from the lower left corner of the page.
+    size: of the letters, mm.
+    """
     escaped = words.replace("\\", r"\\").replace("(", r"\(").replace(")", r"\)")
     return f"BT /F {size} Tf {x} {y} Td ({escaped}) Tj ET"
 

@@ -33,7 +33,9 @@ def residual_picture(recording: Recording, observed: Observed, cured: Cured) -> 
     """Draw the key points of all views in the frame with most of them, each with a line to where the other cameras put
     it.
 
-    Returns: None without key points, with fewer than three cameras, or without pictures.
+    observed: evidence of the check.
+    cured: measured faults, of which the lag of the key points is used.
+    Returns: picture; None without key points, with fewer than three cameras, or without pictures.
     """
     if observed.keypoints is None or len(recording.rig) < 3:
         return None
@@ -66,7 +68,12 @@ def residual_picture(recording: Recording, observed: Observed, cured: Cured) -> 
 
 
 def _drawn(picture: Image, found: np.ndarray, expected: np.ndarray, confidence: np.ndarray, name: str) -> Image:
-    """Cut a picture to the person, 560 px high, and draw the key points with lines to the expected places."""
+    """Cut a picture to the person, 560 px high, and draw the key points with lines to the expected places.
+
+    found, expected: (K, 2) px in the picture; NaN where nothing is expected.
+    confidence: (K,); points of at most 0.3 are left out.
+    name: of the camera.
+    """
     known = (confidence > 0.3) & np.isfinite(expected).all(1)
     if not known.any():
         known = confidence > 0.3
@@ -100,6 +107,8 @@ def write_check_page(
 ) -> None:
     """Write the HTML page of a calibration check, with all pictures inside.
 
+    title: name of the recording.
+    report: result of the check.
     sheet: file of the masks' contact sheet; it may be missing.
     picture: result of `residual_picture`.
     facts: notes at the end.
@@ -176,6 +185,8 @@ def draw_sheet(views: Sequence[CameraViews], board: Board, result: BoardCalibrat
     A row shows a picture with a board (its first row in red, so that opposite numberings are visible), all corners that
     were found (green to red by their error, up to 2 px), a picture without a board and why, and below them a strip with
     the result of each frame.
+    views: detections of all cameras, also of videos for the lenses alone.
+    result: of the calibration; None where it failed: then corners have no error and are grey.
     """
     rows = []
     seen = Counter(f for view in (views if result is None else result.views) for f in view.sightings)
@@ -200,6 +211,12 @@ def _row(
     errors: Mapping[int, float],
     common: Sequence[int],
 ) -> Image:
+    """Draw the row of one camera.
+
+    sightings: boards by frame, as numbered by the calibration.
+    errors: of the boards by frame, px; a frame may be missing.
+    common: frames in which most cameras see the board, in order of preference.
+    """
     scale = _WIDTH / view.size[0]
     size = (_WIDTH, max(40, round(scale * view.size[1])))
     # the same picture in all cameras if there is one, so that the numbering can be compared
@@ -234,6 +251,11 @@ def _row(
 
 
 def _picture(view: CameraViews, frame: int | None, size: tuple[int, int], text: str) -> Image:
+    """Draw a picture of a video with a text; grey without a picture.
+
+    frame: number; None: no picture.
+    size: (width, height) px.
+    """
     image = np.full((size[1], size[0], 3), 32, np.uint8)
     if frame is not None:
         try:
@@ -248,6 +270,10 @@ def _picture(view: CameraViews, frame: int | None, size: tuple[int, int], text: 
 
 
 def _draw_board(image: Image, sighting: BoardDetection, board: Board, scale: float) -> None:
+    """Draw the corners of a board: the first row red, the first column orange, the others green.
+
+    scale: of the picture to the recorded one.
+    """
     nx = board.size[0]
     at = dict(zip(sighting.ids.tolist(), (scale * sighting.pixels).round().astype(int).tolist(), strict=True))
     for i, (x, y) in at.items():

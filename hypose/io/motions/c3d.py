@@ -97,7 +97,7 @@ def write_c3d(
 
 
 def _add_group(file: Any, group: str, about: Mapping[str, Any]) -> None:
-    """Add parameters to a file of ezc3d. about: values by name."""
+    """Add the parameters `about` (values by name) to a group of a file of ezc3d."""
     for name, value in about.items():
         file.add_parameter(group, name, value)
 

@@ -124,7 +124,7 @@ class PendingMasks:
         return Colours(codes, seen, edges) if seen.any() else None
 
     def begin_outlines(self, lanes: Sequence[Executor]) -> None:
-        """Start the computation of the outlines, each after the mask of its view."""
+        """Start the computation of the outlines, each after the mask of its view. lanes: executor of each view."""
         if not self._outlines:
             self._outlines = [lane.submit(_outline, f) for lane, f in zip(lanes, self._done, strict=True)]
 
@@ -677,6 +677,7 @@ def mask_folder(folder: str | Path, view: str, camera: Camera) -> Path:
 def write_frame_masks(silhouettes: Silhouettes, folders: Sequence[Path | None], number: int) -> None:
     """Write the masks of a frame as PNG files.
 
+    silhouettes: masks of all views.
     folders: folder of each view; None for a view whose masks are not written.
     number: number of the frame, which names the files.
     """
