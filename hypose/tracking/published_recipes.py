@@ -98,6 +98,7 @@ def frame_sigma(skeleton: Skeleton, frame_rate: float) -> Array:
 def sir(body: Body, particles: int = 4000, survival: float = 0.05, frame_rate: float = 25.0) -> Recipe:
     """Build the plain particle filter: one layer over all coordinates.
 
+    particles: number of hypotheses.
     survival: survival rate of the layer; frame_rate: Hz.
     Source: Isard & Blake 1998 (Alcoverro 2014, Alg. 1).
     """
@@ -118,6 +119,7 @@ def apf(
 ) -> Recipe:
     """Build the annealed particle filter.
 
+    particles: number of hypotheses; layers: number of layers; frame_rate: Hz.
     The first layer moves all coordinates by the usual motion of a frame (K_t). Every further layer moves them by
     `scale` times the spread of the set that the previous layer left (adaptive diffusion, at most Sigma_0), or,
     with `betas`, by Sigma_0 decayed.

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scipy.stats import ttest_rel
 
-from benchmarks.multiview import court
 from benchmarks.multiview.action_scenes import Outcome
 from benchmarks.multiview.paired import paired_rows
 from benchmarks.multiview.table_2_3 import PRODUCT, table_rows
@@ -42,14 +41,3 @@ def test_paired_differences_have_the_interval_of_students_t():
     interval = ttest_rel(errors["apf"], errors["hpf"]).confidence_interval(0.95)
     assert (low, high) == pytest.approx((interval.low, interval.high))
     assert rows["difference_mm", "apf - hpf"].value == pytest.approx(15)
-
-
-def test_recovery_counts_from_the_return_and_must_last():
-    present = np.array([True] * 5 + [False] * 5 + [True] * 15)
-    errors = np.full(25, 0.05)
-    errors[10:13] = 0.5
-    assert court._recovery(errors, present, 25.0) == pytest.approx(3 / 25)
-    errors[16] = 0.5  # found, lost again two frames later, found for good
-    assert court._recovery(errors, present, 25.0) == pytest.approx(7 / 25)
-    assert court._recovery(np.full(25, 0.5), present, 25.0) == float("inf")
-    assert np.isnan(court._recovery(errors, np.ones(25, bool), 25.0))
