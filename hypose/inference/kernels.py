@@ -44,43 +44,11 @@ def stay(h: Hypotheses, frame: Any, rng: np.random.Generator, /) -> Hypotheses:
 
 
 @dataclass(frozen=True)
-class HeavyTail:
-    """Setting that makes a share of the hypotheses take longer steps in some coordinates.
-
-    share: share of the hypotheses, 0..1; their rows are spread evenly over the set, because resampled sets are sorted
-        by ancestor.
-    factor: how many times longer their steps are.
-    coordinates: (D,) bool mask (or indices) of the coordinates that it concerns.
-    Why: resampling cannot recover a lost limb, a few long steps can; the others keep the small sigma that the mean
-    needs.
-    """
-
-    share: float
-    factor: float
-    coordinates: NDArray[np.bool_]
-
-    def stretch(self, steps: FloatArray, own: NDArray[np.intp], dimension: int) -> None:
-        """Multiply steps by their factors, in place.
-
-        steps: (*B, N, d) of the moved coordinates only.
-        own: (d,) indices of the moved coordinates.
-        dimension: number D of all coordinates.
-        """
-        chosen = _mask(self.coordinates, dimension)[own]
-        count = steps.shape[-2]
-        if chosen.all():
-            steps *= _stretch(self.share, self.factor, count)
-        else:
-            steps[..., every(self.share, count)[:, None], np.flatnonzero(chosen)] *= self.factor
-
-
-@dataclass(frozen=True)
 class GaussianDiffusion:
     """Kernel that adds an independent Gaussian step to each coordinate.
 
     sigma: (D,) standard deviation per coordinate, in its unit; 0 leaves the coordinate unchanged to the last bit.
     lower, upper: (D,) bounds of the moved coordinates, applied by `reflect`.
-    heavy_tail: longer steps for a share of the hypotheses, or None.
     Raises: ValueError where sigma is negative, not finite or not (D,).
     Source: Alcoverro 2014, section 2.2.1 (kernel K) and 2.2.4.
     """
@@ -88,7 +56,6 @@ class GaussianDiffusion:
     sigma: FloatArray
     lower: FloatArray | None = None
     upper: FloatArray | None = None
-    heavy_tail: HeavyTail | None = None
 
     def __post_init__(self) -> None:
         sigma = np.asarray(self.sigma, dtype=np.float64)
@@ -100,8 +67,6 @@ class GaussianDiffusion:
         """Move every hypothesis by one Gaussian step."""
         own = np.flatnonzero(self.sigma > 0)
         step = rng.standard_normal((*h.values.shape[:-1], own.size)) * self.sigma[own]
-        if self.heavy_tail is not None:
-            self.heavy_tail.stretch(step, own, h.dimension)
         values = h.values.copy()
         lower, upper = (None if b is None else np.asarray(b)[own] for b in (self.lower, self.upper))
         values[..., own] = reflect(values[..., own] + step, lower, upper)
@@ -256,17 +221,6 @@ def every(share: float, count: int) -> NDArray[np.intp]:
     Returns: indices of the chosen rows. Whether a row is chosen is the same for every `count`.
     """
     return np.flatnonzero(np.diff(np.floor(np.arange(count + 1) * share)) > 0)
-
-
-@lru_cache(64)
-def _stretch(share: float, factor: float, count: int) -> FloatArray:
-    """Return (N, 1) factors: `factor` in the rows that `every` chooses, 1 in all others.
-
-    share: of the N = count rows.
-    """
-    out = np.ones((count, 1))
-    out[every(share, count)] = factor
-    return out
 
 
 def _mask(coordinates: ArrayLike, dimension: int) -> NDArray[np.bool_]:

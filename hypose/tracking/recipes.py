@@ -21,7 +21,7 @@ from hypose.errors import InputError
 from hypose.fitting.articulated import SolveSettings
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
-from hypose.inference.kernels import HeavyTail, every, reflect
+from hypose.inference.kernels import every, reflect
 from hypose.inference.layer import GoOn, Layer, Recipe, Recovery
 from hypose.inference.resampling import keep
 from hypose.tracking import published_recipes as published
@@ -293,16 +293,12 @@ class LimbSearch:
         s = self.skeleton
         return np.isin(np.arange(len(s.joint_names)), [s.joint(j) for j in self.joints])
 
-    @cached_property
-    def _tail(self) -> HeavyTail:
-        return HeavyTail(self.long, self.longer, np.ones(len(self.own), np.bool_))
-
     def __call__(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
         """Return the set in which all hypotheses but the solved one have the best limb found."""
         s, own = self.skeleton, self.own
         limb = h.values[:, own]
         steps = rng.standard_normal(limb.shape) * self.sigma[own]
-        self._tail.stretch(steps, np.arange(len(own)), len(own))
+        steps[every(self.long, h.count)] *= self.longer
         tried = reflect(limb + steps, s.lower[own], s.upper[own])
         if self.redrawn > 0:
             rows, low, high = every(self.redrawn, h.count), self.lower[own], self.upper[own]

@@ -28,7 +28,6 @@ KERNELS = {
     "GaussianDiffusion": [
         gaussian(),
         kernels.GaussianDiffusion(SIGMA),
-        kernels.GaussianDiffusion(SIGMA, LOWER, UPPER, kernels.HeavyTail(0.15, 4.0, SOME)),
         kernels.GaussianDiffusion(np.zeros(D)),
     ],
     "AdaptiveDiffusion": [

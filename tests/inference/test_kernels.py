@@ -7,7 +7,6 @@ from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.kernels import (
     AdaptiveDiffusion,
     GaussianDiffusion,
-    HeavyTail,
     RejectionSampling,
     reflect,
     semidefinite_cholesky,
@@ -36,19 +35,8 @@ def test_reflect_mirrors_once_and_then_clamps():
     np.testing.assert_array_equal(reflect(x, [0.3], [0.3]), np.full((5, 1), 0.3))
 
 
-def test_heavy_tail_reaches_its_share_on_its_coordinates():
-    sigma, tail = np.array([1.0, 1.0, 0.0]), HeavyTail(0.15, 4.0, np.array([True, False, True]))
-    light = GaussianDiffusion(sigma)(zeros(200), None, np.random.default_rng(1)).values
-    heavy = GaussianDiffusion(sigma, heavy_tail=tail)(zeros(200), None, np.random.default_rng(1)).values
-    np.testing.assert_array_equal(heavy[:, 1:], light[:, 1:])
-    far = ~np.isclose(heavy[:, 0], light[:, 0])
-    assert far.sum() == 30
-    np.testing.assert_allclose(heavy[far, 0], 4 * light[far, 0])
-    assert np.diff(np.flatnonzero(far)).max() <= 7  # spread over the set, not one block of it
-
-
 def test_rows_do_not_depend_on_the_size_of_the_set():
-    kernel = GaussianDiffusion(np.ones(3), heavy_tail=HeavyTail(0.2, 3.0, np.ones(3, bool)))
+    kernel = GaussianDiffusion(np.ones(3))
     small = kernel(zeros(20), None, np.random.default_rng(5)).values
     np.testing.assert_array_equal(kernel(zeros(90), None, np.random.default_rng(5)).values[:20], small)
 
