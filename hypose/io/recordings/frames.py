@@ -265,7 +265,7 @@ def _skeletons(keypoints: Sequence[Keypoints], first: int) -> _Skeletons:
         if seen.any():
             for axis in (0, 1):
                 points[:, c, k, axis] = np.interp(frames, frames[seen], points[seen, c, k, axis])
-            points[~seen & (distance_transform_edt(~seen) <= _LONGEST_GAP), c, k, 2] = 0.31
+            points[~seen & (np.asarray(distance_transform_edt(~seen)) <= _LONGEST_GAP), c, k, 2] = 0.31
     heights = np.array([[person_size(p) for p in frame] for frame in points])
     return _Skeletons(points, percentile_filter(heights, 75, (61, 1), mode="nearest"), keypoints[0].names, first)
 

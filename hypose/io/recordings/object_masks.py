@@ -71,7 +71,6 @@ class ObjectMasks:
         self.path, self.size, self.objects, self._load, self.first = path, size, objects, load, first
         self.n_frames = self.stated_frames = frames
         self.frame_rate: float | None = None
-        self.is_sequence = True
 
     def at(self, frame: int) -> Objects:
         """Get the masks of the objects in a frame.

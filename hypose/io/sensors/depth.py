@@ -411,10 +411,11 @@ def _numbers(files: Sequence[Path]) -> NDArray[np.int64]:
     the files are counted.
     """
     numbers = sequence_numbers(files)
-    steps = np.diff([0, 1] if numbers is None else numbers)
+    steps = np.zeros(0, np.int64) if numbers is None else np.diff(numbers)
     usual = int(np.median(steps)) if len(steps) else 0
-    counted = numbers is None or usual < 1 or (steps % usual).any()
-    return np.arange(len(files)) if counted else (numbers - numbers[0]) // usual
+    if numbers is None or usual < 1 or (steps % usual).any():
+        return np.arange(len(files))
+    return (numbers - numbers[0]) // usual
 
 
 def _azure(path: Path) -> DepthFile:
