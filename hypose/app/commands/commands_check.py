@@ -383,8 +383,9 @@ def _write(recording: Recording, late: list[float], folder: Path, progress: Prog
         if people and view.keypoints is not None:
             keypoints = folder_for(folder / "keypoints", view.name)
             for t, shown in enumerate(zip(*(points_at(p[c], late[c]) for p in people), strict=True)):
-                said = json.dumps(openpose_document(shown))
-                write_text(keypoints / f"{keypoints.name}_{t:012d}_keypoints.json", said + "\n")
+                write_text(
+                    keypoints / f"{keypoints.name}_{t:012d}_keypoints.json", json.dumps(openpose_document(shown)) + "\n"
+                )
         if view.depth is not None:
             maps = _depth_in_step(view.depth, recording.frames, late[c], folder_for(folder / "depth", view.name))
             views.append(replace(view, depth=maps, keypoints=keypoints))

@@ -42,8 +42,7 @@ def residual_picture(recording: Recording, observed: Observed, cured: Cured) -> 
     if observed.keypoints is None or len(recording.rig) < 3:
         return None
     few = window(recording, observed.keypoints.shape[1])
-    seen = (observed.keypoints[..., 2] > 0.5).sum(2).min(0)
-    row = int(np.argmax(seen))
+    row = int(np.argmax((observed.keypoints[..., 2] > 0.5).sum(2).min(0)))
     number = few.frames[min(row, len(few.frames) - 1)]
     uv, confidence = undistorted(recording.rig, observed.keypoints[:, row : row + 1])
     tiles = []
