@@ -110,7 +110,10 @@ class PoseMemory(Generic[_Found]):
 
 @dataclass(frozen=True)
 class SilhouetteEvidence(Evidence):
-    """Silhouettes of a frame for searches and solves; masks: prepared for the search."""
+    """Silhouettes of a frame for searches and solves.
+
+    masks: prepared for the search.
+    """
 
     masks: PreparedMasks
     _counts: PoseMemory[NDArray[np.int64]] = field(default_factory=PoseMemory, compare=False, repr=False)
@@ -180,7 +183,10 @@ class KeypointEvidence(Evidence):
 
 @dataclass(frozen=True)
 class DepthEvidence(Evidence):
-    """Depth of a frame for searches and solves; maps: prepared for the search."""
+    """Depth of a frame for searches and solves.
+
+    maps: prepared for the search; the maps of the sensors that see the person only.
+    """
 
     maps: SeenDepth
     _costs: PoseMemory[float] = field(default_factory=PoseMemory, compare=False, repr=False)
@@ -192,6 +198,7 @@ class DepthEvidence(Evidence):
         """Compute the depth energies (N,) of poses (N, D): mean depth difference over the person's pixels that the body
         covers.
 
+        limb: not used; the whole body is compared.
         It is the sum over the sensors. Pixels that the body does not cover are counted by the silhouettes.
         """
         if not self.seen:
@@ -339,7 +346,11 @@ class OwnCue(Evidence):
 
 
 def own_evidence(sources: Sequence[OwnEvidence], body: Body, frame: Frame) -> list[Evidence]:
-    """Prepare the user's own sources of evidence in a frame, for a body."""
+    """Prepare the user's own sources of evidence in a frame, for a body.
+
+    sources: each is asked for its rows once.
+    Returns: one Evidence per source, which has no terms where the source has no rows in this frame.
+    """
     rows = [one.rows(body, frame) for one in sources]
     terms = [() if term is None else (term,) for term in rows]
     return [OwnCue(_NO_VIEWS, own, one, frame) for one, own in zip(sources, terms, strict=True)]

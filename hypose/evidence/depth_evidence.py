@@ -147,6 +147,7 @@ def in_world(camera: Camera, points_camera: Array) -> Array:
 def smooth_surface(depth: NDArray[np.float32], jump_m: float = JUMP_M) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Smooth a depth map (h, w), m, by the median of 3 x 3 px, and mark where these lie on one surface.
 
+    jump_m: difference of depth from which neighbours are different surfaces, m.
     Returns: the smoothed map (h, w); (h, w) true where the 3 x 3 px have no hole and no jump.
     """
     kernel = np.ones((3, 3), np.uint8)

@@ -83,6 +83,7 @@ def common_view_bounds(rig: CameraRig) -> Array:
     """Compute the cube that all cameras look at: around the point nearest to all optical axes, as far as the farthest
     camera.
 
+    rig: two cameras or more.
     Returns: (2, 3) lowest and highest corner, m.
     Raises: EvidenceError where the axes do not meet.
     """

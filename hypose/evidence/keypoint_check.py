@@ -45,6 +45,7 @@ _SCALES = (0.25, 1 / 3, 0.375, 0.5, 2 / 3, 0.75, 4 / 3, 1.5, 2.0, 8 / 3, 3.0, 4.
 def misread(people: Sequence[Sequence[Array | None]], names: Sequence[str], rig: CameraRig) -> str | None:
     """Find the misreading that explains why the views' key points contradict each other.
 
+    rig: the calibrated cameras.
     people: per view and frame the people (P, K, 3), px of the calibrated, distorted cameras; None: no file.
     names: of the K points.
     Returns: a part of a sentence that names the error; None where nothing is wrong, or it cannot be known.
@@ -86,7 +87,7 @@ def _misread(points: Array, plain: float, names: Sequence[str], rig: CameraRig) 
     world = _well_known(points, rig)
     if plain < 2 * _FINE and _disproportion(world, names) > _NO_BODY:
         return plain, "the bones between them have lengths that no body has, so the points must be in another order"
-    mirrored = _mirrored(world, names)
+    mirrored = sides_exchanged(world, names)
     if mirrored and plain < 2 * _FINE:
         return plain, "the person is mirrored: y counts upwards, or left and right are exchanged in the names"
     return None
@@ -162,7 +163,10 @@ def _tallest(people: Array) -> Array | None:
 
 
 def _triangulated(points: Array, rig: CameraRig) -> tuple[Array, Array, Array]:
-    """Triangulate points; return world points (T, K, 3), undistorted pixels (C, T * K, 2) and weights (C, T * K)."""
+    """Triangulate points; return world points (T, K, 3), undistorted pixels (C, T * K, 2) and weights (C, T * K).
+
+    points: (C, T, K, 3) px of the calibrated cameras and confidence; rig: the cameras.
+    """
     uv = np.stack([c.undistort_points(p[..., :2].reshape(-1, 2)) for c, p in zip(rig, points, strict=True)])
     weights = np.where(points[..., 2] > _CONFIDENT, points[..., 2], 0.0).reshape(len(points), -1)
     weights = np.where(np.isfinite(uv).all(-1), weights, 0.0)
@@ -172,7 +176,10 @@ def _triangulated(points: Array, rig: CameraRig) -> tuple[Array, Array, Array]:
 
 def _well_known(points: Array, rig: CameraRig) -> Array:
     """Triangulate points (T, K, 3); NaN where all rays are nearly parallel, such as those of two cameras facing each
-    other."""
+    other.
+
+    points: (C, T, K, 3) px of the calibrated cameras and confidence; rig: the cameras.
+    """
     x, uv, weights = _triangulated(points, rig)
     met = widest_angle(rig, uv, weights) > PARALLEL
     return np.where(met.reshape(x.shape[:2])[..., None], x, np.nan)
@@ -218,10 +225,12 @@ def _disproportion(world: Array, names: Sequence[str]) -> float:
     return float(np.mean(np.abs(np.array(found) - np.median(found))))
 
 
-def _mirrored(world: Array, names: Sequence[str]) -> bool:
-    """Decide whether nose or toes point backwards relative to left and right in nearly all frames of points (T, K, 3).
+def sides_exchanged(world: Array, names: Sequence[str]) -> bool:
+    """Test whether nose and toes point backwards relative to left and right, in more than 85 % of the frames.
 
-    world: (T, K, 3) m, NaN where unknown; names: of the K points. False where fewer than ten comparisons are possible.
+    world: (T, K, 3) m; NaN where missing.
+    names: K names of the key points.
+    Returns: False also where neither face nor feet are known in ten places and frames.
     """
     at = {n: i for i, n in enumerate(names)}
 

@@ -63,6 +63,7 @@ def one_person(
 ) -> OnePerson:
     """Find the person who is seen in most frames and views.
 
+    frame_rate: Hz.
     candidates, names, rig: as in `hypose.evidence.association.people_of`.
     keep_misfits: the calibration itself is in doubt; a view that does not fit keeps the person who moves like the one
         in the other views. Otherwise such a view is left out.
@@ -215,7 +216,10 @@ def _rivals(tracks: Sequence[NDArray[np.int64]]) -> list[NDArray[np.int64]]:
 
 
 def _alike_in_all(points: Sequence[Sequence[Array]]) -> list[int]:
-    """Choose one of each view's people (T, K, 3) so that all move alike; of equals, those present longest."""
+    """Choose one of each view's people (T, K, 3) so that all move alike; of equals, those present longest.
+
+    points: per view and person. Returns: index of the chosen person of each view, 0 where it has none.
+    """
     views = [c for c, v in enumerate(points) if v]
     apart: dict[tuple[int, int, int, int], float] = {}
     for a, b in itertools.combinations(views, 2):
@@ -348,7 +352,10 @@ def _moved(before: Array, now: Array, gap: int) -> float:
 
 
 def taken(frames: Sequence[Array | None], candidates: NDArray[np.int64], count: int, columns: int = 3) -> Array:
-    """Collect the points (T, K, columns) of the candidates numbered (T,), zero where there is none; count: K."""
+    """Collect the points (T, K, columns) of the candidates numbered (T,), zero where there is none; count: K.
+
+    frames: T arrays (P, K, columns), None where there are no candidates.
+    """
     out = np.zeros((len(frames), count, columns))
     for t, (people, p) in enumerate(zip(frames, candidates, strict=True)):
         if p >= 0 and people is not None:
@@ -359,6 +366,7 @@ def taken(frames: Sequence[Array | None], candidates: NDArray[np.int64], count: 
 def moves_as(one: Array, other: Array) -> float:
     """Compute how badly the points (T, K, 3) of two views fit one body.
 
+    one, other: px and confidence, in the same T frames.
     Points of one moving body in two views obey one fundamental matrix, whatever the cameras are. It is the one of least
     median distance (OpenCV), because detections have outliers.
     Returns: median distance from the epipolar lines, in sizes of the person; NaN where too few points are common.

@@ -66,6 +66,7 @@ class Views:
 def distances(views: Views, expected: Array, found: Array, limit: float) -> Array:
     """Compute the distances of candidates' points from those of expected people.
 
+    views: the cameras.
     expected: (N, K, 3) m; found: (C, P, K, 3) candidates of each view; limit: m.
     Returns: (C, N, P, K) m, at most `limit`; NaN where one of the two is unknown.
     """
@@ -85,6 +86,7 @@ def mean_of_known(values: Array, least: int) -> Array:
 def between_rays(views: Views, which: NDArray[np.int64], found: Array, limit: float, least: int) -> Array:
     """Compute the distances between the rays of candidates, averaged over their common points.
 
+    views: the cameras; least: number of common points that a comparison needs.
     which: (M,) view of each candidate; found: (M, K, 3); limit: m, at which single distances end.
     Returns: (M, M) m; NOT_COMPARABLE_M for candidates of one view, or with fewer than `least` common points.
     """

@@ -324,8 +324,7 @@ class DepthTerm(Term):
     maps: (C, h, w) float32 m, 0: unknown; sizes: (C, 2) width, height; projections: (C, 3, 4).
     free_share: weight, per point, of body in front of what was seen.
     scale_m: Geman-McClure scale of a point's distance, m.
-    Body up to SLACK_M in front of what was
-    seen costs nothing; beyond that its scale is FREE_SCALE_M.
+    Body up to SLACK_M in front of what was seen costs nothing; beyond that its scale is FREE_SCALE_M.
     """
 
     points: Array

@@ -207,7 +207,10 @@ def frame_energy(
 
 
 def evidence_energy(body: Body, poses: Array, evidence: Iterable[Evidence], limb: Limb | None = None) -> Array:
-    """Compute the sum (N,) of the energies of poses (N, D) of a body over all evidence given."""
+    """Compute the sum (N,) of the energies of poses (N, D) of a body over all evidence given.
+
+    limb: all that differs between the poses; None: anything may.
+    """
     total = np.zeros(len(poses))
     for one in evidence:
         total += one.energy(body, poses, limb)
@@ -224,6 +227,7 @@ def limb_energy(
 ) -> Array:
     """Compute `frame_energy` for poses that differ in one limb, exact only for poses near the first one.
 
+    frame: prepared.
     poses: (N, D); moving: (J,) true for the joints that differ; rest: as for `frame_energy`.
     slack: poses that cost more than this many times the first pose may get an infinite energy.
     rest_depth: the parts that do not move, as depth cameras see them.

@@ -272,15 +272,22 @@ def _masks(
 
 
 def _span(reach: Array, nearby: float, most: int) -> tuple[int, int]:
-    """Compute the pixel range from 0 to `most` that covers the interval `reach` (2,) with a margin; (0, 0) where it
-    is empty."""
+    """Compute the pixel range from 0 to `most` that covers the interval `reach` (2,) with a margin; (0, 0) where it is
+    empty.
+
+    nearby: margin, px; most: size of the picture along the axis, px.
+    """
     first, last = reach.tolist()  # plain numbers are ten times as fast
     low, high = first - nearby, last + nearby
     return (int(min(max(low, 0.0), most)), int(min(max(high, 0.0), most))) if low <= high else (0, 0)
 
 
 def _rivals(body: Body, joints: Array, rivals: tuple[ArrayLike, ArrayLike] | None) -> Array:
-    """Compute the weighted spread (J,), m, of the joints of the alternative poses around the estimate."""
+    """Compute the weighted spread (J,), m, of the joints of the alternative poses around the estimate.
+
+    joints: (J, 3) of the estimate, m; rivals: poses (K, D) and weights (K,), NaN and 0 where there are fewer.
+    Returns: zeros where there are no rivals.
+    """
     if rivals is None:
         return np.zeros(len(joints))
     poses, weights = (np.asarray(a, dtype=np.float64) for a in rivals)
