@@ -52,7 +52,7 @@ def live(c: LiveCommand) -> None:
     )
     network = c.people if _finds_people(c.detector, cameras.roomless) else 0
     views = tuple(replace(v, background=None) for v in cameras.views) if network else cameras.views
-    eyes = CaptureOptions(cameras.rate, c.countdown, cameras.silhouettes, network=network)
+    capture = CaptureOptions(cameras.rate, c.countdown, cameras.silhouettes, network=network)
     names = tuple(v.name for v in cameras.views)
     with Stages() as progress:  # the first time it takes a while, and Ctrl-C ends it
         compile_before(progress)
@@ -65,7 +65,7 @@ def live(c: LiveCommand) -> None:
         outputs = PoseOutputs(names, cameras.rate, ws=c.ws, udp=c.udp, osc=c.osc, vmc=c.vmc, clock=time.monotonic)
         closing.callback(outputs.close)
         listeners = [outputs, _StatusReporter(recorder), *([] if recorder is None else [recorder])]
-        options = LiveTrackingOptions(eyes, person, c.people, pictures=recorder is not None)
+        options = LiveTrackingOptions(capture, person, c.people, pictures=recorder is not None)
         engine = LiveEngine(cameras.rig, views, options, listeners, ended)
         closing.callback(engine.stop)
         engine.start()

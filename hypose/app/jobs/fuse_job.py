@@ -121,9 +121,9 @@ def fuse(c: FuseCommand) -> None:
 def run_fuse(
     recording: SkeletonRecording, results: ResultsFolder, c: FuseCommand, progress: ProgressCall = ignore
 ) -> tuple[list[PersonResult], list[str], bool]:
-    """Synchronise, match persons, register, fuse and write. Each person's motion is written before the next one is
-    fused, and is kept after Ctrl-C.
+    """Fuse the skeletons of a recording to one motion per person, and write the files of each.
 
+    Each person's motion is written before the next one is fused, and is kept after Ctrl-C.
     recording: skeletons of all sensors.
     results: folder for one person; with several, a folder person-1, person-2, ... in it for each.
     c: options of the user.

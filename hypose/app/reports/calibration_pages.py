@@ -343,9 +343,10 @@ def _pdf_text(x: float, y: float, size: float, words: str) -> str:
 
 
 def _pdf(pages: list[list[str]], width: float, height: float) -> bytes:
-    """Build a PDF file from the operators of its pages.
+    """Build a PDF file.
 
-    width, height: of a page, points.
+    pages: lines of operators of each page.
+    width, height: of every page, points.
     Source: ISO 32000-1, 7.5.
     """
     kids = " ".join(f"{4 + 2 * k} 0 R" for k in range(len(pages)))
