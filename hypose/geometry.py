@@ -55,8 +55,7 @@ def so3_log(rotation: ArrayLike) -> Array:
     Returns: (..., 3) axis times angle, rad, with an angle of 0 to pi.
     Why: the computation uses the unit quaternion, because it is accurate at every angle, pi included.
     """
-    m = np.asarray(rotation, dtype=np.float64)
-    q = quaternion_from_matrix(m)
+    q = quaternion_from_matrix(rotation)
     q = np.where(q[..., :1] < 0, -q, q)
     norm = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
     angle = 2 * np.arctan2(norm, q[..., :1])

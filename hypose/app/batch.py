@@ -120,8 +120,9 @@ def read_table(path: Path, more: Mapping[str, Any] = _FILES) -> list[Task]:
             options = {_COLUMNS_OF_TRACK[name].name: _COLUMNS_OF_TRACK[name].parse(v) for name, v in given.items()}
             for name in options.keys() & {"subject", "calibration"}:
                 options[name] = type(options[name])(path.parent / Path(options[name]).expanduser())
-            recording = path.parent / Path(row["recording"].strip()).expanduser()
-            command = TrackCommand(recording=recording, **{**more, **options})
+            command = TrackCommand(
+                recording=path.parent / Path(row["recording"].strip()).expanduser(), **{**more, **options}
+            )
         except InputError as error:
             raise InputError(f"{where}: {error}") from None
         tasks.append(Task(command, (row.get("name") or "").strip() or "default"))
@@ -323,8 +324,12 @@ def run_batch(
                 stop.unlink(missing_ok=True)
     rows = []
     for task in tasks:
-        where = Path(os.path.relpath(task.results, results)).as_posix()
-        who = {"recording": task.recording, "name": task.name, "key": task.key, "results": where}
+        who = {
+            "recording": task.recording,
+            "name": task.name,
+            "key": task.key,
+            "results": Path(os.path.relpath(task.results, results)).as_posix(),
+        }
         rows.append({**out.get(task.key, _stopped("stopped")), **who})
     return rows
 

@@ -1,17 +1,28 @@
 """`hypose track`, `export` and what an interruption leaves: everything through the command line."""
 
+import json
+import os
 import re
+import subprocess
+import sys
+import time
+from dataclasses import replace
 
 import ezc3d
 import numpy as np
 import pytest
 
+import hypose as package
 from hypose.app.jobs.job import DESCRIPTIONS
+from hypose.calibration.findings import Finding
+from hypose.cameras.camera import CameraRig
 from hypose.io.motions.marker_files import read_trc
 from hypose.io.motions.results import load_body, load_motion
 from hypose.io.videos.video import open_video
+from hypose.pipeline.assessment import UNTRUSTED, Assessment
 from hypose.synthetic.metrics import joint_errors
-from tests.app.conftest import fails
+from tests.app.conftest import fails, write_tiny
+from tests.conftest import HANG_S
 
 LIGHT = ("--no-overlay", "--formats", "trc")
 
@@ -87,3 +98,99 @@ def test_the_number_of_threads_does_not_change_the_bytes(hypose, tiny, tmp_path,
         monkeypatch.setenv("NUMBA_NUM_THREADS", count)
         assert hypose("track", tiny, "--out", tmp_path / count, "--frames", ":3", *LIGHT)[0] == 0
     assert (tmp_path / "1" / "motion.npz").read_bytes() == (tmp_path / "2" / "motion.npz").read_bytes()
+
+
+# ---- processes that are killed
+
+
+@pytest.fixture(scope="module")
+def longer(tmp_path_factory):
+    """60 frames: checkpoints are written every 25."""
+    return write_tiny(tmp_path_factory.mktemp("longer") / "walk", 2.4)
+
+
+def command(recording, out, *more):
+    return [
+        *(sys.executable, "-m", "hypose.app", "track", str(recording), "--out", str(out)),
+        *("--no-overlay", "--formats", "trc", *more),
+    ]
+
+
+def run(*arguments):
+    environment = {k: v for k, v in os.environ.items() if not k.endswith("_NUM_THREADS")}
+    done = subprocess.run(command(*arguments), capture_output=True, text=True, env=environment, timeout=HANG_S)
+    assert done.returncode == 0, done.stderr
+    return done.stdout + done.stderr
+
+
+def begun(longer, out):
+    """A run that has written a checkpoint."""
+    process = subprocess.Popen(command(longer, out), stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    deadline = time.monotonic() + HANG_S
+    while not (out / "checkpoint.npz").exists():
+        assert process.poll() is None and time.monotonic() < deadline
+        time.sleep(0.02)
+    return process
+
+
+@pytest.mark.slow
+def test_a_killed_run_resumes_to_the_same_bytes(longer, tmp_path):
+    run(longer, tmp_path / "whole")
+    with begun(longer, tmp_path / "killed") as process:
+        process.kill()
+    assert not (tmp_path / "killed" / "motion.npz").exists()
+    said = run(longer, tmp_path / "killed", "--resume")
+    assert "Track: 25/60" in said or "Track: 50/60" in said  # it went on, it did not start again
+    whole, killed = (tmp_path / name / "motion.npz" for name in ("whole", "killed"))
+    assert len(load_motion(whole)) == 60 and killed.read_bytes() == whole.read_bytes()
+
+
+@pytest.mark.slow
+def test_sigterm_is_an_orderly_stop(longer, tmp_path):
+    process = begun(longer, tmp_path)
+    process.terminate()
+    out, _ = process.communicate(timeout=HANG_S)
+    assert process.returncode == 130 and "Kept: " in out and "--resume" in out
+    assert 25 <= len(load_motion(tmp_path / "motion.npz")) < 60
+
+
+# ---- the assessment
+
+
+POINTS = ("--evidence", "keypoints", "--no-overlay", "--formats", "csv")
+
+
+def test_a_good_recording_ends_as_good(hypose, keypoint_recording, tmp_path):
+    code, out, _ = hypose("track", keypoint_recording, "--out", tmp_path / "out", *POINTS)
+    assert code == 0 and "Assessment: Good" in out
+    assert json.loads((tmp_path / "out" / "assessment.json").read_text())["assessment"] == "good"
+
+
+@pytest.mark.slow
+def test_a_world_upside_down_ends_as_not_to_be_trusted(hypose, keypoint_recording, tmp_path):
+    path = keypoint_recording / "calibration.toml"
+    rig, _ = package.read_calibration(path)
+    turned = np.diag([1.0, -1.0, -1.0, 1.0])
+    cameras = [replace(c, camera_from_world=c.camera_from_world @ turned) for c in rig]
+    package.write_calibration(CameraRig(tuple(cameras)), path)
+    code, out, err = hypose("track", keypoint_recording, "--out", tmp_path / "out", *POINTS)
+    assert code == 3, out + err
+    assert "Not to be trusted, because" in out and "up" in out
+    assert json.loads((tmp_path / "out" / "assessment.json").read_text())["assessment"] == "not to be trusted"
+    assert (tmp_path / "out" / "motion.npz").is_file()
+
+
+def test_who_goes_on_with_a_result_is_told_when_it_is_not_to_be_trusted(hypose, tracked, tmp_path):
+    for name in ("motion.npz", "body.npz"):
+        (tmp_path / name).write_bytes((tracked / name).read_bytes())
+    doubted = Assessment(UNTRUSTED, (Finding("swapped", (), "the cameras are exchanged"),))
+    for kept, reported in (
+        ("{", False),
+        (json.dumps(Assessment("good").document()), False),
+        (json.dumps(doubted.document()), True),
+    ):
+        (tmp_path / "assessment.json").write_text(kept, encoding="utf-8")
+        for command in (("export", "--formats", "trc"), ("gait",), ("compare", tracked, "--out", tmp_path / "table")):
+            code, _, err = hypose(command[0], tmp_path, *command[1:])
+            assert code == 0, err
+            assert ("Not to be trusted, because: the cameras are exchanged." in " ".join(err.split())) == reported

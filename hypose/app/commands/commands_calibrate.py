@@ -104,8 +104,7 @@ def _lenses(path: Path) -> CameraRig:
 
 
 def _from_points(path: Path, intrinsics: Path | None) -> CameraRig:
-    lenses = None if intrinsics is None else _lenses(intrinsics)
-    result = calibrate_from_points(read_scene_points(path), lenses)
+    result = calibrate_from_points(read_scene_points(path), None if intrinsics is None else _lenses(intrinsics))
     _show_points(result)
     return result.rig
 

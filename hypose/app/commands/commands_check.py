@@ -78,7 +78,7 @@ def check(c: CheckCommand) -> None:
     for text in found.warnings:
         say(f"warning: {text}", "yellow")
     if report is not None:
-        _verdicts(report)
+        _print_report(report)
         say(f"Page: {path.with_suffix('.html')}")
     say(f"Contact sheet: {path}")
     if c.refine:
@@ -89,7 +89,7 @@ def check(c: CheckCommand) -> None:
     say("No problem found.", "green")
 
 
-def _verdicts(report: PersonReport) -> None:
+def _print_report(report: PersonReport) -> None:
     """Print how well each view agrees with the others, and the findings."""
     for view in report.views:
         numbers = []
@@ -128,7 +128,7 @@ def _refine(loaded: Recording, cured: Cured | None, c: CheckCommand) -> None:
     target = c.to or _free_name(loaded.folder / "results" / "calibration_refined.toml")
     for text in result.notes:
         say(f"note: {text}")
-    if not _tell(result):
+    if not _print_changes(result):
         say("The refined calibration is not better on frames that it was not found on; nothing is written.", "yellow")
         raise Exit(1)
     if result.far and not c.far:
@@ -150,7 +150,7 @@ def _refine(loaded: Recording, cured: Cured | None, c: CheckCommand) -> None:
             say(f"Also set in recording.toml: {text}")
 
 
-def _tell(result: Refinement) -> bool:
+def _print_changes(result: Refinement) -> bool:
     """Print the changes of a refinement; return whether it is better on frames that it was not found on."""
     for change in result.changes:
         focal = f", focal length x {change.focal:.4f}" if abs(change.focal - 1) > 1e-6 else ""
@@ -383,8 +383,9 @@ def _write(recording: Recording, late: list[float], folder: Path, progress: Prog
         if people and view.keypoints is not None:
             keypoints = folder_for(folder / "keypoints", view.name)
             for t, shown in enumerate(zip(*(points_at(p[c], late[c]) for p in people), strict=True)):
-                said = json.dumps(openpose_document(shown))
-                write_text(keypoints / f"{keypoints.name}_{t:012d}_keypoints.json", said + "\n")
+                write_text(
+                    keypoints / f"{keypoints.name}_{t:012d}_keypoints.json", json.dumps(openpose_document(shown)) + "\n"
+                )
         if view.depth is not None:
             maps = _depth_in_step(view.depth, recording.frames, late[c], folder_for(folder / "depth", view.name))
             views.append(replace(view, depth=maps, keypoints=keypoints))

@@ -47,11 +47,12 @@ def live(c: LiveCommand) -> None:
 
     cameras = live_rig(c.rig, named_values("--source", c.source, "CAMERA=WHERE, for example --source cam1=0"), c.rate)
     print_notes(cameras.notes)
-    body = None if c.subject is None else load_subject(c.subject)
-    person = LivePersonOptions(TrackOptions(seed=c.seed), c.height or cameras.height, body)
+    person = LivePersonOptions(
+        TrackOptions(seed=c.seed), c.height or cameras.height, None if c.subject is None else load_subject(c.subject)
+    )
     network = c.people if _finds_people(c.detector, cameras.roomless) else 0
     views = tuple(replace(v, background=None) for v in cameras.views) if network else cameras.views
-    eyes = CaptureOptions(cameras.rate, c.countdown, cameras.silhouettes, network=network)
+    capture = CaptureOptions(cameras.rate, c.countdown, cameras.silhouettes, network=network)
     names = tuple(v.name for v in cameras.views)
     with Stages() as progress:  # the first time it takes a while, and Ctrl-C ends it
         compile_before(progress)
@@ -64,7 +65,7 @@ def live(c: LiveCommand) -> None:
         outputs = PoseOutputs(names, cameras.rate, ws=c.ws, udp=c.udp, osc=c.osc, vmc=c.vmc, clock=time.monotonic)
         closing.callback(outputs.close)
         listeners = [outputs, _StatusReporter(recorder), *([] if recorder is None else [recorder])]
-        options = LiveTrackingOptions(eyes, person, c.people, pictures=recorder is not None)
+        options = LiveTrackingOptions(capture, person, c.people, pictures=recorder is not None)
         engine = LiveEngine(cameras.rig, views, options, listeners, ended)
         closing.callback(engine.stop)
         engine.start()
@@ -228,8 +229,7 @@ def gesture_train(
         replaced_model(out, gesture, print_note)
     learner = old.learner if old is not None and old.learner is not None else new_learner(seed)
     if recording:
-        loaded = [read_recording(r) for r in recording]
-        model = learn_recordings(loaded, gesture, learner, passes, print_note, old)
+        model = learn_recordings([read_recording(r) for r in recording], gesture, learner, passes, print_note, old)
     else:
         settings, opened = SessionSettings(rounds=rounds), open_source(source, gesture, seed)
         print_note(_LETTERS)
@@ -238,8 +238,7 @@ def gesture_train(
     if old is not None and model.thresholds == (None,):  # only the gesture, or only movement, was seen this time
         model = replace(model, thresholds=old.thresholds)
     save_model(model, out)
-    nodes = int(model.forest.size.sum())
-    say(f"{gesture}: {nodes} nodes, threshold {in_cm2(model.thresholds[0])}")
+    say(f"{gesture}: {int(model.forest.size.sum())} nodes, threshold {in_cm2(model.thresholds[0])}")
     say(f"Model: {out}")
 
 

@@ -268,8 +268,7 @@ def demo(
     with claimed(out), Stages() as progress:
         write_scene(scene, out, progress=lambda done, total: progress("render", done, total))
     say(f"Tracking it as `hypose track {shlex.quote(str(out))}` would")
-    job = job_of(TrackCommand(recording=out, threads=threads))
-    track_shown(replace(job, truth=compare_with(out / "truth.npz")))
+    track_shown(replace(job_of(TrackCommand(recording=out, threads=threads)), truth=compare_with(out / "truth.npz")))
 
 
 def correct(

@@ -121,7 +121,7 @@ def _write_gait(folder: Path, motion: Motion, gait: Gait) -> list[Path]:
 
     from hypose.app.reports.charts import cycle_chart
     from hypose.io.files import write_text
-    from hypose.io.motions.c3d import write_c3d
+    from hypose.io.motions.c3d import joint_residuals, write_c3d
     from hypose.pipeline.gait import PERCENT, angle_cycles
 
     start = float(motion.times[0])
@@ -142,9 +142,8 @@ def _write_gait(folder: Path, motion: Motion, gait: Gait) -> list[Path]:
     marks = [
         (e.time - start, e.side.capitalize(), {"strike": "Foot Strike", "off": "Foot Off"}[e.kind]) for e in gait.events
     ]
-    computed = (motion.lost | motion.extrapolated).astype(bool)
-    residuals = np.where(computed[:, None], 0.0, np.maximum(motion.joint_sd * 1000, 1e-3))
-    write_c3d(paths[3], motion.skeleton.joint_names, motion.joints, motion.frame_rate, residuals, marks)
+    names, residuals = motion.skeleton.joint_names, joint_residuals(motion)
+    write_c3d(paths[3], names, motion.joints, motion.frame_rate, residuals, marks)
     cycles = angle_cycles(gait.events, motion)
     if not cycles:
         return paths

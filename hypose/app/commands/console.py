@@ -200,8 +200,9 @@ class Stages:
             self._say_plainly(stage, title, done, total, now)
         elif self._json and (done in (0, total) or now - self._said.get(stage, 0.0) >= _JSON_SECONDS):
             self._said[stage] = now
-            line = {"stage": stage, "title": title, "done": done, "total": total}
-            print(json.dumps(line), file=sys.stderr, flush=True)
+            print(
+                json.dumps({"stage": stage, "title": title, "done": done, "total": total}), file=sys.stderr, flush=True
+            )
 
     def _say_plainly(self, stage: str, title: str, done: int, total: int, now: float) -> None:
         first, last = stage not in self._said, done >= total

@@ -140,8 +140,15 @@ def examine_recording(
         return None, None
     finally:
         progress("doctor", 1, 1)
-    picture = residual_picture(recording, observed, cured)
-    write_check_page(page, recording.name, report, sheet, picture, (*recording.notes, *found.facts), found.warnings)
+    write_check_page(
+        page,
+        recording.name,
+        report,
+        sheet,
+        residual_picture(recording, observed, cured),
+        (*recording.notes, *found.facts),
+        found.warnings,
+    )
     return report, cured
 
 
@@ -270,5 +277,4 @@ def check_picture(path: Path, option: str) -> None:
 
 def write_image(path: Path, image: Image) -> None:
     """Write a PNG or JPEG file completely or not at all; see `check_picture`."""
-    data = cv2.imencode(path.suffix, image)[1].tobytes()
-    write_bytes(path, data)
+    write_bytes(path, cv2.imencode(path.suffix, image)[1].tobytes())

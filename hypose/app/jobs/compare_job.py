@@ -47,8 +47,8 @@ def exceeded(
 ) -> list[str]:
     """List a sentence for every limit that a comparison exceeds; None = no limit.
 
-    mm: largest RMSE of all joints without offsets.
-    degrees: largest RMSE of an angle without its offset.
+    mm: largest RMSE of all joints, mm, each without its constant offset.
+    degrees: largest RMSE of an angle without its constant offset.
     coverage: least share inside our 90 % regions, mean over the joints.
     """
     out = []

@@ -35,10 +35,9 @@ def explain_joint(results: Path, joint: str, frame: int) -> list[str]:
     if not first <= frame < first + len(motion):
         raise InputError(f"{results} has the frames {first} to {first + len(motion) - 1}; frame {frame} is not there.")
     row, j = frame - first, names.index(joint)
-    folder = results if results.is_dir() else results.parent
     return [
         *_position(motion, row, j, f"{joint} in frame {frame} ({motion.times[row]:.2f} s)"),
-        *_evidence(motion, body, folder, row, frame, joint),
+        *_evidence(motion, body, results if results.is_dir() else results.parent, row, frame, joint),
         *_moved(motion, row, first, joint),
         *_rivals(motion, row, j),
     ]

@@ -121,9 +121,9 @@ def fuse(c: FuseCommand) -> None:
 def run_fuse(
     recording: SkeletonRecording, results: ResultsFolder, c: FuseCommand, progress: ProgressCall = ignore
 ) -> tuple[list[PersonResult], list[str], bool]:
-    """Synchronise, match persons, register, fuse and write. Each person's motion is written before the next one is
-    fused, and is kept after Ctrl-C.
+    """Fuse the skeletons of a recording to one motion per person, and write the files of each.
 
+    Each person's motion is written before the next one is fused, and is kept after Ctrl-C.
     recording: skeletons of all sensors.
     results: folder for one person; with several, a folder person-1, person-2, ... in it for each.
     c: options of the user.
@@ -143,8 +143,7 @@ def run_fuse(
     if not recording.common_clock:
         streams = _on_one_clock(streams, notes)
     times = common_times(streams, c.rate)
-    synced = [resample(s, times) for s in streams]
-    people = _people(synced, times, notes)
+    people = _people([resample(s, times) for s in streams], times, notes)
     progress("prepare", 1, 1)
     names = [s.name for s in streams]
     registration = _registration(people, names)
@@ -360,6 +359,5 @@ def sensors_csv(fused: Fused) -> str:
     if fused.choice is not None:
         header += [f"swarm:{n}" for n in names]
         table.append(fused.choice.reshape(len(fused.choice), -1))
-    rows = np.concatenate(table, 1)
-    lines = [",".join([f"{r[0]:.4f}", *(f"{v:.3f}" for v in r[1:])]) for r in rows.tolist()]
+    lines = [",".join([f"{r[0]:.4f}", *(f"{v:.3f}" for v in r[1:])]) for r in np.concatenate(table, 1).tolist()]
     return "\n".join([",".join(header), *lines]) + "\n"

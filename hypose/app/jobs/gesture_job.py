@@ -235,8 +235,7 @@ def learn_recordings(
             number = r.number(gesture)
             for f in r.learned():
                 shows = f.phase == "positive" and f.gesture == number
-                kind = "gesture" if shows else "negative"
-                taught = trainer.learn(kind, r.picture(f), r.lens, (f.x, f.y)) is not None
+                taught = trainer.learn("gesture" if shows else "negative", r.picture(f), r.lens, (f.x, f.y)) is not None
                 seen, asked, shown = seen + taught, asked + shows, shown + (taught and shows)
         say(f"pass {k + 1} of {passes}: {seen} frames learned")
     if not shown and (asked or not learner.strength):

@@ -155,7 +155,7 @@ def choose_frames(recording: Recording, text: str | None) -> Recording:
 
 
 def run_job(job: TrackJob, progress: ProgressCall = ignore, seconds: Mapping[str, float] | None = None) -> Outcome:
-    """Track, export, draw and report.
+    """Track the recording of a job, and write all files of its results folder: motion, motion files, overlay, report.
 
     seconds: time per stage, filled by the progress while this runs, for the report.
     Returns: the outcome; after a KeyboardInterrupt while tracking it is incomplete, with checkpoint and partial motion
@@ -197,7 +197,9 @@ def compile_before(progress: ProgressCall, *parts: str) -> None:
 
 
 def _kernels(recording: Recording, options: TrackOptions) -> tuple[str, ...]:
-    """List the parts of the compiled code that a run needs for its first poses; others are compiled while it runs."""
+    """List the parts of the compiled code that a run needs for its first poses, by the names of `warm_up`; others are
+    compiled while it runs.
+    """
     if options.of_picture:
         return ("solver", "scorer", "outlines", "pictures", "monocular")
     depth = ("depth",) if recording.depth_views else ()

@@ -30,7 +30,7 @@ from hypose.app.reports.summary import CONTENT_POLICY, page, require_found, summ
 from hypose.calibration.findings import REVIEW, Finding
 from hypose.errors import InputError
 from hypose.io.files import check_writable, claimed
-from hypose.io.motions.c3d import write_c3d
+from hypose.io.motions.c3d import joint_residuals, write_c3d
 from hypose.io.motions.gltf import write_people_glb
 from hypose.io.motions.results import ResultsFolder, load_motion, save_body
 from hypose.io.recordings.frames import FrameStream
@@ -265,14 +265,10 @@ def write_people_c3d(path: Path, people: Sequence[TrackedPerson]) -> Path:
     """
     subjects = [p.name.replace(" ", "-").replace(":", "-") for p in people]
     names = [f"{s}:{j}" for s, p in zip(subjects, people, strict=True) for j in p.result.motion.skeleton.joint_names]
-    points, residuals = [], []
-    for p in people:
-        m = p.result.motion
-        points.append(np.where(p.present[:, None, None], m.joints, np.nan))
-        computed = (m.lost | m.extrapolated).astype(bool)
-        residuals.append(np.where(computed[:, None], 0.0, np.maximum(m.joint_sd * 1000, 1e-3)))
+    points = [np.where(p.present[:, None, None], p.result.motion.joints, np.nan) for p in people]
+    residuals = np.concatenate([joint_residuals(p.result.motion) for p in people], 1)
     rate = people[0].result.motion.frame_rate
-    write_c3d(path, names, np.concatenate(points, 1), rate, np.concatenate(residuals, 1), subjects=subjects)
+    write_c3d(path, names, np.concatenate(points, 1), rate, residuals, subjects=subjects)
     return path
 
 

@@ -246,8 +246,7 @@ class LiveServer:
         if self._timer is not None:
             self._timer.cancel()
         due, now = self.fuser.due(), self.now()
-        loop = asyncio.get_running_loop()
-        self._timer = loop.call_later(max(0.0, due - now), self.tick) if due < math.inf else None
+        self._timer = asyncio.get_running_loop().call_later(max(0.0, due - now), self.tick) if due < math.inf else None
         if now - self._status_at >= _STATUS_S:
             self._status_at = now
             if self.outbox.queues:

@@ -75,7 +75,7 @@ class OscTarget:
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
 
     def send(self, messages: Sequence[OscMessage]) -> None:
-        """Send messages in bundles."""
+        """Send messages in bundles of at most 1400 bytes."""
         for bundle in osc_bundles(messages):
             self.put(bundle)
 

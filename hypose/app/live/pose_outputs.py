@@ -125,10 +125,8 @@ class PoseOutputs:
 
 def _osc(poses: Sequence[LivePose], latency: float) -> list[bytes]:
     """Encode the poses of a frame as OSC bundles; latency: from the arrival of the last picture, s."""
-    names = poses[0].motion.skeleton.joint_names
-    people = [(p.person, names, p.joints, p.motion.joint_sd[0]) for p in poses]
-    there = sum(not p.lost for p in poses)
-    return osc_bundles(people_osc(poses[0].frame, poses[0].time, latency, people, there))
+    people = [(p.person, poses[0].motion.skeleton.joint_names, p.joints, p.motion.joint_sd[0]) for p in poses]
+    return osc_bundles(people_osc(poses[0].frame, poses[0].time, latency, people, sum(not p.lost for p in poses)))
 
 
 def status_json(status: LiveStatus) -> str:

@@ -103,10 +103,11 @@ async def send(recording: SensorRecording, take: Callable[[str], object], rng: n
 
 
 def ring_sensors(angles_deg: ArrayLike, distance: float = 2.5, height: float = 1.1) -> Array:
-    """Place sensors around the origin, looking at it 1 m above the floor.
+    """Place sensors in a circle around the origin, all turned to a point 1 m above it.
 
-    angles_deg: 0 = in front of a person who faces -y, positive towards the person's left.
-    distance, height: m.
+    angles_deg: (K,) degrees, 0 = in front of a person who faces -y, positive towards the person's left.
+    distance: from the vertical axis through the origin, m.
+    height: above the floor, m.
     Returns: camera_from_world (K, 4, 4).
     """
     at = np.radians(np.asarray(angles_deg, dtype=np.float64))

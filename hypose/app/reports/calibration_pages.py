@@ -42,8 +42,7 @@ def residual_picture(recording: Recording, observed: Observed, cured: Cured) -> 
     if observed.keypoints is None or len(recording.rig) < 3:
         return None
     few = window(recording, observed.keypoints.shape[1])
-    seen = (observed.keypoints[..., 2] > 0.5).sum(2).min(0)
-    row = int(np.argmax(seen))
+    row = int(np.argmax((observed.keypoints[..., 2] > 0.5).sum(2).min(0)))
     number = few.frames[min(row, len(few.frames) - 1)]
     uv, confidence = undistorted(recording.rig, observed.keypoints[:, row : row + 1])
     tiles = []
@@ -344,9 +343,10 @@ def _pdf_text(x: float, y: float, size: float, words: str) -> str:
 
 
 def _pdf(pages: list[list[str]], width: float, height: float) -> bytes:
-    """Build a PDF file from the operators of its pages.
+    """Build a PDF file.
 
-    width, height: of a page, points.
+    pages: lines of operators of each page.
+    width, height: of every page, points.
     Source: ISO 32000-1, 7.5.
     """
     kids = " ".join(f"{4 + 2 * k} 0 R" for k in range(len(pages)))

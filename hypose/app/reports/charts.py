@@ -109,8 +109,7 @@ class Axes:
             out.append(f'<path d="M{at:.1f} {y:.1f}v{h:.1f}" stroke="currentColor" stroke-opacity="0.15"/>')
             out.append(_text(at, y + h + 13, f"{value:.6g}", "middle"))
         for kind, points, look in self._marks:
-            px = np.clip((points - low) * scale + [x, y + h], [x, y], [x + w, y + h])
-            out.append(_mark(kind, px, look, y, h))
+            out.append(_mark(kind, np.clip((points - low) * scale + [x, y + h], [x, y], [x + w, y + h]), look, y, h))
         return "".join(out)
 
     def _limits(self, size: Array) -> tuple[Array, Array]:
@@ -169,8 +168,7 @@ def _mark(kind: str, points: Array, look: str, y: float, h: float) -> str:
         return f'<rect x="{begin:.1f}" y="{y:.1f}" width="{end - begin:.1f}" height="{h:.1f}" opacity="0.25" {look}/>'
     known = np.asarray(np.isfinite(points).all(1))
     if kind == "line":
-        begins = known & ~np.concatenate([[False], known[:-1]])
-        steps = np.where(begins, "M", "L")[known].tolist()
+        steps = np.where(known & ~np.concatenate([[False], known[:-1]]), "M", "L")[known].tolist()
         way = "".join(f"{step}{u:.1f} {v:.1f}" for step, (u, v) in zip(steps, points[known].tolist(), strict=True))
         return f'<path d="{way}" {look}/>'
     if kind == "dot":

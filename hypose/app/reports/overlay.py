@@ -149,8 +149,7 @@ def write_overlay(
         what = _drawing(source, motion, motion.poses[row], body, row, numbers[row])
         return draw_close_ups(pictures, recording, body, what) if canvas is None else canvas.draw(pictures, body, what)
 
-    rate = motion.frame_rate if len(motion) > 1 else 25.0
-    return _film(path, recording, numbers, rate, draw, wanted, progress)
+    return _film(path, recording, numbers, motion.frame_rate if len(motion) > 1 else 25.0, draw, wanted, progress)
 
 
 def _drawing(source: FrameSource, motion: Motion, pose: Array, body: Body, row: int, number: int) -> Drawing:
@@ -216,5 +215,4 @@ def _drawing_of_people(source: FrameSource, people: Sequence[TrackedPerson], row
         alarm |= lost
         parts.append(f"{p.name} LOST" if lost else p.name)
         others.append((body, body.skin(m.poses[row], body.fine), ALARM if lost else colour_of(k)))
-    silhouettes = source.frame(row).silhouettes
-    return Drawing(None, None, silhouettes, "   ".join(parts), alarm, tuple(others))
+    return Drawing(None, None, source.frame(row).silhouettes, "   ".join(parts), alarm, tuple(others))

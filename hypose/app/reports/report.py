@@ -69,8 +69,8 @@ def picture_rows(result: ViewResult, video: bool) -> PictureRows:
     """Select the rows of a result whose pictures are drawn for its report.
 
     video: all rows are drawn for the overlay as well.
-    Returns: four rows and the one with the worst fit as stills; for the viewer, where it was built, more small ones,
-        fewer with many views.
+    Returns: rows of the close-ups (four spread evenly, and the one with the worst fit), and rows of the small pictures
+        in the viewer: up to 16, fewer with many views, none where the viewer was not built.
     """
     small: Sequence[int] = ()
     if _built() and result.pictures:
@@ -159,7 +159,9 @@ def _text(what: ViewResult, drawn: OverlayRows) -> str:
 
 
 def _head(what: ViewResult) -> str:
-    """Build the title, the assessment, and where and when the result comes from."""
+    """Build the title, the assessment as a coloured sentence, and a line with the day of the recording, recipe and
+    version.
+    """
     recipe, a = str(what.motion.provenance.get("recipe", "unknown")), what.assessment
     about = [f"recorded {what.date}" if what.date else "", f"recipe {recipe}", f"hypose {__version__}"]
     tone = "" if a is None else {GOOD: "good", UNTRUSTED: "bad"}.get(a.word, "")

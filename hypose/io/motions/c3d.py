@@ -20,6 +20,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import ArrayLike
 
+from hypose.body.motion import Motion
 from hypose.errors import InputError
 from hypose.geometry import Array
 from hypose.io.file_names import utf8_path
@@ -30,6 +31,16 @@ _KIND = "a C3D file"
 _BLOCK = 512
 _MAX_BYTES = 512 * 2**20
 _MOST = 65_535  # the header counts frames in 16 bits
+
+
+def joint_residuals(motion: Motion) -> Array:
+    """Compute the residuals of a motion's joints for a C3D file.
+
+    Returns: (T, J) standard deviation in mm, at least 0.001; 0 in frames that are lost or extrapolated, because 0 means
+        that a point was computed and not measured.
+    """
+    computed = (motion.lost | motion.extrapolated).astype(bool)
+    return np.where(computed[:, None], 0.0, np.maximum(motion.joint_sd * 1000, 1e-3))
 
 
 def write_c3d(

@@ -15,7 +15,7 @@ from hypose.errors import InputError, extra
 from hypose.io.files import atomic_path
 from hypose.io.formats import Format, FormatTable
 from hypose.io.motions.animation import write_bvh
-from hypose.io.motions.c3d import read_c3d, write_c3d
+from hypose.io.motions.c3d import joint_residuals, read_c3d, write_c3d
 from hypose.io.motions.marker_files import (
     read_mot,
     read_trc,
@@ -116,10 +116,7 @@ def _trc(path: Path, motion: Motion, body: Body) -> None:
 
 
 def _c3d(path: Path, motion: Motion, body: Body) -> None:
-    computed = (motion.lost | motion.extrapolated).astype(bool)
-    # a standard deviation of exactly 0 is still a measurement, so keep it off the mark for computed points
-    residuals = np.where(computed[:, None], 0.0, np.maximum(motion.joint_sd * 1000, 1e-3))
-    write_c3d(path, motion.skeleton.joint_names, motion.joints, motion.frame_rate, residuals)
+    write_c3d(path, motion.skeleton.joint_names, motion.joints, motion.frame_rate, joint_residuals(motion))
 
 
 def _glb(path: Path, motion: Motion, body: Body) -> None:
