@@ -36,7 +36,7 @@ _ITERATIONS = 50
 
 @dataclass(frozen=True)
 class Observations:
-    """M corners observed in pictures.
+    """M corners observed in pictures, in the order of the cameras, and of the frames of each camera.
 
     camera, frame, corner: (M,) indices of the camera, of the board's pose and of the board's corner.
     pixels: (M, 2) px.
@@ -168,20 +168,12 @@ class _Problem(SharedProblem[list[Camera]]):
         free: bool | NDArray[np.bool_],
         fixed: NDArray[np.bool_] | None,
     ) -> None:
-        order = np.lexsort((observations.frame, observations.camera))
-        self.order = order
-        o = Observations(
-            observations.camera[order],
-            observations.frame[order],
-            observations.corner[order],
-            observations.pixels[order],
-        )
-        self.o, self.points, self.prior = o, points, prior or LensPrior()
+        self.o, self.points, self.prior = observations, points, prior or LensPrior()
         self.robust = robust / NOISE_PX
-        self.noise = np.broadcast_to(np.asarray(noise, dtype=np.float64), (len(order),))[order]
+        self.noise = np.broadcast_to(np.asarray(noise, dtype=np.float64), (len(observations),))
         c = len(cameras)
         self.p = 6 + 4 + max(len(camera.distortion) for camera in cameras)
-        self.slices = [slice(*np.searchsorted(o.camera, [i, i + 1])) for i in range(c)]
+        self.slices = [slice(*np.searchsorted(observations.camera, [i, i + 1])) for i in range(c)]
         self.free_lens = np.broadcast_to(np.asarray(free, dtype=bool), (c,))
         self.fixed_frames = fixed
         free_of = np.zeros((c, self.p), bool)
@@ -206,11 +198,8 @@ class _Problem(SharedProblem[list[Camera]]):
         return self.o.pixels[s] - project_with_derivatives(camera, x)[0]
 
     def residuals(self, cameras: Sequence[Camera], frames: Array) -> Array:
-        """Compute the residuals (M, 2), px, in the order of the given observations."""
-        out = np.empty((len(self.o), 2))
-        for camera, s in zip(cameras, self.slices, strict=True):
-            out[self.order[s]] = self._errors(camera, frames, s)
-        return out
+        """Compute the residuals (M, 2), px, in the order of the observations."""
+        return np.concatenate([self._errors(c, frames, s) for c, s in zip(cameras, self.slices, strict=True)])
 
     def cost(self, cameras: Sequence[Camera], frames: Array) -> float:
         total = 0.0
@@ -314,9 +303,9 @@ class _Problem(SharedProblem[list[Camera]]):
         freedom = 2 * len(self.o) - int(self.free.sum()) - 6 * (len(np.unique(self.o.frame)) - fixed)
         if freedom < 60:
             return 1.0
-        noise = np.empty(len(self.o))
-        noise[self.order] = self.noise
-        share = np.minimum(np.linalg.norm(residuals, axis=1) / noise, self.robust)  # outliers do not count as noise
+        share = np.minimum(
+            np.linalg.norm(residuals, axis=1) / self.noise, self.robust
+        )  # outliers do not count as noise
         return max(float(np.sqrt((share**2).sum() / freedom)), 1 / 3)
 
     def deviations(self, cameras: Sequence[Camera], equations: SharedEquations) -> tuple[Array, Array]:
@@ -464,8 +453,8 @@ def collect_observations(sightings: Mapping[int, Mapping[int, BoardDetection]], 
     place = {f: k for k, f in enumerate(frames)}
     parts = [
         (np.full(len(s.ids), c), np.full(len(s.ids), place[f]), s.ids, s.pixels)
-        for c, seen in sightings.items()
-        for f, s in seen.items()
+        for c, seen in sorted(sightings.items())
+        for f, s in sorted(seen.items(), key=lambda item: place.get(item[0], -1))
         if f in place
     ]
     if not parts:

@@ -92,7 +92,7 @@ def limb_offsets(
     column = {n: k for k, n in enumerate(names)}
     limbs = np.array([(column[a], column[b]) for a, b in _LIMBS if a in column and b in column]).reshape(-1, 2)
     bones = np.array([(column[a], column[b]) for a, b in (*_LIMBS, *_TRUNK) if a in column and b in column])
-    parts: list[tuple[Array, ...]] = []
+    parts = [np.zeros((0, 10))]
     for t, p in enumerate(points):
         mask = masks[t + lag] if 0 <= t + lag < len(masks) else None
         size = _size(p)
@@ -120,22 +120,12 @@ def limb_offsets(
         fine &= _clearance(start, which, p, limbs, bones) > _CLEAR * size
         offset = 0.5 * (width[:, 0] - width[:, 1])
         across = width.sum(1) / size
-        frame = np.full(len(which), float(t))
-        made = (normal, offset, velocity, start, which.astype(np.float64), frame, across)
-        parts.append(tuple(np.asarray(x[fine], dtype=np.float64) for x in made))
-    if not parts:
-        none, flat = np.zeros(0, np.int64), np.zeros((0, 2))
-        return LimbOffsets(flat, np.zeros(0), flat, flat, none, none)
-    normal, offset, velocity, position, limb, frame, across = (np.concatenate([x[k] for x in parts]) for k in range(7))
-    keep = _alone(limb.astype(np.int64), across, len(limbs))
-    return LimbOffsets(
-        normal[keep],
-        offset[keep],
-        velocity[keep],
-        position[keep],
-        limb[keep].astype(np.int64),
-        frame[keep].astype(np.int64),
-    )
+        frame = np.full(len(which), t)
+        parts.append(np.column_stack([normal, velocity, start, offset, across, which, frame])[fine])
+    rows = np.concatenate(parts)
+    rows = rows[_alone(rows[:, 8].astype(np.int64), rows[:, 7], len(limbs))]
+    limb, frame = rows[:, 8:].astype(np.int64).T
+    return LimbOffsets(rows[:, :2], rows[:, 6], rows[:, 2:4], rows[:, 4:6], limb, frame)
 
 
 def _clearance(
