@@ -200,7 +200,13 @@ def _closest_points(v: Array, bones: Bones) -> tuple[Array, Array]:
 
 
 def _warm_every_part(near: NDArray[np.bool_], distance: Array, faces: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Make the nearest bone a source of heat for connected parts of the mesh in which no vertex sees a bone."""
+    """Make the nearest bone a source of heat for connected parts of the mesh in which no vertex sees a bone.
+
+    near: (V, B) whether a bone is a source for a vertex.
+    distance: (V, B) m.
+    faces: (F, 3).
+    Returns: (V, B).
+    """
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 

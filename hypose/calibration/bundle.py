@@ -190,6 +190,12 @@ class _Problem(SharedProblem[list[Camera]]):
         return turned, world @ camera.camera_from_world[:3, :3].T + camera.camera_from_world[:3, 3]
 
     def _errors(self, camera: Camera, frames: Array, s: slice) -> Array:
+        """Compute the residuals of one camera.
+
+        frames: (F, 4, 4) world_from_board.
+        s: the camera's observations.
+        Returns: (M, 2) measured minus projected, px; all infinite where a corner lies behind the camera.
+        """
         _, x = self._at(camera, frames, s)
         if len(x) == 0:
             return np.zeros((0, 2))
@@ -202,6 +208,11 @@ class _Problem(SharedProblem[list[Camera]]):
         return np.concatenate([self._errors(c, frames, s) for c, s in zip(cameras, self.slices, strict=True)])
 
     def cost(self, cameras: Sequence[Camera], frames: Array) -> float:
+        """Compute the robust cost of all observations, with the lens prior; infinite where a corner lies behind a
+        camera.
+
+        frames: (F, 4, 4) world_from_board.
+        """
         total = 0.0
         for camera, s, free in zip(cameras, self.slices, self.free_lens, strict=True):
             e = np.linalg.norm(self._errors(camera, frames, s), axis=1) / self.noise[s] / self.robust
@@ -254,8 +265,13 @@ class _Problem(SharedProblem[list[Camera]]):
         return SharedEquations(a.reshape(c * p, c * p), ga.ravel(), b, gb, w.reshape(f, 6, c * p))
 
     def _derivatives(self, camera: Camera, frames: Array, s: slice) -> tuple[Array, Array, Array]:
-        """Compute weighted derivatives with respect to the camera (M, 2, p) and the board (M, 2, 6), and weighted
-        errors (M, 2)."""
+        """Compute weighted derivatives and errors of one camera.
+
+        frames: (F, 4, 4) world_from_board.
+        s: the camera's observations.
+        Returns: derivatives with respect to the camera (M, 2, p) and to the board (M, 2, 6), and errors (M, 2), all
+            multiplied by the root of the robust weight and divided by the noise.
+        """
         turned, x = self._at(camera, frames, s)
         uv, by_point, by_lens = project_with_derivatives(camera, x)
         noise = self.noise[s][:, None]
@@ -278,6 +294,13 @@ class _Problem(SharedProblem[list[Camera]]):
         return self.cost(*state), partial(self.equations, *state)
 
     def moved(self, state: _State, step: Array, own: Array) -> tuple[_State, float]:
+        """Apply a step; changes of focal lengths are limited, so that a camera stays possible.
+
+        state: cameras and world_from_board (F, 4, 4).
+        step: (C p,) of the cameras.
+        own: (F, 6) of the boards.
+        Returns: the new state, and infinity, because the descent does not stop by the size of a step.
+        """
         cameras, frames = state
         out = []
         for camera, d, free in zip(cameras, step.reshape(-1, self.p), self.free_lens, strict=True):
@@ -494,6 +517,14 @@ def board_poses(camera: Camera, sighting: BoardDetection, points: Array) -> list
 def _first(
     name: str, frames: Sequence[int], sightings: Mapping[int, BoardDetection], board: Board, size: tuple[int, int]
 ) -> Camera:
+    """Calibrate the lens roughly, as a start: OpenCV's closed form and refinement; without distortion where that fails.
+
+    name: name of the camera.
+    frames: frame numbers to use.
+    sightings: detected boards by frame number.
+    size: width and height of the pictures, px.
+    Returns: the camera; its pose is the identity.
+    """
     objects = [board.points[sightings[f].ids].astype(np.float32) for f in frames]
     images = [sightings[f].pixels.astype(np.float32) for f in frames]
     k = np.asarray(cv2.initCameraMatrix2D(objects, images, size, 1.0), dtype=np.float64)
@@ -519,6 +550,8 @@ def _first_fisheye(
     """Choose the start focal length of a fisheye lens, from those of 60 to 220 degrees of view, by the fit of board
     poses.
 
+    name, frames, sightings, size: as in `_first`.
+    Returns: the camera without distortion; its pose is the identity.
     Why: the equidistant model r = f angle is near enough for a start; OpenCV's own start fails on boards near the edge.
     """
     best = (float("inf"), 0.0)

@@ -131,8 +131,13 @@ def limb_offsets(
 def _clearance(
     start: Array, limb: NDArray[np.int64], p: Array, limbs: NDArray[np.int64], bones: NDArray[np.int64]
 ) -> Array:
-    """Compute the distance (N,), px, from points on limbs (N, 2) to the nearest other bone without a common joint.
+    """Compute the distance of points on limbs from the nearest other bone.
 
+    start: (N, 2) px, points on limbs.
+    limb: (N,) index of the limb of each.
+    p: (K, 3) px of the frame's key points, and confidence.
+    limbs, bones: (L, 2) and (B, 2) indices of the key points at both ends.
+    Returns: (N,) px; infinite where no bone without a common joint is seen.
     Why: a limb in front of another part of the body has no outline of its own.
     """
     a, b = p[bones[:, 0], :2], p[bones[:, 1], :2]
@@ -145,7 +150,13 @@ def _clearance(
 
 
 def _alone(limb: NDArray[np.int64], across: Array, n_limbs: int) -> NDArray[np.bool_]:
-    """Test (N,) whether the mask is about as wide as the limb; it is wider in front of another part of the body."""
+    """Test whether the mask is about as wide as the limb; it is wider in front of another part of the body.
+
+    limb: (N,) index of the limb of each measurement.
+    across: (N,) width of the mask across the limb, in sizes of the person.
+    n_limbs: number of limbs, of both sides together.
+    Returns: (N,) True where the width is below 1.35 times the limb's lower quartile.
+    """
     out = np.zeros(len(limb), dtype=bool)
     half = max(n_limbs // 2, 1)  # _LIMBS lists the left side first, then the right in the same order
     for k in range(half):
@@ -209,7 +220,11 @@ def align_to_masks(
 
 
 def _views_of_limbs(found: LimbOffsets, size: float) -> float:
-    """Compute the effective number of limbs: one that hardly moves has the same bias in every frame."""
+    """Compute the effective number of limbs: one that hardly moves has the same bias in every frame.
+
+    found: measured offsets.
+    size: of the person, px.
+    """
     total = 0.0
     for limb in np.unique(found.limb):
         mine = found.position[found.limb == limb]
@@ -228,7 +243,12 @@ def _velocities(points: Array) -> Array:
 
 
 def _regressed(found: LimbOffsets, scale_px: float) -> tuple[Array, Array]:
-    """Estimate (shift x, shift y, time) by robust regression, with standard deviations (3,)."""
+    """Estimate shift and lag from the offsets of limbs by robust regression.
+
+    found: measured offsets.
+    scale_px: robust scale of an offset, px.
+    Returns: (3,) shift x and y, px, and time, frames; and their standard deviations (3,).
+    """
     rows = np.concatenate([found.normal, (found.normal * found.velocity).sum(1)[:, None]], 1)
     y, x, h = found.offset, np.zeros(3), np.eye(3)
     # a calf bulges backwards in every frame: limbs that are often seen may not outvote the others
@@ -392,6 +412,11 @@ def focal_by_masks(rig: CameraRig, tracks: Sequence[MaskTrack]) -> CommonFocal:
 
 
 def _factor(rig: CameraRig, rows: FactorRows) -> CommonFocal:
+    """Estimate the common focal factor that makes the residuals smallest.
+
+    rows: function that computes the residuals.
+    Returns: factor 1 with an infinite standard deviation where there are fewer than three views or too few rows.
+    """
     views = list(range(len(rig)))
     found = _solve(rig, rows, views, 0.0) if len(views) > 2 else None  # with two views, a wrong pose looks the same
     if found is None or abs(found[0]) >= _LARGEST:
@@ -410,8 +435,14 @@ def _factor(rig: CameraRig, rows: FactorRows) -> CommonFocal:
 def _solve(
     rig: CameraRig, rows: FactorRows, views: list[int], begin: float, *, once: bool = False
 ) -> tuple[float, Array, Array, Array] | None:
-    """Estimate the logarithm of the factor, with the slopes, residuals and weights of the rows; None without enough
-    rows."""
+    """Estimate the logarithm of the factor from some of the views.
+
+    rows: function that computes the residuals.
+    views: indices of the views.
+    begin: start value.
+    once: True for two iterations only, from a good start.
+    Returns: the logarithm, and slopes, residuals and weights of the rows (R, G); None without enough rows.
+    """
     x = begin
     slope = residual = weight = np.zeros((0, 1))
     for _ in range(2 if once else _ROUNDS):
