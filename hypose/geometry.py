@@ -123,7 +123,11 @@ _FEW_VECTORS = 4
 
 
 def _other_branch(r: list[float], reference: list[float]) -> float:
-    """Compute the angle of a rotation vector (3,) when its other branch is nearer to a reference (3,); 0 otherwise."""
+    """Find out whether the other branch of a rotation vector is nearer to a reference.
+
+    r, reference: x, y, z in rad.
+    Returns: the angle of `r` where r (1 - 2 pi / |r|) is nearer; 0 otherwise.
+    """
     (x, y, z), (a, b, c) = r, reference
     squared = x * x + y * y + z * z
     angle = math.sqrt(squared)
@@ -190,7 +194,11 @@ def transform(motion: ArrayLike, points: ArrayLike) -> Array:
 
 
 def rotation_between(a: ArrayLike, b: ArrayLike) -> Array:
-    """Compute the smallest rotation (3, 3) that turns the direction a (3,) into the direction b (3,)."""
+    """Compute the smallest rotation that turns one direction into another.
+
+    a, b: (3,) directions of any length.
+    Returns: (3, 3) rotation matrix, R a parallel to b; for opposite directions the axis is any perpendicular one.
+    """
     u = np.asarray(a, dtype=np.float64) / np.linalg.norm(a)
     v = np.asarray(b, dtype=np.float64) / np.linalg.norm(b)
     axis = np.cross(u, v)

@@ -34,12 +34,17 @@ _TRUTH = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0"
 
 @dataclass(frozen=True)
 class Option:
-    """What a value is for and what it may be.
+    """Description of one option: its purpose and its possible values.
 
-    help: one sentence. least, most: range of a number, both included (above: least itself is not). unit: for the
-    sentence that refuses others. choices: the texts that are possible. group: heading in the help. flag: name on the
-    command line, where it is not the field's. value: what stands for the value in the help. argument: on the command
-    line by its place, not by its name.
+    help: one sentence.
+    least, most: range of a number, both included.
+    above: `least` itself is not possible.
+    unit: of a number, for the error.
+    choices: possible texts; empty: any.
+    group: heading in the help.
+    flag: name on the command line, where it differs from the name of the field.
+    value: placeholder for the value in the help.
+    argument: it is given by its place on the command line, without a name.
     """
 
     help: str
@@ -55,7 +60,7 @@ class Option:
 
     @property
     def allowed(self) -> str:
-        """What can be given, in words."""
+        """Possible values in words, for an error: "give 1 to 60 metres"."""
         if self.choices:
             return f"choose {', '.join(self.choices[:-1])} or {self.choices[-1]}"
         if self.most in (MOST_FRAMES, LARGEST_SEED):  # which only keep numbers from overflowing later
@@ -64,7 +69,7 @@ class Option:
         return f"give {numbers}{self.unit and ' ' + self.unit}"
 
     def allows(self, value: Any) -> bool:  # noqa: ANN401 (of whatever kind the option is)
-        """Whether a value other than None lies in the range, in which NaN never lies, or is one of the choices."""
+        """Test whether a value (not None) is in the range, in which NaN never is, or is one of the choices."""
         if self.least is None:
             return not self.choices or value in self.choices
         return self.least <= value <= self.most and not (self.above and value == self.least)
@@ -72,8 +77,14 @@ class Option:
 
 @dataclass(frozen=True)
 class Declared:
-    """A declared option. kind: bool, int, float, str or Path; many: a tuple of them; default: `dataclasses.MISSING`
-    where one has to be given."""
+    """Declared option with the name and type of its field or parameter.
+
+    name: of the field or parameter.
+    kind: bool, int, float, str or Path.
+    many: the value is a tuple of `kind`.
+    default: `dataclasses.MISSING` where a value must be given.
+    option: its description.
+    """
 
     name: str
     kind: type
@@ -83,15 +94,20 @@ class Declared:
 
     @property
     def flag(self) -> str:
-        """As it is written on the command line."""
+        """The option as it is written on the command line: --name, or --no-name for one that is on by default."""
         return self.option.flag or f"--{'no-' * (self.default is True)}{self.name.replace('_', '-')}"
 
     def of(self, options: object) -> Any:  # noqa: ANN401
-        """Its value among the options of a dataclass."""
+        """Return the option's value in an instance of the dataclass that declares it."""
         return getattr(options, self.name)
 
     def check(self, value: Any, name: str | None = None) -> Any:  # noqa: ANN401
-        """The value; an InputError when it is not possible. name: as the user wrote it, the flag by default."""
+        """Check a value.
+
+        name: of the option in the error; default: its flag.
+        Returns: the same value; None and tuples are not checked.
+        Raises: InputError where the value is not possible.
+        """
         if value is None or self.many or self.option.allows(value):
             return value
         shown = f"{value:g}" if isinstance(value, float) else str(value)
@@ -111,7 +127,7 @@ class Declared:
 
 @functools.cache
 def declared(of: Callable[..., Any]) -> tuple[Declared, ...]:
-    """The options of a dataclass or a function."""
+    """List the options that a dataclass or function declares, in their order; its other parameters are left out."""
     parameters, out = inspect.signature(of).parameters, []
     for name, hint in typing.get_type_hints(of, include_extras=True).items():
         if typing.get_origin(hint) is Annotated and isinstance(hint.__metadata__[0], Option):

@@ -43,7 +43,7 @@ class _Servers:
     def __init__(self) -> None:
         from hypose.app.live.live_server import FusionServerOptions, LiveServer
         from hypose.app.studio.http import NotNow
-        from hypose.app.studio.server import Studio, StudioOptions, make_server
+        from hypose.app.studio.server import Studio, StudioOptions, make_server, open_port
 
         self._folder = tempfile.TemporaryDirectory()  # lives as long as the process
         root = Path(self._folder.name)
@@ -56,24 +56,20 @@ class _Servers:
         studio.jobs.start = studio.jobs.resume = no_jobs  # type: ignore[method-assign]
         self.studio = studio
         self.live = LiveServer(FusionServerOptions(udp=0, ws=0, token=_TOKEN, lines_per_s=1e6))
-        listening, ports = threading.Event(), []
+        listening, port = threading.Event(), open_port("127.0.0.1", 0)
+        self.port = port.getsockname()[1]
 
-        def ready(port: int) -> None:
-            ports.append(port)
-            asyncio.get_running_loop().create_task(self._begin(listening))
+        async def serve() -> None:
+            await self.live.start()
+            listening.set()
+            await make_server(studio).serve(sockets=[port])
 
-        server = make_server(studio, "127.0.0.1", 0, ready)
-        threading.Thread(target=server.run, daemon=True).start()
+        threading.Thread(target=lambda: asyncio.run(serve()), daemon=True).start()
         if not listening.wait(120):
             raise RuntimeError("the servers do not start")
-        self.port = ports[0]
         self.logged: list[str] = []
         for name in _LOGGERS:  # those about what others have sent do not come so far
             logging.getLogger(name).addHandler(_Keep(self.logged))
-
-    async def _begin(self, listening: threading.Event) -> None:
-        await self.live.start()
-        listening.set()
 
     def check(self, answer: bytes = b"") -> None:
         """RuntimeError when an answer is a bug's, something bad was logged, or a good request is not served."""

@@ -92,7 +92,7 @@ _CONTEXT = {"max_content_width": 120}
 
 
 class _Group(click.Group):
-    """Commands in a table, each imported when it is asked for."""
+    """Group of commands in a table, each imported when it is first used."""
 
     def __init__(self, name: str, table: CommandTable, about: str, params: Sequence[click.Parameter] = ()) -> None:
         super().__init__(name, help=about, params=[*params], no_args_is_help=True, context_settings=_CONTEXT)
@@ -128,7 +128,10 @@ class _Group(click.Group):
 
 
 class _Command(click.Command):
-    """A command whose options stand under headings. declares: what declares them."""
+    """Command whose help shows its options under headings.
+
+    declares: dataclass or function that declares the options.
+    """
 
     declares: Callable[..., Any]
 
@@ -143,9 +146,13 @@ class _Command(click.Command):
 
 
 def make_command(name: str, declares: Callable[..., Any], load: Callable[[], Any] | None = None) -> click.Command:
-    """The command with the options that a function or dataclass declares (`hypose.options.declared`), which it calls.
+    """Make a command with the options that a function or dataclass declares (`hypose.options.declared`).
 
-    load: gives the function that takes the instance of the dataclass."""
+    name: of the command.
+    declares: called with the values of the options: a function does the work, a dataclass keeps the values.
+    load: imports and returns the function that does the work and takes the instance of the dataclass; None where
+        `declares` does it.
+    """
 
     def run(**given: Any) -> None:  # noqa: ANN401
         set_threads(given.get("threads"))
@@ -159,7 +166,7 @@ def make_command(name: str, declares: Callable[..., Any], load: Callable[[], Any
 
 
 def set_threads(count: int | None) -> None:
-    """Limit the threads of everything that uses threads; call it before numpy and OpenCV are imported."""
+    """Limit the threads of all libraries; call it before numpy and OpenCV are imported. count: None changes nothing."""
     if count is not None:
         os.environ.update(dict.fromkeys(THREAD_VARIABLES, str(count)))
         import cv2
@@ -168,7 +175,7 @@ def set_threads(count: int | None) -> None:
 
 
 def _parameter(d: Declared) -> click.Parameter:
-    """An option or argument of the command line."""
+    """Convert a declared option to an option or argument of click."""
     required = d.default is dataclasses.MISSING
     about: dict[str, Any] = {} if required else {"default": d.default}
     about |= {"type": click.Path(path_type=Path) if d.kind is Path else d.kind, "help": d.option.help}
@@ -211,8 +218,14 @@ app = _Group(
 
 
 def run_cli(arguments: Sequence[str] | None = None, command: click.Command = app, name: str = "hypose") -> None:
-    """Entry point of the console script, or of another command line that shall end as this one does; arguments default
-    to those of the process. Exits the process."""
+    """Run a command line, and exit the process with its code.
+
+    Exit codes: 0 for success, 1 for findings and for bugs, 2 for errors that the user can correct, 130 after Ctrl-C;
+        others are those of the commands.
+    arguments: default: those of the process; then some of its settings are adapted as well.
+    command: group of commands, `hypose` by default.
+    name: of the program, for the help.
+    """
     around = ("", "")
     if arguments is None:
         around = _surroundings()
@@ -250,7 +263,11 @@ def run_cli(arguments: Sequence[str] | None = None, command: click.Command = app
 
 
 def _surroundings() -> tuple[str, str]:
-    """What of the process's surroundings may be behind an error: little memory, settings of numba; "" for none."""
+    """Describe settings of the process that may cause an error.
+
+    Returns: a limit of its memory below 4 GiB, and the variables NUMBA_... that the user has set; "" where there are
+        none.
+    """
     little = ""
     with contextlib.suppress(ImportError):  # Windows
         import resource
@@ -263,7 +280,12 @@ def _surroundings() -> tuple[str, str]:
 
 
 def _foreseen(error: Exception, around: tuple[str, str]) -> str:
-    """The sentence for an error that the surroundings of the process explain; "" where they do not."""
+    """Make the sentence for an error that the surroundings of the process explain.
+
+    error: any exception that is no HyposeError.
+    around: result of `_surroundings`.
+    Returns: the sentence; "" where the error is a bug of hypose.
+    """
     if isinstance(error, OSError) and error.errno is not None:
         return _refused(error)
     named, full = " and ".join(filter(None, around)), isinstance(error, MemoryError)
@@ -274,7 +296,7 @@ def _foreseen(error: Exception, around: tuple[str, str]) -> str:
 
 
 def _refused(error: OSError) -> str:
-    """The sentence for what the system did not let us do."""
+    """Make the sentence for something that the operating system did not allow."""
     from hypose.io.files import FULL, cannot_write
 
     if error.errno == errno.ENAMETOOLONG:
@@ -291,8 +313,10 @@ def _refused(error: OSError) -> str:
 
 
 def _read_names_as_utf8() -> None:
-    """Under a locale that knows ASCII only (LC_ALL=C PYTHONUTF8=0) Python cannot open a file whose name, read from
-    another file, has other letters: start again in its UTF-8 mode."""
+    """Start the process again in Python's UTF-8 mode under a locale that has only ASCII (LC_ALL=C PYTHONUTF8=0).
+
+    Why: otherwise Python cannot open a file whose name, read from another file, has other letters.
+    """
     if sys.getfilesystemencoding() == "ascii" and os.environ.get("PYTHONUTF8") != "1":
         with contextlib.suppress(OSError):
             os.execve(sys.executable, [sys.executable, *sys.orig_argv[1:]], {**os.environ, "PYTHONUTF8": "1"})

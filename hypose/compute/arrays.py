@@ -212,6 +212,7 @@ class DepthArrays(NamedTuple):
 
 
 def _no_contours() -> ContourArrays:
+    """Make the arrays of contours without a view."""
     f4 = np.float32
     empty = np.zeros((0, 2, 2), f4), np.zeros((0, 0, 2), f4), np.zeros(0, np.bool_), np.zeros((0, 2), np.int64)
     return ContourArrays(*empty, np.zeros((0, 3, 4)), 0.0, 0.0, 1.0, 1.0, 1.0, 1, np.ones(0), empty[3], empty[3])
@@ -390,6 +391,7 @@ _NO_BITS = np.zeros((0, 0, 0), dtype=np.uint8)
 
 
 def _packed(masks: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Pack masks (C, h, w) of 0 and 1 as PreparedMasks.bits: lowest bit first, 16 bytes of zeros after each row."""
     packed = np.packbits(masks, axis=2, bitorder="little")
     bits = np.zeros((*packed.shape[:2], packed.shape[2] + 16), dtype=np.uint8)
     bits[:, :, : packed.shape[2]] = packed

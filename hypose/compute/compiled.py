@@ -91,6 +91,7 @@ def _named() -> Path | None:
 
 
 def _candidates() -> Iterator[Path]:
+    """Yield the folders that may be the cache, the best first."""
     if named := _named():
         yield named
     home = os.path.expanduser("~")
@@ -161,7 +162,11 @@ class KernelCache(NullCache):
         self._function = function
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Load the kernel compiled for a signature; None where it is not in the cache."""
+        """Load the kernel compiled for a signature; None where it is not in the cache.
+
+        sig: signature.
+        target_context: numba's context of the processor.
+        """
         path = self._path(sig)
         if path is None or not os.path.exists(path):
             return None
@@ -180,7 +185,11 @@ class KernelCache(NullCache):
         return found
 
     def save_overload(self, sig: Any, cres: Any) -> None:
-        """Save a compiled kernel, unless it holds values of this process only."""
+        """Save a compiled kernel, unless it holds values of this process only.
+
+        sig: signature.
+        cres: compiled kernel, numba's CompileResult.
+        """
         path = self._path(sig)
         if cres.library.has_dynamic_globals or path is None:
             return
@@ -198,6 +207,7 @@ class KernelCache(NullCache):
             log_cache(f"Compiled code cannot be kept in {path.parent} ({reason}); the next start compiles it again.")
 
     def _path(self, sig: Any) -> Path | None:
+        """Return the path of the file of a signature; None without a cache folder or without a source."""
         f = self._function
         sources = _digest_of_sources(f.__module__)
         name = f"{f.__module__.rpartition('.')[2]}.{f.__qualname__}"

@@ -46,6 +46,8 @@ def _by_row(n, rim_u, rim_v, low, u, v, number, place):
     """Sort the first n outline points into bands of _BAND rows, which begin at row `low`; the last band holds
     everything below.
 
+    rim_u, rim_v: (R,) px, the outline points.
+    low: row at which the first band begins, px.
     u, v, number: (R,) get the points and their numbers; far away beyond the last point.
     place: (B + 1,) gets where each band begins.
     """
@@ -71,6 +73,9 @@ def _by_row(n, rim_u, rim_v, low, u, v, number, place):
 def nearest(n, u, v, number, place, low, points, found):
     """Find the nearest of n points, sorted by `_by_row`, to each of points (K, 2) f4.
 
+    u, v, number: the sorted points, px, and their numbers.
+    place: (B + 1,) where each band begins.
+    low: row at which the first band begins, px.
     found: (K,) i4 gets their numbers; 0 for omitted points. The neighbouring bands are searched first, and the others
         only where these have no point near enough.
     """
@@ -122,6 +127,9 @@ def _spread(n, lengths, spacing, edge, along):
 def _place_rim(work, spot, w, h, x0, y0, width, height, line):
     """Compute the positions of LANES outline points, and the pixel just outside the body next to each.
 
+    w, h: width and height of the image, px.
+    x0, y0, width, height: window of the own silhouette in the image, px.
+    line: bits per row of the own silhouette.
     work: (6 x LANES,) f4: px along an edge, its ends u, v, u, v, its length px; gets the share of the edge, u, v.
     spot: (LANES,) i4 gets the bit of that pixel in the own silhouette, `line` bits per row; else _OUT or _OPEN.
     """
@@ -152,6 +160,11 @@ def _place_rim(work, spot, w, h, x0, y0, width, height, line):
 def _rim(n, lines, own, w, h, x0, y0, width, height, line, edge, rim, work, spot):
     """Keep those of n outline points that are visible: next to them the body's own silhouette ends.
 
+    n: number of points.
+    lines: (5, E) f4 contour edges, as of Workspace.lines.
+    w, h: width and height of the image, px.
+    x0, y0, width, height: window of the own silhouette in the image, px.
+    work, spot: scratch of `_place_rim`.
     rim: (3, R) f4, first the px along each edge; gets the share of the edge, u, v px of the visible points.
     edge: (R,) their edges.
     own: packed silhouette, `line` bits per row.
@@ -198,6 +211,13 @@ def _interpolate(work, i2, weight):
 def _forward_rows(n, stride, rim, edge, ws, sdf, corner, size, i2, weight, n_found, count):
     """Append forward rows for every stride-th of n outline points to the found rows, as `contour_rows`.
 
+    n, stride: number of points, and step between those that make a row.
+    rim, edge: of `_rim`.
+    ws: scratch memory, with the contour edges.
+    sdf: (h, w) f4 signed distance, px.
+    i2: 1 / scale^2, 1/px^2.
+    n_found: number of found rows before.
+    count: (2,) its first number grows by the number of rows.
     corner, size: (2,) of sdf in the image.
     weight: divided by scale^2.
     Returns: cost in forward weights, and number of found rows.
@@ -261,6 +281,11 @@ def _onto_edges(work, i2, weight):
 def _reverse_rows(n, low, outline, edge, lines, ws, i2, weight, n_found, count):
     """Append reverse rows for the mask's outline (K, 2) to the found rows, as `contour_rows`.
 
+    edge, lines: (R,) edges of the outline points, and (5, E) f4 the contour edges.
+    ws: scratch memory, with the sorted points.
+    i2, weight: 1 / scale^2, 1/px^2, and the weight of a row times that.
+    n_found: number of found rows before.
+    count: (2,) its second number grows by the number of rows.
     n, low: number of the body's outline points, sorted in bands from row `low` on.
     Returns: cost in reverse weights, and number of found rows.
     """
@@ -293,6 +318,10 @@ def _reverse_rows(n, low, outline, edge, lines, ws, i2, weight, n_found, count):
 def contour_rows(c, k, n_union, bounds, mesh, contours, scale, ws, n_found, count):
     """Compute the contour rows of view c, which is lane k of those in the workspace.
 
+    n_union: number of edges that are on a contour in any of the views in the workspace.
+    mesh, contours: MeshArrays and ContourArrays.
+    scale: robust scale, px.
+    ws: scratch memory, with the body projected into these views.
     n_found: number of rows found before; new ones are appended to ws.ends and ws.found.
     count: (2,) gets the numbers of forward and reverse rows added.
     bounds: (5, VIEWS) of the body.

@@ -45,6 +45,11 @@ NEAR = 0.05
 def cross_columns(xa, ya, xb, yb, sign, width, height, difference):
     """Add +-sign at the first row on or below a directed segment, for every column that it crosses; x, y relative to
     the window.
+
+    xa, ya, xb, yb: ends of the segment, px.
+    sign: 1 or -1; a segment from right to left counts the other way round.
+    width, height: of the window, px.
+    difference: (height + 1, B) is changed.
     """
     s = np.int16(-sign)
     if xa > xb:
@@ -64,6 +69,10 @@ def cross_columns(xa, ya, xb, yb, sign, width, height, difference):
 def emit_clipped_faces(vertices, faces, p, x0, y0, width, height, difference, one_sided):
     """Draw every face separately, clipped at NEAR; slow, for bodies that reach the near plane.
 
+    vertices, faces: (V, 3) m and (F, 3).
+    p: (3, 4) camera of these vertices.
+    x0, y0, width, height: window in the image that the difference image shows, px.
+    difference: (height + 1, B) is changed.
     one_sided: False: faces seen from inside are drawn too, because the near plane opens the body.
     """
     polygon = np.empty((4, 2), np.float32)
@@ -119,6 +128,7 @@ def emit_clipped_faces(vertices, faces, p, x0, y0, width, height, difference, on
 def cover_faces(uv, z, faces, part, one_sided, width, height, difference):
     """Add the winding differences of faces to the difference image of their part.
 
+    width, height: of the picture, px.
     uv, z: (V, 2) px and (V,) m of the corners.
     faces, part: (F, 3), and (F,) part of each.
     one_sided: omit faces seen from inside.
@@ -171,7 +181,13 @@ def _project_views(vertices, p, uv, bounds):
 
 @kernel
 def _row_of_views(p, at, x, y, z):
-    """Multiply a row of projections with a point."""
+    """Multiply a row of projections with a point.
+
+    p: (12, VIEWS) f4.
+    at: flat index at which the row begins.
+    x, y, z: the point.
+    Returns: vector of VIEWS numbers.
+    """
     value = load(p, at, VIEWS) * x + load(p, at + VIEWS, VIEWS) * y + load(p, at + 2 * VIEWS, VIEWS) * z
     return value + load(p, at + 3 * VIEWS, VIEWS)
 
@@ -208,14 +224,25 @@ def project_views(vertices, projections, first, q, p, turned, uv, bounds):
 
 @kernel
 def front_views(faces, uv, front):
-    """Mark in front (F,) u1, bit k, the faces whose outside faces the camera of view k."""
+    """Find the faces whose outside faces the camera of each view.
+
+    faces: (F, 3).
+    uv: (V, 2, VIEWS) px, of `project_views`.
+    front: (F,) u1 gets 1 in bit k where this is so in view k.
+    """
     for f in range(faces.shape[0]):
         front[f] = _front_views(uv, faces[f, 0], faces[f, 1], faces[f, 2])
 
 
 @kernel
 def contours_of_any(edges, front, union):
-    """List in union (E,) i4 the edges that are on a contour in any view; return their number."""
+    """List the edges that are on a contour in any view.
+
+    edges: (E, 4) of the mesh.
+    front: (F,) of `front_views`.
+    union: (E,) i4 gets the edges.
+    Returns: their number.
+    """
     n = 0
     for e in range(edges.shape[0]):
         union[n] = e
@@ -227,6 +254,9 @@ def contours_of_any(edges, front, union):
 def contours_of_view(k, n_union, union, edges, front, uv, start, end, lines):
     """List the directed contour edges of view k, with the front face on their left.
 
+    n_union, union: edges that are on a contour in any view, of `contours_of_any`.
+    edges: (E, 4) of the mesh.
+    front, uv: of `front_views` and `project_views`.
     start, end: (E,) get their vertices.
     lines: (4, E) f4 gets their ends u, v, u, v px.
     Returns: number of edges.
@@ -247,7 +277,12 @@ def contours_of_view(k, n_union, union, edges, front, uv, start, end, lines):
 
 @kernel
 def emit_lines(n, lines, x0, y0, width, height, difference):
-    """Add the winding differences of n directed contour edges; lines (4, E) px as of `contours_of_view`."""
+    """Add the winding differences of n directed contour edges to a difference image.
+
+    lines: (4, E) px, as of `contours_of_view`.
+    x0, y0, width, height: window in the image that the difference image shows, px.
+    difference: (height + 1, B) is changed.
+    """
     fx, fy = f4(x0), f4(y0)
     for e in range(n):
         xa, ya, xb, yb = lines[0, e] - fx, lines[1, e] - fy, lines[2, e] - fx, lines[3, e] - fy
@@ -288,16 +323,24 @@ def project_vertices(points, p, u, v, bounds):
 
 @kernel
 def _row_of_lanes(p, at, x, y, z):
-    """Multiply a row of projections with points."""
+    """Multiply a row of projections with points.
+
+    p: (12, LANES) f4.
+    at: flat index at which the row begins.
+    x, y, z: vectors of LANES coordinates.
+    Returns: vector of LANES numbers.
+    """
     value = times_plus(load(p, at + 2 * LANES, LANES), z, load(p, at + 3 * LANES, LANES))
     return times_plus(load(p, at, LANES), x, times_plus(load(p, at + LANES, LANES), y, value))
 
 
 @kernel
 def front_lanes(u, v, a, b, c):
-    """Test whether a triangle is clockwise in each lane: bit l of the result is that of lane l.
+    """Find the lanes in which a triangle is clockwise, so that its outside faces the camera.
 
-    a, b, c: its vertices, rows of u, v (V, LANES).
+    u, v: (V, LANES) px.
+    a, b, c: indices of its vertices.
+    Returns: a bit per lane, that of lane l in bit l.
     """
     ua, ub, uc = load(u, a * LANES, LANES), load(u, b * LANES, LANES), load(u, c * LANES, LANES)
     va, vb, vc = load(v, a * LANES, LANES), load(v, b * LANES, LANES), load(v, c * LANES, LANES)
@@ -308,6 +351,7 @@ def front_lanes(u, v, a, b, c):
 def prepare_edge(u, v, a, b, window, edge, columns):
     """Prepare the edge from vertex a to b in every lane: where it starts in the lane's window, and its slope.
 
+    u, v: (V, LANES) px.
     window: (5, LANES) f4: origin x, y, first and end column, rows.
     edge: (4, LANES) f4 gets the left end x, y in the window, the slope, and the first column.
     columns: (LANES,) i4 gets the number of columns that it crosses.
@@ -334,6 +378,8 @@ def write_crossings(edge, lane, skip, rows, stride, out, place):
     """Write the pixel indices row * stride + column at which the prepared edge of a lane crosses its columns, from the
     skip-th on.
 
+    edge: of `prepare_edge`.
+    rows, stride: rows of the window, and bytes per row of the difference image.
     out: i4, gets LANES indices from the flat index `place` on; those past the end of the edge are invalid and are
         overwritten by the next edge.
     """
@@ -349,6 +395,8 @@ def write_crossings(edge, lane, skip, rows, stride, out, place):
 def count_strip(difference, start, stride, rows, mask, drawn, mask_start, mask_stride, counts):
     """Sum STRIP columns of the difference image down the rows, clear them, and count the covered pixels.
 
+    rows, stride: number of rows, and bytes per row of the difference image.
+    mask_stride: bytes per row of mask and drawn.
     difference: i1, flat, from index start on.
     mask, drawn: u1, packed, low bit first, from the flat index mask_start on.
     counts: (2,) i8: the pixels with a positive sum that are not set in drawn are added, and those of them set in mask.
@@ -370,6 +418,7 @@ def count_strip(difference, start, stride, rows, mask, drawn, mask_start, mask_s
 def fill_strip(difference, start, stride, rows, mask, out, place, line, counts):
     """Sum STRIP columns of the difference image down the rows, clear them, and write and count the covered pixels.
 
+    rows, stride: number of rows, and bytes per row of the difference image.
     difference: i1, flat, from index start on.
     out: u1, packed, low bit first, from the flat index `place` on, `line` bytes per row: gets the pixels with a
         positive sum.
@@ -403,6 +452,11 @@ def row_stride(columns):
 def list_crossings(mesh, u, v, some, window, origin, front, union, edge, columns, lists, ends):
     """List the pixels at which the contours cross columns, per lane.
 
+    mesh: LaneMesh.
+    u, v: (V, LANES) px.
+    some: mask of the lanes to draw.
+    window, origin: of `scorer.lane_windows`.
+    front, union, edge, columns: scratch.
     lists: (2 LANES, capacity) i4: upward crossings of lane l at 2 l, downward ones at 2 l + 1.
     ends: (2 LANES,) gets their numbers.
     Returns: mask of the lanes whose lists are full, which must be drawn otherwise.
@@ -447,7 +501,11 @@ def list_crossings(mesh, u, v, some, window, origin, front, union, edge, columns
 
 @kernel
 def draw_lists(up, down, difference):
-    """Add the two lists of pixels into a difference image (i1, flat)."""
+    """Add listed pixels to a difference image.
+
+    up, down: (N,) and (M,) i4 flat indices of the pixels that get +1 and -1.
+    difference: flat i1, is changed.
+    """
     for i in range(up.shape[0]):
         difference[u4(up[i])] += i1(1)
     for i in range(down.shape[0]):

@@ -66,6 +66,7 @@ def depth_energy(
 ) -> NDArray[np.float64]:
     """Compute how badly the depths of posed bodies fit the depth maps.
 
+    tree, mesh: of the body.
     poses: (N, D).
     seen: depth maps of the person.
     most_m: largest difference that counts, m.
@@ -86,13 +87,14 @@ def standing_depth(
 ) -> StandingDepth:
     """Draw the parts of a body at a pose (D,) that stand still while a limb moves.
 
+    tree, mesh: of the body.
     seen: depth maps of the person.
     most_m: largest difference of depth that counts, m.
     moving: (J,) bool, joints that move; they and the joints below them are left out.
     """
     q = plain(pose, np.float64)
     n = len(tree.parents)
-    parts = moving_parts(mesh, tree, plain(moving, np.bool_), None)
+    parts = moving_parts(mesh, tree, plain(moving, np.bool_))
     rotations, centres = np.empty((n, 3, 3)), np.empty((n, 3))
     drawn, cost = np.empty(seen.maps.shape, np.float32), np.zeros(len(seen.maps))
     given = tidy(tree), tidy(mesh), np.flatnonzero(parts.standing), seen, np.float32(most_m)
@@ -113,6 +115,8 @@ def limb_depth_energy(
 ) -> NDArray[np.float64]:
     """Compute `depth_energy` of poses that differ only in one limb from the standing parts.
 
+    poses: (N, D).
+    tree, mesh: of the body.
     seen, most_m: as in `depth_energy`.
     standing: drawn by `standing_depth`.
     rough: do not draw the limb, but compare each of its faces at its middle, which takes half the time.
@@ -136,6 +140,7 @@ def limb_shown(
 ) -> NDArray[np.float64]:
     """Measure how much of a limb a sensor shows, at the pose at which the standing parts were drawn.
 
+    tree, mesh: of the body.
     seen: depth maps of the person.
     standing: parts without the limb.
     centre: (3,) m, world; areas are computed at its distance.
@@ -156,8 +161,10 @@ _NO_SURFACE = f4(1e9)
 
 @kernel(inline=True)
 def _off(near, other, most):
-    """Compute the cost of a pixel with inverse body depth `near` and measured depth `other` m; 0 where one of them is
-    missing.
+    """Compute the cost of one pixel, m: the difference of depths, at most `most`; 0 where one of the two is missing.
+
+    near: inverse depth of the body, 1/m; 0: none.
+    other: measured depth, m; 0: none.
     """
     if other > f4(0) and near > f4(0):
         return min(abs(f4(1) / near - other), most)
@@ -166,7 +173,13 @@ def _off(near, other, most):
 
 @kernel
 def _cost(nearest, seen, most, box):
-    """Compute the cost of a drawn picture (h, w) f4 1/m against seen (h, w) f4 m in a box (4,) x0, x1, y0, y1."""
+    """Sum the costs of `_off` over the pixels of a box.
+
+    nearest: (h, w) f4 1/m, drawn picture.
+    seen: (h, w) f4 m, measured depth.
+    most: largest difference that counts, m.
+    box: (4,) x0, x1, y0, y1, half open, px.
+    """
     total = 0.0
     for y in range(box[2], box[3]):
         for x in range(box[0], box[1]):
@@ -177,6 +190,9 @@ def _cost(nearest, seen, most, box):
 @kernel
 def _roughly(faces, chosen, about, seen, most, standing, size):
     """Estimate by how much the cost grows with the chosen faces in front of the standing parts (h, w) f4 1/m.
+
+    faces: (F, 3).
+    chosen: indices of the limb's faces.
 
     Each face is compared at its middle and weighted by its area, without hiding other faces.
     about: (4, V) projected vertices, by `_project`.
@@ -236,7 +252,14 @@ def _draw(about, faces, chosen, size, drawn):
 
 @kernel
 def _energies(poses, first, last, tree, mesh, seen, most, out):
-    """Compute the costs out (N, C) of the drawn poses first to last against the maps: sum of `_off`, over most."""
+    """Compute the costs of drawn poses against depth maps: the sum of `_off`, over most.
+
+    poses, first, last: (N, D), of which those from first to last are computed.
+    tree, mesh: of the body.
+    seen: SeenDepth.
+    most: largest difference that counts, m.
+    out: (N, C) gets the costs, in pixels.
+    """
     every, drawn = np.arange(mesh.faces.shape[0]), np.empty(seen.maps.shape, np.float32)
     rotations, centres = np.empty((tree.parents.shape[0], 3, 3)), np.empty((tree.parents.shape[0], 3))
     for n in range(first, last):
@@ -247,6 +270,9 @@ def _energies(poses, first, last, tree, mesh, seen, most, out):
 def _stand(q, tree, mesh, faces, seen, most, rotations, centres, drawn, cost):
     """Draw some faces of the body at pose q (D,) and compute their cost; all outputs are overwritten.
 
+    tree, mesh: of the body.
+    faces: indices of the faces that are drawn.
+    most: largest difference that counts, m.
     seen: SeenDepth.
     rotations, centres: (J, 3, 3) and (J, 3) get the joint frames, about the root.
     drawn: (C, h, w) f4 gets the inverse depth, 1/m.
@@ -268,6 +294,11 @@ def _stand(q, tree, mesh, faces, seen, most, rotations, centres, drawn, cost):
 def _limb_energies(poses, first, last, tree, mesh, standing, seen, most, rough, out):
     """Compute the costs out (N, C), as `_energies`, of poses that differ only in one limb from the standing parts.
 
+    poses, first, last: (N, D), of which those from first to last are computed.
+    tree, mesh: of the body.
+    standing: StandingDepth.
+    seen: SeenDepth.
+    most: largest difference that counts, m.
     rough: estimate by `_roughly` instead of drawing.
     """
     joints, moved, twists = standing.joints, standing.vertices, np.empty((poses.shape[1], 6))
@@ -306,6 +337,9 @@ def _limb_energies(poses, first, last, tree, mesh, standing, seen, most, rough, 
 def _limb_shown(tree, mesh, standing, seen, centre, reach, apart, out):
     """Measure the visible areas of a limb into out (C, 3), zero before, as `limb_shown`.
 
+    tree, mesh: of the body.
+    standing: StandingDepth, the parts without the limb.
+    seen: SeenDepth.
     centre: (3,) m from the root.
     reach, apart: m.
     """

@@ -54,6 +54,8 @@ def _vertex_normals(vertices, faces, normals):
 def _nearest(fx, fy, fz, nx, ny, nz, px, py, pz, ox, oy, oz):
     """Find the nearest of the given points to p, where points with other normals than o count as farther off.
 
+    fx, fy, fz, nx, ny, nz: (N,) f4 points, m, and their unit normals.
+    px, py, pz, ox, oy, oz: the point p, m, and its unit normal o.
     Returns: squared distance and index packed into one integer, as in contours.nearest.
     Why an own kernel: everything stays in single precision, and the arrays begin at the first candidate (an index from
     elsewhere takes half as long again).
@@ -71,6 +73,11 @@ def _nearest(fx, fy, fz, nx, ny, nz, px, py, pz, ox, oy, oz):
 def _nearest_edge(vertices, ring, first, last, ax, ay, az, qx, qy, qz):
     """Find which of the rows first to last of the ring around vertex a begins with the edge nearest to q (relative to
     a).
+
+    vertices: (V, 3) f4 m.
+    ring: (3 F, 3) as in DepthArrays.
+    ax, ay, az: place of vertex a, m.
+    qx, qy, qz: the point, m.
     """
     nearest, edge = f4(1e9), first
     for k in range(first, last):
@@ -128,6 +135,9 @@ def _nearest_places(n, vertices, ring_first, ring, corners, found):
     """Find the places on the faces around n vertices that are nearest to points; each is in one of the two faces at the
     edge nearest to the point.
 
+    n: number of points.
+    vertices: (V, 3) f4 m.
+    ring_first, ring: as in DepthArrays.
     corners: (N, 3) gets the vertices of the faces, beginning with the vertex in corners[:, 0].
     found: (N, 8) f4: columns 3 to 5 are the points, relative to that vertex; columns 0 to 2 get the shares of the
         corners, column 3 the squared distance.
@@ -161,6 +171,8 @@ def _nearest_places(n, vertices, ring_first, ring, corners, found):
 def _by_height(vertices, normals, ex, ey, ez, faces_it, place):
     """Sort the vertices that face an eye by height, into bands of _BAND_M; everything relative to the root.
 
+    vertices, normals: (V, 3) f4, m and unit.
+    ex, ey, ez: the eye, m.
     faces_it: (V,) i4 gets the vertices.
     place: (B + 1,) gets where each band begins.
     Returns: height at which the first band begins.
@@ -191,6 +203,9 @@ def _by_height(vertices, normals, ex, ey, ez, faces_it, place):
 def _form_rows(n, corners, found, n_rows, vertices, skin_index, skin_weight, skin_count, rows, joints):
     """Append the rows of n points of the surface to rows (M, 8) and joints (M,), as rows.form_rows.
 
+    n_rows: number of rows before.
+    vertices: (V, 3) f4 m, about the root.
+    skin_index, skin_weight, skin_count: as in MeshArrays.
     corners: (n, 3) vertices of which a point is a blend.
     found: (n, 8) f4: their shares, direction of the residual, weight, residual.
     Returns: number of rows.
@@ -233,6 +248,11 @@ def _form_rows(n, corners, found, n_rows, vertices, skin_index, skin_weight, ski
 def depth_rows(q, mesh, depth, factor, ws, kept, count):
     """Compute the rows of depth maps, kept in ws.rows as `contour_rows` keeps its own; return their cost.
 
+    q: (D,) pose; ws.vertices holds the skinned vertices about its root.
+    mesh: MeshArrays.
+    depth: DepthArrays.
+    ws: scratch memory.
+    kept: (3,) its first number is that of the rows that wait in ws.rows; it is changed.
     factor: of the scale.
     count: (2,) gets the numbers of rows of surface points, and of body in front of the measured surface.
 

@@ -33,6 +33,15 @@ def draw(
 
 @kernel
 def _sense(inverse, fx, baseline, smooth, rows, normals, uniforms, out):
+    """Convert a drawn scene to what the sensor delivers; see `sense`.
+
+    inverse: (h, w) f4 inverse depth, 1/m; 0: nothing.
+    fx, baseline: focal length, px, and distance of the projector, m.
+    smooth: (h / 8 + 2, w / 8 + 2) f4 normal numbers of the smooth noise.
+    rows: (h, 2) places in the tables at which each row begins.
+    normals, uniforms: (TABLE,) f4 random numbers.
+    out: (h, w) u2 gets mm, 0 = hole.
+    """
     h, w = inverse.shape
     for y in range(h):
         reached = -1e9
@@ -69,6 +78,7 @@ def _sense(inverse, fx, baseline, smooth, rows, normals, uniforms, out):
 
 
 def _tables() -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Draw the normal and the uniform random numbers (TABLE,) that all frames share."""
     rng = np.random.default_rng(5)  # one long sequence that every frame enters at other places
     return rng.standard_normal(TABLE).astype(np.float32), rng.random(TABLE).astype(np.float32)
 

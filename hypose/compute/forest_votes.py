@@ -107,6 +107,7 @@ def _coarse_pass(picture, span, records, table, first, least, stride, wanted):
 def _scan(picture, span, records, table, first, least, stride, wanted, ratio, out):
     """Compute the mean share of class 1 of each forest on the grid, into out (G, ceil(rows / stride), ...) f4.
 
+    wanted: bits of the cells of the coarse grid that are scanned.
     picture, span, records, table: as in `_coarse_pass`.
     first, least: a cell is rejected where the mean over the first trees stays below `least`, or that over twice as many
         below 1.5 `least` (first = 0: no rejection).

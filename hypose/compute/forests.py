@@ -253,7 +253,11 @@ def best_test(left, total, side):
 
 @kernel
 def _open(g, t, n, half, spread):
-    """Give leaf n of tree t a free slot with new candidates; return the slot, or -1 where none is free."""
+    """Give leaf n of tree t a free slot with new candidates; return the slot, or -1 where none is free.
+
+    g: GrowingArrays, changed in place.
+    half, spread: reach of the tests and range of the thresholds, mm.
+    """
     if g.n_free[t] == 0:
         g.tally[1] += 1
         return -1
@@ -269,7 +273,7 @@ def _open(g, t, n, half, spread):
 
 @kernel
 def _close(g, t, n, slot):
-    """Take the slot from leaf n of tree t, and mark it as free."""
+    """Take the slot from leaf n of tree t, and mark it as free; g: GrowingArrays, changed in place."""
     g.slot[t, n] = -1
     g.free[t, g.n_free[t]] = slot
     g.n_free[t] += 1
@@ -277,7 +281,13 @@ def _close(g, t, n, slot):
 
 @kernel
 def _split(g, t, n, slot, q):
-    """Make the winning candidate the test of a node; the children start with the class counts of their side."""
+    """Make the winning candidate the test of a node; the children start with the class counts of their side.
+
+    g: GrowingArrays, changed in place.
+    t, n: tree and node.
+    slot: slot of the node; it is free afterwards.
+    q: index of the winning candidate in the slot.
+    """
     a = g.size[t]
     g.size[t] += 2
     g.left[t, n] = a

@@ -22,7 +22,10 @@ def so3_exp_and_jacobian(x, y, z, rotation, jacobian):
 
 @kernel
 def _rodrigues(x, y, z):
-    """Return sin t / t, (1 - cos t) / t^2, (t - sin t) / t^3 and t^2 for a rotation vector of length t."""
+    """Return sin t / t, (1 - cos t) / t^2, (t - sin t) / t^3 and t^2 for a rotation vector of length t.
+
+    x, y, z: the rotation vector, rad.
+    """
     t2 = x * x + y * y + z * z
     t = math.sqrt(t2)
     if t < 1e-3:  # series: the error of the next term is below 1e-15
@@ -60,6 +63,7 @@ def multiply(a, b, out):
 def joint_frames(q, tree, rotations, centres, twists):
     """Compute frames and twists of one pose q (D,), relative to the root's position.
 
+    tree: of the body.
     rotations: (J, 3, 3) gets the rotations.
     centres: (J, 3) gets the centres minus q[0:3].
     twists: (D, 6) gets (w, v): a point x (minus q[0:3]) moves with w x x + v per unit of the dof.
@@ -75,6 +79,9 @@ def joint_frames(q, tree, rotations, centres, twists):
 def frames_of(q, tree, joints, rotations, centres, twists):
     """Compute frames and twists of some joints, from known frames of all others; see `joint_frames`.
 
+    q: (D,) pose.
+    tree: of the body.
+    rotations, centres, twists: as in `joint_frames`, in part filled before.
     joints: (K,) indices, parents before their children.
     """
     local = np.empty((3, 3))
@@ -142,7 +149,12 @@ def _forward_kinematics(poses, tree, rotations, centres):
 
 @kernel
 def skin_batch(rotations, centres, tree, mesh, out):
-    """Skin the mesh in float64 by linear blend skinning: (N, J, 3, 3), (N, J, 3) -> out (N, V, 3)."""
+    """Skin the mesh of N poses in float64 by linear blend skinning.
+
+    rotations, centres: (N, J, 3, 3) and (N, J, 3) m, joint frames in the world.
+    tree, mesh: of the body.
+    out: (N, V, 3) gets the vertices, m, world.
+    """
     for n in range(rotations.shape[0]):
         for v in range(mesh.vertices.shape[0]):
             px = py = pz = 0.0
@@ -177,7 +189,13 @@ def bone_map(rotation, centre, joint, out):
 
 @kernel
 def skin_vertices(maps, mesh, chosen, out):
-    """Skin the chosen vertices in float32 by linear blend skinning, with the maps (J, 12) of `bone_map`."""
+    """Skin some vertices of one pose in float32 by linear blend skinning.
+
+    maps: (J, 12) f4 of `bone_map`.
+    mesh: of the body.
+    chosen: indices of the vertices.
+    out: (V, 3) f4 m gets them; other rows stay.
+    """
     b = np.empty(12, np.float32)
     for n in range(chosen.shape[0]):
         v = chosen[n]
@@ -198,7 +216,12 @@ def skin_vertices(maps, mesh, chosen, out):
 
 @kernel
 def skin_about_root(rotations, centres, tree, mesh, out):
-    """Skin one pose in float32 relative to the root's position, where float32 is accurate to 1e-4 mm."""
+    """Skin one pose in float32 relative to the root's position, where float32 is accurate to 1e-4 mm.
+
+    rotations, centres: (J, 3, 3) and (J, 3) m, joint frames about the root.
+    tree, mesh: of the body.
+    out: (V, 3) f4 gets the vertices minus the root's position, m.
+    """
     n_joints = rotations.shape[0]
     maps = np.empty((n_joints, 12), np.float32)
     for j in range(n_joints):
@@ -208,7 +231,12 @@ def skin_about_root(rotations, centres, tree, mesh, out):
 
 @kernel
 def camera_about_root(projection, q, out):
-    """Convert a projection (3, 4) f8 of world points to out (3, 4) f4 for points minus q[0:3]."""
+    """Convert a projection of points in the world to one of points about the root of a pose.
+
+    projection: (3, 4) f8.
+    q: (D,) pose, whose first three numbers are the root's position, m.
+    out: (3, 4) f4 gets the projection.
+    """
     for r in range(3):
         for c in range(3):
             out[r, c] = projection[r, c]
@@ -225,7 +253,12 @@ def forward_kinematics(poses: ArrayLike, tree: TreeArrays) -> tuple[Array, Array
 
 
 def skin(rotations: ArrayLike, centres: ArrayLike, tree: TreeArrays, mesh: MeshArrays) -> Array:
-    """Compute vertices (N, V, 3) m by linear blend skinning, from rotations (N, J, 3, 3) and centres (N, J, 3) m."""
+    """Compute the vertices of N poses by linear blend skinning.
+
+    rotations, centres: (N, J, 3, 3) and (N, J, 3) m, joint frames in the world.
+    tree, mesh: of the body.
+    Returns: (N, V, 3) m, world.
+    """
     r, c = plain(rotations, np.float64), plain(centres, np.float64)
     out = np.empty((len(r), len(mesh.vertices), 3))
     skin_batch(r, c, tidy(tree), tidy(mesh), out)

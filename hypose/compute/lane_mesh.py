@@ -40,6 +40,13 @@ class LaneMesh(NamedTuple):
 
 
 class _Plan(NamedTuple):
+    """Layout of a mesh, kept for the next call.
+
+    edges_of, weights_of, wanted: the mesh's arrays and its faces for which it was made.
+    used: indices of the vertices in it.
+    mesh: the layout, without vertices.
+    """
+
     edges_of: NDArray[np.int32]  # the array itself: its identity is the key
     weights_of: NDArray[np.float32]
     wanted: bytes | None
@@ -71,10 +78,12 @@ def prepare_lanes(mesh: MeshArrays, tree: TreeArrays, faces: NDArray[np.bool_] |
 
 
 def _with_vertices(plan: _Plan, mesh: MeshArrays) -> LaneMesh:
+    """Complete a kept layout with the vertices of a mesh."""
     return plan.mesh._replace(vertices=np.asarray(mesh.vertices.take(plan.used, axis=0), dtype=np.float32))
 
 
 def _plan(mesh: MeshArrays, tree: TreeArrays, faces: NDArray[np.bool_] | None, wanted: bytes | None) -> _Plan:
+    """Make the layout of a mesh, or of its faces where faces (F,) is True; wanted: the faces as bytes, its key."""
     chosen = np.ones(len(mesh.faces), dtype=bool) if faces is None else faces
     kept = mesh.faces[chosen]
     new_face = np.full(len(mesh.faces), len(kept), dtype=np.int32)
@@ -105,6 +114,7 @@ def _plan(mesh: MeshArrays, tree: TreeArrays, faces: NDArray[np.bool_] | None, w
 
 
 def _with_ancestors(joints: NDArray[np.int32], parents: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Mark joints, given by their indices, and all above them in the tree: (J,) bool."""
     needed = np.zeros(len(parents), dtype=bool)
     needed[joints] = True
     for j in range(len(parents) - 1, 0, -1):
@@ -113,7 +123,7 @@ def _with_ancestors(joints: NDArray[np.int32], parents: NDArray[np.int64]) -> ND
 
 
 class MovingParts(NamedTuple):
-    """Parts of a mesh, or of its wanted faces, that move when some joints turn.
+    """Parts of a mesh that move when some joints turn.
 
     moved: (F,) faces with a corner carried by such a joint or by one below it.
     standing: (F,) the other faces.
@@ -132,11 +142,9 @@ class MovingParts(NamedTuple):
 _moving: list[tuple[NDArray[np.int32], bytes, MovingParts]] = []
 
 
-def moving_parts(
-    mesh: MeshArrays, tree: TreeArrays, moving: NDArray[np.bool_], faces: NDArray[np.bool_] | None
-) -> MovingParts:
-    """Find the parts of the wanted faces (F,) that move when the joints `moving` (J,) turn; kept for the next call."""
-    wanted = moving.tobytes() + (b"" if faces is None else faces.tobytes())
+def moving_parts(mesh: MeshArrays, tree: TreeArrays, moving: NDArray[np.bool_]) -> MovingParts:
+    """Find the parts of a mesh that move when the joints `moving` (J,) turn; they are kept for the next call."""
+    wanted = moving.tobytes()
     with _lock:
         for index_of, key, parts in _moving:
             if index_of is mesh.skin_index and key == wanted:
@@ -146,10 +154,8 @@ def moving_parts(
         below[j] |= parent >= 0 and below[parent]
     own = np.arange(mesh.skin_index.shape[1]) < mesh.skin_count[:, None]
     moved = np.asarray((below[mesh.skin_index] & own).any(1)[mesh.faces].any(1))
-    chosen = np.ones_like(moved) if faces is None else faces
-    standing = chosen & ~moved
-    corners, vertices = np.ascontiguousarray(mesh.faces[standing]), np.unique(mesh.faces[chosen & moved])
-    made = MovingParts(chosen & moved, standing, corners, below, vertices.astype(np.int64))
+    vertices = np.unique(mesh.faces[moved]).astype(np.int64)
+    made = MovingParts(moved, ~moved, np.ascontiguousarray(mesh.faces[~moved]), below, vertices)
     with _lock:
         _moving.insert(0, (mesh.skin_index, wanted, made))
         del _moving[_KEPT:]
@@ -176,6 +182,9 @@ def lane_scratch(mesh: LaneMesh, image: tuple[int, int]) -> tuple[Any, ...]:
 def _make(j: int, v: int, f: int, e: int, rows: int, columns: int) -> tuple[Any, ...]:
     """Make the scratch arrays of LANES poses: 12 for placing and projecting, 8 for drawing; the difference image is
     zero between calls.
+
+    j, v, f, e: numbers of joints, vertices, faces and edges.
+    rows, columns: size of the images, px.
     """
     f4, i4, lanes = np.float32, np.int32, LANES
     return (

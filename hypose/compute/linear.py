@@ -173,6 +173,7 @@ def frame_covariances(own: ArrayLike, bands: ArrayLike) -> Array | None:
 def _eliminated(own: Array, bands: Array) -> tuple[list[Array], Array] | None:
     """Eliminate pairs of frames one after the other.
 
+    own, bands: as in `solve_coupled`.
     Returns: the inverse of each pair's remaining block (2 D, 2 D), and the coupling to the next pair (P, 2 D, 2 D);
         None where not positive definite.
     Why pairs: a frame is coupled to the next two, so that the matrix of pairs is block-tridiagonal. Blocks of this size
@@ -203,6 +204,8 @@ def _product(a: Array, b: Array) -> Array:
 
 def _in_pairs(own: Array, bands: Array) -> tuple[Array, Array]:
     """Build blocks (P, 2 D, 2 D) of two frames each, and the coupling of each pair to the next (P, 2 D, 2 D).
+
+    own, bands: as in `solve_coupled`.
 
     Of an odd number of frames the last one gets a partner that is coupled to nothing.
     """

@@ -58,6 +58,9 @@ def nearest_from(line, step, far, right):
 def _by_other_rows(line, near, far):
     """Shorten the distances of a row (w,) i2 by steps from the next row and the one after (w + 4,), which begin two
     pixels to the left.
+
+    line: (w,) i2 fifths of a pixel.
+    near, far: (w + 4,) i2 the next row, and the one after.
     """
     w = line.shape[0]
     for x in range(w):

@@ -101,6 +101,7 @@ def draw(runs: MaskRuns, out: Mask | None = None, corner: tuple[int, int] = (0, 
 
     runs: of the mask.
     out: picture in which pixels are set, whose first pixel is the corner (y, x) of the mask; None: a new mask (h, w).
+    Returns: that picture.
     """
     made = np.zeros(runs.shape, np.uint8) if out is None else out
     _draw(runs.code, made, *corner)
@@ -167,7 +168,7 @@ def _bits_of(mask, bits):
 
 @kernel
 def _within(box, k):
-    """Return the bits of word k that lie in the box's columns."""
+    """Make the word whose set bits are the columns of word k that lie in the box (4,)."""
     low, high = max(box[2] - 64 * k, 0), min(box[3] - 64 * k, 64)
     if low >= high:
         return u8(0)
@@ -176,7 +177,7 @@ def _within(box, k):
 
 @kernel
 def close_to(bits, box):
-    """Clear the pixels in the box's rows outside its columns."""
+    """Clear the pixels outside the box's columns, in the box's rows, of bits (words, h)."""
     for k in range(bits.shape[0]):
         inside, column = _within(box, k), bits[k, box[0] : box[1]]
         for i in range(column.shape[0]):
@@ -232,7 +233,12 @@ def opened(bits, spans, box, out):
 
 @kernel
 def _bounds(bits, box):
-    """Fill the box around the set pixels; return whether there are any."""
+    """Find the box around the set pixels.
+
+    bits: of the mask.
+    box: (4,) gets y0, y1, x0, x1.
+    Returns: False for an empty mask.
+    """
     words, h = bits.shape
     rows, columns = np.zeros(h, np.uint64), np.zeros((words, 1), np.uint64)
     for k in range(words):
@@ -272,7 +278,7 @@ def _next(bits, y, x, end, flip):
 
 @kernel
 def _fill(bits, y, x0, x1):
-    """Set the bits x0..x1 of a row."""
+    """Set the pixels x0 to x1 (not included) of row y in bits (words, h)."""
     for k in range(x0 >> 6, (x1 + 63) >> 6):
         low, high = max(x0 - 64 * k, 0), min(x1 - 64 * k, 64)
         bits[k, y] |= (ALL << u8(low)) & (ALL >> u8(64 - high))
@@ -322,7 +328,7 @@ def _label(bits, box, flip, reach, runs, parent):
 
 @kernel
 def _most_runs(bits, box):
-    """Compute how many runs of set or of unset pixels the box can hold."""
+    """Compute an upper bound of the number of runs, of set or of unset pixels, in the box (4,) of bits (words, h)."""
     total = box[1] - box[0]
     for k in range(bits.shape[0]):
         for y in range(box[0], box[1]):
@@ -333,7 +339,13 @@ def _most_runs(bits, box):
 
 @kernel
 def _fill_holes(bits, box, most, runs, parent):
-    """Set the regions of unset pixels in the box of at most `most` pixels, connected over edges only."""
+    """Set the small regions of unset pixels in the box, connected over edges only.
+
+    bits: of the mask.
+    box: (4,).
+    most: largest area that is filled, px.
+    runs, parent: scratch of `_label`.
+    """
     n = _label(bits, box, ALL, 0, runs, parent)
     area = np.zeros(n, np.int64)
     for i in range(n):
@@ -347,6 +359,8 @@ def _fill_holes(bits, box, most, runs, parent):
 def _regions_near(n, runs, parent, keep_share, keep_gap, kept, about):
     """Choose the largest region and those near it.
 
+    n, runs, parent: number of runs, the runs, and the first run of each one's region, of `_label`.
+    keep_share, keep_gap: as in Cleaning.
     kept: (n,) gets whether a run belongs to one of them.
     about: (5,) gets their box and area.
     """
@@ -387,6 +401,7 @@ def _clean(bits, width, opening, closing, margin, hole_px, keep_share, keep_gap,
     """Clean the bits (words, h) of a mask (h, width), which are changed: open, close, fill holes, keep the largest
     region and those near it; see `clean`.
 
+    hole_px, keep_share, keep_gap: as in Cleaning.
     opening, closing: spans.
     margin: px around the mask within which this is done.
     about: (5,) gets the box around the kept regions and their area.

@@ -110,6 +110,7 @@ def robust(form, s, sigma2):
     """Compute rho(s) and its first and second derivative for height 1: equations (2) and (3) of Sminchisescu & Triggs
     2001, and s / sigma^2 for the Gaussian.
 
+    s, sigma2: squared length of the residual, and squared scale, px^2 or m^2.
     form: GAUSSIAN, LORENTZIAN or LECLERC.
     """
     t, gain = s / sigma2, 1 / sigma2
@@ -127,6 +128,9 @@ def curvature(first, second, s, second_order):
     """Compute the second derivative of rho(s) / 2 along the residual, rho' + 2 rho'' s of equation (9) of
     Sminchisescu & Triggs 2001, kept positive.
 
+    first, second: rho' and rho'' at s.
+    s: squared length of the residual.
+    second_order: False: rho' alone is used.
     Why: far from the peak it is negative, and a Newton step would climb.
     """
     if not second_order:
@@ -138,6 +142,8 @@ def curvature(first, second, s, second_order):
 def add_wrench(ws, j, w, x, y, z, gx, gy, gz):
     """Add w times the wrench of a point (x, y, z) that joint j carries, along (gx, gy, gz), to the row that is being
     made.
+
+    ws: scratch memory.
     """
     wrench = ws.wrench[j]
     wrench[0] += w * (y * gz - z * gy)
@@ -153,6 +159,9 @@ def add_wrench(ws, j, w, x, y, z, gx, gy, gz):
 def add_row(model, ws, first, second, hessian, gradient):
     """Finish the row J whose wrenches were added: gradient += first J, hessian += second J^T J, and clear the wrenches.
 
+    model, ws: MonoModel and scratch memory.
+    first, second: derivatives of the cost along the row's direction.
+    hessian, gradient: (A, A) and (A,).
     Wrenches climb the tree: the derivative by a dof is its twist times the sum at its joint. Of the hessian either
     [i, k] or [k, i] gets a pair's sum.
     """
@@ -190,7 +199,10 @@ def add_row(model, ws, first, second, hessian, gradient):
 
 @kernel
 def joint_point(ws, j, o):
-    """Compute the place (x, y, z) of a point at offset o (3,) in the frame of joint j, relative to the root."""
+    """Compute the place (x, y, z) of a point at offset o (3,) in the frame of joint j, relative to the root.
+
+    ws: scratch memory with the joint frames.
+    """
     c, r = ws.centres[j], ws.rotations[j]
     x = c[0] + r[0, 0] * o[0] + r[0, 1] * o[1] + r[0, 2] * o[2]
     y = c[1] + r[1, 0] * o[0] + r[1, 1] * o[1] + r[1, 2] * o[2]
@@ -200,7 +212,10 @@ def joint_point(ws, j, o):
 
 @kernel
 def sum_vertex_rows(n, model, ws, hessian, gradient):
-    """Add the first n rows of ws.row_vertices and ws.row_values to hessian (A, A) and gradient (A,)."""
+    """Add the first n rows of ws.row_vertices and ws.row_values to hessian (A, A) and gradient (A,).
+
+    model, ws: MonoModel and scratch memory.
+    """
     tree, mesh, rows, values, offset = model.tree, model.mesh, ws.row_vertices, ws.row_values, np.empty(3)
     for r in range(n):
         for i in range(3):
@@ -218,7 +233,12 @@ def sum_vertex_rows(n, model, ws, hessian, gradient):
 
 @kernel
 def projected(p, x, y, z):
-    """Project a point with p (3, 4); return its pixel (u, v) and its depth, m. The pixel is 0 nearer than 0.05 m."""
+    """Project a point of the world.
+
+    p: (3, 4) projection.
+    x, y, z: the point, m.
+    Returns: its pixel u and v, and its depth, m; the pixel is 0, 0 nearer than 0.05 m.
+    """
     depth = p[2, 0] * x + p[2, 1] * y + p[2, 2] * z + p[2, 3]
     if depth < 0.05:
         return 0.0, 0.0, depth
@@ -229,7 +249,12 @@ def projected(p, x, y, z):
 
 @kernel
 def image_direction(p, u, v, depth, nx, ny):
-    """Compute the derivative (x, y, z) by a point in the world of its pixel (u, v) along (nx, ny), px / m."""
+    """Compute the derivative (x, y, z) by a point in the world of its pixel (u, v) along (nx, ny), px / m.
+
+    p: (3, 4) projection.
+    u, v, depth: pixel and depth of the point, px and m.
+    nx, ny: direction in the image.
+    """
     iz = 1 / depth
     dx = (nx * (p[0, 0] - u * p[2, 0]) + ny * (p[1, 0] - v * p[2, 0])) * iz
     dy = (nx * (p[0, 1] - u * p[2, 1]) + ny * (p[1, 1] - v * p[2, 1])) * iz
@@ -240,6 +265,8 @@ def image_direction(p, u, v, depth, nx, ny):
 @kernel
 def mark_terms(q, problem, ws, hessian, gradient):
     """Compute the cost of 2D points at pose q (D,): 1/2 weight nu rho(|residual|^2) with nu = sigma^2.
+
+    problem, ws: evidence and priors, and scratch memory.
 
     Near zero it is a squared residual in standard deviations. A point behind the camera costs as much as at 1000 px.
     hessian, gradient: (A, A) and (A,), the derivatives are added to them.
@@ -274,6 +301,8 @@ def mark_terms(q, problem, ws, hessian, gradient):
 def sphere_terms(model, spheres, ws, hessian, gradient):
     """Compute the cost of interpenetration: 1/2 weight (apart - distance)^2 for pairs of spheres that are too near.
 
+    model, ws: MonoModel and scratch memory.
+    spheres: SphereArrays.
     hessian, gradient: (A, A) and (A,), the derivatives are added to them.
     """
     at = np.empty((spheres.joint.shape[0], 3))
@@ -300,6 +329,9 @@ def floor_terms(q, model, floor, second_order, ws, hessian, gradient):
     """Compute the cost of the floor at pose q (D,): the lowest point of the soles stands on it, and no point lies under
     it.
 
+    model, ws: MonoModel and scratch memory.
+    floor: FloorArrays.
+    second_order: as in `curvature`.
     The loss is that of a 2D point: a Lorentzian with its tail from 2 sd on, so that a jump costs little more than a
     step.
     hessian, gradient: (A, A) and (A,), the derivatives are added to them.
@@ -346,7 +378,10 @@ def put_row(ws, r, a, b, c, t, w, dx, dy, dz, first, second):
 
 @kernel
 def contour_row(p, ws, r, i, nx, ny, first, second):
-    """Write row r of contour node i along (nx, ny) in the image; p (3, 4), first, second: derivatives of the cost."""
+    """Write row r of contour node i along (nx, ny) in the image; p (3, 4), first, second: derivatives of the cost.
+
+    ws: scratch memory with the nodes.
+    """
     node = ws.nodes[i]
     a, b, t = ws.node_ends[i, 0], ws.node_ends[i, 1], node[0]
     depth = (1 - t) * ws.uvz[a, 2] + t * ws.uvz[b, 2]
@@ -358,6 +393,10 @@ def contour_row(p, ws, r, i, nx, ny, first, second):
 def line_search(field, x, y, nx, ny, window, threshold, energy, offset, strength):
     """Find all edges in the window along the normal: local maxima of the gradient's component along it.
 
+    field: (h, w, 2) image gradient, as in EdgeArrays.
+    x, y, nx, ny: node and unit normal, px.
+    window: px that are searched on either side.
+    threshold: weakest edge that counts.
     offset, strength: get their sub-pixel offset and strength (at most 1).
     energy: (2 window + 1,), scratch.
     Returns: number of edges.
@@ -389,6 +428,7 @@ def edge_terms(n_nodes, problem, sigma, want, ws, n_rows):
     """Compute the cost of the contour nodes, over all edges of each node's window: equation (7) of
     Sminchisescu & Triggs 2001, first sum.
 
+    problem, ws: evidence and priors, and scratch memory.
     n_nodes: number of nodes in ws.nodes.
     sigma: scale of the loss, px.
     want: whether to append rows to those in ws.
@@ -445,6 +485,8 @@ def flow_terms(q, n_flow, problem, want, ws, n_rows):
     """Compute the cost of the distances of inner nodes from where the flow has carried them: equation (7) of
     Sminchisescu & Triggs 2001, second sum.
 
+    problem, ws: evidence and priors, and scratch memory.
+
     Outliers of the flow have no nodes.
     q: (D,) pose.
     n_flow: number of nodes in ws.flow_nodes.
@@ -486,6 +528,8 @@ def flow_terms(q, n_flow, problem, want, ws, n_rows):
 @kernel
 def mask_terms(n_nodes, problem, want, ws, n_rows):
     """Compute the cost of the outer contour against a silhouette, in both directions.
+
+    problem, ws: evidence and priors, and scratch memory.
 
     Nodes are compared with the distance to the mask's edge, and points of the mask's outline with the nearest node
     (along its normal), so that neither a small nor a large body is preferred.
@@ -549,6 +593,7 @@ def mask_terms(n_nodes, problem, want, ws, n_rows):
 def image_cost(q, problem, sigma, n_flow, want, ws, hessian, gradient):
     """Compute the cost of all evidence at pose q (D,).
 
+    problem, ws: evidence and priors, and scratch memory.
     sigma: scale of the edges, px.
     n_flow: number of inner nodes (0: without flow).
     want: whether to compute derivatives.
@@ -611,6 +656,7 @@ def prior_cost(q, priors, active, hessian, gradient):
 def full_cost(q, problem, sigma, n_flow, ws, hessian, gradient):
     """Compute the cost of evidence and priors at pose q (D,): equations (6) and (10) of Sminchisescu & Triggs 2001.
 
+    problem, ws: evidence and priors, and scratch memory.
     sigma, n_flow, hessian, gradient: as in `image_cost`.
     Deviation: the evidence is not divided by N nu; masks, 2D points, interpenetration and the floor are added.
     """
@@ -622,6 +668,7 @@ def full_cost(q, problem, sigma, n_flow, ws, hessian, gradient):
 def prepare(before, q, problem, ws):
     """Prepare the workspace for a search from pose q (D,): draw the still parts, place the inner nodes of the flow.
 
+    problem, ws: evidence and priors, and scratch memory.
     before: (D,) pose in the previous picture, on whose surface the inner nodes lie.
     Returns: number of inner nodes; 0 without flow.
     """
@@ -637,7 +684,10 @@ def prepare(before, q, problem, ws):
 
 @kernel
 def _score(poses, problem, ws, costs):
-    """Compute the costs (N,) of poses (N, D) without flow; see `score`."""
+    """Compute the costs (N,) of poses (N, D) without flow; see `score`.
+
+    problem, ws: evidence and priors, and scratch memory.
+    """
     a = problem.model.active.shape[0]
     hessian, gradient = np.empty((a, a)), np.empty(a)
     if poses.shape[0] > 0:
@@ -664,6 +714,8 @@ def score(poses: ArrayLike, problem: MonoProblem, ws: MonoWorkspace) -> Array:
 def warm_up(tree: TreeArrays, mesh: MeshArrays, pose: Array, projection: Array) -> None:
     """Compile (or load from the cache) every kernel of monocular tracking on a toy body at pose (D,), before a pinhole
     (3, 4) of 32 x 32 px.
+
+    tree, mesh: of the body.
     """
     d, j = len(pose), len(tree.parents)
     still = np.zeros((32, 32, 2), np.float32)

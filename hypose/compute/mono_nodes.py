@@ -29,6 +29,10 @@ INNER, OUTER = 1.5, 1.7
 def pose_mesh(q, model, ws):
     """Compute the joint frames, the vertices about the root, their pixels and depths, and which faces are seen from
     outside.
+
+    q: (D,) pose.
+    model: MonoModel.
+    ws: scratch memory that gets them.
     """
     joint_frames(q, model.tree, ws.rotations, ws.centres, ws.twists)
     skin_about_root(ws.rotations, ws.centres, model.tree, model.mesh, ws.vertices)
@@ -53,13 +57,16 @@ def pose_mesh(q, model, ws):
 
 @kernel(inline=True)
 def _depth(nearest):
-    """Convert an inverse depth to m; _EMPTY where nothing is."""
+    """Convert an inverse depth, 1/m, to m; a very large number (_EMPTY) for 0, where nothing is."""
     return f4(1) / nearest if nearest > f4(0) else _EMPTY
 
 
 @kernel
 def fill_depth(model, ws):
-    """Draw the z-buffer around the moving parts: still parts as drawn before, moving parts new."""
+    """Draw the z-buffer around the moving parts: still parts as drawn before, moving parts new.
+
+    model, ws: MonoModel and scratch memory; ws.depth gets the picture.
+    """
     h, w = ws.depth.shape
     x0, x1, y0, y1 = f4(1e6), f4(-1e6), f4(1e6), f4(-1e6)
     uvz, faces = ws.uvz, model.mesh.faces
@@ -82,7 +89,10 @@ def fill_depth(model, ws):
 
 @kernel
 def draw_still(q, model, ws):
-    """Draw the parts that no estimated dof moves, as seen at pose q (D,), before a search."""
+    """Draw the parts that no estimated dof moves, as seen at pose q (D,), before a search.
+
+    model, ws: MonoModel and scratch memory; ws.still gets the picture.
+    """
     for y in range(ws.still.shape[0]):
         for x in range(ws.still.shape[1]):
             ws.still[y, x] = f4(0)
@@ -96,6 +106,8 @@ def draw_still(q, model, ws):
 def contour_nodes(model, spacing, ws):
     """Place nodes on the occluding contour of the moving parts, `spacing` px apart, into ws.node_ends and ws.nodes;
     return their number.
+
+    model, ws: MonoModel and scratch memory with the posed mesh and its z-buffer.
 
     A node lies on a mesh edge between a face seen from outside and one that is not. It is seen where nothing lies in
     front of it and its outer side shows a surface well behind it (the background: outer). Else it is occluded (kept,
@@ -165,6 +177,10 @@ def bilinear(image, x, y):
 @kernel
 def inner_nodes(model, flow, ws):
     """Place nodes on the surface of the previous pose, and find where the flow has carried them; return their number.
+
+    model: MonoModel.
+    flow: FlowArrays.
+    ws: scratch memory.
 
     The mesh and z-buffer of the previous pose are in ws. Nodes lie on a grid of flow.spacing px; ws.flow_faces and
     ws.flow_nodes get them. Hidden nodes, those near a jump in depth or on still parts, and outliers of the flow are

@@ -164,6 +164,10 @@ def _place(points, projection, uv, z, reach):
 def _draw_parts(uv, z, faces, part, closed, width, height, bits):
     """Draw the pixels that the faces of each part cover, into bits (P, W, 8 h) u1: 64 columns of a row
     in eight bytes.
+
+    uv, z: (V, 2) px and (V,) m of the vertices.
+    faces, part, closed: as in `draw_parts`.
+    width, height: of the picture, px.
     """
     stride, unread = row_stride(width), np.zeros(2, np.int64)
     difference = np.zeros((bits.shape[0], height + 1, stride), np.int8)

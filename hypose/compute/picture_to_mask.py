@@ -118,16 +118,25 @@ def make_lens(stored: tuple[int, int], map_x: ArrayLike, map_y: ArrayLike) -> Un
 
 
 def _parts(at: NDArray[np.floating], most: int) -> NDArray[np.int32]:
-    """Convert places to 32nds of pixels; unseen places lie outside the picture."""
+    """Convert places to 32nds of pixels; unseen places lie outside the picture.
+
+    at: (h, w) places, px; NaN: not seen.
+    most: largest number of 32nds.
+    """
     return np.clip(np.nan_to_num(np.rint(32 * at), nan=-32), -32, most).astype(np.int32)
 
 
 def _reach(at: NDArray[np.int32], axis: int) -> NDArray[np.int64]:
+    """Compute the smallest and the largest number of pixels `at` (h, w) along an axis: (n, 2)."""
     return np.stack([at.min(axis), at.max(axis)], -1, dtype=np.int64)
 
 
 def _averages(source: int, target: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Compute the first source pixel and the weights (sum 256) of each of `target` boxes."""
+    """Compute the first source pixel and the weights (sum 256) of each of `target` boxes.
+
+    source, target: number of source pixels and of boxes.
+    Returns: (target,) and (target, K).
+    """
     step = source / target
     begin, end = np.arange(target)[:, None] * step, (np.arange(target)[:, None] + 1) * step
     first = np.floor(begin[:, 0] + 1e-9).astype(np.int64)
@@ -182,6 +191,7 @@ def _scratch(h: int, w: int) -> NDArray[np.uint8]:
     """Return this thread's memory for a shrunk picture with a black rim, two bytes longer because pixels are read in
     pairs as eight bytes.
 
+    h, w: height and width with the rim, px.
     Why kept: new memory of this size costs as much as the shrinking.
     """
     known = getattr(_OWN, "small", None)
@@ -191,7 +201,12 @@ def _scratch(h: int, w: int) -> NDArray[np.uint8]:
 
 
 def _needed(lens: Undistortion, box: Box | None) -> Box:
-    """Compute the part of the shrunk picture from which the undistorted pixels in the box are made."""
+    """Compute the part of the shrunk picture from which the undistorted pixels in the box are made.
+
+    lens: of the camera.
+    box: in the undistorted picture; None: all of it.
+    Returns: y0, y1, x0, x1, half open, px of the shrunk picture.
+    """
     h, w = lens.corner.shape
     if box is None:
         return 0, h, 0, w
@@ -257,6 +272,7 @@ def warm_up() -> None:
 def _shrink(image, columns, column_weights, rows, row_weights, rounding, y0, y1, x0, x1, out, begin, stride):
     """Shrink image (H, W, 3) u1 by area average for y0 <= y < y1, x0 <= x < x1; tables as in `Undistortion`.
 
+    columns, column_weights, rows, row_weights, rounding: tables of `Undistortion`.
     out: u1, pixel (y, x) is written to three bytes from begin + stride y + 3 x on; the byte after each row becomes 0.
     """
     taps, lines = column_weights.shape[1], row_weights.shape[1]
@@ -283,6 +299,7 @@ def _shrink(image, columns, column_weights, rows, row_weights, rounding, y0, y1,
 def _remap(small, corner, part, shares, y0, y1, x0, x1, out):
     """Undistort the pixels in the box, into out (3 h w + 1,) u1.
 
+    y0, y1, x0, x1: the box, half open, px.
     small: flat picture (h + 3, w + 3) u1.
     corner: (h, w) number of the first pixel.
     shares: (K, 4) in 1024ths, of this pixel and its neighbours, chosen by part (h, w).
@@ -298,6 +315,8 @@ def _remap(small, corner, part, shares, y0, y1, x0, x1, out):
 def _differ(image, low, high, mean, shadow, darkest, lightest, chroma, y0, y1, x0, x1, block, bits):
     """Mark the pixels in the box where image (h, w, 3) u1 is not the room and not in its shadow; see `not_the_room`.
 
+    low, high, mean, shadow, darkest, lightest, chroma: as in BackgroundLevels.
+    y0, y1, x0, x1: the box, half open, px.
     block: spans of 3 x 3 pixels.
     bits: (words, h) u8, zero before.
     The picture has GROUP pixels at least.
@@ -337,7 +356,12 @@ def _differ(image, low, high, mean, shadow, darkest, lightest, chroma, y0, y1, x
 
 @kernel
 def _order_statistic(stack, hidden, rank, out):
-    """Compute out (P, 3) u1 of stack (N, P, 3) u1, hidden (N or 0, P) bool, rank (P,) u2; see `order_statistic`.
+    """Compute the value of a given rank over the frames; see `order_statistic`.
+
+    stack: (N, P, 3) u1.
+    hidden: (N, P) bool, frames that do not count; (0, P): all count.
+    rank: (P,) u2.
+    out: (P, 3) u1 gets the values.
 
     The value is found bit by bit, by counting the values smaller than it would be with this bit; in vector lanes.
     """
@@ -438,6 +462,10 @@ def blended_row(picture, step, corner, part, shares, first, count, out, to):
 def _blended_pair(picture, at, shares, share):
     """Blend a pixel and the one on its right; in whole numbers of 16 bits, which processors multiply and
     add at once.
+
+    picture, at: flat u1, and the byte at which the first pixel begins.
+    shares, share: flat u2 in 1024ths, and the index of the first pixel's share.
+    Returns: vector of four i4: blue, green, red, and a number without meaning.
     """
     value, weight = load(picture, at, 8), load(shares, share, 2)
     value, weight = cast(_by_colour(value, value), i2), cast(_repeated(weight, weight), i2)
@@ -449,6 +477,8 @@ def _blended_pair(picture, at, shares, share):
 def outside(picture, low, high, at):
     """Test GROUP pixels from byte `at` on: bit k of the result is set where pixel k lies in some colour outside
     low..high (u1).
+
+    picture, low, high: flat u1.
     """
     value = load(picture, at, _BYTES)
     other = (value < load(low, at, _BYTES)) | (value > load(high, at, _BYTES))
@@ -460,6 +490,9 @@ def outside(picture, low, high, at):
 def darker(picture, room, at, darkest, lightest, chroma):
     """Test GROUP pixels from byte `at` on: bit k of the result is set where pixel k shows the room in shadow.
 
+    picture: flat u1.
+    at: byte at which the first pixel begins.
+    darkest, lightest, chroma: as in BackgroundLevels.
     room: f4, flat as pictures.
 
     The colour is s times the room's colour, s = colour . room / room . room between darkest and lightest, with a rest

@@ -34,11 +34,12 @@ f4 = np.float32
 
 
 @kernel
-def draw_standing(pose, tree, mesh, faces, standing, prepared, boxes, bits, counts):
-    """Draw the silhouettes of some faces of the mesh at a pose (D,), inside boxes (C, 4).
+def _draw_standing(pose, tree, mesh, faces, standing, prepared, bits, counts):
+    """Draw the silhouettes of some faces of the mesh at a pose (D,).
 
     faces: (K, 3) the faces.
-    standing: (F,) the same faces among all.
+    standing: (F,) True for the same faces among all.
+    prepared: masks of the frame; views that are not usable stay empty.
     bits: (C, h, B), zero before, gets the silhouettes.
     counts: (C, 2), zero before, gets model and intersection pixels.
     """
@@ -63,7 +64,7 @@ def draw_standing(pose, tree, mesh, faces, standing, prepared, boxes, bits, coun
             n_union = contours_of_any(mesh.edges, front, union)
         if not prepared.usable[c]:
             continue
-        x0, x1, y0, y1 = boxes[c, 0], boxes[c, 1], boxes[c, 2], boxes[c, 3]
+        x0, x1, y0, y1 = 0, prepared.sizes[c, 0], 0, prepared.sizes[c, 1]
         near = not (bounds[4, k] >= NEAR)
         if not near:
             x0 = int(min(max(f4(x0), np.floor(bounds[0, k])), f4(x1)))
@@ -93,9 +94,11 @@ _BLOCK = 128
 
 @kernel
 def pixels(m, x, y, z, n, width, height, line, place):
-    """Compute the pixels of n points x, y, z (n,) under a projection m (3, 4), into place (n,) i4: line x row + column.
+    """Compute the pixels of n points x, y, z (n,) under a projection m (3, 4).
 
-    It is -1 outside the image, and nearer than 0.05 m.
+    width, height: of the image, px.
+    line: number of pixels of a row in memory.
+    place: (n,) i4 gets line x row + column; -1 outside the image, and nearer than 0.05 m.
     """
     m00, m01, m02, m03 = m[0, 0], m[0, 1], m[0, 2], m[0, 3]
     m10, m11, m12, m13 = m[1, 0], m[1, 1], m[1, 2], m[1, 3]
@@ -116,9 +119,14 @@ def pixels(m, x, y, z, n, width, height, line, place):
 
 @kernel
 def _score_points(points, weights, rotation, centre, prepared, bits, cutoff, out):
-    """Score points (N, P, 3) of weights (P,), given in the frame of a joint, into out (N,); see `score_points`.
+    """Score points of limbs into out (N,), as `score_points`.
 
-    rotation, centre: frame of the joint, (3, 3) and (3,).
+    points: (N, P, 3) m, in the frame of a joint.
+    weights: (P,) of the points.
+    rotation, centre: frame of the joint in the world, (3, 3) and (3,) m.
+    prepared: masks of the frame.
+    bits: (C, h, B) the standing parts, packed like the masks.
+    cutoff: a pose whose score is certain to lie above it is not scored to the end.
 
     The last points are scored first, because ends of limbs are the most informative.
     """
@@ -178,36 +186,29 @@ def _score_points(points, weights, rotation, centre, prepared, bits, cutoff, out
 def standing(
     pose: ArrayLike, tree: TreeArrays, mesh: MeshArrays, prepared: PreparedMasks, moving: ArrayLike
 ) -> Standing:
-    """Draw the silhouettes of the parts of a body at a pose (D,) that the joints `moving` (J,) bool, and those below
-    them, do not move.
+    """Draw the silhouettes of the parts of a body that do not move when some joints turn.
+
+    pose: (D,) at which the parts stand.
+    tree, mesh: of the body.
+    prepared: masks of the frame.
+    moving: (J,) bool, joints that turn; they and the joints below them are left out.
+    Returns: the silhouettes in the masks' pixels, ignored pixels included, and their counts without these.
     """
     q, turning = plain(pose, np.float64), plain(moving, np.bool_)
-    parts = lane_mesh.moving_parts(mesh, tree, turning, None)
+    parts, given = lane_mesh.moving_parts(mesh, tree, turning), tidy(prepared)
     bits, counts = np.zeros_like(prepared.bits), np.zeros((len(prepared.masks), 2), dtype=np.int64)
-    masks, boxes = tidy(prepared), whole_images(prepared)
-    draw_standing(q, tidy(tree), tidy(mesh), parts.corners, parts.standing, masks, boxes, bits, counts)
-    hide(prepared, bits, counts)
+    _draw_standing(q, tidy(tree), tidy(mesh), parts.corners, parts.standing, given, bits, counts)
+    if prepared.hidden.size:  # ignored pixels are drawn, so that nothing else counts there, and count for nothing
+        counts[:, 0] -= np.bitwise_count(bits & prepared.hidden).sum((1, 2), dtype=np.int64)
+        np.bitwise_or(bits, prepared.hidden, out=bits)
     return Standing(bits, counts)
 
 
 def whole_images(prepared: PreparedMasks) -> NDArray[np.int64]:
-    """Return the boxes x0, x1, y0, y1 (C, 4) of whole views."""
+    """Return the boxes x0, x1, y0, y1 (C, 4) of whole views, px."""
     boxes = np.zeros((len(prepared.sizes), 4), dtype=np.int64)
     boxes[:, 1::2] = prepared.sizes
     return boxes
-
-
-def hide(prepared: PreparedMasks, bits: NDArray[np.uint8], counts: NDArray[np.int64]) -> None:
-    """Add the ignored pixels of the masks to the silhouettes of the standing parts, in place.
-
-    prepared: masks of the frame; ignored pixels give no information.
-    bits, counts: (C, h, B) and (C, 2) of the standing parts.
-
-    The pixels are drawn, so that nothing else counts there, and count for nothing themselves.
-    """
-    if prepared.hidden.size:
-        counts[:, 0] -= np.bitwise_count(bits & prepared.hidden).sum((1, 2), dtype=np.int64)
-        np.bitwise_or(bits, prepared.hidden, out=bits)
 
 
 def score_points(
@@ -232,10 +233,7 @@ def score_points(
         a score only means that it lies above it.
     """
     p, w = plain(points, np.float64), plain(weights, np.float64)
-    r, c = plain(rotation, np.float64), plain(centre, np.float64)
-    out, masks, limit = np.empty(len(p)), tidy(prepared), float(cutoff)
-    score = _score_points
-    over_chunks(
-        lambda first, last: score(p[first:last], w, r, c, masks, rest.bits, limit, out[first:last]), len(p), None, 256
-    )
+    frame = plain(rotation, np.float64), plain(centre, np.float64)
+    out, given = np.empty(len(p)), (w, *frame, tidy(prepared), rest.bits, float(cutoff))
+    over_chunks(lambda i, k: _score_points(p[i:k], *given, out[i:k]), len(p), None, 256)
     return out

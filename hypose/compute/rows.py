@@ -30,7 +30,14 @@ BORDER = 3
 
 @kernel
 def add_row(hessian, gradient, j, w, r, px, py, pz, gx, gy, gz):
-    """Add the wrench of one row on joint j to hessian (J, 21) and gradient (J, 6)."""
+    """Add the wrench of one row to the sums of its joint.
+
+    hessian, gradient: (J, 21) and (J, 6) sums per joint.
+    j: joint that carries the point.
+    w, r: weight and residual.
+    px, py, pz: the point, m, relative to the root's position.
+    gx, gy, gz: derivative of the residual by the point.
+    """
     a = py * gz - pz * gy, pz * gx - px * gz, px * gy - py * gx, gx, gy, gz
     c, g, k = hessian[j], gradient[j], 0
     for x in range(6):
@@ -45,6 +52,7 @@ def add_row(hessian, gradient, j, w, r, px, py, pz, gx, gy, gz):
 def sum_rows(n, rows, joints, lanes, place, hessian, gradient):
     """Add n contour rows to hessian (J, 21) and gradient (J, 6), all rows of a joint at once in vector lanes.
 
+    rows, joints: (M, 8) wrench, weight, residual, and (M,) joint of each row.
     lanes, place: (9, M), with M of 27 at least, and (J + 1,), scratch.
     """
     n_joints = hessian.shape[0]
@@ -86,6 +94,7 @@ def sum_rows(n, rows, joints, lanes, place, hessian, gradient):
 def _wrenches(work, p):
     """Compute wrenches of LANES points.
 
+    Here a wrench is (p x g, g) of a point p with the derivative g of its residual by the place in the world.
     work: (9 x LANES,) f4: x, y, z of the ends of an edge, place on it, gradient along u and v; gets the wrenches.
     p: (3, 4) camera.
     """
@@ -115,6 +124,9 @@ def _wrenches(work, p):
 def form_rows(first, last, ends, found, work, n_rows, vertices, mesh, p, rows, joints):
     """Append the rows of found points first to last, all of one view, one row for each joint that moves the point.
 
+    n_rows: number of rows before.
+    vertices: (V, 3) f4 m, about the root.
+    mesh: of the body.
     ends, found: as in contours.contour_rows.
     p: (3, 4) f4, camera of the view.
     work: (9 x LANES,) f4, scratch.
@@ -160,6 +172,12 @@ def keypoint_rows(q, keypoints, rotations, centres, hessian, gradient, count):
     """Add the rows of 2D key points; return the cost, 1/2 w 4 log(1 + e^2 / 4) with e = distance / scale (Cauchy, 2
     sd).
 
+    q: (D,) pose.
+    keypoints: KeypointArrays.
+    rotations, centres: (J, 3, 3) and (J, 3) m, joint frames about the root.
+    hessian, gradient: (J, 21) and (J, 6) sums per joint.
+    count: (2,) its first number grows by the number of key points used.
+
     A key point behind its camera costs a constant 1/2 w 4 log(1 + 10^6) and has no derivative.
     """
     cost = 0.0
@@ -198,7 +216,12 @@ def keypoint_rows(q, keypoints, rotations, centres, hessian, gradient, count):
 
 @kernel
 def point_rows(q, points, rotations, centres, hessian, gradient, count):
-    """Add the rows of 3D points; return the cost, 1/2 w 4 log(1 + e^2 / 4) with e = distance / scale (Cauchy, 2 sd)."""
+    """Add the rows of 3D points; return the cost, 1/2 w 4 log(1 + e^2 / 4) with e = distance / scale (Cauchy, 2 sd).
+
+    q: (D,) pose.
+    points: PointArrays.
+    rotations, centres, hessian, gradient, count: as in `keypoint_rows`.
+    """
     cost = 0.0
     d = np.empty(3)
     for m in range(points.joint.shape[0]):
@@ -224,7 +247,10 @@ def point_rows(q, points, rotations, centres, hessian, gradient, count):
 
 @kernel
 def _mark_edge(above, row, below, before, after, marked):
-    """Mark in marked (n,) u1 where row (n,) is negative and a neighbour positive; the loop vectorises."""
+    """Mark in marked (n,) u1 where row (n,) is negative and a neighbour positive; the loop vectorises.
+
+    above, row, below, before, after: (n,) f4 signed distances of the pixels, and of their four neighbours.
+    """
     for i in range(row.shape[0]):
         most = before[i]
         most = after[i] if after[i] > most else most
@@ -236,6 +262,8 @@ def _mark_edge(above, row, below, before, after, marked):
 @kernel
 def _outline_points(sdf, width, height, out):
     """Find up to K points on the zero line of sdf (h, w), evenly in row order, BORDER px from the image border.
+
+    sdf, width, height: (h, w) f4 signed distance, px, and the size of the view in it.
 
     They are inside pixels with an outside neighbour, moved by -sdf along its gradient.
     out: (K, 2) gets them (repeated where there are fewer).
@@ -281,6 +309,7 @@ def wrench_sums(lanes, row, first, last, sums):
     """Sum the products of columns first..last, a multiple of EIGHT, of lanes (9, row) f8: wrench (6), weight w,
     residual, scratch.
 
+    row: number of columns of `lanes`.
     sums: (27,) gets, for x = 0..5: w x . y for y = 0..x, then w x . residual.
     """
     s = sums  # in three loops of nine, whose sums share loaded values
@@ -293,6 +322,9 @@ def wrench_sums(lanes, row, first, last, sums):
 def _among(lanes, row, first, last, x):
     """Sum the products of three parts of the wrenches, from x on, with each other and with the residual,
     in that order.
+
+    lanes, row, first, last: as in `wrench_sums`.
+    x: 0 or 3, first of the three parts.
     """
     zero = splat(0.0, EIGHT)
     aa, ar, ba, bb, br, ca, cb, cc, cr = zero, zero, zero, zero, zero, zero, zero, zero, zero
@@ -307,7 +339,10 @@ def _among(lanes, row, first, last, x):
 
 @kernel
 def _between(lanes, row, first, last):
-    """Sum the products of the last three parts of the wrenches with the first three."""
+    """Sum the products of the last three parts of the wrenches with the first three.
+
+    lanes, row, first, last: as in `wrench_sums`.
+    """
     zero = splat(0.0, EIGHT)
     ax, ay, az, bx, by, bz, cx, cy, cz = zero, zero, zero, zero, zero, zero, zero, zero, zero
     for k in range(first, last, EIGHT):
@@ -322,7 +357,11 @@ def _between(lanes, row, first, last):
 
 @kernel
 def _parts(lanes, row, x, k):
-    """Load three parts of the wrenches, from x on, of EIGHT columns."""
+    """Load three parts of the wrenches, from x on, of EIGHT columns.
+
+    lanes, row: as in `wrench_sums`.
+    x, k: first part, and first column.
+    """
     return load(lanes, x * row + k, EIGHT), load(lanes, (x + 1) * row + k, EIGHT), load(lanes, (x + 2) * row + k, EIGHT)
 
 

@@ -31,7 +31,6 @@ from hypose.compute.coverage import (
     row_stride,
 )
 from hypose.compute.lane_mesh import lane_scratch
-from hypose.compute.reach import draw_standing
 from hypose.compute.simd import load, splat, store, times_plus
 from hypose.compute.threads import over_chunks
 from hypose.errors import InputError, SolverError
@@ -42,8 +41,11 @@ f4 = np.float32
 
 @kernel
 def turn_lanes(frame, axis, e, out):
-    """Compute out = frame @ exp of the rotation vectors axis (3, LANES), in every lane; frame, out, scratch e: (9,
-    LANES).
+    """Turn frames by rotation vectors in every lane: out = frame @ exp(axis).
+
+    frame, out: (9, LANES) rotation matrices, row by row.
+    axis: (3, LANES) rad.
+    e: (9, LANES), scratch.
     """
     for k in range(LANES):
         x, y, z = axis[0, k], axis[1, k], axis[2, k]
@@ -84,7 +86,10 @@ def bone_maps(poses, first, tree, needed, frames, centres, axis, scratch, maps):
     """Compute the maps of the needed joints from the model at rest to the world about each pose's root, for LANES poses
     from first on (the last one repeated).
 
-    needed: (J,) joints to compute.
+    first: index of the first pose.
+    tree: of the body.
+    poses: (N, D).
+    needed: (J,) bool, joints to compute.
     frames, centres: (J + 1, 9, LANES) and (J, 3, LANES), kinematics in float64.
     axis, scratch: scratch.
     maps: (J, 12, LANES) f4 gets the rows of the (3, 4) maps.
@@ -160,6 +165,7 @@ def skin_vertex(maps, joint, weight, first, end, x, y, z, out, vertex):
 
 @kernel
 def _add_row(maps, at, x, y, z, w, total):
+    """Add one row of a map, from the flat index `at` on, times (x, y, z, w) to total, in all lanes."""
     total = times_plus(load(maps, at, LANES), x, total)
     total = times_plus(load(maps, at + LANES, LANES), y, total)
     total = times_plus(load(maps, at + 2 * LANES, LANES), z, total)
@@ -170,6 +176,10 @@ def _add_row(maps, at, x, y, z, w, total):
 def skin_lanes(poses, first, tree, mesh, turning, frames, centres, axis, scratch, maps, points):
     """Skin the mesh about each pose's root, into points (V, 3, LANES) f4.
 
+    tree: of the body.
+    frames, centres, axis, scratch, maps: as for `bone_maps`.
+    poses, first: (N, D) poses, and the first of the LANES poses.
+    mesh: LaneMesh.
     turning: (J,) joints that have moved since the last call; the other arguments are as for `bone_maps`.
     """
     bone_maps(poses, first, tree, turning, frames, centres, axis, scratch, maps)
@@ -180,7 +190,10 @@ def skin_lanes(poses, first, tree, mesh, turning, frames, centres, axis, scratch
 
 @kernel
 def camera_lanes(projection, poses, first, p):
-    """Convert a projection (3, 4) f8 of world points to p (12, LANES) f4 for points about each pose's root."""
+    """Convert a projection (3, 4) f8 of world points to p (12, LANES) f4 for points about each pose's root.
+
+    poses, first: (N, D) poses, and the first of the LANES poses (the last one is repeated).
+    """
     last = poses.shape[0] - 1
     for r in range(3):
         for k in range(LANES):
@@ -196,6 +209,8 @@ def camera_lanes(projection, poses, first, p):
 def lane_windows(bounds, box, lanes, window, origin):
     """Compute the image window of each lane: the part of its silhouette's bounds in the box (x0, x1, y0, y1).
 
+    bounds: (5, LANES), by `coverage.project_vertices`.
+    lanes: number of lanes in use.
     window: (5, LANES) f4 gets origin x, y, first and end column, rows.
     origin: (LANES, 4) i8 gets x, y, columns, rows. Windows begin at a multiple of 8 columns, where the mask's bits
         begin a byte.
@@ -222,7 +237,12 @@ def lane_windows(bounds, box, lanes, window, origin):
 
 @kernel
 def draw_safely(mesh, points, p, lane, one_sided, x0, y0, width, height, difference):
-    """Draw one lane face by face, where the lists cannot hold it."""
+    """Draw one lane face by face, where the lists cannot hold it.
+
+    points: (V, 3, LANES) f4 vertices about the root.
+    p: (12, LANES) f4 cameras.
+    one_sided, x0, y0, width, height, difference: as for `coverage.emit_clipped_faces`.
+    """
     vertices, camera = np.empty((points.shape[0], 3), np.float32), np.empty((3, 4), np.float32)
     for i in range(points.shape[0]):
         for c in range(3):
@@ -254,6 +274,10 @@ def _silhouette_xor(
     """Compare blocks first..last (of LANES poses) with the masks, inside boxes (C, 4), in the views that are usable
     (C,).
 
+    poses: (N, D).
+    tree, mesh: of the body, the mesh as LaneMesh.
+    prepared: masks of the frame.
+    box_areas: (C,) pixels of the masks in the boxes.
     moved_joints, turning: (J,) joints to compute for the first block, and for the others.
     drawn: (C, h, B) packed like the masks, pixels that belong to the body in every pose.
     drawn_counts: (C, 2) model and intersection pixels of these.
@@ -314,6 +338,7 @@ u1 = np.uint8
 def uncovered(prepared, drawn, cells):
     """Sum the pixels of the masks that are not drawn (C, h, B), both packed, over the cells above and to the left.
 
+    prepared: masks of the frame.
     cells: (C, R + 1, B + 1) i4, zero before, gets the sums.
     """
     for c in range(prepared.bits.shape[0]):
@@ -338,6 +363,8 @@ def uncovered(prepared, drawn, cells):
 def least_energies(poses, first, last, tree, mesh, turning, prepared, boxes, drawn_counts, cells, scratch, out):
     """Compute lower bounds of the cost, of blocks first..last (of LANES poses), into out (N, C).
 
+    poses: (N, D).
+    tree, mesh, turning, prepared, boxes, drawn_counts, scratch: as for `_silhouette_xor`.
     cells: of `uncovered`. The other arguments are as for `_silhouette_xor`, which has computed the joints that do not
         turn.
     """
@@ -452,13 +479,15 @@ def silhouette_xor(
 ) -> NDArray[np.int64]:
     """Compare silhouettes of the mesh at poses (N, D) with the frame's masks.
 
+    tree, mesh: of the body.
     prepared: masks of the frame.
     boxes: (C, 4) = x0, x1, y0, y1 (half open, px) within which pixels are counted; None: each view's whole image.
     threads: number of threads; None: the default.
     faces: (F,) bool: only these triangles of the mesh, as seen from outside (body parts, where a hierarchical search
         has not placed the rest yet).
-    moving: (J,) bool: only these joints turn; everything else stands as in the last pose, and is drawn once.
-    rest: that drawing, made by `reach.standing` (then without boxes and faces).
+    moving: (J,) bool: only these joints turn; everything else stands as in the last pose, and is drawn once. Not
+        together with boxes or faces.
+    rest: that drawing, made by `reach.standing`; None: it is made.
     Returns: (N, C, 3) = (xor, model, intersection) pixels; zeros in views that are not usable.
     Raises: SolverError for poses that are not finite.
 
@@ -488,13 +517,9 @@ def silhouette_xor(
         areas = np.array([np.count_nonzero(m) for m in inside], dtype=np.int64)
     drawn, drawn_counts, turned = _nothing(prepared.bits.shape), np.zeros((c, 2), dtype=np.int64), None
     if turning is not None and n:
-        wanted, standing, corners, turned, _ = lane_mesh.moving_parts(mesh, tree, turning, wanted)
-        if rest is not None:
-            drawn, drawn_counts = rest
-        else:
-            drawn = np.zeros_like(prepared.bits)
-            draw_standing(q[-1], t, tidy(mesh), corners, standing, prepared, b, drawn, drawn_counts)
-            reach.hide(prepared, drawn, drawn_counts)
+        parts = lane_mesh.moving_parts(mesh, tree, turning)
+        wanted, turned = parts.moved, parts.turning
+        drawn, drawn_counts = rest or reach.standing(q[-1], tree, mesh, prepared, turning)
     elif prepared.hidden.size:
         drawn = prepared.hidden  # one more standing part, of another person: it counts nowhere
     m = lane_mesh.prepare_lanes(mesh, tree, wanted)
@@ -524,6 +549,7 @@ def limb_energies(
 ) -> Array:
     """Compute the silhouette energies (eq. 2.8) of poses (N, D) in which only the joints `moving` (J,) turn.
 
+    tree, mesh: of the body.
     prepared: masks of the frame.
     rest: drawing of the standing parts; None: it is made.
     slack, more: poses whose energy is certainly above `slack` times that of the first pose, plus `more`, are not
@@ -537,8 +563,8 @@ def limb_energies(
     q, turning = _finite(poses), plain(moving, np.bool_)
     q = np.where(turning[tree.joint_of_dof], q, q[-1:])
     prepared = tidy(prepared)
-    drawn, drawn_counts = reach.standing(q[-1], tree, mesh, prepared, turning) if rest is None else rest
-    parts = lane_mesh.moving_parts(mesh, tree, turning, None)
+    drawn, drawn_counts = rest or reach.standing(q[-1], tree, mesh, prepared, turning)
+    parts = lane_mesh.moving_parts(mesh, tree, turning)
     m = lane_mesh.prepare_lanes(mesh, tree, parts.moved)
     scratch = lane_scratch(m, prepared.masks.shape[1:])
     cells = np.zeros((len(use), -(-drawn.shape[1] // CELL) + 1, drawn.shape[2] + 1), dtype=np.int32)
@@ -549,6 +575,10 @@ def limb_energies(
 
 
 def _finite(poses: ArrayLike) -> Array:
+    """Return poses (N, D) as a plain array.
+
+    Raises: SolverError where a number is not finite, or above 1e6.
+    """
     q = plain(poses, np.float64)
     if q.size and not np.abs(q).max() < 1e6:
         bad = int(np.argmax(~(np.abs(q).max(1) < 1e6)))
@@ -558,4 +588,5 @@ def _finite(poses: ArrayLike) -> Array:
 
 @lru_cache(4)
 def _nothing(shape: tuple[int, ...]) -> NDArray[np.uint8]:
+    """Make the drawing (C, h, B) of no standing parts; it is shared and must not be changed."""
     return np.zeros(shape, dtype=np.uint8)

@@ -107,6 +107,10 @@ def _outline_rows(vertices, uv, faces, edges, p, own, sdf, marks, spacing, least
     """Compute the two-way rows of one view into ends (M, 2) and rows (M, 6) = place on the edge, residual, gradient,
     weight.
 
+    vertices, faces, edges: (V, 3) m, (F, 3) and (E, 4).
+    p: (3, 4) camera.
+    sdf: (h, w) signed distance to the mask's edge, px.
+    spacing, least_cosine: as in `outline_rows`.
     uv: (V, 2) px of the vertices.
     own: (h, w) the body's silhouette.
     marks: (K, 2) the mask's outline.

@@ -33,20 +33,29 @@ class Vec(types.Type):
 
 @register_default(Vec)
 class _Model(models.PrimitiveModel):
+    """How numba stores a vector: as one LLVM vector."""
+
     def __init__(self, manager: Any, kind: Any) -> None:
         super().__init__(manager, kind, ir.VectorType(manager.lookup(kind.dtype).get_value_type(), kind.n))
 
 
 def _is_real(kind: Vec) -> bool:
+    """Return whether the numbers of a vector type are floating point."""
     return isinstance(kind.dtype, types.Float)
 
 
 def _is_signed(kind: Vec) -> bool:
+    """Return whether the numbers of a vector type are signed whole numbers."""
     return isinstance(kind.dtype, types.Integer) and kind.dtype.signed
 
 
 def _in_all_lanes(builder: Any, value: Any, n: int) -> Any:
-    """Return a number as a vector; a vector unchanged."""
+    """Return a number as a vector; a vector unchanged.
+
+    builder: LLVM's.
+    value: LLVM value, a number or a vector.
+    n: number of lanes.
+    """
     if isinstance(value.type, ir.VectorType):
         return value
     kind = ir.VectorType(value.type, n)
@@ -55,6 +64,8 @@ def _in_all_lanes(builder: Any, value: Any, n: int) -> Any:
 
 
 def _calculate(name: str) -> Callable[..., Any]:
+    """Make the function that writes an arithmetic instruction (LLVM's name, without the f of floating point)."""
+
     def code(builder: Any, kind: Vec, a: Any, b: Any) -> Any:
         return getattr(builder, ("f" if _is_real(kind) else "") + name)(a, b)
 
@@ -62,6 +73,8 @@ def _calculate(name: str) -> Callable[..., Any]:
 
 
 def _compare(name: str) -> Callable[..., Any]:
+    """Make the function that writes a comparison (`<`, `>` or `!=`), which gives one bit per lane."""
+
     def code(builder: Any, kind: Vec, a: Any, b: Any) -> Any:
         if _is_real(kind):
             return builder.fcmp_ordered(name, a, b)
@@ -71,6 +84,7 @@ def _compare(name: str) -> Callable[..., Any]:
 
 
 def _shift_right(builder: Any, kind: Vec, a: Any, b: Any) -> Any:
+    """Write a shift to the right, which keeps the sign of signed numbers."""
     return (builder.ashr if _is_signed(kind) else builder.lshr)(a, b)
 
 
@@ -89,6 +103,12 @@ _OPERATORS: dict[Any, Callable[..., Any]] = {
 
 
 def _operator(op: Any, write: Callable[..., Any]) -> None:
+    """Register a Python operator for vectors of one type, and for a vector and a number.
+
+    op: the operator, of the module `operator`.
+    write: function (builder, type, a, b) that writes the instruction.
+    """
+
     @infer_global(op)  # pyright: ignore[reportOptionalCall]
     class _(AbstractTemplate):
         key = op
@@ -114,6 +134,8 @@ for _op, _write in _OPERATORS.items():
 
 
 def _chosen(name: str) -> Any:
+    """Make the intrinsic (x, limit) that keeps x where `x name limit` holds, and else gives the limit."""
+
     def choose(typingctx: Any, x, limit):
         def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
             limit = _in_all_lanes(builder, args[1], sig.args[0].n)
@@ -129,6 +151,7 @@ at_least, at_most = _chosen(">"), _chosen("<")
 
 
 def _place(context: Any, builder: Any, kind: Any, array: Any, index: Any, n: int) -> tuple[Any, int]:
+    """Compute the address of n elements of an array from a flat index on, and the size of an element in bytes."""
     data = context.make_array(kind)(context, builder, array).data
     size = context.get_abi_sizeof(data.type.pointee)
     return builder.bitcast(builder.gep(data, [index]), ir.VectorType(data.type.pointee, n).as_pointer()), size
@@ -136,7 +159,10 @@ def _place(context: Any, builder: Any, kind: Any, array: Any, index: Any, n: int
 
 @intrinsic(prefer_literal=True)
 def load(typingctx: Any, array, index, n):
-    """Load n (a constant) elements of an array from an index on."""
+    """Load n (a constant) elements of an array from an index on.
+
+    array, index: contiguous array, and the flat index.
+    """
 
     def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         place, size = _place(context, builder, sig.args[0], args[0], args[1], sig.return_type.n)
@@ -147,7 +173,7 @@ def load(typingctx: Any, array, index, n):
 
 @intrinsic
 def store(typingctx: Any, array, index, value):
-    """Store a vector into an array, from an index on."""
+    """Store the vector `value` into an array, from a flat index on."""
 
     def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         place, size = _place(context, builder, sig.args[0], args[0], args[1], sig.args[2].n)
@@ -196,7 +222,10 @@ def lane(typingctx: Any, x, k):
 
 @intrinsic
 def cast(typingctx: Any, x, dtype):
-    """Convert to numbers of another type (numpy's); floating point is truncated to whole numbers, and must fit."""
+    """Convert to numbers of another type (numpy's); floating point is truncated to whole numbers, and must fit.
+
+    x, dtype: the vector, and numpy's type.
+    """
     kind = Vec(dtype.dtype, x.n)
 
     def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -223,6 +252,7 @@ def shuffle(order: Sequence[int]) -> Any:
 
 
 def _call(builder: Any, name: str, args: Sequence[Any]) -> Any:
+    """Write the call of an LLVM intrinsic of float32 vectors."""
     kind = args[0].type
     f = cgutils.get_or_insert_function(
         builder.module, ir.FunctionType(kind, [kind] * len(args)), f"llvm.{name}.v{kind.count}f32"

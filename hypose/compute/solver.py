@@ -38,6 +38,10 @@ _ROWS, _VIEWS, _FORMED = 0, 1, 2
 def fold(tree, twists, wrench_hessian, wrench_gradient, hessian, gradient):
     """Convert sums per joint to gradient (D,) and Gauss-Newton matrix (D, D).
 
+    tree: of the body.
+    twists: (D, 6) of the pose.
+    wrench_hessian, wrench_gradient: (J, 21) and (J, 6) sums per joint.
+
     Sums are folded from child to parent; then H_de = S_d . B_j S_e for each dof d of joint j and each dof e of j and
     its ancestors.
     """
@@ -88,6 +92,9 @@ def fold(tree, twists, wrench_hessian, wrench_gradient, hessian, gradient):
 def bounded_step_kernel(hessian, gradient, q, lower, upper, damping, step):
     """Minimise 1/2 s'(H + damping D)s + g's subject to lower <= q + s <= upper, into step.
 
+    hessian, gradient: H (D, D) and g (D,); D here is the damping's diagonal, max(diag H, 1).
+    q, lower, upper: (D,) the point and its bounds.
+    step: (D,) gets s.
     Returns: False where the matrix is not finite and positive.
 
     An active set that only grows is used (at most six rounds; then values still outside are clipped).
@@ -143,6 +150,9 @@ def bounded_step(
     """Compute the step (D,) from `at` that minimises 1/2 s' (H + damping max(diag H, 1)) s + g' s within lower <= at +
     s <= upper.
 
+    hessian, gradient: H (D, D) and g (D,).
+    lower, upper: (D,) bounds.
+    damping: relative to the diagonal.
     Returns: None where the matrix is not positive definite.
     """
     h, g, q, low, high = (plain(x, np.float64) for x in (hessian, gradient, at, lower, upper))
@@ -155,7 +165,10 @@ def bounded_step(
 
 @kernel
 def form_found(found_of, mesh, ws):
-    """Make rows of all found contour points that have none yet; found_of: see cost_at."""
+    """Make rows of all found contour points that have none yet; found_of: see cost_at.
+
+    mesh, ws: of the body, and scratch memory with the found points.
+    """
     cameras, first, state = found_of
     for c in range(state[_FORMED], state[_VIEWS]):
         n_rows, n_points = state[_ROWS], first[c + 1] - first[c]
@@ -173,6 +186,10 @@ def form_found(found_of, mesh, ws):
 def cost_at(q, tree, mesh, contours, scale, keypoints, points, depth, priors, ws, found_of, counts):
     """Compute the cost at pose q (D,).
 
+    tree, mesh: of the body.
+    contours, keypoints, points, priors: ContourArrays, KeypointArrays, PointArrays, PriorArrays.
+    scale: robust scale of the contours, px.
+    ws: scratch memory.
     depth: None is compiled separately, without the code for depth.
     counts: (C + 3, 2) gets forward and reverse rows of each view, then the key points, the points, and those of depth.
     found_of: gets what waits in the workspace for `normal_equations`: cameras (C + VIEWS, 3, 4) f4 about the root,
@@ -226,7 +243,12 @@ def cost_at(q, tree, mesh, contours, scale, keypoints, points, depth, priors, ws
 
 @kernel
 def normal_equations(q, found_of, tree, mesh, priors, ws, hessian, gradient):
-    """Compute hessian (D, D) and gradient (D,), overwritten, of the cost that `cost_at` has just computed at q."""
+    """Compute hessian (D, D) and gradient (D,), overwritten, of the cost that `cost_at` has just computed at q.
+
+    q, tree, mesh, priors: as in `cost_at`.
+    ws: scratch memory.
+    found_of: what `cost_at` has left.
+    """
     form_found(found_of, mesh, ws)
     rows = found_of[2][_ROWS]
     sum_rows(rows, ws.rows, ws.row_joints, ws.lanes, ws.place, ws.wrench_hessian, ws.wrench_gradient)
@@ -244,6 +266,8 @@ def _solve(q, tree, mesh, contours, keypoints, points, depth, priors, settings, 
     """Solve by bounded Levenberg-Marquardt from pose q (D,) within its bounds; q is overwritten, hessian and gradient
     get those at the result.
 
+    tree, mesh, contours, keypoints, points, depth, priors, ws, counts: as in `cost_at`.
+    settings: SolveLimits.
     Without iterations: compute the cost at q, the coarse one where coarse iterations were asked for.
     info: (4,), zero before, gets cost, iterations, evaluations, converged (1 where the last step was below the
         tolerance); the cost alone where it is not finite at the start.
@@ -323,7 +347,10 @@ MOST_FOUND = 3072
 
 
 def workspace(tree: TreeArrays, mesh: MeshArrays, height: int, width: int) -> Workspace:
-    """Make scratch memory for `solve` and `evaluate` on images up to (height, width); one per thread."""
+    """Make scratch memory for `solve` and `evaluate` on images up to (height, width); one per thread.
+
+    tree, mesh: of the body.
+    """
     v, f, e, j, d = len(mesh.vertices), len(mesh.faces), len(mesh.edges), len(tree.parents), len(tree.axes)
     f4, i4 = np.float32, np.int32
     line = int(row_stride(width))
@@ -390,6 +417,7 @@ def evaluate(
 ) -> Evaluation:
     """Compute cost and derivatives of all evidence at one pose (D,).
 
+    tree, mesh: of the body.
     cues, priors: evidence and priors of the frame.
     ws: scratch memory.
     coarse: whether to use the coarse scale of the contours.
@@ -426,6 +454,7 @@ def solve(
 ) -> Solution:
     """Solve the pose of one frame by bounded damped Gauss-Newton; releases the GIL.
 
+    tree, mesh: of the body.
     start: (D,) pose.
     cues, priors: evidence and priors of the frame.
     settings: of the solve.
@@ -442,7 +471,11 @@ def solve(
 
 
 def _solved(q: Array, evidence: tuple[Any, ...], settings: SolveLimits, ws: Workspace) -> tuple[Evaluation, Array]:
-    """Run the solver from pose q, which it changes; return the evaluation and its info (4,)."""
+    """Run the solver from pose q, which it changes; return the evaluation and its info (4,).
+
+    evidence: tree, mesh, the four cues and the priors.
+    settings, ws: limits of the solve, and scratch memory.
+    """
     d = len(q)
     gradient, hessian, info = np.zeros(d), np.zeros((d, d)), np.zeros(4)
     counts = np.zeros((len(evidence[2].sdf) + 3, 2), dtype=np.int64)

@@ -23,6 +23,7 @@ def default_threads() -> int:
 @cache
 def _pool(threads: int, process: int) -> ThreadPoolExecutor:
     # one per process: in a forked child the parent's pool looks alive but has no threads
+    """Make the pool of threads of a process (its id), once per number of threads."""
     return ThreadPoolExecutor(threads, thread_name_prefix="hypose")
 
 

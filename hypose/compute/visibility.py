@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -29,8 +27,10 @@ def nearest_visible(
     """
     v, n, c, d = (np.ascontiguousarray(a, dtype=np.float64) for a in (vertices, normals, closest, distance))
     f = np.ascontiguousarray(faces, dtype=np.int64)
-    near = np.zeros(d.shape, dtype=np.bool_)
-    _nearest_visible(v, f, n, c, d, near)
+    near, corners = np.zeros(d.shape, dtype=np.bool_), v[f]
+    centre = corners.mean(1)
+    radius = np.linalg.norm(corners - centre[:, None], axis=2).max(1)
+    _nearest_visible(v, f, n, c, d, centre, radius, near)
     return near
 
 
@@ -40,23 +40,14 @@ OUTWARD = 0.0  # largest cosine between the way to a bone and the outward normal
 
 
 @kernel
-def _face_spheres(vertices, faces, centre, radius):
-    """Compute the centre (F, 3) and radius (F,) of a sphere around each face."""
-    for f in range(len(faces)):
-        largest = 0.0
-        for k in range(3):
-            centre[f, k] = (vertices[faces[f, 0], k] + vertices[faces[f, 1], k] + vertices[faces[f, 2], k]) / 3
-        for i in range(3):
-            d = 0.0
-            for k in range(3):
-                d += (vertices[faces[f, i], k] - centre[f, k]) ** 2
-            largest = max(largest, d)
-        radius[f] = math.sqrt(largest)
-
-
-@kernel
 def _blocked(origin, way, own, vertices, faces, centre, radius):
-    """Return whether a face that does not contain the vertex `own` lies across the path origin + t way, 0 < t < 1."""
+    """Return whether a face that does not contain the vertex `own` lies across the path origin + t way, 0 < t < 1.
+
+    origin, way: (3,) m.
+    own: index of a vertex.
+    vertices, faces: (V, 3) m and (F, 3).
+    centre, radius: (F, 3) and (F,) m, a sphere around each face.
+    """
     ox, oy, oz = origin[0], origin[1], origin[2]
     dx, dy, dz = way[0], way[1], way[2]
     length2 = dx * dx + dy * dy + dz * dz
@@ -97,10 +88,12 @@ def _blocked(origin, way, own, vertices, faces, centre, radius):
 
 
 @kernel
-def _nearest_visible(vertices, faces, normals, closest, distance, near):
-    """Mark in near (V, B) the nearest visible segments of each vertex, ties included; see `nearest_visible`."""
-    centre, radius = np.empty((len(faces), 3)), np.empty(len(faces))
-    _face_spheres(vertices, faces, centre, radius)
+def _nearest_visible(vertices, faces, normals, closest, distance, centre, radius, near):
+    """Mark in near (V, B) the nearest visible segments of each vertex, ties included; see `nearest_visible`.
+
+    vertices, faces, normals, closest, distance: as in `nearest_visible`.
+    centre, radius: (F, 3) and (F,) m, a sphere around each face.
+    """
     origin, way = np.empty(3), np.empty(3)
     for i in range(len(vertices)):
         order = np.argsort(distance[i])

@@ -78,12 +78,14 @@ def _toy() -> tuple[TreeArrays, MeshArrays, np.ndarray, np.ndarray]:
 
 
 def _mask() -> tuple[np.ndarray, np.ndarray]:
+    """Make a mask (1, 32, 32) of a square, and its size (1, 2)."""
     mask = np.zeros((1, 32, 32), dtype=np.uint8)
     mask[:, 8:24, 8:24] = 1
     return mask, np.array([[32, 32]])
 
 
 def _scorer() -> None:
+    """Call the scorers of silhouettes."""
     tree, mesh, q, projection = _toy()
     mask, sizes = _mask()
     skin(*forward_kinematics(q[None], tree), tree, mesh)
@@ -94,6 +96,7 @@ def _scorer() -> None:
 
 
 def _points() -> None:
+    """Call the scorer of points."""
     _, _, q, projection = _toy()
     mask, sizes = _mask()
     prepared = prepare_masks(mask, np.array([True]), sizes, projection)
@@ -102,12 +105,14 @@ def _points() -> None:
 
 
 def _outlines() -> None:
+    """Call the kernels of a mask's outline."""
     mask, sizes = _mask()
     outline_points(signed_distance(mask, sizes)[0], (32, 32), 16)
     shrink_mask(mask[0, :30, :30], 3)
 
 
 def _parts() -> None:
+    """Call the kernels of a body's parts."""
     (_, mesh, _, projection), (mask, _) = _toy(), _mask()
     (uv, z, _), (h, w) = projected(mesh.vertices, projection[0]), mask[0].shape
     drawn = draw_parts(uv, z, mesh.faces, np.zeros(len(mesh.faces), np.uint8), 1, (h, w))
@@ -118,7 +123,11 @@ def _parts() -> None:
 
 
 def _evidence(depth: DepthArrays | None = None) -> tuple[np.ndarray, tuple[Any, ...], Any]:
-    """Make a pose, and all other arguments of the solver."""
+    """Make a pose, and all other arguments of the solver.
+
+    depth: arrays of a depth map; None: without depth.
+    Returns: pose (D,); tree, mesh, cues and priors; scratch memory.
+    """
     tree, mesh, q, projection = _toy()
     mask, sizes = _mask()
     sdf = np.zeros(mask.shape, dtype=np.float32)
@@ -132,6 +141,7 @@ def _evidence(depth: DepthArrays | None = None) -> tuple[np.ndarray, tuple[Any, 
 
 
 def _solver() -> None:
+    """Call the solver without depth."""
     q, given, ws = _evidence()
     solve(q, *given, SolveLimits(1, 0, 1e-3, 1e-2, 4), ws)
 
@@ -146,6 +156,7 @@ def _depth() -> None:
 
 
 def _monocular() -> None:
+    """Call the kernels of one camera."""
     tree, mesh, q, projection = _toy()
     mono.warm_up(tree, mesh, q, projection[0])
 
@@ -245,17 +256,23 @@ def _can_keep() -> bool:
 
 
 def _mark(part: str) -> Path | None:
+    """Return the path of the file that marks a group as being in the cache; None without a cache folder."""
     return cache_file(part, "ready", _digest_of_room())
 
 
 @cache
 def _digest_of_room() -> str:
+    """Compute the digest of all sources of this folder."""
     sources = sorted(Path(__file__).parent.rglob("*.py"))
     return hashlib.sha256(b"\0".join(p.read_bytes() for p in sources)).hexdigest()
 
 
 def _in_another_process(part: str, began: list[subprocess.Popen[bytes]]) -> None:
-    """Compile a group in another process; where that fails, this process compiles it later."""
+    """Compile a group in another process; where that fails, this process compiles it later.
+
+    part: name of the group.
+    began: gets the process, so that the caller can end it.
+    """
     with (
         contextlib.suppress(OSError),
         subprocess.Popen(
@@ -277,6 +294,7 @@ def run_for_another() -> None:
     """
 
     def watch() -> None:
+        """End this process when its input ends."""
         sys.stdin.read()
         os._exit(1)
 

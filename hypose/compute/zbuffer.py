@@ -77,7 +77,12 @@ def draw_nearest(u, v, inverse, faces, chosen, cull, nearest, face):
 
 @kernel
 def _weights(u, v, inverse, faces, face, nearest, bary):
-    """Compute the perspective-correct weights bary (h, w, 2) of the second and third corner of the drawn faces."""
+    """Compute the perspective-correct weights bary (h, w, 2) of the second and third corner of the drawn faces.
+
+    u, v, inverse: (V,) px and 1/m of the vertices.
+    faces: (F, 3).
+    face, nearest: (h, w) drawn faces, -1 where none, and their inverse depth, 1/m.
+    """
     for y in range(face.shape[0]):
         for x in range(face.shape[1]):
             f = face[y, x]

@@ -242,6 +242,7 @@ def people_of(
 ) -> list[PersonTrack]:
     """Find the people of a clip; those seen most come first.
 
+    frame_rate: Hz.
     candidates: per frame and view the detections (P, K, 3 or more) = (u px, v px, confidence, ...) in undistorted
         pixels of the pinhole `rig`, confidence 0 where missing; None where there is none. Further columns are kept. A
         candidate with fewer than four points is a part that may complete a person.
@@ -322,7 +323,10 @@ class Association:
         self._ended: list[_Followed] = []
 
     def step(self, views: Sequence[Array | None], /) -> None:
-        """Process one frame: per view the candidates (P, K, columns), None where there is none."""
+        """Process one frame: per view the candidates (P, K, columns), None where there is none.
+
+        views: C arrays, one per camera of the rig.
+        """
         found = self._stacked(views)
         count = np.count_nonzero(found[..., 2] > 0.1, axis=-1)
         is_person, free = count >= _LEAST_POINTS, count > 0
@@ -452,6 +456,7 @@ class Association:
     ) -> Array:
         """Correct left and right of the points (C, N, K, 3) by the points expected of each person.
 
+        seen: (C, N, K, columns) points of the persons as assigned; changed sides are returned in a copy.
         views, who: (M,) view and person of each assigned candidate.
         plain, turned: (M, K) distances from `_both`; exchange: (M, G + 1) from `_better_exchanged`.
         Where most views contradict a person's sides for some frames, the person's own sides had been confused and are
@@ -493,7 +498,10 @@ class Association:
         return out
 
     def _wrung(self, t: _Followed) -> bool:
-        """Decide whether the trunk is twisted so far that the left shoulder lies above the right hip."""
+        """Decide whether the trunk is twisted so far that the left shoulder lies above the right hip.
+
+        t: the tracked person. False where the key points have no shoulders or hips.
+        """
         if self._girdles is None:
             return False
         a, b, c, d = t.points[self._girdles]
@@ -516,7 +524,10 @@ class Association:
         return out
 
     def _turn(self, t: _Followed, group: int) -> None:
-        """Exchange left and right of one person's group of points in all frames in which most views said so."""
+        """Exchange left and right of one person's group of points in all frames in which most views said so.
+
+        t: the tracked person, changed in place; group: index in _GROUPS.
+        """
         of = self._group == group
         t.points[of], t.motion[of] = t.points[self._twin][of], t.motion[self._twin][of]
         t.stale[of] = t.stale[self._twin][of]
@@ -609,6 +620,7 @@ class Association:
     def _of_own_size(self, world: Array, used: NDArray[np.bool_]) -> Array:
         """Remove ends of limbs (NaN) that only two rays show and that lie further away than the person's bone is long.
 
+        world: (N, K, 3) m, NaN where unknown; returned with the removed points as NaN.
         used: (C, N, K) rays used per point. The other points update the lengths of the bones.
         """
         if not len(self._limbs):

@@ -44,14 +44,6 @@ class BackgroundModel:
     valid: NDArray[np.bool_]
     note: str = ""
 
-    def __post_init__(self) -> None:
-        h, w = self.valid.shape
-        if self.mean.shape != (h, w, 3) or self.sd.shape != (h, w, 3):
-            raise InputError(
-                f"A background model of {w} x {h} px needs mean and sd of shape {(h, w, 3)}, got {self.mean.shape} and "
-                f"{self.sd.shape}."
-            )
-
 
 def from_frames(frames: Images, what: str = "background clip") -> BackgroundModel:
     """Build the model from a clip of the empty room (N, h, w, 3) uint8: median and robust sd (1.4826 MAD) per pixel.
@@ -107,6 +99,7 @@ def from_recording(
 def match_gain(plate: BackgroundModel, reference: NDArray[np.floating]) -> BackgroundModel:
     """Scale each channel of a model to the brightness of a reference picture (h, w, 3).
 
+    plate: the model. Returns: the model with a scaled mean; its sd is unchanged.
     The scale is the median ratio over the pixels where both roughly agree; 1 where hardly any do.
     """
     gain = gain_between(plate.mean, reference)
@@ -275,7 +268,10 @@ def _parts_of_the_person(ghost: NDArray[np.bool_], differs: NDArray[np.floating]
 
 
 def _deviation(stack: Image, median: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """Compute the largest channel difference (N, h, w) from the median picture."""
+    """Compute the largest channel difference (N, h, w) from the median picture.
+
+    stack: (N, h, w, 3) frames; median: (h, w, 3) grey levels.
+    """
     reference = np.rint(median).astype(np.uint8)
     out = np.empty(stack.shape[:3], np.uint8)
     for made, picture in zip(out, stack, strict=True):

@@ -11,12 +11,11 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import ndimage
 
 from hypose.body.body import Body
 from hypose.cameras.camera import CameraRig
 from hypose.compute.zbuffer import rasterize
-from hypose.errors import EvidenceError, InputError
+from hypose.errors import EvidenceError
 from hypose.evidence.frame import Detections, Silhouettes
 from hypose.evidence.hull import Hull, visual_hull
 from hypose.evidence.skin import ColorTable, learned_table
@@ -26,57 +25,27 @@ UNNAMED = -1
 """Part of a detection that may be any of the ends (a skin detector does not distinguish hands and head)."""
 
 
-@dataclass(frozen=True)
-class Surface:
-    """Oriented points of a surface in the world.
-
-    points: (S, 3) m; normals: (S, 3) outward unit vectors; spacing: distance of neighbours, m.
-    """
-
-    points: Array
-    normals: Array
-    spacing: float
-
-
-def oriented_surface(hull: Hull) -> Surface:
-    """Compute surface points of a visual hull with normals.
-
-    Each normal points away from the centre of the occupied voxels in a 5 x 5 x 5 neighbourhood. (The thesis uses the
-    method of Salvador et al. 2010; any oriented points serve.)
-    """
-    solid = np.pad(hull.occupancy, 2)
-    rim = solid & ~np.asarray(ndimage.binary_erosion(solid), dtype=np.bool_)
-    index = np.argwhere(rim)
-    step = np.arange(-2, 3)
-    offsets = np.stack(np.meshgrid(step, step, step, indexing="ij"), -1).reshape(-1, 3)
-    strides = np.array([solid.shape[1] * solid.shape[2], solid.shape[2], 1])
-    around = solid.ravel()[(index @ strides)[:, None] + offsets @ strides]  # (S, 125)
-    inward = around.astype(np.float32) @ offsets.astype(np.float32)
-    norm = np.linalg.norm(inward, axis=1, keepdims=True)
-    normals = np.where(norm > 1e-6, -inward / np.maximum(norm, 1e-6), [0.0, 0.0, 1.0])
-    return Surface(hull.origin + (index - 2) * hull.voxel, normals.astype(np.float64), hull.voxel)
-
-
-def visibility(surface: Surface, rig: CameraRig, usable: NDArray[np.bool_] | None = None) -> Array:
+def visibility(hull: Hull, rig: CameraRig, usable: NDArray[np.bool_] | None = None) -> Array:
     """Compute how well each camera sees each surface point.
 
-    A point is seen where no other surface point lies in front of it (z-buffer with cells of two spacings, so that the
+    hull: whose surface points are used; rig: pinhole cameras; usable: (C,) views that count (default: all).
+    A point is seen where no other surface point lies in front of it (z-buffer with cells of two voxels, so that the
     points leave no holes) and it faces the camera. The factor is -z_c . n_q, with the camera's optical axis z_c and the
     normal n_q.
     Returns: (C, S) factors, 0 where not seen; columns sum to 1, or are all 0 where no camera sees the point.
     Source: Alcoverro 2014, eq. 2.16, normalised as after eq. 2.17.
     """
-    out = np.zeros((len(rig), len(surface.points)))
+    out = np.zeros((len(rig), len(hull.surface_points)))
     for c, camera in enumerate(rig):
         if usable is not None and not usable[c]:
             continue
         axis = camera.camera_from_world[2, :3]
-        depth = surface.points @ axis + camera.camera_from_world[2, 3]
-        uv = camera.project_pinhole(surface.points)
+        depth = hull.surface_points @ axis + camera.camera_from_world[2, 3]
+        uv = camera.project_pinhole(hull.surface_points)
         front = (depth > 0.05) & np.isfinite(uv).all(1)
         if not front.any():
             continue
-        cell = max(1.0, 2.0 * surface.spacing * camera.K[0, 0] / float(np.median(depth[front])))
+        cell = max(1.0, 2.0 * hull.voxel * camera.K[0, 0] / float(np.median(depth[front])))
         at = np.zeros((len(uv), 2), dtype=np.int64)
         at[front] = np.clip(np.rint(uv[front] / cell), -1e6, 1e6).astype(np.int64)
         low = at[front].min(0)
@@ -86,25 +55,26 @@ def visibility(surface: Surface, rig: CameraRig, usable: NDArray[np.bool_] | Non
         key = (at[:, 1] - low[1]) * size[0] + at[:, 0] - low[0]
         nearest = np.full(int(size.prod()), np.inf)
         np.minimum.at(nearest, key[front], depth[front])
-        facing = -(surface.normals @ axis)
+        facing = -(hull.normals @ axis)
         seen = front & (facing > 0)
-        seen[seen] = depth[seen] <= nearest[key[seen]] + 3.0 * surface.spacing
+        seen[seen] = depth[seen] <= nearest[key[seen]] + 3.0 * hull.voxel
         out[c, seen] = facing[seen]
     total = out.sum(0)
     return out / np.where(total > 0, total, 1.0)
 
 
-def surface_probability(surface: Surface, seen: Array, maps: NDArray[np.float32], rig: CameraRig) -> Array:
+def surface_probability(hull: Hull, seen: Array, maps: NDArray[np.float32], rig: CameraRig) -> Array:
     """Compute the probability (S,) that each surface point shows a part: sum over views of visibility times detector.
 
+    hull: whose surface points are used.
     seen: (C, S) from `visibility`.
     maps: (C, h, w) the detector's probability at the pixels of the pinhole rig; 0 outside the images.
     Source: Alcoverro 2014, eq. 2.17.
     """
-    out = np.zeros(len(surface.points))
+    out = np.zeros(len(hull.surface_points))
     for c, camera in enumerate(rig):
         some = np.flatnonzero(seen[c] > 0)
-        uv = np.rint(camera.project_pinhole(surface.points[some])).astype(np.int64)
+        uv = np.rint(camera.project_pinhole(hull.surface_points[some])).astype(np.int64)
         inside = ((uv >= 0) & (uv < np.array(camera.size))).all(1)
         some, uv = some[inside], uv[inside]
         out[some] += seen[c, some] * maps[c, uv[:, 1], uv[:, 0]]
@@ -128,10 +98,11 @@ class ClusterSettings:
 
 
 def likely_clusters(
-    surface: Surface, probability: Array, settings: ClusterSettings = ClusterSettings(), stature: float = 1.75
+    hull: Hull, probability: Array, settings: ClusterSettings = ClusterSettings(), stature: float = 1.75
 ) -> tuple[Array, Array]:
     """Cluster the likely surface points: points within the tolerance of each other (single linkage on a kd-tree).
 
+    hull: whose surface points are used.
     settings: limits of a cluster; stature: of the person, m; sizes grow in proportion to it.
     probability: (S,) of the surface points.
     Returns: centres (E, 3), m, and mean probabilities (E,), largest cluster first.
@@ -145,13 +116,13 @@ def likely_clusters(
     likely = np.flatnonzero(probability >= settings.threshold)
     if len(likely) == 0:
         return np.zeros((0, 3)), np.zeros(0)
-    points = surface.points[likely]
-    pairs = KDTree(points).query_pairs(max(settings.tolerance * scale, 1.8 * surface.spacing), output_type="ndarray")
+    points = hull.surface_points[likely]
+    pairs = KDTree(points).query_pairs(max(settings.tolerance * scale, 1.8 * hull.voxel), output_type="ndarray")
     graph = coo_matrix((np.ones(len(pairs), np.bool_), (pairs[:, 0], pairs[:, 1])), shape=(len(points), len(points)))
     _, label = connected_components(graph, directed=False)
     counts = np.bincount(label)
     # a rim voxel stands for the area of its face, on slanting surfaces for more
-    area = counts * surface.spacing**2 / scale**2
+    area = counts * hull.voxel**2 / scale**2
     kept = np.flatnonzero((area >= settings.low) & (area <= settings.high))
     kept = kept[np.argsort(-counts[kept], kind="stable")]
     centres = np.stack([np.bincount(label, points[:, a])[kept] / counts[kept] for a in range(3)], 1)
@@ -202,20 +173,16 @@ def detect_ends(
         of it.
     Returns: the detections (none without a hull); the hull's centroid (3,), m, as the centre for the next frame.
     With four views or more, one of them may miss a part of the person.
-    Raises: InputError where maps and masks differ in shape.
     """
-    if maps.shape != silhouettes.masks.shape:
-        raise InputError(f"The detector's maps {maps.shape} and the masks {silhouettes.masks.shape} differ in shape.")
     reach = 0.75 * stature
     bounds = np.stack([centre - reach, centre + reach])
     try:
         hull = visual_hull(silhouettes, bounds, voxel, miss=int(silhouettes.usable.sum() >= 4))
     except EvidenceError:
         return Detections(np.zeros((0, 3)), np.zeros(0), np.zeros(0, np.int32)), centre
-    surface = oriented_surface(hull)
-    seen = visibility(surface, silhouettes.rig, silhouettes.usable)
-    probability = surface_probability(surface, seen, maps, silhouettes.rig)
-    points, score = likely_clusters(surface, probability, settings, stature)
+    seen = visibility(hull, silhouettes.rig, silhouettes.usable)
+    probability = surface_probability(hull, seen, maps, silhouettes.rig)
+    points, score = likely_clusters(hull, probability, settings, stature)
     return Detections(points, score, np.full(len(points), UNNAMED, np.int32)), hull.centroid
 
 
@@ -232,10 +199,7 @@ def end_colors(
         body shows a part at least a pixel inside the mask.
     prior: share of head and hands among the pixels.
     Returns: table of probabilities, see `skin.ColorTable`.
-    Raises: InputError where pictures and masks differ in shape.
     """
-    if images.shape[:3] != silhouettes.masks.shape:
-        raise InputError(f"The pictures {images.shape} and the masks {silhouettes.masks.shape} differ in shape.")
     mesh = body.fine
     vertices = body.skin(pose, mesh)
     end = np.isin(mesh.main_joint, [body.skeleton.joint(n) for n in END_JOINTS])[mesh.faces].sum(1) >= 2

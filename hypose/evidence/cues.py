@@ -61,7 +61,7 @@ ARM_M2, ARM_REACH_M, EXPLAINED_M = 0.055, 0.75, 0.08
 LEAST_SHOWN, AGREED, NEARBY = 0.7, 0.8, 0.4
 """Shares of an arm: visible; of the visible part, at the right depth; seen in its reach without belonging to the body.
 An arm that is visible to this degree is not searched elsewhere. Chosen on the seeds 0 to 15 (benchmark `depth`)."""
-_REMEMBERED_POSES = 12
+_REMEMBERED_POSES, _DIGITS = 12, 12
 """results are cached for sets of at most this many poses, because the same pose is judged several times in a frame"""
 
 
@@ -71,23 +71,22 @@ class PoseMemory(Generic[_Found]):
     def __init__(self) -> None:
         self._found: dict[tuple[Body, bytes], _Found] = {}
 
+    @staticmethod
+    def _key(body: Body, pose: Array) -> tuple[Body, bytes]:
+        """Build the key of a pose (D,); poses that differ by rounding errors, as after clamping, have one key."""
+        return body, (pose.round(_DIGITS) + 0.0).tobytes()  # + 0.0: no negative zeros
+
     def get(self, body: Body, pose: Array) -> _Found | None:
         """Look up the result of a pose (D,); None where there is none."""
-        return self._found.get((body, pose.tobytes()))
+        return self._found.get(self._key(body, pose))
 
     def keep(self, body: Body, pose: Array, found: _Found) -> _Found:
         """Store a result and return it.
 
         pose: (D,); found: its result.
         """
-        self._found[body, pose.tobytes()] = found
+        self._found[self._key(body, pose)] = found
         return found
-
-    def same(self, body: Body, pose: Array, other: Array) -> None:
-        """Store the result of a pose (D,) for another pose as well."""
-        known = self.get(body, pose)
-        if known is not None:
-            self.keep(body, other, known)
 
     def all(self, body: Body, poses: Array, find: Callable[[Array], NDArray[Any]]) -> NDArray[Any]:
         """Look up or compute the results of the poses (N, D), row by row.
@@ -111,7 +110,10 @@ class PoseMemory(Generic[_Found]):
 
 @dataclass(frozen=True)
 class SilhouetteEvidence(Evidence):
-    """Silhouettes of a frame for searches and solves; masks: prepared for the search."""
+    """Silhouettes of a frame for searches and solves.
+
+    masks: prepared for the search.
+    """
 
     masks: PreparedMasks
     _counts: PoseMemory[NDArray[np.int64]] = field(default_factory=PoseMemory, compare=False, repr=False)
@@ -155,11 +157,6 @@ class SilhouetteEvidence(Evidence):
                 use = use & (counts[:, 1] > VISIBLE * self.masks.norm)
             return self._overlaps.keep(body, pose, np.where(use, counts[:, 2] / union, np.nan))
 
-    def same(self, body: Body, pose: Array, other: Array) -> None:
-        """Reuse the first pose's results for the other pose."""
-        self._counts.same(body, pose, other)
-        self._overlaps.same(body, pose, other)
-
 
 @dataclass(frozen=True)
 class KeypointEvidence(Evidence):
@@ -186,7 +183,10 @@ class KeypointEvidence(Evidence):
 
 @dataclass(frozen=True)
 class DepthEvidence(Evidence):
-    """Depth of a frame for searches and solves; maps: prepared for the search."""
+    """Depth of a frame for searches and solves.
+
+    maps: prepared for the search; the maps of the sensors that see the person only.
+    """
 
     maps: SeenDepth
     _costs: PoseMemory[float] = field(default_factory=PoseMemory, compare=False, repr=False)
@@ -198,6 +198,7 @@ class DepthEvidence(Evidence):
         """Compute the depth energies (N,) of poses (N, D): mean depth difference over the person's pixels that the body
         covers.
 
+        limb: not used; the whole body is compared.
         It is the sum over the sensors. Pixels that the body does not cover are counted by the silhouettes.
         """
         if not self.seen:
@@ -207,10 +208,6 @@ class DepthEvidence(Evidence):
             return np.asarray(SHARE * depth_energy(of, *self._about(body)).sum(1))
 
         return self._costs.all(body, poses, measured)
-
-    def same(self, body: Body, pose: Array, other: Array) -> None:
-        """Reuse the first pose's results for the other pose."""
-        self._costs.same(body, pose, other)
 
     def limb_energy(
         self,
@@ -349,7 +346,11 @@ class OwnCue(Evidence):
 
 
 def own_evidence(sources: Sequence[OwnEvidence], body: Body, frame: Frame) -> list[Evidence]:
-    """Prepare the user's own sources of evidence in a frame, for a body."""
+    """Prepare the user's own sources of evidence in a frame, for a body.
+
+    sources: each is asked for its rows once.
+    Returns: one Evidence per source, which has no terms where the source has no rows in this frame.
+    """
     rows = [one.rows(body, frame) for one in sources]
     terms = [() if term is None else (term,) for term in rows]
     return [OwnCue(_NO_VIEWS, own, one, frame) for one, own in zip(sources, terms, strict=True)]

@@ -91,6 +91,7 @@ def learn_background(maps: Sequence[DepthMap]) -> DepthBackground:
 def with_still_things(room: DepthBackground, maps: Sequence[DepthMap], camera: Camera) -> tuple[DepthBackground, float]:
     """Add things to the room that were not there when it was empty.
 
+    camera: of the maps, placed in the world.
     maps: (h, w) m, spread over a recording. A thing keeps its place while a person moves elsewhere.
     Returns: the new room, and the visible area of the things, m^2; the same room and 0 where no person is ever far
         enough away to know this.
@@ -157,6 +158,7 @@ def person_before(depth: DepthMap, background: DepthBackground, focal_px: float 
 def people_before(depth: DepthMap, background: DepthBackground) -> Mask:
     """Segment everything in front of the empty room in a depth map (h, w), m, without specks and with holes filled.
 
+    background: the empty room.
     Returns: (h, w) 0 or 1.
     """
     before = _calm(before_room(depth, background.depth, background.sd, _SDS, _LEAST_M))
@@ -170,6 +172,7 @@ def people_before(depth: DepthMap, background: DepthBackground) -> Mask:
 def person_on_floor(depth: DepthMap, camera: Camera, room: DepthMap | None = None) -> Mask:
     """Segment the piece most like a person among everything that stands on the floor (z = 0), split at jumps of depth.
 
+    depth: (h, w) m; camera: of the map, placed in the world (floor at z = 0).
     room: (h, w) distance of the room, m, 0 = unknown (`unlike_people`).
     Returns: (h, w) 0 or 1; all 0 where nothing has a person's size.
     """
@@ -195,6 +198,7 @@ def unlike_people(maps: Sequence[DepthMap], camera: Camera) -> DepthMap:
     """Find the parts of a recording that stand still and are not like a person: walls, small things, things as wide as
     a box.
 
+    camera: of the maps, placed in the world (floor at z = 0).
     maps: (h, w) m, spread over the recording.
     Returns: (h, w) their distance, m, 0 elsewhere. A person who stands still the whole time is not included; walls are,
         also where a person passes in front of them.
@@ -221,7 +225,10 @@ def _tolerance(depth: DepthMap) -> DepthMap:
 
 
 def _without(depth: DepthMap, room: DepthMap | None) -> DepthMap:
-    """Set the pixels of a map to 0 that are known to be of the room."""
+    """Set the pixels of a map to 0 that are known to be of the room.
+
+    depth: (h, w) m; room: (h, w) distance of the room, m, 0 = unknown; None: the map is returned as it is.
+    """
     if room is None:
         return depth
     return np.where((room > 0) & (depth > room - _tolerance(room)), 0, depth).astype(np.float32)
@@ -263,8 +270,11 @@ class _Standing:
         return self.with_limbs([k for k, p in low.items() if p.like > _LIKE and p.head < head], low)
 
     def with_limbs(self, people: Sequence[int], among: Mapping[int, _Piece]) -> Mask:
-        """Segment these pieces (h, w), and those among others that may be their limbs in front of or behind the
-        trunk."""
+        """Segment these pieces (h, w), and those among others that may be their limbs in front of or behind the trunk.
+
+        people: numbers of the pieces; among: pieces that may be limbs, by their numbers.
+        Returns: (h, w) 0 or 1.
+        """
         middles = [self.pieces[k].middle for k in people]
 
         def nearby(p: _Piece) -> bool:
@@ -307,6 +317,7 @@ def behind_things(
     """Mark pixels as ignored where a thing of the empty room stands in front of the person, who may be behind it or
     not.
 
+    depth: maps of the same views; None: the silhouettes are returned as they are.
     rooms: of each view; None: unknown.
     Returns: the silhouettes with ignored pixels; the same silhouettes where nothing stands in front.
     """

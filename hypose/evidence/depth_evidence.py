@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.compute.depth_points import points_of_surface
-from hypose.errors import InputError
 from hypose.geometry import Array
 
 POINTS = 200
@@ -68,7 +67,6 @@ class Depth:
     usable: (C,) False for a view without a map, for example one that is no depth camera.
     noise: of the sensors.
     blank: (C,) depth cameras whose whole map is a hole; None: none.
-    Raises: InputError where the shapes do not fit.
     """
 
     maps: NDArray[np.float32]
@@ -77,15 +75,6 @@ class Depth:
     usable: NDArray[np.bool_]
     noise: DepthNoise = DepthNoise()
     blank: NDArray[np.bool_] | None = None
-
-    def __post_init__(self) -> None:
-        if self.maps.ndim != 3 or self.maps.shape != self.person.shape or len(self.maps) != len(self.rig):
-            raise InputError(
-                f"Depth of {len(self.rig)} views needs maps and person of shape ({len(self.rig)}, h, w), got "
-                f"{self.maps.shape} and {self.person.shape}."
-            )
-        if self.usable.shape != (len(self.rig),):
-            raise InputError(f"Depth needs one usable per view, {len(self.rig)}, got {self.usable.shape}.")
 
     def unseen(self) -> Depth:
         """Copy the maps with no usable view."""
@@ -158,6 +147,7 @@ def in_world(camera: Camera, points_camera: Array) -> Array:
 def smooth_surface(depth: NDArray[np.float32], jump_m: float = JUMP_M) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Smooth a depth map (h, w), m, by the median of 3 x 3 px, and mark where these lie on one surface.
 
+    jump_m: difference of depth from which neighbours are different surfaces, m.
     Returns: the smoothed map (h, w); (h, w) true where the 3 x 3 px have no hole and no jump.
     """
     kernel = np.ones((3, 3), np.uint8)

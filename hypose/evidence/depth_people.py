@@ -30,6 +30,7 @@ _THICK_M, _VOXEL_M = 0.16, 0.03
 def space_behind(depth: Depth, bounds: Array | None = None) -> Hull:
     """Compute the space that the person may fill, instead of a visual hull: the seen surface and _THICK_M behind it.
 
+    depth: maps in which the person is marked.
     bounds: (2, 3) m, limits the space.
     Raises: EvidenceError where no sensor shows a person.
     """
@@ -128,7 +129,10 @@ def people_in_depth(
 
 
 def _without_parts(found: Sequence[HullPerson]) -> list[HullPerson]:
-    """Add the pixels of separate parts, such as an arm held out, to the larger person nearby."""
+    """Add the pixels of separate parts, such as an arm held out, to the larger person nearby.
+
+    found: people, the largest first. Returns: those who are no part of a larger one.
+    """
     kept = list[HullPerson]()
     for person in found:
         near = [k for k, o in enumerate(kept) if np.linalg.norm(o.axis - person.axis) < PART_OF_LARGER_M]
@@ -222,8 +226,10 @@ def own_depth(
 
 
 def _away(shape: StandingShape, at: NDArray[np.int64], points: Array) -> Array:
-    """Compute the distance (N,), m, of measured pixels (N, 3), at points (N, 3), m, from a person; inf where it is
-    far."""
+    """Compute the distance (N,), m, of measured pixels (N, 3), at points (N, 3), m, from a person; inf where it is far.
+
+    shape: of the person; the pixels of a shape that is given as masks are _CLUSTER_M away, all others inf.
+    """
     from scipy.spatial import KDTree  # takes long to import
 
     if isinstance(shape, DrawnShape):

@@ -54,32 +54,36 @@ class Hull:
         return float(np.ptp(self.points[:, 2])) + self.voxel
 
     @cached_property
-    def _surface(self) -> tuple[Array, Array]:
-        solid = np.pad(self.occupancy, 3)
-        rim = solid & ~np.asarray(ndimage.binary_erosion(solid), dtype=np.bool_)
-        smooth = np.asarray(ndimage.gaussian_filter(solid.astype(np.float64), 1.2))
-        index = np.argwhere(rim)
-        at = tuple(index.T)
-        outward = -np.stack([np.gradient(smooth, axis=a)[at] for a in range(3)], -1)
-        norm = np.linalg.norm(outward, axis=1, keepdims=True)
-        normals = np.where(norm > 1e-9, outward / np.maximum(norm, 1e-12), [0.0, 0.0, 1.0])
-        return self.origin + (index - 3) * self.voxel, normals
+    def _rim(self) -> NDArray[np.int64]:
+        """Indices (S, 3) of the occupied voxels that touch free space."""
+        return np.argwhere(self.occupancy & ~np.asarray(ndimage.binary_erosion(self.occupancy), dtype=np.bool_))
 
     @property
     def surface_points(self) -> Array:
         """Centres (S, 3) of the voxels that touch free space, m."""
-        return self._surface[0]
+        return self.origin + self._rim * self.voxel
 
-    @property
+    @cached_property
     def normals(self) -> Array:
-        """Outward unit normals (S, 3) at surface_points (gradient of the smoothed occupancy)."""
-        return self._surface[1]
+        """Outward unit normals (S, 3) at surface_points.
+
+        Each points away from the centre of the occupied voxels in a 5 x 5 x 5 neighbourhood; (0, 0, 1) where that
+        centre is the voxel itself.
+        """
+        solid, step = np.pad(self.occupancy, 2), np.arange(-2, 3)
+        offsets = np.stack(np.meshgrid(step, step, step, indexing="ij"), -1).reshape(-1, 3)
+        strides = np.array([solid.shape[1] * solid.shape[2], solid.shape[2], 1])
+        around = solid.ravel()[((self._rim + 2) @ strides)[:, None] + offsets @ strides]  # (S, 125)
+        inward = around.astype(np.float32) @ offsets.astype(np.float32)
+        norm = np.linalg.norm(inward, axis=1, keepdims=True)
+        return np.where(norm > 1e-6, -inward / np.maximum(norm, 1e-6), [0.0, 0.0, 1.0]).astype(np.float64)
 
 
 def common_view_bounds(rig: CameraRig) -> Array:
     """Compute the cube that all cameras look at: around the point nearest to all optical axes, as far as the farthest
     camera.
 
+    rig: two cameras or more.
     Returns: (2, 3) lowest and highest corner, m.
     Raises: EvidenceError where the axes do not meet.
     """
@@ -119,8 +123,8 @@ def visual_hull(
     surely: where there are ignored pixels, which may show a person or not, number of views that must show one in pixels
         that are not ignored. Default: three, or all views; two where the person's expected place is known, since masks
         end there and other people can hide a leg from two of four views.
-    Raises: EvidenceError where fewer than min_views views are usable, or nothing is left; InputError for wrong
-        arguments.
+    Raises: EvidenceError where fewer than min_views views are usable, or nothing is left; InputError where the
+        masks fill too much space.
     Source: shape from inconsistent silhouettes, Landabaso, Pardas & Casas 2008; Alcoverro 2014, section 2.3.4, places
         the body by such a hull.
     """
@@ -133,12 +137,8 @@ def visual_hull(
             f"{len(views)}: "
             f"{'; '.join(r for r in silhouettes.reasons if r) or 'too few cameras'}."
         )
-    if voxel <= 0 or miss < 0:
-        raise InputError(f"The voxel size must be positive and miss 0 or more, got {voxel:g} m and {miss}.")
     rig = silhouettes.rig
     box = common_view_bounds(rig) if bounds is None else np.asarray(bounds, dtype=np.float64)
-    if box.shape != (2, 3) or not (box[1] > box[0]).all():
-        raise InputError("The bounds of the hull must be (lowest, highest) corners of shape (2, 3) in metres.")
     extent = box[1] - box[0]
     levels = max(0, int(np.ceil(np.log2(extent.max() / (voxel * _COARSE)))))
     cells = np.ceil(extent / (voxel * 2**levels)).astype(np.int64)

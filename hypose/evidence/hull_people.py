@@ -90,8 +90,11 @@ class HullPerson:
         return CHILD_LITRES < self.litres < SLENDER * self.hull.height**3
 
     def shape(self, rig: CameraRig, about: float = np.inf) -> DrawnShape:
-        """Draw the person in all views, with gaps closed; about: draw only the hull within this distance of the
-        axis, m."""
+        """Draw the person in all views, with gaps closed; about: draw only the hull within this distance of the axis,
+        m.
+
+        rig: pinhole cameras of the masks. Where the pixels of depth cameras are known, these are returned.
+        """
         if self.seen is not None:
             return DrawnShape(self.seen)
         points = self.hull.points if np.isfinite(about) else self.hull.surface_points
@@ -145,6 +148,7 @@ def people_in_hull(
 def people_of_hull(hull: Hull, floor: float, most: int, surface: float = 0.0) -> list[HullPerson]:
     """Split a hull into parts that stand on the floor; ghosts are included.
 
+    floor: its height, m; most: largest number of people.
     surface: least volume of a person where the voxels are only its surface, litres; 0: the voxels fill the person.
     """
     return [HullPerson(_part(hull, own, axis), axis) for axis, own in _axes(hull, floor, most, surface)]
@@ -250,7 +254,10 @@ def _not_ghosts(left: Silhouettes, found: list[HullPerson], least: int) -> list[
 
 
 def _part(hull: Hull, chosen: NDArray[np.bool_], axis: Array) -> Hull:
-    """Select the part of the chosen voxels (M,) that is connected to those near the axis (2,)."""
+    """Select the part of the chosen voxels (M,) that is connected to those near the axis (2,).
+
+    hull: of all people; returned is a hull cut to the part.
+    """
     index = np.argwhere(hull.occupancy)
     kept = np.zeros_like(hull.occupancy)
     kept[tuple(index[chosen].T)] = True

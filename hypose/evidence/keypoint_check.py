@@ -45,6 +45,7 @@ _SCALES = (0.25, 1 / 3, 0.375, 0.5, 2 / 3, 0.75, 4 / 3, 1.5, 2.0, 8 / 3, 3.0, 4.
 def misread(people: Sequence[Sequence[Array | None]], names: Sequence[str], rig: CameraRig) -> str | None:
     """Find the misreading that explains why the views' key points contradict each other.
 
+    rig: the calibrated cameras.
     people: per view and frame the people (P, K, 3), px of the calibrated, distorted cameras; None: no file.
     names: of the K points.
     Returns: a part of a sentence that names the error; None where nothing is wrong, or it cannot be known.
@@ -162,7 +163,10 @@ def _tallest(people: Array) -> Array | None:
 
 
 def _triangulated(points: Array, rig: CameraRig) -> tuple[Array, Array, Array]:
-    """Triangulate points; return world points (T, K, 3), undistorted pixels (C, T * K, 2) and weights (C, T * K)."""
+    """Triangulate points; return world points (T, K, 3), undistorted pixels (C, T * K, 2) and weights (C, T * K).
+
+    points: (C, T, K, 3) px of the calibrated cameras and confidence; rig: the cameras.
+    """
     uv = np.stack([c.undistort_points(p[..., :2].reshape(-1, 2)) for c, p in zip(rig, points, strict=True)])
     weights = np.where(points[..., 2] > _CONFIDENT, points[..., 2], 0.0).reshape(len(points), -1)
     weights = np.where(np.isfinite(uv).all(-1), weights, 0.0)
@@ -172,7 +176,10 @@ def _triangulated(points: Array, rig: CameraRig) -> tuple[Array, Array, Array]:
 
 def _well_known(points: Array, rig: CameraRig) -> Array:
     """Triangulate points (T, K, 3); NaN where all rays are nearly parallel, such as those of two cameras facing each
-    other."""
+    other.
+
+    points: (C, T, K, 3) px of the calibrated cameras and confidence; rig: the cameras.
+    """
     x, uv, weights = _triangulated(points, rig)
     met = widest_angle(rig, uv, weights) > PARALLEL
     return np.where(met.reshape(x.shape[:2])[..., None], x, np.nan)

@@ -11,6 +11,7 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -62,6 +63,7 @@ def one_person(
 ) -> OnePerson:
     """Find the person who is seen in most frames and views.
 
+    frame_rate: Hz.
     candidates, names, rig: as in `hypose.evidence.association.people_of`.
     keep_misfits: the calibration itself is in doubt; a view that does not fit keeps the person who moves like the one
         in the other views. Otherwise such a view is left out.
@@ -214,7 +216,10 @@ def _rivals(tracks: Sequence[NDArray[np.int64]]) -> list[NDArray[np.int64]]:
 
 
 def _alike_in_all(points: Sequence[Sequence[Array]]) -> list[int]:
-    """Choose one of each view's people (T, K, 3) so that all move alike; of equals, those present longest."""
+    """Choose one of each view's people (T, K, 3) so that all move alike; of equals, those present longest.
+
+    points: per view and person. Returns: index of the chosen person of each view, 0 where it has none.
+    """
     views = [c for c, v in enumerate(points) if v]
     apart: dict[tuple[int, int, int, int], float] = {}
     for a, b in itertools.combinations(views, 2):
@@ -347,7 +352,10 @@ def _moved(before: Array, now: Array, gap: int) -> float:
 
 
 def taken(frames: Sequence[Array | None], candidates: NDArray[np.int64], count: int, columns: int = 3) -> Array:
-    """Collect the points (T, K, columns) of the candidates numbered (T,), zero where there is none; count: K."""
+    """Collect the points (T, K, columns) of the candidates numbered (T,), zero where there is none; count: K.
+
+    frames: T arrays (P, K, columns), None where there are no candidates.
+    """
     out = np.zeros((len(frames), count, columns))
     for t, (people, p) in enumerate(zip(frames, candidates, strict=True)):
         if p >= 0 and people is not None:
@@ -358,9 +366,9 @@ def taken(frames: Sequence[Array | None], candidates: NDArray[np.int64], count: 
 def moves_as(one: Array, other: Array) -> float:
     """Compute how badly the points (T, K, 3) of two views fit one body.
 
-    Points of one moving body in two views obey one fundamental matrix, whatever the cameras are. It is computed by the
-    normalised eight-point algorithm (Hartley 1997), reweighted by the residuals (three times), because detections have
-    outliers.
+    one, other: px and confidence, in the same T frames.
+    Points of one moving body in two views obey one fundamental matrix, whatever the cameras are. It is the one of least
+    median distance (OpenCV), because detections have outliers.
     Returns: median distance from the epipolar lines, in sizes of the person; NaN where too few points are common.
     """
     both = (one[..., 2] > _LEAST_CONFIDENCE) & (other[..., 2] > _LEAST_CONFIDENCE)
@@ -368,32 +376,16 @@ def moves_as(one: Array, other: Array) -> float:
     if len(a) < _FEWEST_PAIRS:
         return float("nan")
     every = max(1, len(a) // _MOST_PAIRS)
-    a, b = a[::every], b[::every]
-    sizes = [_size(p) for p in (one, other)]
-    (a, ta), (b, tb) = _normalised(a), _normalised(b)
-    u, v, x, y = a[:, 0], a[:, 1], b[:, 0], b[:, 1]
-    rows = np.stack([x * u, x * v, x, y * u, y * v, y, u, v, np.ones(len(u))], 1)
-    w = np.ones(len(rows))
-    distance = np.zeros((2, len(rows)))
-    one_a, one_b = np.c_[a, np.ones(len(a))], np.c_[b, np.ones(len(b))]
-    for _ in range(4):
-        f = np.linalg.eigh(rows.T @ (w[:, None] * rows))[1][:, 0].reshape(3, 3)
-        left, s, right = np.linalg.svd(f)
-        f = left @ np.diag([s[0], s[1], 0.0]) @ right
-        lines_b, lines_a = one_a @ f.T, one_b @ f
-        e = np.abs((one_b * lines_b).sum(1))
-        distance[0] = e / np.maximum(np.linalg.norm(lines_a[:, :2], axis=1), 1e-9) / (ta * sizes[0])
-        distance[1] = e / np.maximum(np.linalg.norm(lines_b[:, :2], axis=1), 1e-9) / (tb * sizes[1])
-        worse = distance.max(0)
-        w = 1.0 / (1.0 + (worse / max(1.5 * float(np.median(worse)), 1e-6)) ** 2)
-    return float(np.median(distance.max(0)))
-
-
-def _normalised(points: Array) -> tuple[Array, float]:
-    """Shift and scale points (M, 2) to mean 0 and mean distance sqrt 2; return the factor too."""
-    p = points - points.mean(0)
-    factor = np.sqrt(2.0) / max(float(np.linalg.norm(p, axis=1).mean()), 1e-9)
-    return p * factor, factor
+    pairs = a[::every], b[::every]
+    cv2.setRNGSeed(0)
+    found, _ = cv2.findFundamentalMat(*pairs, cv2.FM_LMEDS)
+    if found is None:
+        return float("nan")
+    distance = []
+    for k, points in enumerate((one, other)):
+        lines = cv2.computeCorrespondEpilines(pairs[1 - k], 2 - k, found[:3])[:, 0]  # in this view, of unit normals
+        distance.append(np.abs((lines[:, :2] * pairs[k]).sum(1) + lines[:, 2]) / _size(points))
+    return float(np.median(np.max(distance, axis=0)))
 
 
 def _size(points: Array) -> float:

@@ -81,6 +81,7 @@ def bounding_box(mask: ArrayLike, margin: int = 0) -> tuple[int, int, int, int] 
 def view_outline(mask: Mask, count: int = OUTLINE_POINTS, working_height: int | None = None) -> ViewOutline:
     """Compute the outline of a mask (h, w) without padding, in its own size.
 
+    count: number of outline points.
     working_height: px, for tracking, see `outline_in_box`.
     """
     box = bounding_box(mask) or (0, 0, 0, 0)
@@ -100,6 +101,7 @@ def outline_in_box(
 ) -> ViewOutline:
     """Compute the outline of a mask for tracking, given only its part in a box.
 
+    count: number of outline points.
     part: the mask in box (y0, y1, x0, x1); all other pixels of the mask (h, w) = shape are zero.
     A mask taller than working_height px is shrunk by the largest multiple of 1/2 that leaves it at least as tall.
     Distances are computed around the person only (a sixth of its size, at least 32 px), because rows further away have
@@ -177,6 +179,7 @@ def shared_outline(
     """Compute the outline of a mask (h, w) with pixels `ignored` (h, w), for a person expected in box (y0, y1, x0, x1),
     px.
 
+    count: number of outline points. An outline of zeros is returned where too little of the person is known.
     working_height: as for `outline_in_box`.
     Returns: the outline; distances that depend on ignored pixels are NOT_KNOWN, and outline points next to them are set
         to -1e6, because the outline there may be another person's.

@@ -128,7 +128,10 @@ class PoseNetwork:
         return found
 
     def _in_crops(self, image: Image, crops: Sequence[Crop], found: list[Sighting]) -> list[Sighting]:
-        """Add the people in the crops to those found, unless they are the same."""
+        """Add the people in the crops to those found, unless they are the same.
+
+        image: (h, w, 3) BGR; crops: where to search; found: people found before, who come first in the result.
+        """
         out = list(found)
         for crop in crops:
             person = self._person(image, crop)

@@ -39,12 +39,15 @@ class Views:
     def __len__(self) -> int:
         return len(self.centres)
 
-    def rays(self, pixels: Array) -> Array:
-        """Compute the unit directions (C, ..., 3), in the world, of the rays of pixels (C, ..., 2)."""
+    def rays(self, pixels: Array, which: NDArray[np.int64] | slice = slice(None)) -> Array:
+        """Compute the unit directions (M, ..., 3), in the world, of the rays of pixels (M, ..., 2).
+
+        which: (M,) view of each row (default: one row per view).
+        """
         shape = pixels.shape
         flat = pixels.reshape(shape[0], -1, 2)
         one = np.concatenate([flat, np.ones((*flat.shape[:2], 1))], -1)
-        d = one @ self.world_from_pixel.transpose(0, 2, 1)
+        d = one @ self.world_from_pixel[which].transpose(0, 2, 1)
         d /= np.sqrt((d * d).sum(-1, keepdims=True))
         return d.reshape(*shape[:-1], 3)
 
@@ -63,6 +66,7 @@ class Views:
 def distances(views: Views, expected: Array, found: Array, limit: float) -> Array:
     """Compute the distances of candidates' points from those of expected people.
 
+    views: the cameras.
     expected: (N, K, 3) m; found: (C, P, K, 3) candidates of each view; limit: m.
     Returns: (C, N, P, K) m, at most `limit`; NaN where one of the two is unknown.
     """
@@ -82,12 +86,11 @@ def mean_of_known(values: Array, least: int) -> Array:
 def between_rays(views: Views, which: NDArray[np.int64], found: Array, limit: float, least: int) -> Array:
     """Compute the distances between the rays of candidates, averaged over their common points.
 
+    views: the cameras; least: number of common points that a comparison needs.
     which: (M,) view of each candidate; found: (M, K, 3); limit: m, at which single distances end.
     Returns: (M, M) m; NOT_COMPARABLE_M for candidates of one view, or with fewer than `least` common points.
     """
-    d = np.empty((*found.shape[:-1], 3))
-    for c in np.unique(which):
-        d[which == c] = _of_view(views, int(c), found[which == c])
+    d = views.rays(found[..., :2], which)
     centre = views.centres[which]
     u, v = d[:, None], d[None]
     n0 = u[..., 1] * v[..., 2] - u[..., 2] * v[..., 1]
@@ -101,14 +104,6 @@ def between_rays(views: Views, which: NDArray[np.int64], found: Array, limit: fl
     both = seen[:, None] & seen[None]
     out = mean_of_known(np.where(both, np.minimum(apart, limit), np.nan), least)
     return np.where(which[:, None] == which[None], NOT_COMPARABLE_M, out)
-
-
-def _of_view(views: Views, c: int, found: Array) -> Array:
-    """Compute the unit directions (M, K, 3), in the world, of the rays of points (M, K, 3), px and confidence, of view
-    c."""
-    one = np.concatenate([found[..., :2], np.ones((*found.shape[:-1], 1))], -1)
-    d = one @ views.world_from_pixel[c].T
-    return d / np.sqrt((d * d).sum(-1, keepdims=True))
 
 
 def meet(views: Views, found: Array, near: float, prior: Array | None = None) -> tuple[Array, NDArray[np.bool_]]:

@@ -141,6 +141,7 @@ def _disc(radius: int) -> cv2.typing.MatLike:
 def without(silhouettes: Silhouettes, others: Sequence[Other]) -> Silhouettes:
     """Mark the pixels of other people in the silhouettes as ignored.
 
+    others: the people whose bodies, widened, cover the pixels.
     No person's place is expected in the result, so it is for hulls and not for outlines.
     """
     if not others:

@@ -155,6 +155,7 @@ class _Segmenter:
 def _room(background: BackgroundModel, options: SilhouetteSettings) -> picture_to_mask.BackgroundLevels:
     """Build the Gaussian model of each pixel and channel, with the brightness cone for shadows.
 
+    background: model of the empty room; options: threshold, least sd, and shadows.
     Foreground: some channel more than `threshold` sd from the mean. Shadow: the pixel's colour a is s b + rest, with
         background
     b, s in shadow_range, and a small rest. Source: Xu, Landabaso & Pardas 2005 (as used by Alcoverro 2014, section
@@ -174,7 +175,10 @@ def _room(background: BackgroundModel, options: SilhouetteSettings) -> picture_t
 
 
 def clean_mask(mask: Mask, options: SilhouetteSettings | None = None) -> Mask:
-    """Clean a mask: opening, closing, small holes filled, small parts removed."""
+    """Clean a mask: opening, closing, small holes filled, small parts removed.
+
+    options: settings of the clean-up (default: SilhouetteSettings()).
+    """
     return _cleaned(mask, (options or SilhouetteSettings()).cleaning)
 
 
@@ -195,6 +199,7 @@ def _cleaned(mask: Mask, how: mask_runs.Cleaning) -> Mask:
 def refine_rim(image: Image, mask: Mask, rim_px: int = 3, band: Mask | None = None) -> Mask:
     """Refine a mask by GrabCut within rim_px on either side of its outline; the rest of the mask is fixed.
 
+    image: (h, w, 3) BGR; mask: (h, w) 0 or 1.
     band: (h, w) where the person can be.
     Returns: the refined mask; the given one where GrabCut's result is empty or has collapsed, which happens now and
         then.
@@ -224,6 +229,7 @@ def refine_rim(image: Image, mask: Mask, rim_px: int = 3, band: Mask | None = No
 def as_mask(image: ArrayLike, source: str = "The mask image") -> Mask:
     """Convert an image to a mask (h, w): grey, colour (by its brightest channel) or with alpha, 8 or 16 bit.
 
+    source: name of the image in error messages.
     The threshold is half of the range. Where nothing reaches that, images with zero and one other value (0/1, 0/127),
     or with two values and little in between (0/127 from a video), are split between the two values.
     Raises: InputError where it is a picture of several labels, or has another shape.
@@ -273,6 +279,7 @@ def flag_collapsed(
 ) -> tuple[str, ...]:
     """Find the views whose mask cannot be trusted.
 
+    names: of the C cameras; frame: its number, for the sentences; lowest, highest: the shares named below.
     areas: (C,) foreground pixels of this frame.
     history: (C, H) areas in frames around or before it (H may be 0).
     Returns: C sentences, "" for a good view. A mask is bad when it is empty, above `highest` times its median area,

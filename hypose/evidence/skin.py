@@ -58,7 +58,11 @@ _CENTRES = (np.arange(_BINS) + 0.5) * (256 / _BINS)
 
 
 def _density(table: str, rgb: Array) -> Array:
-    """Compute the density of a mixture at colours rgb (..., 3)."""
+    """Compute the density of a mixture at colours rgb (..., 3).
+
+    table: text of lines of seven numbers: mean R, G, B, variance R, G, B, weight.
+    Returns: (...,) densities.
+    """
     out = np.zeros(rgb.shape[:-1])
     for line in table.split("\n"):
         if line:

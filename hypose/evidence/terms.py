@@ -72,9 +72,6 @@ class Evidence:
         """
         return np.zeros(len(poses))
 
-    def same(self, body: Body, pose: Array, other: Array) -> None:
-        """Reuse the results of a pose (D,) for another pose that differs in its last digits."""
-
 
 class Piece(Protocol):
     """Interface of a further cue that a frame carries, as it was measured; the file of a cue defines all that it
@@ -326,8 +323,8 @@ class DepthTerm(Term):
     eyes: (C, 3) positions of the sensors, m.
     maps: (C, h, w) float32 m, 0: unknown; sizes: (C, 2) width, height; projections: (C, 3, 4).
     free_share: weight, per point, of body in front of what was seen.
-    The distance of a point has a Geman-McClure weight of scale DEPTH_SCALE_M. Body up to SLACK_M in front of what was
-    seen costs nothing; beyond that its scale is FREE_SCALE_M.
+    scale_m: Geman-McClure scale of a point's distance, m.
+    Body up to SLACK_M in front of what was seen costs nothing; beyond that its scale is FREE_SCALE_M.
     """
 
     points: Array
@@ -339,10 +336,11 @@ class DepthTerm(Term):
     sizes: NDArray[np.int64]
     projections: Array
     free_share: float = FREE_SHARE * DEPTH_WEIGHT
+    scale_m: float = DEPTH_SCALE_M
 
     def arrays(self, body: Body) -> DepthArrays | None:
         """Build the solver's arrays; None where there are no points."""
-        scales = DEPTH_SCALE_M, self.free_share, FREE_SCALE_M, SLACK_M
+        scales = float(self.scale_m), self.free_share, FREE_SCALE_M, SLACK_M
         return DepthArrays._make((*self._flat, *body.coarse.rings, *scales)) if len(self.points) else None
 
     @cached_property

@@ -276,18 +276,9 @@ class _Problem:
 
 
 def prior_arrays(priors: Sequence[Quadratic], dof: int) -> tuple[Array, Array]:
-    """Stack the centres (P, D) and weights (P, D) of P priors.
-
-    Raises: InputError where a shape is wrong or a weight is negative or NaN.
-    """
-    centre, weight = np.zeros((len(priors), dof)), np.zeros((len(priors), dof))
-    for i, p in enumerate(priors):
-        if np.shape(p.centre) != (dof,) or np.shape(p.weight) != (dof,):
-            raise InputError(f"A Quadratic prior needs centre and weight of shape {(dof,)}, got {np.shape(p.centre)}.")
-        centre[i], weight[i] = p.centre, p.weight
-    if not (weight >= 0).all():
-        raise InputError("The weights of a Quadratic prior must not be negative or NaN.")
-    return centre, weight
+    """Stack the centres (P, D) and weights (P, D) of P priors on poses of D = dof coordinates."""
+    centre, weight = (np.array([getattr(p, name) for p in priors], np.float64) for name in ("centre", "weight"))
+    return centre.reshape(-1, dof), weight.reshape(-1, dof)
 
 
 def with_rows(known: Evaluation, pose: Array, body: Body, rows: Sequence[RowTerm]) -> Evaluation:

@@ -82,7 +82,10 @@ class Descent(Generic[State, Equations]):
 
 
 class Problem(ABC, Generic[State, Equations]):
-    """Sum of robust squares over a state; subclasses implement `evaluate` and `propose`."""
+    """Sum of robust squares over a state, the unknowns of the problem in any form (an array, a tuple of arrays).
+
+    Subclasses implement `evaluate` and `propose`; `solve` descends.
+    """
 
     @abstractmethod
     def evaluate(self, state: State) -> tuple[float, Callable[[], Equations]]:
@@ -94,6 +97,8 @@ class Problem(ABC, Generic[State, Equations]):
     def propose(self, state: State, equations: Equations, damping: float) -> tuple[State, float] | None:
         """Propose another state, and how far it is in the units of Rule.moved; None: the equations are not positive
         definite.
+
+        equations: of the state; damping: relative to the diagonal of the Hessian.
         """
 
     def solve(self, start: State, iterations: int, rule: Rule) -> Descent[State, Equations]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from hypose.compute.losses import geman_mcclure, lorentzian
 from hypose.compute.shape_rows import outline_rows
-from hypose.evidence.terms import DEPTH_SCALE_M, ContourTerm, DepthTerm, KeypointTerm
+from hypose.evidence.terms import ContourTerm, DepthTerm, KeypointTerm
 from hypose.fitting.problem import Posed, Rows
 from hypose.geometry import Array
 
@@ -127,7 +127,7 @@ def rows_of_depth(at: Posed, term: DepthTerm, factor: float = 1.0, gain: float =
         off = far > _ALONG_M
         slope[off] = ((point - seen) / np.maximum(far, 1e-9)[:, None])[off]
         r = np.where(off, far, r)
-        scale = DEPTH_SCALE_M * factor
+        scale = term.scale_m * factor
         rho, pull, _ = geman_mcclure((r / scale) ** 2, w / scale**2)
         cost = lost + 0.5 * float((w * rho).sum())
         yield Rows(carrier, share, point, slope, r, pull, np.full(len(r), c), cost)

@@ -8,32 +8,22 @@ selects.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose.inference.hypotheses import FloatArray, Hypotheses
 
-
-class Energy(Protocol):
-    """Function that computes the cost of each hypothesis in a frame.
-
-    Returns: (*B, N) costs, dimensionless, low is good; a non-finite cost means a failed measurement.
-    """
-
-    def __call__(self, h: Hypotheses, frame: Any, /) -> ArrayLike:
-        """Compute one cost per hypothesis."""
-        ...
+Energy = Callable[[Hypotheses, Any], ArrayLike]
+"""Function (hypotheses, frame) that computes the cost (*B, N) of each hypothesis in a frame: dimensionless, low is
+good; a non-finite cost means a failed measurement."""
 
 
-class AnnealingRate(Protocol):
-    """Function that chooses the exponent beta (*B,) of the weights for energies (*B, N)."""
-
-    def __call__(self, energies: FloatArray, /) -> FloatArray:
-        """Choose one exponent per population."""
-        ...
+AnnealingRate = Callable[[FloatArray], FloatArray]
+"""Function that chooses the exponent beta (*B,) of the weights, one per population, for energies (*B, N)."""
 
 
 def survival_rate(energies: ArrayLike, beta: ArrayLike) -> FloatArray:

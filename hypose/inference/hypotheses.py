@@ -80,7 +80,10 @@ class Hypotheses:
 
     @staticmethod
     def uniform(values: ArrayLike, origin: ArrayLike = 0) -> Hypotheses:
-        """Make a set of equal weights 1/N from states (*B, N, D) and their origins (*B, N)."""
+        """Make a set of equal weights 1/N from states (*B, N, D) and their origins (*B, N).
+
+        values: states; origin: one number per hypothesis, or one for all.
+        """
         states = np.asarray(values, dtype=np.float64)
         return Hypotheses(states, _equal_log_weights(states), np.asarray(origin, np.int32))
 

@@ -8,10 +8,10 @@ a threaded BLAS, so that the numbers do not depend on the number of threads.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,13 +19,8 @@ from numpy.typing import ArrayLike, NDArray
 from hypose.inference.hypotheses import FloatArray, Hypotheses
 from hypose.inference.layer import Kernel
 
-
-class LogPrior(Protocol):
-    """Function that computes the log-probability (*B, N) of states (*B, N, D), up to a constant."""
-
-    def __call__(self, values: FloatArray, /) -> FloatArray:
-        """Compute one log-probability per state."""
-        ...
+LogPrior = Callable[[FloatArray], FloatArray]
+"""Function that computes the log-probability (*B, N) of states (*B, N, D), up to a constant."""
 
 
 def reflect(values: FloatArray, lower: ArrayLike | None, upper: ArrayLike | None) -> FloatArray:

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.random.bit_generator import ISeedSequence
@@ -24,42 +24,23 @@ Memory = Mapping[str, NDArray[Any]]
 """Arrays by name that a method keeps from frame to frame; empty at first."""
 
 
-class Kernel(Protocol):
-    """Function that moves hypotheses. It gets the frame too, because a local optimiser or a detector
-    uses the evidence.
-    """
-
-    def __call__(self, h: Hypotheses, frame: Any, rng: np.random.Generator, /) -> Hypotheses:
-        """Return the moved set, with the same number of populations."""
-        ...
+Kernel = Callable[[Hypotheses, Any, np.random.Generator], Hypotheses]
+"""Function (hypotheses, frame, random generator) that returns the moved set, with the same number of populations. It
+gets the frame, because a local optimiser or a detector uses the evidence."""
 
 
-class Weigh(Protocol):
-    """Function that computes the log-likelihoods (*B, N) of a set. It gets the whole set, because its mean may define
-    where the evidence is measured.
-    """
-
-    def __call__(self, h: Hypotheses, frame: Any, /) -> FloatArray:
-        """Compute the log-likelihoods (*B, N), up to a constant per population."""
-        ...
+Weigh = Callable[[Hypotheses, Any], FloatArray]
+"""Function (hypotheses, frame) that computes the log-likelihoods (*B, N) of a set, up to a constant per population. It
+gets the whole set, because its mean may define where the evidence is measured."""
 
 
-class Resample(Protocol):
-    """Function that draws the hypotheses that go on, and resets their weights (only `resampling.keep` does not)."""
-
-    def __call__(self, h: Hypotheses, rng: np.random.Generator, /) -> Hypotheses:
-        """Return the resampled set."""
-        ...
+Resample = Callable[[Hypotheses, np.random.Generator], Hypotheses]
+"""Function (hypotheses, random generator) that draws the hypotheses that go on, and resets their weights (only
+`resampling.keep` does not)."""
 
 
-class Estimate(Protocol):
-    """Function that computes one state (*B, D) from a weighted set, for example `Hypotheses.mean` or
-    `Hypotheses.best`.
-    """
-
-    def __call__(self, h: Hypotheses, /) -> FloatArray:
-        """Compute the state of each population."""
-        ...
+Estimate = Callable[[Hypotheses], FloatArray]
+"""Function that computes one state (*B, D) from a weighted set, for example `Hypotheses.mean` or `Hypotheses.best`."""
 
 
 @dataclass(frozen=True)

@@ -97,6 +97,7 @@ def working_side(recording: Recording, person_px: float, picture: tuple[int, int
 
 def has_masks(recording: Recording) -> bool:
     """Return whether a recording of one camera has masks, or a background that is not learned from the clip itself.
+
     Why: a background learned from the clip contains the person.
     """
     view = recording.views[0]
@@ -173,6 +174,7 @@ class PictureFrames:
             last = frame
 
     def _read(self, index: int, step: int) -> Frame:
+        """Read frame number index; walking backwards (step < 0), several frames are read at once, in their order."""
         if step > 0:
             return self.frame(index)
         if index not in self._kept:
@@ -191,7 +193,10 @@ class PictureFrames:
 
 
 def depth_note(motion: Motion, modes: Modes) -> str:
-    """Return the sentence that says how uncertain the depth is, in mm, and how many other poses are possible."""
+    """Return the sentence that says how uncertain the depth is, in mm, and how many other poses are possible.
+
+    motion, modes: the result, and the alternative poses of its frames.
+    """
     depth = 1e3 * float(np.nanmedian(modes.depth_sd))
     whole = 3 * np.asarray(motion.joint_sd) ** 2
     across = 1e3 * float(np.nanmedian(np.sqrt(np.maximum(whole - modes.depth_sd**2, 0.0) / 2)))
@@ -212,6 +217,11 @@ def tracked_frames(
     source: FrameSource, indices: range, needs: Sequence[str], subject: TrackedSubject
 ) -> Iterator[Frame]:
     """Yield the frames that a recipe tracks, with the evidence that it needs.
+
+    source: frames by number.
+    indices: frames, forwards or backwards.
+    needs: kinds of evidence that the recipe uses, as in Recipe.
+    subject: the person, whose body and start teach the skin colours.
 
     The picture of one camera where the recipe needs pictures. Detections by skin colour where it needs detections and
     the recording has pictures but no key points. Otherwise the frames as they are.
@@ -276,7 +286,11 @@ class ColourDetections:
             view.close()
 
     def _images(self, index: int, silhouettes: Silhouettes) -> NDArray[np.uint8]:
-        """Read the pictures (C, h, w, 3) at the masks' pixels; black where there is no picture."""
+        """Read the pictures (C, h, w, 3) at the masks' pixels; black where there is no picture.
+
+        index: number of the frame.
+        silhouettes: of the frame.
+        """
         out = np.zeros((*silhouettes.masks.shape, 3), np.uint8)
         for c in np.flatnonzero(silhouettes.usable):
             picture = self._pictures[int(c)].image(self.source.frames[index])
@@ -333,6 +347,13 @@ def load_clicks(path: str | Path, recording: Recording) -> Clicks:
 
 
 def _click(path: Path, name: str, at: Any, size: tuple[int, int]) -> tuple[float, float]:
+    """Check one click of a file and return it as (u, v), px.
+
+    path: of the file, for messages.
+    name, at: joint and its value in the file.
+    size: (width, height) of the picture.
+    Raises: InputError where the joint does not exist, or its place is not two numbers inside the picture.
+    """
     if name not in JOINT_NAMES:
         raise InputError(f"{path}: there is no joint {name!r}; the joints are {', '.join(JOINT_NAMES)}.")
     numbers = isinstance(at, list) and len(at) == 2 and all(type(x) in (int, float) and np.isfinite(x) for x in at)
@@ -359,7 +380,11 @@ def clicked_pixels(clicks: Clicks, recording: Recording, working: Camera) -> dic
 
 
 def side_to_work_on(recording: Recording, clicks: Clicks | None) -> int:
-    """Compute the longer side of the working pictures, px, from the size of the person at the start."""
+    """Compute the longer side of the working pictures, px, from the size of the person at the start.
+
+    clicks: joints clicked in the first picture; None: the key points of the first second show the size.
+    Returns: the usual size where neither is known.
+    """
     if clicks is not None:
         with open_video(_source(recording)) as reader:
             return working_side(recording, _extent(np.array(list(clicks.values()))), reader.size)
@@ -372,10 +397,12 @@ def side_to_work_on(recording: Recording, clicks: Clicks | None) -> int:
 
 
 def _extent(pixels: Array) -> float:
+    """Compute the larger side, px, of the box around points (N, 2)."""
     return float(np.ptp(pixels, axis=0).max())
 
 
 def _source(recording: Recording) -> Path:
+    """Return the file or folder of pictures of a recording of one camera."""
     source = recording.views[0].source
     assert source is not None  # `one_view` has checked it
     return source
@@ -384,6 +411,10 @@ def _source(recording: Recording) -> Path:
 def picture_options(recording: Recording, start: str, evidence: str) -> FrameSettings:
     """Return how the pictures of a recording of one camera are read: as large as its person needs, with masks if they
     are evidence.
+
+    recording: of one camera.
+    start: one of POINT_STARTS, or a file of clicks.
+    evidence: one of PICTURE_CUES.
     """
     return FrameSettings(
         side_to_work_on(recording, clicks_of(start, recording)), silhouettes=masks_of(recording, evidence)
@@ -417,6 +448,8 @@ def subject_in_picture(
 ) -> TrackedSubject:
     """Find the person in the pictures of one camera: body and rival start poses.
 
+    source: frames by number.
+    frame_rate: Hz.
     start: one of POINT_STARTS, or a file of clicks.
     evidence: used in the notes.
     body: the person's own body; None: a body is fitted.
@@ -477,6 +510,12 @@ def _keypoints_of(source: FrameSource) -> list[Keypoints | None]:
 
 
 def _evidence_note(source: FrameSource, evidence: str, keypoints: bool) -> str:
+    """Return the sentence that names the camera and the evidence that is used.
+
+    source: frames by number.
+    evidence: option of the command, one of PICTURE_CUES.
+    keypoints: whether any frame has key points.
+    """
     name = source.recording.views[0].name if isinstance(source, FrameStream) else "in memory"
     masked = isinstance(source, FrameStream) and source.options.silhouettes is not None
     used = ["edges", "optical flow"]
@@ -486,13 +525,19 @@ def _evidence_note(source: FrameSource, evidence: str, keypoints: bool) -> str:
 
 
 def _later_points(seen: Sequence[Keypoints | None], first: int) -> tuple[PointsOn, ...]:
-    """Select key points of frames over the whole clip, from which lengths of the body are measured."""
+    """Select key points of frames over the whole clip, from which lengths of the body are measured.
+
+    seen: key points of all frames.
+    first: number of the frame of the start.
+    Returns: functions that place the key points of a frame on a body.
+    """
     rows = np.unique(np.linspace(first, len(seen) - 1, SETTINGS.picture_length_frames + 1).astype(int))[1:]
     some = [k for k in (seen[i] for i in rows) if k is not None and _enough(k)]
     return tuple(partial(keypoints_on, names=k.names, keypoints=np.asarray(k.points[0])) for k in some)
 
 
 def _enough(seen: Keypoints) -> bool:
+    """Return whether enough key points are seen for a start."""
     points = keypoints_on(human(), seen.names, np.asarray(seen.points[0]))
     return int((points.confidence > 0).sum()) >= LEAST_CLICKS
 
@@ -502,6 +547,10 @@ def _first_keypoints(
 ) -> tuple[int, Array, tuple[str, ...]]:
     """Find the first frame of the first second with enough key points; return its number, its points (K, 3) and their
     names.
+
+    seen: key points of all frames.
+    frame_rate: Hz.
+    Raises: InputError without any key points; EvidenceError where no frame of the first second has enough.
     """
     name = source.recording.views[0].name if isinstance(source, FrameStream) else "in memory"
     if not any(k is not None for k in seen):
@@ -526,6 +575,8 @@ outweigh an arm."""
 def image_deviation(body: Body, poses: Array, frames: Iterable[Frame]) -> Array:
     """Compute which share of the key points, or joints over the mask, a pose puts elsewhere than the picture shows.
 
+    body: the person's body.
+    frames: T frames.
     poses: (T, D).
     Returns: (T,); NaN where the picture shows nothing.
     """
@@ -563,6 +614,7 @@ def doubt_of_depth(modes: Modes) -> Finding:
 
 
 def _far(body: Body, pose: Array, keypoints: Keypoints) -> float:
+    """Compute the share of the key points of the limbs that lie far from a posed body (D,); NaN with too few points."""
     points = np.nan_to_num(keypoints.points[0])
     model = keypoint_model(body, keypoints.names)
     limb = np.array([n.startswith(("left_", "right_")) and n.endswith(_LIMBS) for n in keypoints.names])
@@ -575,6 +627,10 @@ def _far(body: Body, pose: Array, keypoints: Keypoints) -> float:
 
 
 def _outside(body: Body, pose: Array, silhouettes: Silhouettes) -> float:
+    """Compute the share of the joints of a posed body (D,) that lie far outside the mask.
+
+    Returns: NaN without a mask, or with no joint in the picture.
+    """
     w, h = silhouettes.rig[0].size
     mask = np.minimum(silhouettes.masks[0, :h, :w], 1)
     if not silhouettes.usable[0] or not mask.any():

@@ -134,12 +134,13 @@ class RefineRivals:
             found = found.marked(role, np.arange(row, row + len(of)))
             row += len(of)
         living = self._living(scores, costs, at.reshape(len(poses), -1, 3), frame)
-        for one in frame.evidence:  # the clamped estimate is evaluated again later
-            one.same(frame.body, poses[living[0]], found.values[living[0]])
         return _roles(found.take(living))
 
     def before_solve(self, frame: PreparedFrame, /) -> None:
-        """Start solving the rivals of the last frame in the background."""
+        """Start solving the rivals of the last frame in the background.
+
+        frame: in whose `shared` the running solves are left, one per rival.
+        """
         if frame.silhouettes.seen and frame.rivals is not None:
             for q in frame.body.skeleton.on_branch(_best_first(frame)[0].values[1:], frame.prediction):
                 frame.shared[_SOLVE, q.tobytes()] = in_background(partial(self._solved_rival, q, frame))
@@ -241,7 +242,10 @@ class RefineRivals:
         return [poses[1 + i] for i in good], [pairs[i] for i in good]
 
     def _elsewhere(self, winner: Array, old: Array) -> NDArray[np.bool_]:
-        """Decide which arms of rivals (K, D) are far from the winner's; return (K, A)."""
+        """Decide which arms of rivals (K, D) are far from the winner's; return (K, A).
+
+        winner: (D,); old: (K, D) rivals, predicted into this frame.
+        """
         if not len(old):
             return np.zeros((0, len(self.arms)), np.bool_)
         at = arm_ends([arm for arm, _ in self.arms], np.concatenate([winner[None], old]))
@@ -295,6 +299,7 @@ def rival_arms(
 ) -> list[Array]:
     """Find poses that differ from a pose in one arm, which lies in the masks where the body does not cover them.
 
+    arm: table of the arm; frame: prepared; look: limits of the choice.
     pose: (D,).
     known: (K, D) poses whose arm is not to be found again (default: `pose`).
     Returns: poses (D,), at most look.most; none where depth cameras show the arm as it is in the pose.
@@ -348,8 +353,11 @@ def _farthest(ends: Array, other: Array) -> Array:
 
 
 def _best_first(frame: PreparedFrame) -> tuple[Hypotheses, Array]:
-    """Return the hypotheses of the last frame, best first and predicted into this frame, and their last poses (N,
-    D)."""
+    """Return the hypotheses of the last frame, best first and predicted into this frame, and their last poses (N, D).
+
+    frame: prepared, with `rivals`.
+    Returns: the hypotheses, whose values are the predicted poses; (N, D) poses in the last frame.
+    """
     assert frame.rivals is not None, "the recipe does not say how many rivals"
     of, h = frame.shared.get(_ORDERED, (None, frame.rivals))
     if of is not frame.rivals:

@@ -54,6 +54,7 @@ def lasting_residuals(
 ) -> tuple[Array, Array]:
     """Estimate the lasting component of the key points' residuals, of each view and point over a clip.
 
+    frame_rate: Hz.
     It is the weighted mean product of residuals that are LASTING_S or more apart; noise cancels in it. Views and points
     are assumed to have independent factors.
     model: where key points sit on the body.
@@ -102,6 +103,7 @@ def systematic_covariance(
 ) -> Array:
     """Compute the systematic error of the joints of a clip that was solved on key points.
 
+    frame_rate: Hz.
     model: where key points sit on the body; keypoints: T frames, None where there are none; poses: (T, D) the solved
         clip.
     Returns: (T, J, 3, 3) covariances, m^2.
@@ -181,13 +183,17 @@ def apart_factors(evidence: str) -> tuple[float, float, float]:
 
 
 def beyond_usual(audit: ArrayLike, evidence: str) -> float:
-    """Compute by how much the views of a clip with this audit (T, J, A) contradict each other beyond the usual, m."""
+    """Compute by how much the views of a clip with this audit (T, J, A) contradict each other beyond the usual, m.
+
+    evidence: kind of evidence; the result is 0 for kinds whose usual contradiction was not measured.
+    """
     return float(np.sqrt(max(views_apart(audit) ** 2 - apart_factors(evidence)[0] ** 2, 0.0)))
 
 
 def with_fitted_joints(motion: Motion, evidence: str, beyond: float = 0.0) -> Motion:
     """Calibrate a motion's joint covariances: a^2 V + S + (b^2 + c^2 beyond^2) I.
 
+    evidence: kind of evidence, a key of `fitted_spread_table`.
     V is the motion's joint covariance, S its systematic covariance (None: zero). All but a^2 V becomes the new
     systematic covariance.
     beyond: contradiction between the views, m, see `beyond_usual`.

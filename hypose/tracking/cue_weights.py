@@ -92,13 +92,20 @@ def weigh_against_masks(body: Body, model: KeypointModel, frames: Sequence[Frame
 
 def start_with_masks(body: Body, model: KeypointModel, frame: Frame, start: Array) -> Array:
     """Solve a start pose (D,) from key points also on the masks of its frame; return it unchanged where there are no
-    masks."""
+    masks.
+
+    model: where key points sit on the body; frame: with key points.
+    """
     prepared = prepare(frame, body, start, use_keypoints=True, keypoints_on_body=model, prediction_weight=0.0)
     return settled_start(start, prepared) if prepared.silhouettes.seen else start
 
 
 def _times(model: KeypointModel, frames: Sequence[Frame]) -> int:
-    """Compute how many times as many frames to compare, because few points are seen."""
+    """Compute how many times as many frames to compare, because few points are seen.
+
+    model: of the key points; frames: of the person.
+    Returns: 1 to _MOST_TIMES; 1 where half of the points or more are seen.
+    """
     seen = [np.nan_to_num(k.points[:, model.known, 2]) > MIN_CONFIDENCE for k in pieces_of(frames, Keypoints)]
     share = float(np.mean([s.mean() for s in seen])) if seen else 1.0
     return int(np.clip(np.ceil(_SPARSE / max(share, 1e-3)), 1, _MOST_TIMES))
@@ -109,6 +116,7 @@ def _solved_either_way(
 ) -> tuple[list[Keypoints], Array, Array]:
     """Solve frames on the points alone and on the outlines alone.
 
+    model: where key points sit on the body; frames: with key points and masks.
     Returns: key points of the frames where both work; poses (T, D) by points; poses (T, D) by outlines.
     """
     seen = pieces_of(frames, Keypoints)

@@ -99,7 +99,10 @@ class DetectedLimb:
 
 
 def limb_to(body: Body, ends: Landmarks, end: int) -> DetectedLimb | None:
-    """Build the limb that carries an end (index in END_NAMES); None for the head."""
+    """Build the limb that carries an end (index in END_NAMES); None for the head.
+
+    ends: places of the ends on the body; end: index in END_NAMES.
+    """
     name = END_NAMES[end]
     if name == "head":
         return None

@@ -166,6 +166,7 @@ def judged(
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Compute the error probability of every joint and frame, and which joints are doubtful.
 
+    motion: the smoothed clip of T frames.
     raw_joints: (T, J, 3) joints as tracked frame by frame, before smoothing, m.
     audit: (T, J, A) see `joint_features.AUDITED`.
     unsure: (2, J) probability that each joint is elsewhere at the start, from `Starts.unsure`: body turned around
@@ -275,6 +276,7 @@ def depth_error_model() -> DepthErrorModel:
 def as_mixture(motion: Motion) -> Motion:
     """Widen the covariances of doubtful joints to those of two cases: the joint is right, or it is wrong.
 
+    motion: with error probabilities and doubtful joints.
     A wrong joint is ELSEWHERE_M away in any direction, with its error probability. The standard deviations of the
     angles that move such a joint are widened in the same way, by ELSEWHERE_RAD.
     """

@@ -1,6 +1,7 @@
 """Prepare a frame's evidence once for all layers of a recipe, and compute the costs of poses on it.
 
-The costs are the silhouette XOR (Alcoverro 2014, eq. 2.8), the energies of all other cues, and the overlap with the masks.
+The costs are the silhouette XOR (Alcoverro 2014, eq. 2.8), the energies of all other cues, and the overlap with the
+masks.
 """
 
 from __future__ import annotations
@@ -206,7 +207,10 @@ def frame_energy(
 
 
 def evidence_energy(body: Body, poses: Array, evidence: Iterable[Evidence], limb: Limb | None = None) -> Array:
-    """Compute the sum (N,) of the energies of poses (N, D) of a body over all evidence given."""
+    """Compute the sum (N,) of the energies of poses (N, D) of a body over all evidence given.
+
+    limb: all that differs between the poses; None: anything may.
+    """
     total = np.zeros(len(poses))
     for one in evidence:
         total += one.energy(body, poses, limb)
@@ -223,6 +227,7 @@ def limb_energy(
 ) -> Array:
     """Compute `frame_energy` for poses that differ in one limb, exact only for poses near the first one.
 
+    frame: prepared.
     poses: (N, D); moving: (J,) true for the joints that differ; rest: as for `frame_energy`.
     slack: poses that cost more than this many times the first pose may get an infinite energy.
     rest_depth: the parts that do not move, as depth cameras see them.

@@ -21,9 +21,10 @@ from hypose.compute import reach
 from hypose.compute.arrays import PreparedMasks
 from hypose.compute.mask_runs import mask_of
 from hypose.compute.parts import draw_parts, parts_against_mask, projected
-from hypose.compute.scorer import silhouette_xor
+from hypose.evidence.cues import SilhouetteEvidence
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.evidence.prefetch import prepared_masks
+from hypose.evidence.terms import Limb
 from hypose.geometry import Array
 from hypose.tracking.arm_workspace import ArmReach, arm_reach, ends, in_practice
 from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, KeypointModel, check_sides_and_views, pixels_per_metre
@@ -271,15 +272,22 @@ def _masks(
 
 
 def _span(reach: Array, nearby: float, most: int) -> tuple[int, int]:
-    """Compute the pixel range from 0 to `most` that covers the interval `reach` (2,) with a margin; (0, 0) where it
-    is empty."""
+    """Compute the pixel range from 0 to `most` that covers the interval `reach` (2,) with a margin; (0, 0) where it is
+    empty.
+
+    nearby: margin, px; most: size of the picture along the axis, px.
+    """
     first, last = reach.tolist()  # plain numbers are ten times as fast
     low, high = first - nearby, last + nearby
     return (int(min(max(low, 0.0), most)), int(min(max(high, 0.0), most))) if low <= high else (0, 0)
 
 
 def _rivals(body: Body, joints: Array, rivals: tuple[ArrayLike, ArrayLike] | None) -> Array:
-    """Compute the weighted spread (J,), m, of the joints of the alternative poses around the estimate."""
+    """Compute the weighted spread (J,), m, of the joints of the alternative poses around the estimate.
+
+    joints: (J, 3) of the estimate, m; rivals: poses (K, D) and weights (K,), NaN and 0 where there are fewer.
+    Returns: zeros where there are no rivals.
+    """
     if rivals is None:
         return np.zeros(len(joints))
     poses, weights = (np.asarray(a, dtype=np.float64) for a in rivals)
@@ -307,8 +315,7 @@ def _loose(body: Body, pose: Array, masks: PreparedMasks, index: int) -> Array:
         at = ends(arm.here(poses))  # elbow, wrist, hand
         away = np.linalg.norm(at[:-1] - at[-1:], axis=-1)
         rest = reach.standing(pose, s.tree, mesh, masks, arm.moving)
-        counts = silhouette_xor(poses, s.tree, mesh, masks, moving=arm.moving, rest=rest)
-        energy = (counts[:, masks.usable, 0] / masks.norm[masks.usable]).sum(1)
+        energy = SilhouetteEvidence(masks.usable, (), masks).energy(body, poses, Limb(arm.moving, rest))
         weight = np.exp(-np.maximum((energy[:-1] - energy[-1]) / _HARDLY, -1.0))
         out[list(arm.chain[1:])] = np.sqrt(weight @ away[:, :2] ** 2 / (1 + weight.sum()))
     return out
@@ -354,8 +361,7 @@ def _elsewhere(body: Body, pose: Array, masks: PreparedMasks, index: int) -> Arr
         few = np.argsort(score[good], kind="stable")[:_POOL]
         poses = np.repeat(pose[None], len(few) + 1, 0)
         poses[:-1, arm.own] = arm.poses[good[few]]  # the last one stays unchanged
-        counts = silhouette_xor(poses, s.tree, mesh, masks, moving=arm.moving, rest=rest)
-        energy = (counts[:, masks.usable, 0] / masks.norm[masks.usable]).sum(1)
+        energy = SilhouetteEvidence(masks.usable, (), masks).energy(body, poses, Limb(arm.moving, rest))
         ratio = energy[:-1] / max(float(energy[-1]), 1e-6) - 1
         weight = np.exp(-np.maximum(ratio, -0.05) / _SOFT)
         spread = np.sqrt(weight @ away[few] ** 2 / (1 + weight.sum()))

@@ -270,7 +270,10 @@ def _together(
 
 
 def _information(body: Body, pose: Array, evidence: Sequence[Term]) -> Array:
-    """Compute the information (D, D) that a frame by itself gives on its pose."""
+    """Compute the information (D, D) that a frame by itself gives on its pose.
+
+    pose: (D,) at which it is computed; evidence: terms of the frame.
+    """
     still = SolveSettings(iterations=0, coarse_iterations=0)
     priors = (anatomical_prior(body.skeleton, keypoints=True),)
     return fit_pose(body, pose, evidence, priors=priors, options=still).information

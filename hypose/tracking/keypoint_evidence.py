@@ -83,6 +83,7 @@ def keypoint_term(
 ) -> KeypointTerm | None:
     """Build the solver's term of the key points of one frame; None when none of them is known and confident.
 
+    keypoints: of one frame, in undistorted px.
     model: where the points sit (default: at the body's landmarks).
     prediction: (D,) expected pose. With it, views that show another person are left out, exchanged sides are corrected
         (`check_sides_and_views`), and the model's noise in metres becomes pixels; without it the points are used
@@ -170,6 +171,7 @@ def check_sides_and_views(
     """Correct key points of a frame: leave out views of another person (confidence 0), and exchange confused sides
     back.
 
+    names: of the K points.
     points: (C, K, 3).
     expected: (C, K, 2) expected places, px.
     size: (C,) pixels per metre.

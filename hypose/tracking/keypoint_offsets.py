@@ -185,7 +185,10 @@ def _offsets(base: KeypointModel, model: KeypointModel, rows: OffsetResiduals) -
 
 
 def _noise(rows: OffsetResiduals) -> Array:
-    """Estimate the noise (K,), m per axis at confidence 1, from the median distances; see TOGETHER."""
+    """Estimate the noise (K,), m per axis at confidence 1, from the median distances; see TOGETHER.
+
+    rows: residuals about the present places; LARGEST_SD where there is no point at all.
+    """
     metres = np.abs(rows.residual) / rows.size[..., None, None]
     by_point = [
         (np.sqrt(rows.confidence[:, :, k, None]) * metres[:, :, k])[rows.confidence[:, :, k] > 0].ravel()
@@ -243,6 +246,7 @@ def _components(
 ) -> Array:
     """Estimate the factors (C,) of the active views.
 
+    rig: the cameras. Views that are not active have no weight and the factor 1.
     uv: (C, T, K, 2) points, px; seen: (C, T, K) where they are seen.
     other: (K,) column of each point's other side.
     """

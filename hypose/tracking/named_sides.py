@@ -71,6 +71,7 @@ def _pairs(model: KeypointModel, parts: Sequence[str]) -> NDArray[np.int64]:
 def views_by_names(model: KeypointModel, limb: str, points: Array, expected: Array, size: Array) -> tuple[int, int]:
     """Count the views whose named points lie on the other side's limb, and those whose points lie on their own.
 
+    model: of the key points; limb: "legs" or "arms".
     points: (C, K, 3) u px, v px, confidence.
     expected: (C, K, 2) places on the body, px; size: (C,) pixels per metre.
     Returns: views on the other side; views on their own side. Views where both fit alike count as neither.

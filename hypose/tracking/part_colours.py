@@ -147,7 +147,10 @@ class KnownColours:
 
 def known_colours(frame: PreparedFrame, settings: ColourSettings) -> KnownColours | None:
     """Look up the known colours of a frame, cached in its `shared`; None where there is no picture, or nothing was
-    learnt."""
+    learnt.
+
+    frame: prepared, with the counts in its memory; settings: of colours.
+    """
     if "known colours" not in frame.shared:
         counts, masks, known = frame.memory.get(COUNTS), frame.silhouettes.masks, None
         for colours in frame.frame.of(Colours):
@@ -192,7 +195,10 @@ def table_of(counts: NDArray[np.float32], settings: ColourSettings) -> NDArray[n
 
 @dataclass(frozen=True)
 class LearnColours:
-    """Learns the colours of the parts from frames in which the pose is certain."""
+    """Function that learns the colours of the parts from frames in which the pose is certain; see `Recipe.learn`.
+
+    settings: of colours.
+    """
 
     settings: ColourSettings = ColourSettings()
 

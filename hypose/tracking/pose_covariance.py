@@ -100,6 +100,7 @@ def joint_covariance_of(body: Body, pose: Array, information: Array, evidence: s
 def from_neighbours(around: NDArray[np.float32], frame_rate: float) -> NDArray[np.float32]:
     """Bound the covariances of joints in a solved clip by those of neighbouring frames.
 
+    frame_rate: Hz.
     Why: a joint that a frame hardly shows lies between its places in the neighbouring frames; the bound is their
         covariance
     plus how far the path may bend in between (NEIGHBOUR_M_S2).

@@ -70,6 +70,7 @@ def partitions_of(skeleton: Skeleton, layers: Sequence[tuple[str, tuple[str, ...
 def sir(body: Body, particles: int = 4000, survival: float = 0.15, frame_rate: float = 25.0) -> Recipe:
     """Build the plain particle filter: one layer over all coordinates.
 
+    particles: number of hypotheses.
     survival: survival rate of the layer; frame_rate: Hz.
     Source: Isard & Blake 1998 (Alcoverro 2014, Alg. 1).
     """
@@ -88,6 +89,7 @@ def apf(
 ) -> Recipe:
     """Build the annealed particle filter with adaptive diffusion.
 
+    particles: number of hypotheses; layers: number of layers; frame_rate: Hz.
     The first layer moves all coordinates by the usual motion of a frame; every further layer by `scale` times the
     spread of the set that the previous layer left.
     survival: survival rate of every layer.

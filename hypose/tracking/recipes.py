@@ -73,6 +73,7 @@ def default(
     """Build the product's default recipe: contour solve, greedy search of one limb at a time, and solves of alternative
     arms.
 
+    frame_rate: Hz.
     Layers: (1) a contour solve from the prediction, accurate to centimetres; (2) a search of single limbs around it
         with
     long-tailed steps (`LimbSearch`), because a local solve cannot move a limb by more than about 10 cm; (3) solves of

@@ -228,9 +228,8 @@ def refine(body: Body, starts: Array, frame: PreparedFrame, options: SolveSettin
 
 def keep_fits(frame: PreparedFrame, fits: Sequence[PoseFit], body: Body | None = None) -> None:
     """Store fits in the frame, from which the uncertainty is read later; body: where it is not the frame's."""
-    body = body or frame.body
-    for fit in fits:  # later poses are clamped, which changes them by rounding errors only
-        frame.fits.keep(body, body.skeleton.clamp(fit.pose), fit)
+    for fit in fits:
+        frame.fits.keep(body or frame.body, fit.pose, fit)
 
 
 def solve_poses(body: Body, starts: Array, frame: PreparedFrame, options: SolveSettings) -> list[PoseFit]:

@@ -43,7 +43,7 @@ def test_undistorted_pictures_are_those_of_opencv(rng, stored, bend):
     other = cv2.remap(shrunk, *(m.astype(np.float32) for m in maps), cv2.INTER_LINEAR)
     fast = picture_to_mask.shrink_undistort(picture, lens)
     difference = np.abs(other.astype(int) - fast)
-    assert difference.mean() < 0.6 and np.percentile(difference, 99.9) <= 4
+    assert difference.mean() < 1.0 and np.percentile(difference, 99.9) <= 5
     flat = np.full((stored[1], stored[0], 3), 200, np.uint8)
     assert set(np.unique(picture_to_mask.shrink_undistort(flat, lens)[8:-8, 8:-8])) <= {200}
     y0, y1, x0, x1 = box = (7, 41, 13, 64)

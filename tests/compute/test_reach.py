@@ -50,7 +50,7 @@ def test_the_rest_is_the_body_without_the_limb(body, rig, rng):
     pose = random_pose(body, rng)
     prepared = prepared_masks(body, rig, random_pose(body, rng), (True, False, True))
     fast = standing(body, pose, prepared)
-    parts = lane_mesh.moving_parts(body.coarse.arrays, body.skeleton.tree, moving(body), None)
+    parts = lane_mesh.moving_parts(body.coarse.arrays, body.skeleton.tree, moving(body))
     for c in np.flatnonzero(prepared.usable):
         w, h = prepared.sizes[c].tolist()
         drawn = reference.rasterize(body.skin(pose), parts.corners, prepared.projections[c], (w, h), one_sided=True)

@@ -116,15 +116,14 @@ def test_poses_near_the_camera_do_not_disturb_their_block(body, scene, rig):
     np.testing.assert_array_equal(together[rest], before[rest])
 
 
-@pytest.mark.parametrize("boxes", [None, BOXES])
 @pytest.mark.parametrize(
     "joints", [("left_shoulder", "left_elbow"), ("right_hip", "right_knee"), ("right_elbow",), ("pelvis",)]
 )
-def test_a_limb_over_the_standing_rest_counts_as_the_whole_body(body, scene, rng, joints, boxes):
+def test_a_limb_over_the_standing_rest_counts_as_the_whole_body(body, scene, rng, joints):
     mixed, prepared = scene
     moving = np.isin(np.arange(len(body.skeleton.joint_names)), [body.skeleton.joint(j) for j in joints])
     poses = np.where(moving[body.skeleton.tree.joint_of_dof], mixed, mixed[-1:])
-    fast = score(body, mixed, prepared, boxes=boxes, moving=moving)  # what does not move stands as in the last pose
-    assert np.abs(fast - score(body, poses, prepared, boxes=boxes)).max() <= 2
-    assert np.abs(fast - defined(body, poses, prepared, boxes=boxes)).max() <= 2
-    np.testing.assert_array_equal(score(body, mixed, prepared, boxes=boxes, moving=moving, threads=3), fast)
+    fast = score(body, mixed, prepared, moving=moving)  # what does not move stands as in the last pose
+    assert np.abs(fast - score(body, poses, prepared)).max() <= 2
+    assert np.abs(fast - defined(body, poses, prepared)).max() <= 2
+    np.testing.assert_array_equal(score(body, mixed, prepared, moving=moving, threads=3), fast)

@@ -1,16 +1,16 @@
 """Parts of the body on the hull's surface: normals, visibility, probability, clusters, assignment; and skin colour."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.body_parts import (
     ClusterSettings,
-    Surface,
     assign_ends,
     detect_ends,
     likely_clusters,
-    oriented_surface,
     surface_probability,
     visibility,
 )
@@ -55,13 +55,13 @@ def sphere_masks(rig: CameraRig, spheres) -> Silhouettes:
 
 def test_visibility_is_the_cosine_to_the_axis_shared_among_the_cameras_that_see(ring):
     """Alcoverro 2014, eq. 2.16, normalised."""
-    surface = oriented_surface(ball())
+    surface = ball()
     seen = visibility(surface, ring)
     total = seen.sum(0)
     assert np.allclose(total[total > 0], 1.0)
     assert (total > 0).mean() > 0.9  # from the ring all but the very bottom and top
     # the point that faces the first camera is seen by it most, and not at all by the one behind
-    nearest = int(np.argmax(surface.points[:, 0]))
+    nearest = int(np.argmax(surface.surface_points[:, 0]))
     assert seen[0, nearest] > 0.8 and seen[2, nearest] == 0
     axes = np.stack([c.camera_from_world[2, :3] for c in ring])
     raw = np.maximum(-(surface.normals @ axes.T).T, 0)
@@ -71,7 +71,7 @@ def test_visibility_is_the_cosine_to_the_axis_shared_among_the_cameras_that_see(
 
 def test_probability_is_the_visibility_weighted_detector(ring):
     """Alcoverro 2014, eq. 2.17."""
-    surface = oriented_surface(ball())
+    surface = ball()
     seen = visibility(surface, ring)
     maps = np.zeros((4, SIZE[1], SIZE[0]), np.float32)
     maps[0], maps[1] = 0.75, 0.25
@@ -86,7 +86,7 @@ def test_clusters_are_told_apart_and_sized():
     counts = (200, 60, 5)  # the last is too small
     points = np.concatenate([s + rng.uniform(-0.05, 0.05, (n, 3)) for s, n in zip(spots, counts, strict=True)])
     background = rng.uniform(-1, 1, (300, 3))
-    surface = Surface(np.concatenate([points, background]), np.zeros((565, 3)), 0.02)
+    surface = SimpleNamespace(surface_points=np.concatenate([points, background]), voxel=0.02)
     probability = np.concatenate([np.full(265, 0.8), np.full(300, 0.2)])
     centres, score = likely_clusters(surface, probability, ClusterSettings(0.5, 0.06, 0.004, 0.2))
     assert len(centres) == 2

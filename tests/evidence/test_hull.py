@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hypose.cameras.camera import CameraRig
-from hypose.errors import EvidenceError, InputError
+from hypose.errors import EvidenceError
 from hypose.evidence.hull import common_view_bounds, hull_iou, visual_hull
 from tests.evidence.scenes import far_ring, ring, solid_masks
 
@@ -74,10 +74,6 @@ def test_nothing_in_common_is_an_error_that_says_what_to_check():
     masks[0, 5:15, 5:15] = 1
     with pytest.raises(EvidenceError, match="calibration and synchronisation"):
         visual_hull(replace(s, masks=masks))
-    with pytest.raises(InputError, match="bounds"):
-        visual_hull(s, np.array([[0.0, 0, 0], [-1, 1, 1]]))
-    with pytest.raises(InputError, match="voxel"):
-        visual_hull(s, voxel=0)
 
 
 def test_parallel_cameras_need_bounds():

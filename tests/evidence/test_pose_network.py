@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from hypose.evidence.keypoints import BLAZEPOSE_33
-from hypose.evidence.pose_network import _ANCHORS, CROP, DETECTOR, Crop, DetectorOutput, LandmarkOutput, PoseNetwork
+from hypose.evidence.pose_network import _ANCHORS, CROP, DETECTOR, DetectorOutput, LandmarkOutput, PoseNetwork
 
 RADIUS = 40.0
 
@@ -57,15 +57,6 @@ def picture(*hips, size=(320, 240)):
 def discs():
     stand_in = Discs()
     return stand_in, PoseNetwork(stand_in.detect, stand_in.landmarks, {}, every=10)
-
-
-def test_a_crop_turns_the_body_upright_and_back():
-    crop = Crop(np.array([100.0, 200.0]), np.array([160.0, 120.0]))
-    assert crop.radius == pytest.approx(100)
-    middle = CROP / 2 - 0.5
-    np.testing.assert_allclose(crop.from_picture @ [100, 200, 1], [middle, middle])
-    np.testing.assert_allclose(crop.from_picture @ [160, 120, 1], [middle, middle - CROP / 2.5])
-    assert np.linalg.det(crop.from_picture[:, :2]) > 0  # turned, not mirrored
 
 
 def test_a_person_is_detected_once_and_then_followed(discs):

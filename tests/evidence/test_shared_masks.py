@@ -99,22 +99,6 @@ def test_an_ignored_pixel_is_neither_a_hole_nor_a_body_in_the_hull():
         visual_hull(everything, voxel=0.04)
 
 
-def test_the_hull_of_one_person_is_whole_where_two_of_four_views_hide_the_legs(body, pair):
-    _, shapes, silhouettes = pair
-    masks = np.zeros_like(silhouettes.masks)
-    hidden = np.zeros_like(masks)
-    for c, (y0, y1, x0, x1) in enumerate(shapes[0].boxes):
-        masks[c, y0:y1, x0:x1] = shapes[0].drawn(c)
-    for c in (0, 1):
-        y0, y1, x0, x1 = shapes[0].boxes[c]
-        hidden[c, (y0 + y1) // 2 : y1, x0:x1] = 1
-    own = replace(own_silhouettes(silhouettes, shapes[0], [Other(shapes[1])]), masks=masks, ignored=hidden)
-    assert own.expected is not None
-    whole = visual_hull(own, voxel=0.04)
-    cut = visual_hull(own, voxel=0.04, surely=3)
-    assert whole.height == pytest.approx(body.stature, abs=0.1) and cut.height < 0.75 * body.stature
-
-
 def test_without_hides_everybody_else(pair):
     _, shapes, silhouettes = pair
     left = without(silhouettes, [Other(shapes[1])])

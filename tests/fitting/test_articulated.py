@@ -12,7 +12,6 @@ from hypose.errors import InputError, SolverError
 from hypose.evidence.frame import Silhouettes
 from hypose.evidence.terms import KeypointTerm, PointTerm, contour_term
 from hypose.fitting.articulated import cues_of, workspace_for
-from hypose.geometry import so3_exp, so3_log
 from tests import reference
 from tests.capsule_person import capsule_person, random_pose, ring
 
@@ -175,17 +174,6 @@ def test_limits_hold_and_bind(rng):
     assert (fit.pose >= SKELETON.lower).all() and (fit.pose <= SKELETON.upper).all()
     assert fit.pose[knee] == SKELETON.lower[knee]
     assert fit.gradient[knee] > 0  # it pushes outwards
-
-
-def test_heading_beyond_half_a_turn_is_kept_on_the_branch_of_the_start(rng):
-    pose = random_pose(BODY, rng, 0.2)
-    pose[3:6] = [0, 0, 3.4]
-    start = start_near(pose, rng, 0.05)
-    prior = fitting.Quadratic(pose * 1.0, np.full(SKELETON.dof, 1e-3))
-    prior.centre[3:6] = so3_log(so3_exp(pose[3:6]))  # the same heading on the other branch
-    fit = fitting.fit_pose(BODY, start, [points_of(pose, rng)], priors=[prior], options=fitting.SolveSettings(30, 0))
-    assert joint_error_mm(fit.pose, pose) < 0.5
-    np.testing.assert_allclose(fit.pose[3:6], pose[3:6], atol=1e-2)
 
 
 def test_unusable_starts_are_refused_loudly(scene, rig, rng):

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from benchmarks.depth_gestures.gesture_data import teach
-from benchmarks.papers.offline_forests import chosen_pixels
 from hypose.gestures.forest import ForestSettings
 from hypose.gestures.localise import localise
-from hypose.gestures.online import Example, Learner, LearnSettings, PixelSampler
+from hypose.gestures.online import Learner, LearnSettings
 from hypose.gestures.trainer import SessionSettings, Trainer, balanced
 
 from .test_model import toy_examples
@@ -122,7 +121,3 @@ def test_pixels_around_the_place_are_learned_as_background():
         assert taught is not None
         learned[around] = taught.learned
     assert learned == {0: (0, 5), 10: (10, 5)}
-    chooser = PixelSampler(np.random.default_rng(0), LearnSettings(rim_mm=20, clear_mm=45))
-    (rows, columns), label = chosen_pixels(chooser, Example(depth, LENS, 1, 100.0, 75.0), 5, 0)[2]
-    distance = np.hypot(rows - 75, columns - 100) / (LENS.fx / 1000)
-    assert label == 0 and distance.min() > 17 and distance.max() < 48  # half a pixel is 2.5 mm

@@ -38,12 +38,3 @@ def test_result_stays_on_the_branch_of_the_best():
     centre = np.array([0.0, 0.0, np.pi + 0.3])  # beyond pi on purpose: a tracked root may be there
     values = np.concatenate([centre + 0.05 * np.random.default_rng(0).normal(size=(100, 3))])
     np.testing.assert_allclose(TangentMean((0,))(weighted(values)), centre, atol=0.05)
-
-
-def test_batches():
-    values = np.stack([scattered(np.array([0, 0, 3.1]), 0.1, 50), scattered(np.array([1.0, 0, 0]), 0.1, 50, 1)])
-    h = weighted(values)
-    together = TangentMean((0,))(h)
-    for b in range(2):
-        alone = Hypotheses(h.values[b], h.log_weights[b], h.origin[b])
-        np.testing.assert_allclose(together[b], TangentMean((0,))(alone), atol=1e-9)

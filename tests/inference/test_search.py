@@ -1,6 +1,5 @@
 """The loop against filters written out step by step, and against the Kalman filter."""
 
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -14,7 +13,6 @@ from hypose.inference.kernels import (
     annealed_sigma,
     filtered_mask,
     layered_sigma,
-    stay,
 )
 from hypose.inference.layer import Layer, Recipe, search, stream
 from hypose.inference.resampling import LayeredResampling, systematic
@@ -145,19 +143,6 @@ def test_layered_particle_filter():
 
 
 # ------------------------------------------------------------------ the loop's own promises
-def test_weigh_sees_the_population_and_the_estimate_comes_before_selection():
-    def far_from_mean(h, z):
-        return -np.square(h.values - h.mean()[..., None, :]).sum(-1)
-
-    def only_best(h, rng, /):
-        return h.take(h.relative_log_weights.argmax(keepdims=True)).equal()
-
-    recipe = Recipe("box", (Layer(stay, far_from_mean, only_best),), estimate=Hypotheses.mean)
-    result = search(Hypotheses.uniform(START), recipe, None, partial(stream, 0, 0))
-    assert result.resampled.count == 1 and result.weighted.count == N
-    np.testing.assert_allclose(result.estimate, result.weighted.mean())
-    best = search(Hypotheses.uniform(START), replace(recipe, estimate=Hypotheses.best), None, partial(stream, 0, 0))
-    np.testing.assert_array_equal(best.estimate, result.resampled.values[0])
 
 
 def test_same_seed_is_bit_identical_and_a_resumed_run_too():

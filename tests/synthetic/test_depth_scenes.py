@@ -43,18 +43,6 @@ def test_noise_is_as_large_as_it_is_said_to_be(scene):
     assert person.sum() > 2000 and clean.shape == (288, 320)
 
 
-def test_edges_have_holes_and_values_between_both_sides(scene):
-    clean, person = scene.clean_map(0, 3)
-    inner = np.zeros_like(person, dtype=bool)
-    edge = (person > 0) & (np.roll(person, 2, 1) == 0) & (clean < 4.9)
-    inner[1:-1, 1:-1] = person[1:-1, 1:-1] > 0
-    inner &= ~edge
-    seen = scene.depth_map(0, 3)
-    assert (seen[edge] == 0).mean() > 0.15 > 3 * (seen[inner] == 0).mean() / 2
-    between = (seen[edge] > clean[edge] + 0.1) & (seen[edge] < 4.9)
-    assert between.mean() > 0.02
-
-
 def test_sensors_by_name():
     assert len(depth_rig("depth-3")) == 3
     front, side = (c.position for c in depth_rig("depth-2"))

@@ -21,12 +21,10 @@ from hypose.tracking.part_colours import (
     LearnColours,
     colour_scores,
     pictured_arms,
-    table_of,
 )
 from hypose.tracking.recipes import default
 from hypose.tracking.tracker import Tracker, TrackerState
 
-HAND, TRUNK = 4, 1
 CLOTHES = tuple(100 + 7 * k for k in range(len(PARTS)))
 SETTINGS = ColourSettings()
 
@@ -85,14 +83,6 @@ def with_elbow(body, pose, by):
 def seen(body, pose, memory, painted, clothes=None):
     frame = painted(pose) if clothes is None else painted(pose, clothes=clothes)
     return replace(prepare(frame, body, pose), memory=memory)
-
-
-def test_each_part_has_its_colour_and_no_other(learnt):
-    table = table_of(learnt[COUNTS], SETTINGS)
-    for c in range(4):
-        assert table[c, TRUNK, 100 + 7 * TRUNK] > 0.5 > -1.0 > table[c, TRUNK, 100 + 7 * HAND]
-        assert table[c, HAND, 100 + 7 * HAND] > 1.0 and table[c, HAND, 100 + 7 * TRUNK] < -0.5
-    assert np.abs(table).max() <= SETTINGS.most
 
 
 def test_the_arm_that_lies_where_its_colours_are_is_better(body, folded, painted, learnt):

@@ -6,18 +6,13 @@ import pytest
 from hypose.inference.hypotheses import Hypotheses
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.partitioned_observations import (
-    LimbDiffusion,
     PartitionedXor,
-    ball_step,
     boxes_in_views,
-    chain_region,
     partitioned_energy,
 )
 from hypose.tracking.published_recipes import HPF_LAYERS, hpf_apo, hpf_apo_plus, layer_regions
 from hypose.tracking.tracker import Tracker, TrackerSettings
 from tests.tracking.measures import joint_error
-
-LEG = ("left_hip", "left_knee", "left_ankle")
 
 
 def test_the_box_encloses_the_projected_corners(small_rig):
@@ -30,19 +25,6 @@ def test_the_box_encloses_the_projected_corners(small_rig):
         assert (inside >= [x0, y0]).all() and (inside < [x1, y1]).all()
         # and not much more than that
         assert x1 - x0 <= np.ptp(uv[:, 0]) + 3 and y1 - y0 <= np.ptp(uv[:, 1]) + 3
-
-
-def test_the_fixed_box_holds_the_limb_however_it_is_bent(body, standing):
-    region = chain_region(body, LEG, ("left_big_toe",))
-    sizes = []
-    for knee in (0.0, 0.8, 2.0):
-        pose = standing.copy()
-        pose[body.skeleton.dofs_of("left_knee")] = knee
-        low, high = region.box(body, pose)
-        points = body.joints(pose)[[body.skeleton.joint(n) for n in LEG]]
-        assert (points > low).all() and (points < high).all()
-        sizes.append(high - low)
-    assert np.allclose(sizes, sizes[0])
 
 
 def test_parts_of_later_layers_are_not_drawn(body, standing, frame_of):
@@ -73,28 +55,6 @@ def test_the_whole_box_gives_the_plain_cost_on_another_scale(body, standing, fra
     per_view = partitioned_energy(body, moved, frame, boxes)[0] * sizes.prod(1).mean()
     plain = frame.silhouettes.energy(body, moved)[0] * frame.silhouettes.masks.areas.mean()
     assert per_view == pytest.approx(plain, rel=0.1)
-
-
-def test_swing_leaves_the_twist_and_twist_the_bone(body, standing):
-    s = body.skeleton
-    bent = standing.copy()
-    bent[s.dofs_of("left_elbow")] += 0.8  # the wrist of a straight arm lies on the axis
-    h = Hypotheses.uniform(np.repeat(bent[None], 200, 0))
-    still = np.zeros(s.dof)
-    elbow, wrist = s.joint("left_elbow"), s.joint("left_wrist")
-    before = s.forward(bent)[1]
-    twisted = LimbDiffusion(s, still, (ball_step(s, "left_shoulder", "left_elbow", 0.0, 0.3),))
-    joints = body.joints(twisted(h, None, np.random.default_rng(0)).values)  # type: ignore[arg-type]
-    assert np.abs(joints[:, elbow] - before[elbow]).max() < 1e-9
-    assert np.linalg.norm(joints[:, wrist] - before[wrist], axis=1).std() > 0.005
-    swung = LimbDiffusion(s, still, (ball_step(s, "left_shoulder", "left_elbow", 0.1, 0.0),))
-    values = swung(h, None, np.random.default_rng(0)).values  # type: ignore[arg-type]
-    moved = np.flatnonzero(np.abs(values - bent).max(0) > 0)
-    assert set(moved) == set(s.dofs_of("left_shoulder"))
-    angle = np.linalg.norm(body.joints(values)[:, elbow] - before[elbow], axis=1) / 0.28
-    assert 0.08 < np.sqrt((angle**2).mean()) < 0.2  # two axes of 0.1 rad
-    again = swung(h, None, np.random.default_rng(0)).values  # type: ignore[arg-type]
-    assert np.array_equal(values, again)
 
 
 @pytest.mark.parametrize("make", [hpf_apo, hpf_apo_plus])

@@ -120,15 +120,6 @@ def test_saved_state_goes_on_with_the_same_bytes(body, standing, frame_of):
         assert a.joint_sd.tobytes() == b.joint_sd.tobytes()
 
 
-def test_root_turning_through_a_whole_circle_is_followed(body, standing, frame_of):
-    n = 26
-    poses = np.repeat(standing[None], n, 0)
-    poses[:, 5] = np.linspace(0.5, 0.5 + 2 * np.pi, n)
-    _, estimates = run(Tracker(body, recipe("default", body)), poses, frame_of)
-    assert joint_error(body, estimates[-1].pose, poses[-1]) < 0.04
-    assert max(np.linalg.norm(e.pose[3:6]) for e in estimates) < np.pi + 0.5
-
-
 def test_unknown_recipe_lists_the_presets(body):
     with pytest.raises(InputError, match="hpf"):
         recipe("magic", body)

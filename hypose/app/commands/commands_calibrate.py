@@ -77,8 +77,9 @@ def _board_of(c: CalibrateCommand) -> Board:
 
 
 def parse_length(text: str, option: str) -> float:
-    """Parse a length with its unit, and return metres.
+    """Parse a length with its unit (mm, cm, m or in), and return metres.
 
+    option: flag of the option, for the error.
     Raises: InputError where it is no length.
     """
     found = re.fullmatch(r"\s*([0-9]*\.?[0-9]+)\s*(mm|cm|m|in)\s*", text)
@@ -123,6 +124,13 @@ def _show_points(result: PointCalibration) -> None:
 
 
 def _from_boards(c: CalibrateCommand, sheet: Path) -> CameraRig:
+    """Calibrate from videos or photos of a board, print the fit, and write the contact sheet.
+
+    c: options of the user.
+    sheet: file of the contact sheet, which is also written where no board is found.
+    Returns: calibrated cameras.
+    Raises: CalibrationError where no board is found.
+    """
     board = _board_of(c)
     check_picture(sheet, "--sheet")
     sources = find_sources(c.sources)

@@ -90,6 +90,7 @@ def check(c: CheckCommand) -> None:
 
 
 def _verdicts(report: PersonReport) -> None:
+    """Print how well each view agrees with the others, and the findings."""
     for view in report.views:
         numbers = []
         if view.left_out_px == view.left_out_px:
@@ -102,6 +103,13 @@ def _verdicts(report: PersonReport) -> None:
 
 
 def _refine(loaded: Recording, cured: Cured | None, c: CheckCommand) -> None:
+    """Refine the calibration from the person, print the changes, and write it where it is better.
+
+    loaded: recording as it is.
+    cured: the recording with measured faults corrected, from which the refinement starts; None: from the recording.
+    c: options of the user.
+    Raises: Exit with code 1 where the refined calibration is not better, or moves a camera far without --refine=far.
+    """
     method = c.using
     if method == "auto":
         method = "keypoints" if loaded.keypoint_set is not None else "silhouettes"
@@ -143,6 +151,7 @@ def _refine(loaded: Recording, cured: Cured | None, c: CheckCommand) -> None:
 
 
 def _tell(result: Refinement) -> bool:
+    """Print the changes of a refinement; return whether it is better on frames that it was not found on."""
     for change in result.changes:
         focal = f", focal length x {change.focal:.4f}" if abs(change.focal - 1) > 1e-6 else ""
         say(
@@ -165,6 +174,7 @@ def _tell(result: Refinement) -> bool:
 
 
 def _settings(recording: Recording, cured: Cured) -> list[str]:
+    """List the settings of recording.toml that correct the faults that were measured, as sentences."""
     out = []
     if cured.keypoint_lag:
         out.append(f"keypoint_lag = {recording.keypoint_lag + cured.keypoint_lag}")
@@ -238,6 +248,11 @@ def _unfinished(folder: Path) -> bool:
 
 
 def _given(text: str, recording: Recording) -> list[float]:
+    """Parse the option --offsets.
+
+    Returns: frames by which each view is late.
+    Raises: InputError where they are no numbers, not one per view, or leave no frame in common.
+    """
     count = len(recording.views)
     try:
         out = [float(x) for x in text.split(",")]
@@ -262,6 +277,13 @@ _LARGEST_S = (0.5, 2.0, 10.0)
 def _by_motion(
     recording: Recording, largest_s: float | None, frames: int, progress: ProgressCall
 ) -> tuple[list[float], list[str]]:
+    """Find how late each view is from the motion of the person, with growing ranges of search.
+
+    largest_s: largest delay that is searched, s; None: 0.5, 2 and 10 s are tried in turn until all delays are certain.
+    frames: number of frames that are used, at least.
+    Returns: delay of each view in frames, and a text on the certainty of each.
+    Raises: EvidenceError where the motion does not determine the delays.
+    """
     rate = recording.frame_rate
     within = [largest_s] if largest_s else [s for s in _LARGEST_S if 3 * s * rate <= len(recording.frames)]
     *nearer, last = within or _LARGEST_S[:1]
@@ -280,7 +302,8 @@ def _by_motion_within(
 
     largest: largest delay that is searched, frames.
     frames: number of frames that are used, at least.
-    Returns: delay of each view in frames, a text on each, and whether all delays are clearly smaller than `largest`.
+    Returns: delay of each view in frames, a text on the certainty of each, and whether all delays are certain and
+        clearly smaller than `largest`.
     Raises: EvidenceError where the motion does not determine the delays.
     """
     seen = observe_recording(recording, max(frames, math.ceil(4 * largest)), progress)
@@ -308,6 +331,12 @@ def _by_motion_within(
 
 
 def _by_sound(recording: Recording, largest: float) -> tuple[list[float], list[str]]:
+    """Find how late each view is from the sound of its video.
+
+    largest: largest delay that is searched, s.
+    Returns: delay of each view in frames, and a text on the certainty of each.
+    Raises: InputError where a view has no video.
+    """
     sounds = []
     for view in recording.views:
         if view.video is None:
@@ -318,6 +347,11 @@ def _by_sound(recording: Recording, largest: float) -> tuple[list[float], list[s
 
 
 def _by_light(recording: Recording, progress: ProgressCall) -> tuple[list[float], list[str]]:
+    """Find how late each view is from changes of the light, such as a flash.
+
+    Returns: delay of each view in frames, and a text on what was compared.
+    Raises: InputError where a view has masks alone.
+    """
     levels = []
     for view in each(progress, "sync", recording.views):
         if view.source is None:
@@ -329,8 +363,11 @@ def _by_light(recording: Recording, progress: ProgressCall) -> tuple[list[float]
 
 
 def _write(recording: Recording, late: list[float], folder: Path, progress: ProgressCall) -> Path:
-    """Write masks (PNG, undistorted), depth maps, key points (OpenPose JSON) and videos on a common clock, with a
-    recording.toml; return its path.
+    """Write masks (PNG, undistorted), depth maps, key points (OpenPose JSON) and videos on a common clock.
+
+    late: frames by which each view is late.
+    folder: new folder of the recording.
+    Returns: path of the new recording.toml.
     """
     stream, _ = frames_to_examine(recording, progress)
     with stream:
@@ -369,7 +406,12 @@ def _write(recording: Recording, late: list[float], folder: Path, progress: Prog
 
 
 def _video_in_step(view: ViewSettings, recording: Recording, late: float, folder: Path) -> Path:
-    """Write the pictures of a view on the common clock, each from the nearest frame; return the path."""
+    """Write the pictures of a view on the common clock, each from the nearest frame of its video.
+
+    late: frames by which the view is late.
+    folder: of the video.
+    Returns: path of the video.
+    """
     assert view.source is not None
     path, frames = folder / f"{file_name(view.name)}.mp4", recording.frames
     folder.mkdir(parents=True, exist_ok=True)
@@ -387,8 +429,12 @@ def _video_in_step(view: ViewSettings, recording: Recording, late: float, folder
 
 
 def _depth_in_step(depth: Path, frames: range, late: float, folder: Path) -> Path:
-    """Copy the maps of a folder to the common clock, each from the nearest frame, empty where there is none; return the
-    folder.
+    """Copy the depth maps of a folder to the common clock, each from the nearest frame; empty maps where there is none.
+
+    depth: folder of the maps.
+    frames: numbers of the frames of the recording.
+    late: frames by which the view is late.
+    folder: new folder, which is returned.
     """
     files, (width, height) = list_images(depth), frame_size(depth)
     for i in range(len(frames)):

@@ -92,7 +92,13 @@ def live(c: LiveCommand) -> None:
 
 
 def _finds_people(wanted: bool | None, roomless: bool) -> bool:
-    """Return whether the detector finds people: where it is requested, or where the empty room is not known."""
+    """Decide whether the detector finds people.
+
+    wanted: option --detector; None: as the recording needs it.
+    roomless: the empty room is not known.
+    Returns: True where it is wanted, or where the empty room is not known and the detector is installed.
+    Raises: InputError where it is wanted and not installed.
+    """
     from hypose.io.keypoints.detectors import open_network
 
     if wanted is False or not (wanted or roomless):

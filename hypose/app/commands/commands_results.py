@@ -111,8 +111,11 @@ def gait(
 
 
 def _write_gait(folder: Path, motion: Motion, gait: Gait) -> list[Path]:
-    """Write events.csv, steps.csv, gait.csv and gait.c3d (joint centres with the events), and with a whole stride
-    cycles.csv and cycles.svg (joint angles over the cycle); return their paths.
+    """Write the gait: events.csv, steps.csv, gait.csv and gait.c3d (joint centres with the events), and with a whole
+    stride cycles.csv and cycles.svg (joint angles over the cycle).
+
+    motion: of which the gait is.
+    Returns: paths of the files.
     """
     import numpy as np
 
@@ -188,20 +191,20 @@ def compare(c: CompareCommand) -> None:
     compare_job.write_comparison_page(folder / "compare.html", compared, failed)
     for file in dict.fromkeys(c.files):
         tell_untrusted(file)
-    for one in compared:
-        print_notes(one.found.notes)
-        if one.found.joints:
-            median, p95, rmse = one.found.left_mm
-            share = compare_job.mean_coverage(one.found)
+    for _, other, found in compared:
+        print_notes(found.notes)
+        if found.joints:
+            median, p95, rmse = found.left_mm
+            share = compare_job.mean_coverage(found)
             inside = f", {100 * share:.0f} % inside our 90 % regions" if share == share else ""
             say(
-                f"{one.other}: {len(one.found.joints)} joints, offsets aside: median {median:.1f} mm, 95 % within "
+                f"{other}: {len(found.joints)} joints, offsets aside: median {median:.1f} mm, 95 % within "
                 f"{p95:.1f} mm, RMSE {rmse:.1f} mm{inside}"
             )
-        if one.found.angles:
-            degrees = [a.rmse_left for a in one.found.angles if a.unit == "deg" and a.n]
+        if found.angles:
+            degrees = [a.rmse_left for a in found.angles if a.unit == "deg" and a.n]
             span = f"{min(degrees):.1f} to {max(degrees):.1f} degrees" if degrees else "-"
-            say(f"{one.other}: {len(degrees)} angles, offsets aside: RMSE {span}")
+            say(f"{other}: {len(degrees)} angles, offsets aside: RMSE {span}")
     say(f"Table: {folder / 'compare.csv'}")
     say(f"Page:  {folder / 'compare.html'}")
     for text in failed:
@@ -241,10 +244,13 @@ def play_motion(
     wait: Callable[[float], None] = time.sleep,
     clock: Callable[[], float] = time.monotonic,
 ) -> None:
-    """Send a motion with poses to an avatar at its own pace times `speed`, repeated with `loop`.
+    """Send a motion with poses to an avatar at its own pace.
 
     Late frames are skipped; lost frames repeat the last pose and are marked.
+    body: of the motion.
     send: sends the messages of a frame.
+    speed: factor of the pace.
+    loop: repeat until interrupted.
     wait, clock: replaced in tests.
     Raises: InputError where no frame has a pose.
     """

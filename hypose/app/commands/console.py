@@ -88,7 +88,7 @@ def _console(file: TextIO) -> Console:
 
 
 def say(text: str = "", style: str | None = None) -> None:
-    """Print one line of results."""
+    """Print one line of results; style: of rich, for example "green"."""
     out().print(text, style=style, markup=False)
 
 
@@ -223,7 +223,11 @@ ProgressCall = Callable[[str, int, int], None]
 
 
 def each(progress: ProgressCall, stage: str, items: Sequence[_Item]) -> Iterator[_Item]:
-    """Yield the items of a stage, and report each as one step."""
+    """Yield the items of a stage, and report each as one step.
+
+    progress: function (stage, done, total).
+    stage: name of the stage.
+    """
     for done, item in enumerate(items):
         progress(stage, done, len(items))
         yield item
@@ -236,7 +240,11 @@ def ignore(stage: str, done: int, total: int) -> None:
 
 @contextlib.contextmanager
 def ended_by_signals(ended: threading.Event) -> Iterator[None]:
-    """Set the event at Ctrl-C, SIGTERM and a closed terminal instead of interrupting, inside the context."""
+    """Set an event at Ctrl-C, SIGTERM and a closed terminal inside the context, instead of interrupting the program.
+
+    ended: is set.
+    Why: the program finishes its work in order. Under nohup a closed terminal changes nothing.
+    """
     hung_up = getattr(signal, "SIGHUP", None)
     numbers = [signal.SIGINT, signal.SIGTERM]
     if hung_up is not None and signal.getsignal(hung_up) != signal.SIG_IGN:  # under nohup it continues

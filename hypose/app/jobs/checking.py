@@ -67,8 +67,11 @@ def _name(path: Path | None) -> str:
 
 
 def check_recording(recording: Recording, sheet: Path, samples: int, progress: ProgressCall = ignore) -> Findings:
-    """Check masks and visual hulls of `samples` frames spread over the recording, and write the contact sheet.
+    """Check masks and visual hulls of some frames spread over the recording, and write the contact sheet.
 
+    sheet: picture to write.
+    samples: number of frames.
+    Returns: facts and warnings.
     Raises: EvidenceError where no frame shows a person.
     """
     facts: list[str] = []
@@ -78,7 +81,9 @@ def check_recording(recording: Recording, sheet: Path, samples: int, progress: P
         facts += ["Several people stand in the masks; their hulls are looked at together."] if several else []
         facts += [f"note: {text}" for text in source.notes]
         rows = np.unique(np.linspace(0, len(source) - 1, min(samples, len(source))).astype(int)).tolist()
-        ious, heights, shown, why = [], [], _points_seen(source), ""
+        ious, heights, why = [], [], ""
+        points = np.stack([k.points for k in source.keypoints]) if source.keypoints else np.zeros((0, 0, 0, 3))
+        shown = bool((points[..., 2] > 0).any())
         for row in each(progress, "check", rows):
             frame = source.frame(row)
             for masks in frame.of(Silhouettes):
@@ -95,7 +100,10 @@ def check_recording(recording: Recording, sheet: Path, samples: int, progress: P
         if ious:
             contradicted = _hull_warnings(recording, np.array(heights), np.array(ious))
             warnings = [*([guessed] if guessed and contradicted else []), *warnings, *contradicted]
-        facts += _keypoint_facts(source)
+        if len(points):
+            shares = zip(source.rig.names, (points[..., 2] > 0.3).mean((0, 2)), strict=True)
+            listed = ", ".join(f"{name} {100 * share:.0f} %" for name, share in shares)
+            facts.append(f"Key points seen with confidence above 0.3: {listed}.")
         write_sheet(recording, source, sheet, min(len(rows), 3))
     if not shown:
         raise EvidenceError(
@@ -138,7 +146,12 @@ def examine_recording(
 
 
 def write_findings(path: Path, found: Findings, report: PersonReport | None) -> None:
-    """Write the findings as JSON for the studio: facts, warnings, findings, figures per view, name of the page."""
+    """Write the findings of a check as JSON for the studio: facts, warnings, findings, figures per view, name of the
+    page.
+
+    found: result of `check_recording`.
+    report: result of `examine_recording`; None without one.
+    """
     value = {
         "healthy": not found.warnings and (report is None or report.healthy),
         "facts": found.facts,
@@ -157,6 +170,10 @@ def write_findings(path: Path, found: Findings, report: PersonReport | None) -> 
 
 
 def _mask_warnings(silhouettes: Silhouettes, number: int) -> list[str]:
+    """List sentences on masks that are unusable, or cover too little or too much of the picture.
+
+    number: of the frame.
+    """
     out = []
     pixels = silhouettes.rig.sizes.prod(1)
     for c, name in enumerate(silhouettes.rig.names):
@@ -175,8 +192,12 @@ def _mask_warnings(silhouettes: Silhouettes, number: int) -> list[str]:
 def _hull_facts(
     silhouettes: Silhouettes, number: int, facts: list[str], warnings: list[str], several: bool
 ) -> tuple[float, np.ndarray] | None:
-    """Compute the height (m) of the visual hull and its IoU with each view's mask (C,); add sentences. None without a
-    hull.
+    """Compute the height of the visual hull and its overlap with the masks, and add sentences on them.
+
+    number: of the frame.
+    facts, warnings: receive the sentences.
+    several: several people are in the masks, so that all parts of the hull count.
+    Returns: height in m, and IoU with each view's mask (C,), NaN for unusable masks; None without a hull.
     """
     try:
         hull = visual_hull(silhouettes, largest=not several)
@@ -195,6 +216,11 @@ def _hull_facts(
 
 
 def _hull_warnings(recording: Recording, heights: np.ndarray, ious: np.ndarray) -> list[str]:
+    """List sentences on views that contradict the others, and on a hull of a height that no person has.
+
+    heights: (N,) of the hulls, m.
+    ious: (N, C) IoU of each hull with each view's mask; NaN where the mask is unusable.
+    """
     out = []
     for c, view in enumerate(recording.views):
         known = ious[:, c][np.isfinite(ious[:, c])]
@@ -213,22 +239,12 @@ def _hull_warnings(recording: Recording, heights: np.ndarray, ious: np.ndarray) 
     return out
 
 
-def _points_seen(source: FrameStream) -> bool:
-    """Return whether any key point was found in any frame."""
-    return source.keypoints is not None and any(bool((k.points[..., 2] > 0).any()) for k in source.keypoints)
-
-
-def _keypoint_facts(source: FrameStream) -> list[str]:
-    if source.keypoints is None:
-        return []
-    confidence = np.stack([k.points[..., 2] for k in source.keypoints])
-    seen = (confidence > 0.3).mean((0, 2))
-    shares = ", ".join(f"{n} {100 * s:.0f} %" for n, s in zip(source.rig.names, seen, strict=True))
-    return [f"Key points seen with confidence above 0.3: {shares}."]
-
-
 def write_sheet(recording: Recording, source: FrameStream, path: Path, count: int) -> None:
-    """Write a picture of `count` frames, one below the other, each with all views and the outlines of the masks."""
+    """Write a picture of some frames, one below the other, each with all views and the outlines of the masks.
+
+    source: frames of the recording.
+    count: number of frames, spread over the recording.
+    """
     rows = np.unique(np.linspace(0, len(source) - 1, min(count, len(source))).astype(int)).tolist()
     numbers = recording.frames
     with open_images(recording) as images:

@@ -6,7 +6,6 @@ import csv
 import html
 import io
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -24,13 +23,8 @@ from hypose.pipeline.settings import SETTINGS
 _AXES = ("x", "y", "z")
 
 
-@dataclass(frozen=True)
-class Compared:
-    """Result, other motion, and their comparison."""
-
-    result: Path
-    other: Path
-    found: Comparison
+Compared = tuple[Path, Path, Comparison]
+"""Files of a result and of another motion, and their comparison."""
 
 
 def compare_files(
@@ -39,8 +33,13 @@ def compare_files(
     joints: Mapping[str, Sequence[str]],
     subject: str | None = None,
 ) -> list[Compared]:
-    """Compare all pairs of a result and another motion; joints, subject: as for `read_other`."""
-    return [Compared(a, b, compare_motions(load_result(a), read_other(b, joints, subject), options)) for a, b in pairs]
+    """Compare pairs of a result and another motion.
+
+    pairs: paths of a result and of what it is compared with.
+    joints, subject: as for `read_other`.
+    Raises: InputError where a file cannot be read or compared.
+    """
+    return [(a, b, compare_motions(load_result(a), read_other(b, joints, subject), options)) for a, b in pairs]
 
 
 def exceeded(
@@ -53,19 +52,19 @@ def exceeded(
     coverage: least share inside our 90 % regions, mean over the joints.
     """
     out = []
-    for c in compared:
-        rmse = c.found.left_mm[2]
+    for _, other, found in compared:
+        rmse = found.left_mm[2]
         if mm is not None and not rmse <= mm:
-            out.append(f"{c.other}: the joints' RMSE is {rmse:.1f} mm, at most {mm:g} is allowed.")
-        worst = max((a for a in c.found.angles if a.unit == "deg" and a.n), key=lambda a: a.rmse_left, default=None)
+            out.append(f"{other}: the joints' RMSE is {rmse:.1f} mm, at most {mm:g} is allowed.")
+        worst = max((a for a in found.angles if a.unit == "deg" and a.n), key=lambda a: a.rmse_left, default=None)
         if degrees is not None and (worst is None or worst.rmse_left > degrees):
             said = (
                 "there are no angles" if worst is None else f"{worst.name} has an RMSE of {worst.rmse_left:.1f} degrees"
             )
-            out.append(f"{c.other}: {said}, at most {degrees:g} are allowed.")
-        share = mean_coverage(c.found)
+            out.append(f"{other}: {said}, at most {degrees:g} are allowed.")
+        share = mean_coverage(found)
         if coverage is not None and not share >= coverage:
-            out.append(f"{c.other}: {100 * share:.0f} % lie in our 90 % regions, {100 * coverage:.0f} % are needed.")
+            out.append(f"{other}: {100 * share:.0f} % lie in our 90 % regions, {100 * coverage:.0f} % are needed.")
     return out
 
 
@@ -94,13 +93,13 @@ def write_csv(path: Path, compared: Sequence[Compared]) -> None:
     table = io.StringIO()
     rows = csv.writer(table, lineterminator="\n")
     rows.writerow(header)
-    for c in compared:
-        for a in (*c.found.joints, *c.found.angles):
+    for result, other, found in compared:
+        for a in (*found.joints, *found.angles):
             numbers = [a.median, a.p95, a.rmse, a.offset, a.median_left, a.p95_left, a.rmse_left]
             for values in (a.bias, a.low, a.high, a.r):
                 numbers += [*values.tolist(), *[float("nan")] * (3 - len(values))]
             known = ["" if not np.isfinite(v) else f"{v:.5f}" for v in (*numbers, *a.covered)]
-            rows.writerow([c.result, c.other, a.name, a.unit, a.n, *known])
+            rows.writerow([result, other, a.name, a.unit, a.n, *known])
     write_text(path, table.getvalue())
 
 
@@ -114,9 +113,8 @@ def write_comparison_page(path: Path, compared: Sequence[Compared], failed: Sequ
         "<h1>Comparison</h1>",
         *(f'<p class="bad">{e(f)}</p>' for f in failed),
     ]
-    for c in compared:
-        f = c.found
-        parts.append(f"<h2>{e(str(c.result))} against {e(str(c.other))}</h2>")
+    for result, other, f in compared:
+        parts.append(f"<h2>{e(str(result))} against {e(str(other))}</h2>")
         if f.joints:
             median, p95, rmse = f.left_mm
             share = mean_coverage(f)
@@ -141,6 +139,7 @@ def write_comparison_page(path: Path, compared: Sequence[Compared], failed: Sequ
 
 
 def _table(rows: Sequence[Agreement]) -> str:
+    """Build the HTML table of joints or angles; columns with a star are without the constant offset."""
     head = ("", "unit", "frames", "median", "p95", "RMSE", "offset", "median*", "p95*", "RMSE*", "bias", "limits", "r",
             "inside 90 %")  # fmt: skip
     out = ["<table><tr>" + "".join(f"<th>{h}</th>" for h in head) + "</tr>"]

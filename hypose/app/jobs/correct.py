@@ -93,7 +93,9 @@ def corrected_motion(
 ) -> Motion:
     """Track a result again from a corrected frame, and write the whole motion as a new result.
 
+    recording: of the result.
     old: folder of the old result.
+    correction: corrected pose, and the frames to track again.
     out: folder of the new result.
     until: frame of the recording after the last to track again; None: as the correction says, else to the end.
     formats: motion files to write.
@@ -175,7 +177,12 @@ _UNKNOWN = {
 
 
 def join(old: Motion, new: Motion, row: int, record: Mapping[str, Any] | None) -> Motion:
-    """Replace the rows of `old` from `row` on by those of `new`, and add `record` to its corrections."""
+    """Replace rows of a motion by those of another one.
+
+    row: of `old` in which `new` begins.
+    record: added to the corrections in the provenance; None: nothing is added.
+    Returns: the joined motion. Values that `new` does not have are those of `_UNKNOWN` in its rows.
+    """
     series, stop = {}, row + len(new)
     if old.low_confidence is None and new.low_confidence is not None:
         old = replace(old, low_confidence=np.zeros(len(old), dtype=bool))
@@ -199,8 +206,10 @@ def join(old: Motion, new: Motion, row: int, record: Mapping[str, Any] | None) -
 
 
 def _options(motion: Motion, old: ResultsFolder) -> tuple[TrackOptions, int]:
-    """Read how the result was tracked, and its first frame.
+    """Read how a result was tracked.
 
+    old: its folder, for the error.
+    Returns: options of tracking, and the number of its first frame.
     Raises: InputError where it cannot be tracked again.
     """
     settings = motion.provenance.get("settings", {})
@@ -216,8 +225,11 @@ def _options(motion: Motion, old: ResultsFolder) -> tuple[TrackOptions, int]:
 
 
 def _rows(motion: Motion, correction: Correction, first: int, until: int | None) -> tuple[int, int, int]:
-    """Compute the rows to track again: the first, the corrected one, and the one after the last.
+    """Compute the rows of a motion to track again.
 
+    first: number of the frame in row 0.
+    until: frame after the last to track again; None: to the end.
+    Returns: the first row, the corrected one, and the one after the last.
     Raises: InputError where they are outside the result.
     """
     last = first + len(motion)
@@ -232,7 +244,13 @@ def _rows(motion: Motion, correction: Correction, first: int, until: int | None)
 
 
 def _subject(source: FrameSource, part: Recording, options: TrackOptions, body: Body, pose: Array) -> TrackedSubject:
-    """Make the subject: the known body at the corrected pose, with the places of key points where they are evidence."""
+    """Make the subject that tracking starts with: the known body at the corrected pose, with the places of key points
+    where they are evidence.
+
+    source: frames to track.
+    part: recording limited to these frames.
+    pose: (D,) corrected pose.
+    """
     if options.looks_at == "silhouettes":
         return TrackedSubject(body, None, pose, (GIVEN, _FROM_HERE))
     wanted = SubjectOptions("keypoints", None, False, body, part.frame_rate, options.seed, known=True)

@@ -45,7 +45,12 @@ def explain_joint(results: Path, joint: str, frame: int) -> list[str]:
 
 
 def _position(motion: Motion, row: int, j: int, what: str) -> list[str]:
-    """Return sentences on where the joint is, and how certain that is."""
+    """Return sentences on where the joint is, and how certain that is.
+
+    row: of the motion.
+    j: number of the joint.
+    what: first words of the sentence.
+    """
     x, y, z = motion.joints[row, j]
     said = f"{what}: at ({x:.3f}, {y:.3f}, {z:.3f}) m"
     if np.isfinite(sd := motion.joint_sd[row, j]):
@@ -60,7 +65,12 @@ def _position(motion: Motion, row: int, j: int, what: str) -> list[str]:
 
 
 def _evidence(motion: Motion, body: Body, folder: Path, row: int, frame: int, joint: str) -> list[str]:
-    """Return sentences on the evidence of the frame, and how far the joint is from its key point in each view."""
+    """Return sentences on the evidence of the frame, and how far the joint is from its key point in each view.
+
+    folder: of the result, in its recording; without the recording only the kind of evidence is given.
+    row: of the motion.
+    frame: number in the recording.
+    """
     settings = motion.provenance.get("settings", {})
     kind = settings.get("evidence", "unknown") if isinstance(settings, Mapping) else "unknown"
     said = f"Evidence: {kind}, {motion.n_views[row]} views"
@@ -84,7 +94,11 @@ def _evidence(motion: Motion, body: Body, folder: Path, row: int, frame: int, jo
 
 
 def _moved(motion: Motion, row: int, first: int, joint: str) -> list[str]:
-    """Return sentences on which passes moved the joint."""
+    """Return sentences on which passes moved the joint.
+
+    row: of the motion.
+    first: number of the frame in row 0.
+    """
     if "trace" not in motion.provenance:
         return ["Which passes moved it was not recorded; track again."]
     found = [c for c in trace_of(motion) if c.joint == joint and row in c.frames]
@@ -101,7 +115,11 @@ def _moved(motion: Motion, row: int, first: int, joint: str) -> list[str]:
 
 
 def _rivals(motion: Motion, row: int, j: int) -> list[str]:
-    """Return sentences on where else the joint may be."""
+    """Return sentences on where else the joint may be; empty where the method keeps no other poses.
+
+    row: of the motion.
+    j: number of the joint.
+    """
     if motion.rivals is None or motion.rival_weights is None:
         return []
     shares = motion.rival_weights[row]

@@ -191,7 +191,10 @@ def run_fuse(
 
 
 def _ordered(recording: SkeletonRecording, c: FuseCommand) -> list[SensorStream]:
-    """Put the reference sensor first; convert to the common joints where the sensors report different sets."""
+    """Put the reference sensor first, and convert to the common joints where the sensors report different sets.
+
+    Raises: InputError for a sensor that the recording does not have, or a set of joints that is not known.
+    """
     first = recording.stream(c.reference or recording.reference)
     streams = [first, *(s for s in recording.streams if s is not first)]
     for s in streams:
@@ -208,9 +211,10 @@ def _ordered(recording: SkeletonRecording, c: FuseCommand) -> list[SensorStream]
 
 
 def _on_one_clock(streams: Sequence[SensorStream], notes: list[str]) -> list[SensorStream]:
-    """Shift the sensors' clocks so that all see the same movement.
+    """Shift the sensors' clocks so that all see the same movement as the first.
 
-    Raises: InputError where their movements differ.
+    notes: receives a sentence per sensor.
+    Raises: InputError where the movements of two sensors differ.
     """
     first = streams[0]
     out = [first]
@@ -228,7 +232,14 @@ def _on_one_clock(streams: Sequence[SensorStream], notes: list[str]) -> list[Sen
 
 
 def _people(synced: Sequence[SensorStream], times: Array, notes: list[str]) -> list[list[SensorJoints]]:
-    """Match the persons of all sensors; return one clip per person."""
+    """Match the persons of all sensors.
+
+    synced: streams of all sensors at the same times.
+    times: (T,) s.
+    notes: receives a sentence on persons that are left out.
+    Returns: one clip (T instants) per person, in the order of appearance.
+    Raises: InputError where no person is seen long enough.
+    """
     if all(s.positions.shape[1] == 1 for s in synced):
         return [join_observations(synced, times, [np.where(s.person_ids[:, 0] >= 0, 0, -1) for s in synced])]
     picks = [joint_set(s.joint_names).common for s in synced]
@@ -256,7 +267,12 @@ def _people(synced: Sequence[SensorStream], times: Array, notes: list[str]) -> l
 
 
 def _instant(synced: Sequence[SensorStream], picks: Sequence[NDArray[np.int64]], n: int, time: float) -> Instant:
-    """Collect what all sensors see at one time; persons are numbered by their columns."""
+    """Collect what all sensors see at one time; persons are numbered by their columns in the streams.
+
+    picks: indices of the common joints, per sensor.
+    n: number of the instant.
+    time: s.
+    """
     views = []
     for s, pick in zip(synced, picks, strict=True):
         columns = np.flatnonzero((s.person_ids[n] >= 0) & (s.state[n] > 0).any(1))
@@ -266,7 +282,12 @@ def _instant(synced: Sequence[SensorStream], picks: Sequence[NDArray[np.int64]],
 
 
 def _registration(people: Sequence[Sequence[SensorJoints]], names: Sequence[str]) -> Registration:
-    """Register the sensors from all persons together, so that all share one frame of reference."""
+    """Register the sensors from all persons together, so that all share one frame of reference.
+
+    people: one clip per person.
+    names: of the sensors.
+    Raises: InputError where no joint is seen, or the sensors do not see the same person.
+    """
     clips = [[common_joints(f) for f in clip] for clip in people]
     positions = np.concatenate([np.stack([f.positions for f in clip]) for clip in clips])
     states = np.concatenate([np.stack([f.state for f in clip]) for clip in clips])
@@ -304,6 +325,12 @@ def _write(
     notes: Sequence[str],
     assessment: Assessment,
 ) -> PersonResult:
+    """Write motion, provenance, assessment and sensors.csv of one person.
+
+    fused: motion in the frame of the reference sensor.
+    world: (4, 4) transform from the reference sensor to the world.
+    notes: for the provenance.
+    """
     settings = {
         "method": c.method,
         "rate": fused.motion.frame_rate,

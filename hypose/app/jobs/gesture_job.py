@@ -143,6 +143,8 @@ def run_session(
 def _model(gesture: str, trainer: Trainer, old: GestureModel | None, entries: Sequence[dict[str, Any]]) -> GestureModel:
     """Make the model of a trained forest.
 
+    gesture: its name.
+    trainer: holds the forest and gives the threshold.
     old: model that was trained further; None: a new one.
     entries: what was learned this time, for the history of the model.
     """
@@ -167,7 +169,13 @@ def follow_session(
 ) -> Iterator[Feedback]:
     """Lead through a session, and yield the feedback on each frame until its test begins or the source ends.
 
-    Arguments: as for `run_session`. trainer: runs the phases. learn: False records only.
+    source: depth pictures; closed at the end.
+    gesture: name of the gesture.
+    trainer: runs the phases, and trains its forest.
+    record: new folder for the recording; None: nothing is recorded.
+    commands: gives the commands since the last call.
+    say: prints a sentence.
+    learn: False records only.
     """
     writer, rounds = None, trainer.settings.rounds
     if record is not None:
@@ -213,8 +221,12 @@ def learn_recordings(
 ) -> GestureModel:
     """Train a forest with recorded sessions in the order of time, as the live session would.
 
+    gesture: name of the gesture, which the recordings must have.
+    learner: forest that is trained.
     passes: number of times all recordings are learned.
+    say: prints a sentence.
     old: model that is trained further.
+    Returns: the trained model.
     Raises: InputError where the recordings have no usable frame of the gesture.
     """
     trainer, seen, asked, shown = Trainer(learner), 0, 0, 0
@@ -259,8 +271,10 @@ def watch(
     limits: Sequence[EventSettings],
     say: _Say = lambda text: None,
 ) -> Iterator[Watched]:
-    """Localise the gestures of all models in every frame of a source.
+    """Localise the gestures of all models in every frame of a source, and yield the result of each frame.
 
+    source: depth pictures; closed at the end.
+    settings: of the localisation (`looking`).
     limits: settings of the events, per gesture.
     say: prints a sentence when no depth is near enough.
     Raises: EvidenceError at the end of a source without usable depth.
@@ -300,8 +314,9 @@ def loaded_forests(models: Sequence[GestureModel]) -> list[Forest]:
 
 
 def looking(models: Sequence[GestureModel], adaptation_rate: float = 1.0) -> LocaliseSettings:
-    """Return the settings with which the models localise, with an adaptation rate.
+    """Return the settings with which all models localise.
 
+    adaptation_rate: share of the new frame in the density; 1: no temporal recursion.
     Raises: InputError where the models have different settings.
     """
     settings = replace(models[0].settings, adaptation_rate=adaptation_rate)
@@ -312,8 +327,9 @@ def looking(models: Sequence[GestureModel], adaptation_rate: float = 1.0) -> Loc
 
 
 def thresholds(models: Sequence[GestureModel], given: float | None) -> list[float]:
-    """Return the threshold of every gesture; given: replaces them.
+    """Return the threshold of every gesture, cm^2.
 
+    given: replaces those of the models; None: theirs.
     Raises: InputError names the gesture that has none.
     """
     out = []
@@ -330,10 +346,12 @@ def thresholds(models: Sequence[GestureModel], given: float | None) -> list[floa
 
 
 def evaluate_model(model: GestureModel, recording: GestureRecording) -> dict[str, float]:
-    """Evaluate a model on the labelled frames of a recording: average precision at 10 px and 5 cm, hits and false
-    alarms at the threshold.
+    """Evaluate a model of one gesture on the labelled frames of a recording.
 
-    Raises: InputError where the recording has no usable frames.
+    Returns: numbers of frames and of frames with the gesture (positives); average precision with the place within 10 px
+        (ap_10px) and 5 cm (ap_5cm); where the model has a threshold: threshold_cm2, and the shares of the gesture's
+        frames that are found within 5 cm (found_share) and of other frames above the threshold (false_share).
+    Raises: InputError where the recording has no usable frames, or the model has several gestures.
     """
     name = model.names[0]
     if len(model.names) > 1:
@@ -378,7 +396,10 @@ WAITING = 256
 
 
 def event_line(event: Event, names: Sequence[str]) -> str:
-    """Encode an event as one line of JSON."""
+    """Encode an event as one line of JSON.
+
+    names: of the gestures, by their number minus 1.
+    """
     value = {
         "event": event.kind,
         "gesture": names[event.gesture - 1],
@@ -410,7 +431,11 @@ def gesture_osc(watched: Watched, names: Sequence[str], limits: Sequence[float])
 
 
 def gesture_lines(watched: Watched, names: Sequence[str]) -> list[str]:
-    """Encode one frame as lines of JSON: {"time", "scores": {name: cm^2}}, and every event as on stdout."""
+    """Encode one frame as lines of JSON: {"time", "scores": {name: cm^2}}, and every event as on stdout.
+
+    watched: result of the frame.
+    names: of the gestures, by their number minus 1.
+    """
     scores = {names[f.gesture - 1]: round(f.score, 3) for f in watched.found}
     frame = json.dumps({"time": round(watched.time, 4), "scores": scores})
     return [frame, *(event_line(e, names) for e in watched.events)]

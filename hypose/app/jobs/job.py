@@ -95,7 +95,12 @@ def recording_of(command: TrackCommand) -> Recording:
 
 
 def job_of(command: TrackCommand, recording: Recording | None = None) -> TrackJob:
-    """Make the job of a command; recording: where it has been loaded already."""
+    """Make the job of a command.
+
+    command: options of the user.
+    recording: the recording where it is loaded already; None: it is loaded.
+    Returns: job with options suited to the recording, and its results folder.
+    """
     loaded = recording or recording_of(command)
     height = loaded.subject_height if command.height is None else command.height
     options = replace(command.options, height=height).suited_to(loaded)
@@ -127,8 +132,9 @@ class Outcome:
 
 
 def choose_frames(recording: Recording, text: str | None) -> Recording:
-    """Limit a recording to frames "A:B" (B is the one after the last; either may be left out).
+    """Limit a recording to the frames of the option --frames.
 
+    text: "A:B", B is the frame after the last; either may be left out. None: all frames.
     Raises: InputError where the text is no range inside the recording.
     """
     if text is None:
@@ -191,7 +197,7 @@ def compile_before(progress: ProgressCall, *parts: str) -> None:
 
 
 def _kernels(recording: Recording, options: TrackOptions) -> tuple[str, ...]:
-    """List the parts of the compiled code that a run needs for its first poses."""
+    """List the parts of the compiled code that a run needs for its first poses; others are compiled while it runs."""
     if options.of_picture:
         return ("solver", "scorer", "outlines", "pictures", "monocular")
     depth = ("depth",) if recording.depth_views else ()
@@ -203,7 +209,10 @@ def _kernels(recording: Recording, options: TrackOptions) -> tuple[str, ...]:
 
 
 def _assessment(tracked: TrackResult, results: ResultsFolder, before: bool) -> Assessment:
-    """Assess what was tracked, and write it; for a motion of an earlier run, load its assessment where possible."""
+    """Assess what was tracked, and write assessment.json.
+
+    before: the motion is of an earlier run, whose assessment is loaded where possible.
+    """
     if before:
         with contextlib.suppress(InputError, ValueError, KeyError, TypeError):
             return Assessment.of_document(read_json(results.file(ASSESSMENT_FILE), "an assessment"))
@@ -214,6 +223,11 @@ def _assessment(tracked: TrackResult, results: ResultsFolder, before: bool) -> A
 def _track(
     job: TrackJob, options: TrackOptions, source: FrameStream, record: Mapping[str, Any], progress: ProgressCall
 ) -> TrackResult:
+    """Track the person of a job, together with the skeletons of sensors where there are any.
+
+    source: frames of the recording.
+    record: provenance of the run.
+    """
     if (skeletons := job.skeletons) is not None:
         from hypose.pipeline.sensor_skeletons import fuse_mixture, skeletons_at_frames
 
@@ -282,7 +296,10 @@ def record_of(job: TrackJob) -> dict[str, Any]:
 
 def finished_before(job: TrackJob, record: Mapping[str, Any]) -> TrackResult | None:
     """Load the complete motion of an earlier run with the same inputs and settings, of which only later files may be
-    missing; None without one.
+    missing.
+
+    record: provenance of this run.
+    Returns: result of the earlier run; None without one.
     """
     results = job.results
     body = results.file("body.npz")
@@ -347,8 +364,9 @@ def export_and_report(
 
 
 def remove_stale(results: ResultsFolder, written: Sequence[Path]) -> None:
-    """Delete files of an earlier run that this run did not write, since they would be mistaken for
-    results of this one.
+    """Delete files of an earlier run that this run did not write, since they would be mistaken for results of this one.
+
+    written: paths that this run wrote; other files in the folder that no run writes stay.
     """
     keep = {p.name for p in written}
     for name in DESCRIPTIONS:

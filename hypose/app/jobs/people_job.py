@@ -73,7 +73,11 @@ def _kept(job: TrackJob) -> str:
 
 
 def _report_outcome(job: TrackJob, outcome: Outcome, seconds: Mapping[str, float]) -> None:
-    """Print the closing lines."""
+    """Print the closing lines of a job, and exit with code 3 where its result is not to be trusted.
+
+    seconds: time per stage.
+    Raises: EvidenceError where the person was found in no frame.
+    """
     s = summarize(outcome.motion)
     print_notes(outcome.notes)
     views, reported = len(job.recording.rig), int(outcome.motion.n_views.max(initial=0))
@@ -189,7 +193,11 @@ def worst_assessment(people: Sequence[TrackedPerson]) -> Assessment:
 
 
 def _written(one: TrackedPerson, results: ResultsFolder) -> list[Path]:
-    """Write the files of one person that need no drawing; return their paths."""
+    """Write body, provenance and assessment of one person; the motion is there already.
+
+    results: folder of the person.
+    Returns: paths of these files and of the motion.
+    """
     save_body(one.result.body, results.file("body.npz"))
     results.write_json("provenance.json", one.result.motion.provenance)
     results.write_json(ASSESSMENT_FILE, {**one.assessment.with_joints(one.result.motion), "there": _there(one)})
@@ -269,7 +277,10 @@ def write_people_c3d(path: Path, people: Sequence[TrackedPerson]) -> Path:
 
 
 def _index(job: TrackJob, people: Sequence[TrackedPerson], notes: Sequence[str]) -> str:
-    """Build the page with links to the reports of all people."""
+    """Build the page with links to the reports of all people.
+
+    notes: sentences at the end of the page.
+    """
     rows = []
     for k, p in enumerate(people):
         b, g, r = colour_of(k)

@@ -63,8 +63,11 @@ def person_of(loaded: Recording, lenses_known: bool, yes: bool) -> tuple[Array, 
     """Select the main person of each view (largest and most confident) in the middle minute of a recording.
 
     Key points come from the recording, else from the detector. Where the lenses are not known, detected ones are kept
-    apart, since the detector's masks fit no other lens.
-    Returns: (C, T, K, 3) px of the stored pictures and confidence; and the names of the key points.
+    in a folder of their own, since the detector's masks fit no other lens.
+    lenses_known: the recording's cameras have the right lenses.
+    yes: the detector's models may be downloaded without asking.
+    Returns: (C, T, K, 3) px of the stored pictures and confidence, 0 where the person is not seen; and the names of the
+        key points.
     """
     few = window(loaded, round(_MOST_SECONDS * loaded.frame_rate))
     if few.keypoint_set is None:
@@ -192,7 +195,12 @@ def measure_subject(c: SubjectCommand) -> None:
 
 
 def _picture(path: Path, recording: Recording, source: FrameStream, found: SubjectEstimate) -> Path:
-    """Draw two fitted frames in every view: above with the template as tracked, below with the fitted body."""
+    """Draw two fitted frames in every view: above with the template as tracked, below with the fitted body.
+
+    path: picture to write, which is returned.
+    source: frames of the recording.
+    found: the fitted body with its poses.
+    """
     rows = []
     with open_images(recording) as images:
         canvas = Canvas(recording, images)
@@ -213,8 +221,11 @@ def _picture(path: Path, recording: Recording, source: FrameStream, found: Subje
 def detect(
     loaded: Recording, detector: PoseDetector, target: Path, frames: range | None, *, resume: bool
 ) -> DetectedKeypoints:
-    """Detect key points in frames (None: all) with progress; an interrupted run says how to continue, and exits with
-    code 130.
+    """Detect key points with progress; an interrupted run says how to continue, and exits with code 130.
+
+    target: folder to write to.
+    frames: of the recording; None: all.
+    resume: skip frames that have a file.
     """
     with contextlib.ExitStack() as stack:
         stack.enter_context(claimed(target))
@@ -232,10 +243,11 @@ def detect(
 
 
 def detected(loaded: Recording, frames: range, *, yes: bool, why: str) -> DetectedKeypoints:
-    """Detect key points in frames of a recording and save them in its folder; frames that were detected already are
-    skipped.
+    """Detect key points of a recording and save them in its folder; frames that were detected already are skipped.
 
-    why: first words of the sentence on a missing input.
+    frames: of the recording.
+    yes: the detector's models may be downloaded without asking.
+    why: first words of the sentence on a missing detector.
     """
     target = loaded.folder / KEYPOINT_FOLDER
     network = open_network_asking(yes, why)
@@ -249,7 +261,9 @@ def detected(loaded: Recording, frames: range, *, yes: bool, why: str) -> Detect
 def open_network_asking(yes: bool, why: str = "Finding people in pictures") -> PoseDetector:
     """Open the detector; its models are downloaded where the user agrees.
 
-    Raises: InputError says what to install.
+    yes: the user agrees already.
+    why: first words of the sentence on a missing detector.
+    Raises: InputError says what to install; Exit with code 1 where the user does not agree.
     """
     runtime(why)
     if not have_models():

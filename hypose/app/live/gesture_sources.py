@@ -114,6 +114,11 @@ def _opened(name: str, opened: DepthFile) -> GestureSource:
 
 
 def _simulated(who: str, gesture: str, seed: int) -> GestureSource:
+    """Open the simulated person.
+
+    who: number of the person, as text.
+    gesture: that the person does when a phase asks for it.
+    """
     from hypose.synthetic.gesture_scenes import live_person
 
     if not who.isdigit():

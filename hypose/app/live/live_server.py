@@ -33,7 +33,7 @@ from websockets.http11 import Request, Response
 from hypose.app.commands.console import ended_by_signals
 from hypose.app.live.osc import OscTarget, people_osc
 from hypose.app.live.servers import ORIGINS, Outbox, Queue, listen_error, quiet_logs, same_secret, shows_secret
-from hypose.errors import InputError
+from hypose.errors import InputError, visible
 from hypose.fusion.joints import COMMON
 from hypose.fusion.live import LiveFrame, LiveFuser, LiveSettings
 from hypose.geometry import Array
@@ -217,6 +217,7 @@ class LiveServer:
             self._note(f"Recording stops: {error}")
 
     def _allowed(self, now: float) -> bool:
+        """Count a line against the limit of received lines (a token bucket); return whether it is within it."""
         o = self.options
         if self._refilled > -math.inf:
             self._allowance = min(o.burst, self._allowance + (now - self._refilled) * o.lines_per_s)
@@ -227,11 +228,12 @@ class LiveServer:
         return True
 
     def _ignore(self, reason: str, now: float) -> str:
+        """Count an ignored line, and report it at most every 5 s; return the reason."""
         self.ignored += 1
         self._silent += 1
         if now - self._complained >= _COMPLAINT_S:
             more = f" ({self._silent} lines ignored)" if self._silent > 1 else ""
-            self._note(f"Ignored: {_printable(reason)}{more}")
+            self._note(f"Ignored: {visible(reason)[:200]}{more}")
             self._complained, self._silent = now, 0
         return reason
 
@@ -292,6 +294,7 @@ class LiveServer:
     # ---- WebSocket ----
 
     def _admit(self, connection: ServerConnection, request: Request) -> Response | None:
+        """Refuse a WebSocket request with another path, too many connections or a wrong token; None: it is accepted."""
         path, _, query = request.path.partition("?")
         if path not in ("/in", "/out"):
             return connection.respond(HTTPStatus.NOT_FOUND, "the paths are /in and /out\n")
@@ -340,13 +343,12 @@ class _Datagrams(asyncio.DatagramProtocol):
             if line.strip():
                 self._server.take(line)
 
-    def error_received(self, exc: Exception) -> None:
-        """Ignore errors: another program's port was closed."""
-
 
 def frame_json(frame: LiveFrame, latency: float) -> str:
     """Encode one frame as a line of JSON: per person joints (15) [x, y, z] m in the order of the hello message, and sd
     (15) m.
+
+    latency: from the time of the frame until now, s.
     """
     people = [
         {
@@ -373,10 +375,6 @@ def _number(x: float) -> float | None:
     return round(x, 5) if math.isfinite(x) else None
 
 
-def _printable(text: str) -> str:
-    return "".join(c if c.isprintable() else "?" for c in text)[:200]
-
-
 async def run_live(options: FusionServerOptions, say: _Say, note: _Say) -> None:
     """Run the server until Ctrl-C or SIGTERM, with a report now and then.
 
@@ -389,8 +387,13 @@ async def run_live(options: FusionServerOptions, say: _Say, note: _Say) -> None:
         await server.start()
         try:
             _say_where(server, say)
+            reported = time.monotonic()
             with punctual():
-                await _serve_until(ended, server, note)
+                while not ended.is_set():
+                    await asyncio.sleep(_LOOK_S)
+                    if server.frames and time.monotonic() - reported >= _REPORT_S:
+                        reported = time.monotonic()
+                        note(_summary(server))
         finally:
             await server.stop()
     if server.frames:
@@ -414,15 +417,6 @@ def _say_where(server: LiveServer, say: _Say) -> None:
     if server.token:
         say(f"Token:         {server.token}")
     say("Stop with Ctrl-C.")
-
-
-async def _serve_until(ended: threading.Event, server: LiveServer, note: _Say) -> None:
-    reported = time.monotonic()
-    while not ended.is_set():
-        await asyncio.sleep(_LOOK_S)
-        if server.frames and time.monotonic() - reported >= _REPORT_S:
-            reported = time.monotonic()
-            note(_summary(server))
 
 
 def _summary(server: LiveServer) -> str:

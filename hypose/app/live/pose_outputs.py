@@ -88,11 +88,11 @@ class PoseOutputs:
         return json.dumps(hello)
 
     def _lines(self, poses: Sequence[LivePose], latency: float) -> list[bytes]:
-        """Encode each pose as a line of JSON."""
+        """Encode each pose as a line of JSON; latency: from the arrival of the last picture, s."""
         return [pose_json(pose, latency, self._cameras).encode() + b"\n" for pose in poses]
 
     def _vmc(self, poses: Sequence[LivePose], latency: float) -> list[bytes]:
-        """Encode the pose of the first person for an avatar."""
+        """Encode the pose of the first person for an avatar; VMC has no place for the latency."""
         pose = poses[0]
         self._begin = pose.time if self._begin is None else self._begin
         assert pose.motion.poses is not None
@@ -124,7 +124,7 @@ class PoseOutputs:
 
 
 def _osc(poses: Sequence[LivePose], latency: float) -> list[bytes]:
-    """Encode the poses of a frame as OSC bundles."""
+    """Encode the poses of a frame as OSC bundles; latency: from the arrival of the last picture, s."""
     names = poses[0].motion.skeleton.joint_names
     people = [(p.person, names, p.joints, p.motion.joint_sd[0]) for p in poses]
     there = sum(not p.lost for p in poses)

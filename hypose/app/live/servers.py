@@ -35,12 +35,19 @@ frames come with a request that it refuses.
 
 
 def same_secret(shown: str, secret: str) -> bool:
-    """Return whether a received text is the secret, in a time that reveals nothing."""
+    """Compare a received text with the secret, in a time that does not depend on the text.
+
+    Why: the time would reveal how many first letters are right.
+    """
     return hmac.compare_digest(shown.encode("utf-8", "surrogatepass"), secret.encode("utf-8", "surrogatepass"))
 
 
 def shows_secret(query: str, authorization: str, secret: str) -> bool:
-    """Return whether a request's query (?token=) or Authorization header (Bearer) contains the secret."""
+    """Test whether a request contains the secret.
+
+    query: of the address, with the token as ?token=.
+    authorization: value of the header, with the token as Bearer.
+    """
     shown = parse_qs(query).get("token", [""])[0]
     return any(same_secret(t, secret) for t in (shown, authorization.removeprefix("Bearer ")))
 
@@ -89,7 +96,10 @@ class Outbox:
             self.dropped += put_newest(queue, what)
 
     async def serve(self, connection: ServerConnection, queue: Queue) -> None:
-        """Send queued and new items to a connection until the end mark, or until the listener leaves."""
+        """Send queued and new items to a connection until the end mark, or until the listener leaves.
+
+        queue: of this listener; it receives items from now on.
+        """
         self.queues.add(queue)
         reading = asyncio.ensure_future(_until_gone(connection, queue))
         try:
@@ -102,7 +112,10 @@ class Outbox:
 
 
 async def _until_gone(connection: ServerConnection, queue: Queue) -> None:
-    """Read until the listener leaves, and then close its queue. Why: this notices it also while nothing is sent."""
+    """Read from a connection until the listener leaves, and then put the end mark into its queue.
+
+    Why: otherwise it is noticed only when the next item is sent.
+    """
     with suppress(ConnectionClosed):
         async for _ in connection:
             pass

@@ -5,7 +5,7 @@ lines.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import count
 
@@ -60,7 +60,10 @@ class SensorRecording:
 
 
 def simulated_sensors(sensors: int, rng: np.random.Generator) -> SensorRecording:
-    """Simulate what 2 to 4 sensors (`_ANGLES`) see of the person at 30 Hz, in a loop of about 16 s."""
+    """Simulate what several sensors see of the artificial person at 30 Hz, in a loop of about 16 s.
+
+    sensors: number, 2 to 4; they stand at the angles `_ANGLES`.
+    """
     walk = on_treadmill(builtin_joints("walk", 6, rng))
     again = looped(walk, 4 * len(walk))
     period = int(np.flatnonzero((again[1:] == again[0]).all((1, 2)))[0]) + 1
@@ -80,25 +83,23 @@ def simulated_sensors(sensors: int, rng: np.random.Generator) -> SensorRecording
 
 
 async def send(recording: SensorRecording, take: Callable[[str], object], rng: np.random.Generator) -> None:
-    """Send the sensors' lines to `take` in real time, repeated until cancelled. Like real sensors they report at
-    different instants, each with a clock of its own.
+    """Send the sensors' lines in real time, repeated until cancelled. Like real sensors they report at different
+    instants, each with a clock of its own.
+
+    take: receives each line.
+    rng: chooses the instants and the clocks.
     """
     loop = asyncio.get_running_loop()
     sensors = recording.sensor_names
     phases = rng.uniform(0, 1 / FRAME_RATE, len(sensors))
     clocks = rng.uniform(0, 1000, len(sensors))
-    began = loop.time()
+    state, began = np.full(len(jt.COMMON), TRACKED, dtype=np.uint8), loop.time()
     for n in count():
         for k in np.argsort(phases).tolist():
             at = n / FRAME_RATE + float(phases[k])
             await asyncio.sleep(max(0.0, began + at - loop.time()))
-            take(_line(recording, n % len(recording), k, sensors, float(clocks[k]) + at))
-
-
-def _line(recording: SensorRecording, frame: int, sensor: int, names: Sequence[str], time: float) -> str:
-    positions = recording.positions[frame, sensor]
-    state = np.full(len(jt.COMMON), TRACKED, dtype=np.uint8)
-    return format_line(SensorReport(names[sensor], time, 0, jt.COMMON, positions, state))
+            joints = recording.positions[n % len(recording), k]
+            take(format_line(SensorReport(sensors[k], float(clocks[k]) + at, 0, jt.COMMON, joints, state)))
 
 
 def ring_sensors(angles_deg: ArrayLike, distance: float = 2.5, height: float = 1.1) -> Array:
@@ -114,7 +115,12 @@ def ring_sensors(angles_deg: ArrayLike, distance: float = 2.5, height: float = 1
 
 
 def builtin_joints(name: str, seconds: float, rng: np.random.Generator) -> Array:
-    """Generate the joints (T, 15, 3) m, z up, of a built-in motion of a random test subject at 30 Hz."""
+    """Generate the joints of a built-in motion of a random test subject at 30 Hz.
+
+    name: of the motion.
+    seconds: length.
+    Returns: (T, 15, 3) m of the common joints, world, z up.
+    """
     subjects = list(load_subjects().values())
     performance = act(name, subjects[int(rng.integers(len(subjects)))], seconds, FRAME_RATE, rng)
     j = performance.joints[:, jt.BODY_JOINT].copy()
@@ -167,6 +173,10 @@ def looped(joints: Array, frames: int, blend: int = 8) -> Array:
 
 
 def rotated_about_vertical(joints: Array, heading: Array) -> Array:
-    """Rotate joints (T, 15, 3) about the vertical by heading (T,) rad."""
+    """Rotate joints about the vertical axis through the origin.
+
+    joints: (T, 15, 3) m.
+    heading: (T,) rad.
+    """
     r = so3_exp(heading[:, None] * np.array([0, 0, 1.0]))
     return np.einsum("tij,tnj->tni", r, joints)

@@ -48,26 +48,39 @@ class Axes:
         self._legend: dict[str, str] = {}  # colour by label
 
     def line(self, x: Array, y: Array, colour: str, label: str = "", width: float = 1.4, dashes: str = "") -> None:
-        """Draw a line through points (N,), interrupted where one is NaN."""
+        """Draw a line through points, interrupted where one is NaN.
+
+        x, y: (N,) in the units of the axes.
+        label: in the legend; "": none.
+        width: px.
+        dashes: pattern of a dashed line as in SVG; "": solid.
+        """
         look = f'fill="none" stroke="{colour}" stroke-width="{width}"'
         self._add("line", x, y, look + (f' stroke-dasharray="{dashes}"' if dashes else ""), label, colour)
 
     def band(self, x: Array, low: Array, high: Array, colour: str) -> None:
-        """Fill the area between two lines (N,); points that are NaN are bridged."""
+        """Fill the area between two lines; points that are NaN are bridged.
+
+        x, low, high: (N,) in the units of the axes.
+        """
         known = np.isfinite(low) & np.isfinite(high)
         across, edges = (np.concatenate([v[known], w[known][::-1]]) for v, w in ((x, x), (low, high)))
         self._add("line", across, edges, f'fill="{colour}" fill-opacity="0.16"')
 
     def dots(self, x: Array, y: Array, colour: str, opacity: float = 1.0) -> None:
-        """Draw points (N,)."""
+        """Draw points x, y (N,) in the units of the axes."""
         self._add("dot", x, y, f'fill="{colour}" fill-opacity="{opacity}"')
 
     def text(self, x: float, y: float, text: str) -> None:
-        """Write a text above a point."""
+        """Write a text above a point, in the units of the axes."""
         self._add("text", np.array([x]), np.array([y]), text)
 
     def stretch(self, begin: float, end: float, colour: str, label: str) -> None:
-        """Tint a part of the x axis over the whole height."""
+        """Tint a part of the x axis over the whole height.
+
+        begin, end: in the units of the x axis.
+        label: in the legend.
+        """
         self._add("stretch", np.array([begin, end]), np.full(2, np.nan), f'fill="{colour}"', label, colour)
 
     def _add(self, kind: str, x: Array, y: Array, look: str, label: str = "", colour: str = "") -> None:
@@ -117,8 +130,10 @@ class Axes:
 
 
 def chart(rows: Sequence[Sequence[Axes]], height: float, *, width: float = 1010, shares: Sequence[float] = ()) -> str:
-    """Arrange panels in rows and columns as SVG text of width x height px, without external content or scripts.
+    """Arrange panels in rows and columns as SVG text, without external content or scripts.
 
+    rows: panels by row.
+    height, width: of the whole, px.
     shares: of the height, per row; default: equal.
     """
     parts = []
@@ -142,7 +157,13 @@ def _text(x: float, y: float, text: str, anchor: str, turned: bool = False) -> s
 
 
 def _mark(kind: str, points: Array, look: str, y: float, h: float) -> str:
-    """Return the SVG of one mark at points (N, 2) px, on axes from y to y + h px."""
+    """Return the SVG of one mark.
+
+    kind: line, dot, text or stretch.
+    points: (N, 2) px.
+    look: SVG attributes; of a text the text.
+    y, h: top and height of the axes, px.
+    """
     if kind == "stretch":
         begin, end = points[:, 0].tolist()
         return f'<rect x="{begin:.1f}" y="{y:.1f}" width="{end - begin:.1f}" height="{h:.1f}" opacity="0.25" {look}/>'
@@ -158,7 +179,7 @@ def _mark(kind: str, points: Array, look: str, y: float, h: float) -> str:
 
 
 def _ticks(low: float, high: float, most: float) -> list[float]:
-    """Return round numbers from low to high, about `most` at most."""
+    """Return round numbers from low to high; most: about the largest number of them."""
     least = abs(high - low) / max(most, 1.0)
     power = 10.0 ** math.floor(math.log10(least))
     step = power * next(n for n in (1, 2, 5, 10) if n * power >= least * (1 - 1e-9))
@@ -217,7 +238,12 @@ def sd_chart(motion: Motion) -> str:
 
 
 def over_known(of: Callable[..., Array], values: Array) -> Array:
-    """Compute a statistic (T,) of the known values in each row (T, N); NaN where there is none."""
+    """Compute a statistic of the known values in each row.
+
+    of: function of (values, axis), such as np.nanmedian.
+    values: (T, N).
+    Returns: (T,); NaN where a row has no known value.
+    """
     known, out = np.isfinite(values).any(1), np.full(len(values), np.nan)
     out[known] = of(values[known], axis=1)
     return out
@@ -277,7 +303,11 @@ def _angle_panels(
 
 
 def top_chart(motion: Motion, rig: CameraRig | Sequence[Camera], truth: Truth | None = None) -> str:
-    """Draw the paths of pelvis and feet from above, with the cameras."""
+    """Draw the paths of pelvis and feet from above, with the cameras.
+
+    rig: cameras; may be empty.
+    truth: true path of the pelvis, for a synthetic recording.
+    """
     axes, skeleton = Axes(x="x (m)", y="y (m)", equal=True), motion.skeleton
     for name, colour, width in (
         ("left_ankle", LEFT_COLOUR, 1.0),

@@ -77,9 +77,11 @@ def _film(
 ) -> OverlayRows:
     """Read the recorded pictures once, write the video of all rows and draw the wanted stills.
 
+    path: of the video; not used without a video.
     numbers: number of the frame in each row.
     rate: of the video, Hz.
     draw: draws one row.
+    wanted: rows of the video, stills and small pictures.
     Returns: stills and small pictures by row.
     """
     rows = range(len(numbers)) if wanted.video else sorted({*wanted.stills, *wanted.small})
@@ -109,7 +111,10 @@ def _film(
 
 
 def still_rows(motion: Motion, count: int = 4) -> list[int]:
-    """Select rows to show: evenly spread, and the one with the worst fit."""
+    """Select rows of a motion to show.
+
+    count: number of rows, evenly spread; the row with the worst fit is added.
+    """
     rows = set(np.linspace(0, len(motion) - 1, min(count, len(motion))).astype(int).tolist())
     if np.isfinite(motion.cost).any():
         rows.add(int(np.nanargmax(motion.cost)))
@@ -130,9 +135,10 @@ def write_overlay(
 ) -> OverlayRows:
     """Draw a motion over its recording.
 
-    path: of the video.
+    path: of the video; not used without a video.
     source: gives the silhouettes; row i of the motion is frame i of the source, and recording.frames[i].
     wanted: rows that are drawn.
+    Returns: stills and small pictures by row.
     Raises: InputError where something is drawn and the motion has no poses.
     """
     numbers = recording.frames[: len(motion)]
@@ -148,6 +154,11 @@ def write_overlay(
 
 
 def _drawing(source: FrameSource, motion: Motion, pose: Array, body: Body, row: int, number: int) -> Drawing:
+    """Prepare the drawing of one row: body, skeleton, masks and a title; the body only where the pose is finite.
+
+    pose: (D,) of the row.
+    number: of the frame.
+    """
     lost, extrapolated = bool(motion.lost[row]), bool(motion.extrapolated[row])
     iou = 1 - float(motion.cost[row])
     parts = [f"frame {number}", f"{motion.times[row]:.2f} s"]
@@ -179,7 +190,11 @@ def write_people_overlay(
     people: Sequence[TrackedPerson],
     progress: ProgressCall = ignore,
 ) -> None:
-    """Draw the video of all people over their recording, each in a colour of their own."""
+    """Draw the video of all people over their recording, each in a colour of their own.
+
+    path: of the video.
+    source: gives the silhouettes, of all people together.
+    """
     motion = people[0].result.motion
     numbers = recording.frames[: len(motion)]
 

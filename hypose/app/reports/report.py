@@ -39,13 +39,19 @@ _PICTURES, _MIN_ROWS, _MAX_ROWS = 48, 4, 16  # of the viewer
 
 
 def write_report(path: Path, result: ViewResult, recording: Recording | None) -> Path:
-    """Write the report of a result in a folder, with pictures of its recording; return its path."""
+    """Write the report of a result, with pictures of its recording; return its path.
+
+    recording: None: the report has no pictures.
+    """
     write_text(path, report_html(result, drawn_of(result, recording)))
     return path
 
 
 def drawn_of(result: ViewResult, recording: Recording | None) -> OverlayRows:
-    """Draw the pictures for a report of a result, from its recording; empty without one."""
+    """Draw the pictures for a report of a result.
+
+    recording: of the result; None: there are no pictures.
+    """
     motion, body, wanted = result.motion, result.body, picture_rows(result, False)
     if recording is None:
         return OverlayRows()
@@ -77,7 +83,10 @@ def _built() -> bool:
 
 
 def report_html(result: ViewResult, drawn: OverlayRows | None = None) -> str:
-    """Build the page: the 3D viewer where it was built, and below it the parts that need no script."""
+    """Build the page: title and figures, the 3D viewer where it was built, and below it the parts that need no script.
+
+    drawn: pictures; None: none.
+    """
     drawn = drawn or OverlayRows()
     top, text = _head(result) + _cards(result), _text(result, drawn)
     if not _built():
@@ -162,7 +171,7 @@ def _head(what: ViewResult) -> str:
 
 
 def _cards(what: ViewResult) -> str:
-    """Build the figures of the result, each with what is usual."""
+    """Build the figures of the result, each with its usual value."""
     s = summarize(what.motion)
     cards = [(f"{s.frames}", f"frames, {s.seconds:.1f} s")]
     if what.rig is not None:
@@ -177,11 +186,11 @@ def _cards(what: ViewResult) -> str:
         cards.append((f"{what.truth.mean_mm:.1f} mm", "mean joint error"))
     if what.seconds.get("track"):
         cards.append((f"{s.frames / what.seconds['track']:.1f}", "frames/s tracked"))
-    return '<div class="cards">' + "".join(_card(a, b) for a, b in cards) + "</div>"
-
-
-def _card(value: str, label: str) -> str:
-    return f'<div class="card"><b>{html.escape(value)}</b><span>{html.escape(label)}</span></div>'
+    return (
+        '<div class="cards">'
+        + "".join(f'<div class="card"><b>{a}</b><span>{html.escape(b)}</span></div>' for a, b in cards)
+        + "</div>"
+    )
 
 
 def _figure(svg: str, caption: str) -> str:
@@ -189,8 +198,9 @@ def _figure(svg: str, caption: str) -> str:
 
 
 def gait_section(motion: Motion, body: Body | None) -> str:
-    """Build the HTML of the gait: means with intervals, and the cycle; "" where the person does not walk two steps, or
-    poses are not known.
+    """Build the HTML of the gait: means with intervals, and the joint angles over the cycle.
+
+    Returns: "" where the person does not walk two steps, or poses are not known.
     """
     if motion.poses is None or body is None or not (found := gait_of(motion, body)).figures:
         return ""

@@ -27,7 +27,7 @@ from hypose.io.recordings.recording_views import open_pictures
 from hypose.io.videos.video import VideoReader
 
 # BGR; also different for people with red-green colour blindness
-_LEFT, _RIGHT, MIDDLE = (40, 130, 240), (225, 140, 40), (235, 235, 235)
+_LEFT, _RIGHT, _MIDDLE = (40, 130, 240), (225, 140, 40), (235, 235, 235)
 BODY, _MASK, ALARM = (200, 190, 60), (190, 90, 230), (40, 40, 230)
 MAX_TILE, MAX_WIDTH = 960, 1920
 _BAR, _GREY = 26, 24
@@ -137,10 +137,13 @@ def _fixed(uv: Array) -> NDArray[np.int32]:
 
 
 def draw_body(image: Image, camera: Camera, vertices: Array, mesh: Mesh, colour: tuple[int, int, int] = BODY) -> None:
-    """Draw the silhouette of a mesh as a tint with a bright edge.
+    """Draw the silhouette of a mesh as a tint with a bright edge; nothing where the body reaches behind the camera.
 
+    image: picture that is changed.
     camera: its pixels are those of the image.
     vertices: (V, 3) m, world.
+    mesh: its faces.
+    colour: BGR.
     """
     directions, depth, _ = projected(vertices, camera.camera_from_world[:3])
     uv = camera.through_lens(directions)
@@ -161,7 +164,7 @@ def draw_body(image: Image, camera: Camera, vertices: Array, mesh: Mesh, colour:
 
 
 def jpeg(image: Image, width: int, quality: int = 82) -> bytes:
-    """Encode a picture as JPEG, at most `width` px wide."""
+    """Encode a picture as JPEG, at most `width` px wide; quality: 0 to 100."""
     h, w = image.shape[:2]
     if w > width:
         image = np.asarray(
@@ -170,31 +173,32 @@ def jpeg(image: Image, width: int, quality: int = 82) -> bytes:
     return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
 
 
-def bones(body: Body) -> Iterator[tuple[int, int, tuple[int, int, int]]]:
-    """Yield (parent, child, BGR colour) of every bone."""
-    for j, p in enumerate(body.skeleton.parents.tolist()):
-        if p >= 0:
-            name = body.skeleton.joint_names[j]
-            yield p, j, _LEFT if name.startswith("left") else _RIGHT if name.startswith("right") else MIDDLE
-
-
 def draw_skeleton(image: Image, camera: Camera, body: Body, joints: Array) -> None:
-    """Draw bones between joint centres (J, 3) m, world: the left side orange, the right side blue. The camera's pixels
-    are those of the image.
+    """Draw bones between joint centres: the left side orange, the right side blue.
+
+    image: picture that is changed.
+    camera: its pixels are those of the image.
+    joints: (J, 3) m, world.
     """
     uv = camera.project(joints)
     width = 2 if max(camera.size) > 480 else 1
     seen = np.isfinite(uv.sum(1))
     uv[~seen] = 0
     at = _fixed(uv)[:, 0].tolist()
-    for a, b, colour in bones(body):
-        if seen[a] and seen[b]:
+    for b, (name, a) in enumerate(zip(body.skeleton.joint_names, body.skeleton.parents.tolist(), strict=True)):
+        if a >= 0 and seen[a] and seen[b]:
+            colour = _LEFT if name.startswith("left") else _RIGHT if name.startswith("right") else _MIDDLE
             cv2.line(image, at[a], at[b], (20, 20, 20), width + 2, cv2.LINE_AA, _SHIFT)
             cv2.line(image, at[a], at[b], colour, width, cv2.LINE_AA, _SHIFT)
 
 
 def put_text(image: Image, text: str, x: int, y: int, colour: tuple[int, int, int] = (255, 255, 255)) -> None:
-    """Write a text with a dark outline; x, y: left end of the base line."""
+    """Write a text with a dark outline.
+
+    image: picture that is changed.
+    x, y: left end of the base line, px.
+    colour: BGR.
+    """
     font, size, text = cv2.FONT_HERSHEY_SIMPLEX, 0.5, visible(text)  # invalid UTF-8 would kill OpenCV
     for dx, dy in ((-1, 0), (1, 0), (0, -1), (0, 1)):  # a thicker stroke would be wider in OpenCV 5, hence no rim
         cv2.putText(image, text, (x + dx, y + dy), font, size, (0, 0, 0), 1, cv2.LINE_AA)

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.app.studio.catalog import Catalog
+from hypose.app.studio.catalog import Catalog, Item
 from hypose.compute.forests import DepthImage
 from hypose.errors import HyposeError
 from hypose.gestures.depth_pictures import surface_depth
@@ -82,23 +82,22 @@ def _palette() -> NDArray[np.uint8]:
 
 def sessions_shown(catalog: Catalog) -> list[dict[str, Any]]:
     """List the recorded sessions, without reading their pictures."""
-    out = []
-    for item in catalog.items("session"):
-        gestures, frames = _brief(item.path)
-        shown = {"id": item.id, "name": item.path.name, "path": catalog.shown(item.path)}
-        out.append({**shown, "gesture": ", ".join(gestures), "frames": frames})
-    return out
+    return [
+        {**_named(item, item.path.name, catalog), "gesture": ", ".join(gestures), "frames": frames}
+        for item in catalog.items("session")
+        for gestures, frames in [_brief(item.path)]
+    ]
 
 
 def models_shown(catalog: Catalog) -> list[dict[str, Any]]:
     """List the usable models."""
-    out = []
-    for item in catalog.items("model"):
-        facts = _facts_of_model(item.path, item.changed)
-        if facts is not None:
-            shown = {"id": item.id, "name": item.path.stem, "path": catalog.shown(item.path)}
-            out.append({**shown, **facts})
-    return out
+    found = [(item, _facts_of_model(item.path, item.changed)) for item in catalog.items("model")]
+    return [{**_named(item, item.path.stem, catalog), **facts} for item, facts in found if facts is not None]
+
+
+def _named(item: Item, name: str, catalog: Catalog) -> dict[str, Any]:
+    """Return id, name and path of an item for a list."""
+    return {"id": item.id, "name": name, "path": catalog.shown(item.path)}
 
 
 @lru_cache(maxsize=512)

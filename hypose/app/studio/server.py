@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import io
 import shutil
+import socket
 import threading
 import zipfile
 from collections.abc import AsyncIterator, Callable, Iterator
@@ -26,7 +27,7 @@ from starlette.staticfiles import StaticFiles
 
 from hypose import __version__
 from hypose.app.live.servers import quiet_logs
-from hypose.app.reports.board_sheet import printed_board
+from hypose.app.reports.calibration_pages import printed_board
 from hypose.app.reports.summary import DESCRIPTIONS, OPENSIM_FILES
 from hypose.app.studio import clicks
 from hypose.app.studio.catalog import Catalog, Item, Kind, NotFound, is_recording
@@ -181,12 +182,11 @@ async def _nothing(request: Request, error: Exception) -> Response:
     return error_response(404, "There is nothing at this address.")
 
 
-def config(studio: Studio, host: str, port: int) -> uvicorn.Config:
-    """Return how the application is served: limited connections, small messages, no compression (pictures are
+def make_server(studio: Studio) -> uvicorn.Server:
+    """Make a server that is not running yet: limited connections, small messages, no compression (pictures are
     compressed), no server name, and no trust in proxy headers.
 
-    studio: the application's state.
-    host, port: address; port 0: any free one.
+    Returns: the server. Its run(sockets=[...]) serves on sockets of `open_port`, and `should_exit` ends it.
     """
     made = uvicorn.Config(
         studio.app,
@@ -194,8 +194,6 @@ def config(studio: Studio, host: str, port: int) -> uvicorn.Config:
         limit_concurrency=MOST_CONNECTIONS,
         timeout_keep_alive=20,
         proxy_headers=False,
-        host=host,
-        port=port,
         log_level="warning",
         access_log=False,
         server_header=False,
@@ -207,32 +205,29 @@ def config(studio: Studio, host: str, port: int) -> uvicorn.Config:
         timeout_graceful_shutdown=2,
     )
     quiet_logs()
-    return made
+    return uvicorn.Server(made)
 
 
-class _Server(uvicorn.Server):
-    """Server that calls `ready` with the port as soon as it listens."""
+def open_port(host: str, port: int) -> socket.socket:
+    """Open a port on which clients can connect already; they are answered as soon as a server runs.
 
-    def __init__(self, settings: uvicorn.Config, ready: Callable[[int], None]) -> None:
-        super().__init__(settings)
-        self._ready = ready
-
-    async def startup(self, sockets=None) -> None:  # noqa: ANN001 - as in uvicorn
-        """Start listening, and report the port."""
-        await super().startup(sockets)
-        if self.started:
-            self._ready(self.servers[0].sockets[0].getsockname()[1])
-
-
-def make_server(
-    studio: Studio, host: str, port: int, ready: Callable[[int], None] = lambda port: None
-) -> uvicorn.Server:
-    """Make a server that is not running yet; `should_exit` ends it.
-
-    studio, host, port: as for `config`.
-    ready: called with the port as soon as the server listens.
+    host: address of this computer.
+    port: 0: any free one.
+    Raises: InputError where the port cannot be used.
     """
-    return _Server(config(studio, host, port), ready)
+    opened = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET)
+    opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        opened.bind((host, port))
+        opened.listen()
+    except (OSError, OverflowError) as error:
+        opened.close()
+        reason = getattr(error, "strerror", None) or str(error)
+        raise InputError(
+            f"Port {port} on {host} cannot be used ({reason.lower()}); choose another with --port, 0 takes any free "
+            "one."
+        ) from None
+    return opened
 
 
 def run_server(options: StudioOptions, ready: Callable[[str], None]) -> None:
@@ -240,25 +235,13 @@ def run_server(options: StudioOptions, ready: Callable[[str], None]) -> None:
 
     Raises: InputError where the port cannot be used.
     """
-    import socket
-
+    opened = open_port(options.host, options.port)
     studio = Studio(options)
-    with socket.socket(socket.AF_INET6 if ":" in options.host else socket.AF_INET) as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind((options.host, options.port))
-        except (OSError, OverflowError) as error:
-            studio.close()
-            reason = getattr(error, "strerror", None) or str(error)
-            raise InputError(
-                f"Port {options.port} on {options.host} cannot be used ({reason.lower()}); choose another with --port, "
-                "0 takes any free one."
-            ) from None
     token = f"?token={quote(studio.token)}" if studio.token else ""
     host = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}.get(options.host, options.host)
-    server = make_server(studio, options.host, options.port, lambda port: ready(f"http://{host}:{port}/{token}"))
+    ready(f"http://{host}:{opened.getsockname()[1]}/{token}")
     with contextlib.suppress(KeyboardInterrupt):
-        server.run()
+        make_server(studio).run(sockets=[opened])
 
 
 _RECORDING_FILES = ("calibration.png", "check.html", "check.png", "silhouettes/sheet.jpg")

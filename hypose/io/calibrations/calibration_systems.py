@@ -31,8 +31,8 @@ from hypose.io.files import read_bytes, write_bytes
 from hypose.io.formats import Source
 
 Element = ElementTree.Element
+# Rotation from a camera that looks along -z with y up to one with z forward and y down.
 _FLIP = np.diag([1.0, -1.0, -1.0])
-"""Rotation from a camera that looks along -z with y up to one with z forward and y down."""
 # Motive's (x, y, z) with y up -> (x, -z, y) with z up
 _WORLD_FROM_MOTIVE = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 
@@ -204,7 +204,11 @@ _UP_FROM_BOARD = np.array([[-1.0, 0, 0], [0, 0, -1], [0, -1, 0]])
 
 
 class _Kind:
-    """The number format of a pickled array: type code and byte order."""
+    """The number format of a pickled array.
+
+    code: numpy's code of the type, such as "f8".
+    order: byte order, "<" or ">".
+    """
 
     def __init__(self, code: Any, *_: Any) -> None:
         self.code, self.order = code, "<"
@@ -237,6 +241,7 @@ def _from_buffer(raw: Any, kind: _Kind, shape: tuple[int, ...], order: str) -> A
     return kind.numbers(raw).reshape(shape, order="F" if order == "F" else "C")
 
 
+# Names in pickles of arrays, and their replacements here, because numpy's own functions crash on invalid states.
 _OF_ARRAYS = {
     "_codecs.encode": lambda text, _: text.encode("latin-1"),  # how protocol 2 writes bytes
     "numpy.dtype": _Kind,
@@ -245,7 +250,6 @@ _OF_ARRAYS = {
     "numpy.core.multiarray.scalar": lambda kind, raw: float(kind.numbers(raw)[0]),
     "numpy.core.numeric._frombuffer": _from_buffer,  # protocol 5
 }
-"""Names in pickles of arrays, and their replacements here, because numpy's own functions crash on invalid states."""
 
 
 class _ArraysOnly(pickle.Unpickler):

@@ -48,9 +48,9 @@ _UNORDERED = ("quaternion", "quat", "orientation")
 _QUATERNION = ("quaternion_wxyz", "quaternion_xyzw", "qvec", *_UNORDERED)
 _PROJECTION = ("P", "projection", "projection_matrix", "proj")
 _CHAINED = "T_cn_cnm1"
+# With quaternions in the right order, the optical axes pass each other at less than this share of the distance in the
+# wrong order.
 _CLEAR = 0.5
-"""With quaternions in the right order, the optical axes pass each other at less than this share of the distance in the
-wrong order."""
 _DIRECTION = {"world2cam": True, "world_to_cam": True, "cam2world": False}
 _AXES = ("convention", "coordinate_system", "camera_convention")
 _MODEL = ("fisheye", "fisheye_model", "is_fisheye", "distortion_model", "distortion_type", "lens_model", "camera_model")
@@ -82,8 +82,8 @@ _UNIT_WORDS = {
     "mm": "mm", "millimeter": "mm", "millimetre": "mm",
 }  # fmt: skip
 _NOT_CAMERAS = {"metadata", "capture_volume", "charuco", "checkerboard", "board"}
+# Keys that a document may state once, for all its cameras.
 _SHARED = {*_AXES, *_MODEL, *_DIRECTION, *_SIZE, *_WIDTH, *_HEIGHT}
-"""Keys that a document may state once, for all its cameras."""
 
 
 def tables_of(document: Any, name: str) -> dict[str, Table]:

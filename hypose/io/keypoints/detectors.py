@@ -35,6 +35,7 @@ from hypose.json_text import is_plain
 PACKAGE, MEGABYTES = "mediapipe==0.10.21", 36
 MODELS_VARIABLE = "HYPOSE_MODELS"
 """Environment variable with a folder that holds the two model files, for machines without a network."""
+# Model file: folder in the package, SHA-256.
 _MODELS = {
     "pose_detection.tflite": (
         "mediapipe/modules/pose_detection",
@@ -45,13 +46,11 @@ _MODELS = {
         "e9a5c5cb17f736fafd4c2ec1da3b3d331d6edbe8a0d32395855aeb2cdfd64b9f",
     ),
 }
-"""Model file: folder in the package, SHA-256."""
+# pip options for one system's package: the models are the same for all systems, and pip can download this one on any.
 _WHEEL = ("--only-binary=:all:", "--python-version=3.11", "--platform=manylinux_2_28_x86_64")
-"""pip options for one system's package: the models are the same for all systems, and pip can download this one on
-any."""
 _MOST_BYTES = 64 << 20
+# Folder in which pip runs, so that files in the user's current folder have no effect.
 _OWN = Path(__file__).parent
-"""Folder in which pip runs, so that files in the user's current folder have no effect."""
 
 
 def models_folder() -> Path:

@@ -17,7 +17,7 @@ from __future__ import annotations
 import itertools
 import os
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -41,8 +41,8 @@ from hypose.io.motions.results import parse_array
 MAX_BYTES = 512 * 2**20
 MAX_POINTS = 1000
 MAX_POINT_FRAMES = 5_000_000
+# Score below which tracking ignores a point.
 _MIN_SCORE = 0.3
-"""Score below which tracking ignores a point."""
 WEIGHED = 0.31
 _SAMPLED = 60
 
@@ -77,18 +77,13 @@ class KeypointTable:
     def sample(self) -> Array:
         """Collect the people (N, K, 3) of at most 60 frames, evenly spread; (0, 0, 3) where there are no people."""
         numbers = sorted(self.people)
-        found: list[Array] = []
         # every 60th part of the file gives one frame, its first with a person
-        for part in np.array_split(np.array(numbers), min(_SAMPLED, max(1, len(numbers)))):
-            with_person = next((p for n in part.tolist()[:200] if len(p := self.people[n])), None)
-            if with_person is not None:
-                found.append(with_person)
-        if not found:
-            return np.zeros((0, 0, 3))
-        count = found[0].shape[1]
-        if any(p.shape[1] != count for p in found):
+        parts = np.array_split(np.array(numbers), min(_SAMPLED, max(1, len(numbers))))
+        firsts = (next((p for n in part.tolist()[:200] if len(p := self.people[n])), None) for part in parts)
+        found = [p for p in firsts if p is not None]
+        if len({p.shape[1] for p in found}) > 1:
             raise InputError("people have different numbers of key points; export one model's.")
-        return np.concatenate(found)
+        return np.concatenate(found) if found else np.zeros((0, 0, 3))
 
 
 def checked_people(values: Any, where: str) -> Array:
@@ -178,8 +173,8 @@ def whole_number(value: Any, where: str, what: str) -> int:
     return int(value)
 
 
+# Columns of variances, px^2, by the ensemble Kalman smoother of Lightning Pose; the better ones first.
 _VARIANCES = (("x_posterior_var", "y_posterior_var"), ("x_ens_var", "y_ens_var"))
-"""Columns of variances, px^2, by the ensemble Kalman smoother of Lightning Pose; the better ones first."""
 
 
 def by_individual(columns: Sequence[tuple[str, ...]], where: str) -> dict[str, list[tuple[str, list[int]]]]:
@@ -392,12 +387,11 @@ def _mmpose(source: Source) -> KeypointTable:
     scored = True
     for i, frame in enumerate(frames):
         with numbers_of(f"{where}, entry {i}"):
-            numbers.append(whole_number(frame.get("frame_id", i), f"{where}, entry {i}", "frame_id"))
+            numbers.append(number := whole_number(frame.get("frame_id", i), f"{where}, entry {i}", "frame_id"))
             for person in frame["instances"]:
                 scores = person.get("keypoint_scores")
                 scored = scored and scores is not None
-                points = scored_points(person["keypoints"], scores, f"{where}, frame {numbers[-1]}")
-                rows.append((numbers[-1], points))
+                rows.append((number, scored_points(person["keypoints"], scores, f"{where}, frame {number}")))
     people = dict.fromkeys(numbers, np.zeros((0, 0, 3))) | grouped(rows, where)
     kind = "MMPose results" if meta is not None else "MMPose predictions"
     # all frames are listed, so the smallest number is the first frame's
@@ -420,26 +414,28 @@ def _coco(source: Source) -> KeypointTable:
     )
     numbers = _image_numbers(images)
     rows: list[tuple[int, Array]] = []
-    plain_names, scored = True, True
     for i, person in enumerate(found):
         at = f"{where}, entry {i}"
         with numbers_of(at):
             identity, points = person["image_id"], np.array(person["keypoints"], dtype=np.float64).reshape(-1, 3)
         if isinstance(identity, str):
-            plain_names = plain_names and re.fullmatch(r"(0|[1-9]\d*)\.(jpg|png)", identity) is not None
             number = last_number(Path(identity).stem)
             if number is None:
                 raise InputError(f"{at}: image_id {identity[:40]!r} has no frame number; export the results again.")
         else:
-            plain_names = False
             number = whole_number(identity, at, "image_id")
             number = numbers.get(number, number)
         if images is not None:  # annotations by hand: 0 not there, 1 hidden, 2 seen
-            points[:, 2], scored = np.where(points[:, 2] > 0, 0.5 * np.minimum(points[:, 2], 2), 0), False
+            points[:, 2] = np.where(points[:, 2] > 0, 0.5 * np.minimum(points[:, 2], 2), 0)
         rows.append((number, points))
     kind = "AlphaPose results" if any("box" in p or "idx" in p for p in found) else "COCO results"
-    # AlphaPose names the frames of a video 0.jpg, 1.jpg, ...
-    return KeypointTable(kind, grouped(rows, where), 0 if rows and plain_names else None, scored=scored)
+    counted = bool(rows) and _counted([person["image_id"] for person in found])
+    return KeypointTable(kind, grouped(rows, where), 0 if counted else None, scored=images is None)
+
+
+def _counted(names: Iterable[Any]) -> bool:
+    """Test whether frames are named 0.jpg, 1.jpg, ..., as AlphaPose names the frames of a video."""
+    return all(isinstance(n, str) and re.fullmatch(r"(0|[1-9]\d*)\.(jpg|png)", n) for n in names)
 
 
 def _image_numbers(images: Any) -> dict[int, int]:
@@ -459,8 +455,8 @@ def _alphapose_frames(source: Source) -> KeypointTable:
         if isinstance(bodies := frame.get("bodies"), list):  # form "cmu": Panoptic's keys, OpenPose's 18 points
             frame = {"people": [{"pose_keypoints_2d": b.get("joints")} for b in bodies if isinstance(b, Mapping)]}
         people[number] = parse_openpose(frame, source=f"{where}, frame {name}", raw=True)
-    plain = all(re.fullmatch(r"(0|[1-9]\d*)\.(jpg|png)", n) for n in source.document)
-    return KeypointTable("AlphaPose results (form open or cmu)", people, 0 if plain else None)
+    first = 0 if _counted(source.document) else None
+    return KeypointTable("AlphaPose results (form open or cmu)", people, first)
 
 
 # ---- keypoint folder -----------------------------------------------------------------------------------------------
@@ -526,13 +522,12 @@ def _openpose_people(path: Path) -> Array:
 
 
 def _easymocap(source: Source) -> KeypointTable:
-    return KeypointTable("EasyMocap annotations", _FrameFiles(numbered_files(source.files(".json")), _easymocap_people))
+    def read(path: Path) -> Array:
+        with numbers_of(str(path)):
+            people = [person["keypoints"] for person in read_document(path)["annots"]]
+        return checked_people([p for p in people if p], str(path))
 
-
-def _easymocap_people(path: Path) -> Array:
-    with numbers_of(str(path)):
-        people = [person["keypoints"] for person in read_document(path)["annots"]]
-    return checked_people([p for p in people if p], str(path))
+    return KeypointTable("EasyMocap annotations", _FrameFiles(numbered_files(source.files(".json")), read))
 
 
 def _ultralytics(source: Source) -> KeypointTable:
@@ -558,8 +553,11 @@ def text_lines_or_none(path: Path) -> list[str]:
 
 
 def _row_reader(count: int, per_point: int) -> Callable[[Path], Array]:
-    """Make the reader of a label file with `count` points of `per_point` numbers: a function of the path that gives the
-    people (P, K, 3), as shares of the picture."""
+    """Make the reader of a label file: a function of its path that returns people (P, K, 3), as shares of the picture.
+
+    count: number K of points of a person.
+    per_point: numbers of each point, 2 or 3.
+    """
 
     def read(path: Path) -> Array:
         people = []

@@ -121,35 +121,33 @@ def keypoints_of_views(
     Returns: key points of each view, None where it has none, and notes that describe them.
     Raises: InputError where a file cannot be used or the views have different sets.
     """
-    out: list[ViewKeypoints | None] = []
     tables = [None if p is None else _of_view(p, i, names, cameras, paths) for i, p in enumerate(paths)]
-    unknown = [min(t.people) for t in tables if t is not None and t.first is None and len(t.people)]
-    samples = [None if t is None else t.sample() for t in tables]
+    # frames of layouts that do not number them from the video's first begin with the smallest number of all views
+    begin = min((min(t.people) for t in tables if t is not None and t.first is None and len(t.people)), default=0)
+    samples = [np.zeros((0, 0, 3)) if t is None else t.sample() for t in tables]
     alike: dict[int, list[Array]] = {}  # views with as many points have one set
-    for s, t in zip(samples, tables, strict=True):
-        if s is not None and t is not None and t.names is None and len(s):
-            alike.setdefault(s.shape[1], []).append(s)
-    sets: dict[str, str] = {}
+    for sample, table in zip(samples, tables, strict=True):
+        if table is not None and table.names is None and len(sample):
+            alike.setdefault(sample.shape[1], []).append(sample)
+    out: list[ViewKeypoints | None] = []
     found: list[str] = []
     for path, name, table, sample in zip(paths, names, tables, samples, strict=True):
-        if path is None or table is None or sample is None:
-            out.append(None)
-            continue
-        first = table.first if table.first is not None else min(unknown, default=0)
-        try:
-            view, how = _reported(path, table, first, sample, alike.get(sample.shape[1], []), stated)
-        except InputError as problem:
-            raise InputError(f"View {name}, key points {path}: {problem}") from None
-        out.append(view)
-        if view is not None:
-            sets[name] = view.keypoint_set
+        view = None
+        if path is not None and table is not None and len(sample):
+            first = begin if table.first is None else table.first
+            try:
+                view, how = _reported(path, table, first, sample, alike.get(sample.shape[1], []), stated)
+            except InputError as problem:
+                raise InputError(f"View {name}, key points {path}: {problem}") from None
             found.append(_sentence(name, view, how))
+        out.append(view)
+    sets = {n: v.keypoint_set for n, v in zip(names, out, strict=True) if v is not None}
     if len(set(sets.values())) > 1:
         said = ", ".join(f"{n} {s}" for n, s in sets.items())
         raise InputError(f"The views have different sets of key points ({said}); detect all with one model.")
     empty = [n for n, p, v in zip(names, paths, out, strict=True) if p is not None and v is None]
-    if empty and sets:
-        (kind,) = set(sets.values())
+    kind = next(iter(sets.values()), None)
+    if kind is not None:  # views without a person have the set of the others
         out = [
             v if v is not None or p is None or t is None else ViewKeypoints(p, t, kind, t.first or 0, 1.0)
             for p, t, v in zip(paths, tables, out, strict=True)
@@ -193,20 +191,18 @@ def _reported(
     sample: Array,
     alike: Sequence[Array],
     stated: str | None,
-) -> tuple[ViewKeypoints | None, str]:
+) -> tuple[ViewKeypoints, str]:
     """Determine the set, the unit and the scale of the scores of a view's key points.
 
     path: file or folder, for later messages.
     table: what the file holds.
     first: the file's number of the video's first frame.
-    sample: (N, K, 3) people of some frames, as `KeypointTable.sample` gives them.
+    sample: (N, K, 3) people of some frames, at least one, as `KeypointTable.sample` gives them.
     alike: samples of all views with as many points without names, by whose bones the set is found.
     stated: name of the set that the user states.
-    Returns: the key points, None where the sample shows no person; and how the set was found, as part of a note.
+    Returns: the key points, and how the set was found, as part of a note.
     Raises: InputError where the points belong to no set, or not to the stated one.
     """
-    if len(sample) == 0:
-        return None, ""
     if (last := max(table.people)) - first > MAX_POINT_FRAMES:
         raise InputError(f"a frame has the number {last}, the first {first}; the file is damaged: export it again.")
     if table.names is not None:

@@ -35,7 +35,7 @@ class Rig:
     names: n joint names.
     parents: (n,) index of each joint's parent; -1 for none.
     joints: (n, 3) joint centres in the units of the file.
-    weights: (V, n).
+    weights: (V, n) share of each joint in the movement of each vertex.
     """
 
     names: tuple[str, ...]
@@ -180,17 +180,12 @@ def closed_surface(mesh: PersonMesh) -> PersonMesh:
     if not len(f):
         raise InputError(f"{mesh.source} has no triangle with three different corners; export it again.")
     f = f[np.unique(np.sort(f, 1), axis=0, return_index=True)[1]]
-    source = keep
     f, note = _main_part(v[keep], f, mesh.source)
-    notes += note
-    vertices = v[keep]
-    f = _same_turn(f, mesh.source)
-    vertices, f, added, note = _holes_closed(vertices, f, mesh.source)
-    notes += note
-    source = np.concatenate([source, added])
+    vertices, f, added, more = _holes_closed(v[keep], _same_turn(f, mesh.source), mesh.source)
+    notes += [*note, *more]
     used, f = np.unique(f, return_inverse=True)
     f = f.reshape(-1, 3)
-    vertices, source = vertices[used], source[used]
+    vertices, source = vertices[used], np.concatenate([keep, keep[added]])[used]
     if enclosed_volume(vertices, f) < 0:
         f = f[:, ::-1]
         notes.append("its faces looked inward and were turned")
@@ -302,16 +297,15 @@ def _holes_closed(
             f"{source} is not closed: {len(open_edges)} edges have one face only{holes}; close the scan (MeshLab: "
             "Screened Poisson; Blender: Remesh modifier with voxel size 1 cm) and try again."
         )
-    extra, rows, like = [], [], []
-    for loop in loops:
-        middle = len(v) + len(extra)
-        extra.append(v[loop].mean(0))
-        like.append(int(loop[0]))
-        rows += [(middle, int(b), int(a)) for a, b in zip(loop, np.roll(loop, -1), strict=True)]
+    rows = [
+        (len(v) + n, int(b), int(a))
+        for n, loop in enumerate(loops)
+        for a, b in zip(loop, np.roll(loop, -1), strict=True)
+    ]
     return (
-        np.concatenate([v, np.array(extra)]),
+        np.concatenate([v, np.array([v[loop].mean(0) for loop in loops])]),
         np.concatenate([f, np.array(rows, dtype=np.int64)]),
-        np.array(like, dtype=np.int64),
+        np.array([loop[0] for loop in loops], dtype=np.int64),
         [f"{len(loops)} small holes were closed"],
     )
 
@@ -323,13 +317,10 @@ def _loops(open_edges: NDArray[np.int64]) -> list[NDArray[np.int64]] | None:
         return None
     out = []
     while after:
-        start, k = next(iter(after.items()))
-        ring = [start]
-        del after[start]
-        while k != start:
-            if k not in after:
-                return None
+        ring = [next(iter(after))]
+        while (k := after.pop(ring[-1], None)) not in (None, ring[0]):
             ring.append(k)
-            k = after.pop(k)
+        if k is None:
+            return None
         out.append(np.array(ring, dtype=np.int64))
     return out

@@ -37,8 +37,8 @@ from hypose.io.motions.marker_files import write_trc
 
 _X, _Y, _Z = np.eye(3)
 _SIDES = (("r", "right", 1.0), ("l", "left", -1.0))
+# Degree of the polynomial for a shoulder's sideways motion; accurate to 0.2 mm over the clavicle's range.
 _ORDER = 5
-"""Degree of the polynomial for a shoulder's sideways motion; accurate to 0.2 mm over the clavicle's range."""
 
 # name of the segment: (joint of the skeleton at its origin, joints that carry its skin)
 _TRUNK = {

@@ -33,14 +33,14 @@ from hypose.json_text import parse_json
 
 _MAX_ARCHIVE_BYTES = 4 << 30
 _PIECE = 1 << 20
+# Largest product of the dimensions that are not 0, of an array without elements.
 _MOST_EMPTY = 1 << 20
-"""Largest product of the dimensions that are not 0, of an array without elements."""
+# Sizes in bytes: the end record of a zip archive, the record before it in a large archive, the longest list of
+# contents.
 _ZIP_END, _ZIP_64, _MAX_LIST_BYTES = 22, 20, 4 << 20
-"""Sizes in bytes: the end record of a zip archive, the record before it in a large archive, the longest list of
-contents."""
 _FORMAT = 1
+# Arrays of an archive by name: kind of dtype, stored dtype ("" for any of the kind) and number of dimensions.
 _Layout = Mapping[str, tuple[str, str, int]]
-"""Arrays of an archive by name: kind of dtype, stored dtype ("" for any of the kind) and number of dimensions."""
 _SKELETON: _Layout = {
     "parents": ("i", "<i8", 1),
     "rest_offsets": ("f", "<f8", 2),
@@ -71,8 +71,8 @@ _OPTIONAL: _Layout = {
     "rivals": ("f", "<f4", 3),
     "rival_weights": ("f", "<f4", 2),
 }
+# Limits of the degrees of freedom, which are infinite where one is free.
 _LIMITS = ("lower", "upper")
-"""Limits of the degrees of freedom, which are infinite where one is free."""
 
 
 def to_json(value: Any) -> str:
@@ -429,7 +429,7 @@ class Checkpoint:
 
     @staticmethod
     def read(path: str | Path) -> Checkpoint:
-        """Read a checkpoint of any run."""
+        """Read a checkpoint of any run; InputError where the file is damaged or of another version of hypose."""
         path = Path(path)
         arrays = load_archive(path, "checkpoint", _AFRESH)
         try:

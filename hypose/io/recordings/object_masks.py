@@ -12,8 +12,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import struct
 import zlib
+from collections import Counter
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -39,6 +41,7 @@ from hypose.io.videos.video import (
 
 _LOOKED_AT = 9  # number of images that identify the kind of masks
 _MOST_OBJECTS = 32  # objects
+_COCO_IDS = ("track_id", "object_id", "instance_id", "id")  # keys of an object's number; the first that is there counts
 Objects = Mapping[str, Mask]
 """Mask (h, w) of 0 and 1 of each object that is present, by the object's name."""
 
@@ -80,7 +83,11 @@ class ObjectMasks:
         return self._load(frame)
 
     def union(self, frame: int, objects: frozenset[str] | None = None) -> Mask:
-        """Combine the masks of the given objects (None: all) to one mask (h, w) of 0 and 1."""
+        """Combine the masks of objects in a frame to one mask (h, w) of 0 and 1; empty where none is there.
+
+        objects: names of the objects; None for all.
+        Raises: InputError where the frame does not exist.
+        """
         out = np.zeros(self.size[::-1], dtype=np.uint8)
         for name, mask in self.at(frame).items():
             if objects is None or name in objects:
@@ -121,7 +128,13 @@ def open_masks(path: Path, first: int | None = None) -> ObjectMasks | VideoReade
 
 
 def _of_folders(path: Path, folders: list[Path], first: int | None) -> ObjectMasks:
-    """Open masks of one folder per object; files of the same number are of the same frame, else their order counts."""
+    """Open masks of one folder per object.
+
+    Files of the same number are of the same frame; where numbers are missing or repeated, the order of files counts.
+
+    folders: folder of each object, which names it.
+    first: number of the first frame's files; None for the lowest number.
+    """
     listed = {p.name: list_images(p) for p in folders}
     numbers = {name: [last_number(f.stem) for f in files] for name, files in listed.items()}
     known = [n for found in numbers.values() for n in found]
@@ -155,8 +168,7 @@ def _of_labels(path: Path, images: list[Path]) -> ObjectMasks | None:
     """Open images whose values are labels; None where they are ordinary masks."""
     if not images:
         return None
-    areas: dict[int, int] = {}
-    indexed = []
+    areas, indexed = Counter[int](), []
     for i in evenly_spread(0, len(images), _LOOKED_AT):
         values, is_palette = _labels(images[i])
         if values is None:
@@ -164,8 +176,7 @@ def _of_labels(path: Path, images: list[Path]) -> ObjectMasks | None:
         found, counts = np.unique(values, return_counts=True)
         if len(found) > _MOST_OBJECTS + 1:
             return None
-        for v, n in zip(found.tolist(), counts.tolist(), strict=True):
-            areas[v] = areas.get(v, 0) + n
+        areas.update(dict(zip(found.tolist(), counts.tolist(), strict=True)))
         indexed.append(is_palette)
     areas.pop(0, None)
     levels = sorted(areas)
@@ -195,10 +206,9 @@ def _labels(path: Path) -> tuple[NDArray[Any] | None, bool]:
     if image is None:
         return None, False
     if image.ndim == 3:
-        grey = image[..., :1]
-        if image.shape[2] == 4 or (image != grey).any():
+        if image.shape[2] == 4 or (image != image[..., :1]).any():
             return None, False
-        image = grey[..., 0]
+        image = image[..., 0]
     return (image, indexed) if np.issubdtype(image.dtype, np.integer) else (None, False)
 
 
@@ -209,14 +219,12 @@ def _stored(path: Path) -> NDArray[Any]:
 
 
 def _decoded(path: Path) -> tuple[NDArray[Any] | None, bool]:
-    data = read_image_file(path)
+    """Decode an image without conversion; None where it is damaged. True: its values are indices of a palette."""
+    data, image = read_image_file(path), None
     bits = _palette_bits(data)
-    if bits:
-        data = _without_palette(data)
-    try:
-        image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED) if data else None
-    except cv2.error:
-        image = None
+    with contextlib.suppress(cv2.error):
+        plain = _without_palette(data) if bits else data
+        image = cv2.imdecode(np.frombuffer(plain, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
     if image is None:
         return None, False
     if bits and bits < 8:  # a grey image of few bits is spread over 0 to 255
@@ -262,12 +270,10 @@ def _of_coco(path: Path) -> ObjectMasks:
     frames: dict[int, list[tuple[str, Any]]] = {}
     names: dict[str, None] = {}
     for n, mark in enumerate(marks):
-        keys = ("track_id", "object_id", "instance_id", "id")
-        name = str(next((mark[k] for k in keys if mark.get(k) is not None), n))
-        parts = mark.get("segmentations")
+        name = str(next((mark[k] for k in _COCO_IDS if mark.get(k) is not None), n))
         one = [(frame_of.get(mark.get("image_id")), mark.get("segmentation"))]
-        pieces = enumerate(parts) if isinstance(parts, list) else one
-        for t, piece in pieces:
+        parts = mark.get("segmentations")  # one per frame
+        for t, piece in enumerate(parts) if isinstance(parts, list) else one:
             if piece and t is not None:
                 frames.setdefault(int(t), []).append((name, piece))
                 names[name] = None
@@ -300,6 +306,12 @@ def _coco_size(path: Path, images: list[Any], frames: Mapping[int, list[tuple[st
 
 
 def _coco_mask(path: Path, piece: Any, size: tuple[int, int]) -> Mask:
+    """Draw a mask (h, w) of 0 and 1 from COCO's polygons or run lengths (column by column, beginning with 0).
+
+    path: for the error message.
+    piece: the annotation's segmentation.
+    size: width and height, px.
+    """
     w, h = size
     with numbers_of(f"{path}: a mask"):
         if isinstance(piece, list):

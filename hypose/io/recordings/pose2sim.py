@@ -73,25 +73,22 @@ def read_project(folder: Path) -> tuple[dict[str, Any], list[str]]:
         )
     calibration = _find_calibration(folder)
     notes: list[str] = []
-    project = config.get("project")
-    project = project if isinstance(project, Mapping) else {}
+    project = _table(config, "project")
     names = [text_of(p.stem if p.is_file() else p.name) for p in clips] or [_camera_of(p) for p in posed]
     settings: dict[str, Any] = {"name": text_of(folder.resolve().name), "calibration": str(calibration)}
-    rate = project.get("frame_rate")
-    if _is_number(rate):
-        settings["frame_rate"] = float(rate)
-    elif not clips:
-        _rate_of_results(folder, settings, notes)
-    frames = project.get("frame_range")
-    if isinstance(frames, list) and len(frames) == 2:
-        settings["frame_range"] = frames
-    for key, target in (("participant_height", "subject_height"), ("participant_mass", "subject_mass")):
+    numbers = {"frame_rate": "frame_rate", "participant_height": "subject_height", "participant_mass": "subject_mass"}
+    for key, target in numbers.items():
         value = project.get(key)
         value = value[0] if isinstance(value, list) and value else value
         if _is_number(value):
             settings[target] = float(value)
+    if "frame_rate" not in settings and not clips:
+        _rate_of_results(folder, settings, notes)
+    frames = project.get("frame_range")
+    if isinstance(frames, list) and len(frames) == 2:
+        settings["frame_range"] = frames
     views: list[dict[str, Any]] = [{"name": n} for n in names]
-    for view, clip in zip(views, clips, strict=False):
+    for view, clip in zip(views, clips, strict=False):  # none where there are key points alone
         view["video" if clip.is_file() else "images"] = str(clip)
     if posed:
         notes.append(f"There are no videos in {folder}; the key points in {posed[0].parent.name} are used alone.")
@@ -100,9 +97,7 @@ def read_project(folder: Path) -> tuple[dict[str, Any], list[str]]:
         if path is not None:
             view["keypoints"] = str(path)
     if any(keypoints):
-        pose = config.get("pose")
-        model = pose.get("pose_model") if isinstance(pose, Mapping) else None
-        kind = _keypoint_set(model, [k for k in keypoints if k], notes)
+        kind = _keypoint_set(_table(config, "pose").get("pose_model"), [k for k in keypoints if k], notes)
         if kind is not None:
             settings["keypoint_set"] = kind
         # Pose2Sim itself never scales key points: they are in the pixels of the calibration.
@@ -111,6 +106,11 @@ def read_project(folder: Path) -> tuple[dict[str, Any], list[str]]:
         _add_plates(calibration.parent / "extrinsics", views, notes)
     settings["view"] = views
     return settings, notes
+
+
+def _table(config: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+    """Get a table of Config.toml; empty where it is missing or something else."""
+    return table if isinstance(table := config.get(name), Mapping) else {}
 
 
 def _is_number(value: Any) -> TypeGuard[float]:
@@ -146,6 +146,7 @@ def _subfolder(folder: Path, lower_name: str) -> Path | None:
 
 
 def _calibration_folder(folder: Path) -> Path | None:
+    """Find the subfolder with "calib" in its name; of several, the one that is most like "calibration"."""
     found = [p for p in folder.iterdir() if p.is_dir() and "calib" in p.name.lower()]
     return min(
         found,
@@ -167,28 +168,20 @@ def _levels(folder: Path) -> list[Path]:
 
 
 def _merged_config(folder: Path) -> dict[str, Any]:
+    """Merge the Config.toml files of the levels key by key; the one nearest to the folder wins."""
     merged: dict[str, Any] = {}
-    for level in reversed(_levels(folder)):
-        path = _file(level, "config.toml")
-        if path is None:
-            continue
-        document = read_toml(path)
-        for table, values in document.items():
+    for path in (_file(level, "config.toml") for level in reversed(_levels(folder))):
+        for table, values in ({} if path is None else read_toml(path)).items():
             both = isinstance(values, dict) and isinstance(merged.get(table), dict)
             merged[table] = merged[table] | values if both else values
     return merged
 
 
 def _find_calibration(folder: Path) -> Path:
-    looked = []
-    for level in _levels(folder):
-        calibration_folder = _calibration_folder(level)
-        if calibration_folder is None:
-            continue
-        looked.append(calibration_folder)
-        found = find_calibration(calibration_folder)
-        if found is not None:
-            return found
+    looked = [found for level in _levels(folder) if (found := _calibration_folder(level)) is not None]
+    calibration = next((path for place in looked if (path := find_calibration(place)) is not None), None)
+    if calibration is not None:
+        return calibration
     where = " and ".join(map(str, looked)) if looked else f"{folder} (it has no calibration folder)"
     raise InputError(
         f"No calibration (.toml or .qca.txt) in {where}; run Pose2Sim's calibration step or hypose calibrate first."
@@ -196,9 +189,9 @@ def _find_calibration(folder: Path) -> Path:
 
 
 def _clips(videos: Path) -> list[Path]:
-    files = [p for p in videos.iterdir() if p.is_file() and p.suffix.lower() in VIDEO_ENDINGS]
-    files = [p for p in files if not p.name.startswith(".")]
-    folders = [p for p in videos.iterdir() if p.is_dir() and list_images(p)]
+    seen = [p for p in videos.iterdir() if not p.name.startswith(".")]
+    files = [p for p in seen if p.is_file() and p.suffix.lower() in VIDEO_ENDINGS]
+    folders = [] if files else [p for p in seen if p.is_dir() and list_images(p)]
     return sorted(files or folders, key=lambda p: natural_key(p.name))
 
 
@@ -210,7 +203,11 @@ def _pose_folders(folder: Path, name: str = "pose") -> list[Path]:
 
 
 def _rate_of_results(folder: Path, settings: dict[str, Any], notes: list[str]) -> None:
-    """Take the frame rate from the triangulated points of Pose2Sim, where nothing else gives it."""
+    """Take the frame rate from the triangulated points of Pose2Sim, where nothing else gives it.
+
+    settings: settings of the recording, to which frame_rate is added.
+    notes: list to which a sentence about this is added.
+    """
     results = _subfolder(folder, "pose-3d")
     for path in sorted(results.glob("*.trc")) if results is not None else ():
         with contextlib.suppress(InputError):
@@ -229,6 +226,12 @@ def _is_trial(folder: Path) -> bool:
 
 
 def _keypoint_folders(folder: Path, names: Sequence[str], notes: list[str]) -> list[Path | None]:
+    """Find the folder of key points of each view; None where a view has none.
+
+    folder: the project.
+    names: names of the views.
+    notes: list to which sentences about the choice are added.
+    """
     pose = _subfolder(folder, "pose")
     if pose is None:
         return [None] * len(names)
@@ -253,6 +256,9 @@ def _keypoint_folders(folder: Path, names: Sequence[str], notes: list[str]) -> l
 def _keypoint_set(model: Any, folders: Sequence[Path], notes: list[str]) -> str | None:
     """Choose the key-point set: that of Config.toml, unless the files have another number of points.
 
+    model: pose_model of Config.toml; None where it has none.
+    folders: folders of key points, of which up to four are read.
+    notes: list to which a sentence is added where the files decide.
     Returns: None where the files decide.
     """
     stated = None
@@ -274,6 +280,12 @@ def _keypoint_set(model: Any, folders: Sequence[Path], notes: list[str]) -> str 
 
 
 def _add_plates(extrinsics: Path, views: list[dict[str, Any]], notes: list[str]) -> None:
+    """Add the photos of the room with which Pose2Sim calibrates as backgrounds of the views.
+
+    extrinsics: folder of the photos, or of one folder of photos per camera; it need not exist.
+    views: tables of the views, to which the key background is added.
+    notes: list to which sentences about this are added.
+    """
     if not extrinsics.is_dir():
         return
     photos: list[tuple[str, Path]] = []

@@ -159,7 +159,12 @@ def check_keys(where: str, table: Mapping[str, Any], known: Mapping[str, type | 
 
 
 def _numbers(where: str, key: str, value: Any, count: int, whole: bool) -> list[Any]:
-    """Check that a value is a list of `count` finite (whole) numbers, and return it; InputError otherwise."""
+    """Check that a value is a list of `count` finite numbers, and return it.
+
+    where, key: start of the error message, and key of the value.
+    whole: they must be whole numbers.
+    Raises: InputError where it is anything else.
+    """
     types = int if whole else (int, float)
     fine = len(value) == count and all(isinstance(v, types) and not isinstance(v, bool) for v in value)
     if not fine or not np.isfinite(np.array(value, dtype=np.float64)).all():
@@ -169,7 +174,7 @@ def _numbers(where: str, key: str, value: Any, count: int, whole: bool) -> list[
 
 
 def _choice(where: str, key: str, value: str, allowed: Sequence[str]) -> str:
-    """Check that a value is one of the allowed words, and return it; InputError otherwise."""
+    """Check that a value is one of the allowed words, and return it; InputError otherwise, which names the key."""
     if value not in allowed:
         raise InputError(f"{where}: {key} must be {', '.join(allowed)}, got {value!r}; correct it.")
     return value
@@ -195,8 +200,8 @@ def silhouette_options(where: str, table: Mapping[str, Any]) -> SilhouetteSettin
 
 
 _NAME = re.compile(r"[\w][\w .-]{0,59}")
+# Pattern of names that look like a file's, such as those of the results of all people in neighbouring folders.
 _FILE = re.compile(r".*\.[a-z0-9]{2,5}")
-"""Pattern of names that look like a file's, such as those of the results of all people in neighbouring folders."""
 
 
 @dataclass(frozen=True)
@@ -277,11 +282,11 @@ class Recording:
     frame_range: first frame, and the one after the last; None for all.
     keypoint_set: name of the key-point set; None where there are no key points.
     keypoint_lag: key points of frame t belong to video frame t + keypoint_lag.
-    subject_height: m.
-    subject_mass: kg.
+    subject_height: m; None where it is not known.
+    subject_mass: kg; None where it is not known.
     keypoint_pixels: "calibration" or "image": the size of picture whose pixels the key points use.
     n_frames: number of frames that every view has.
-    calibration: path of the calibration file.
+    calibration: path of the calibration file; None without one.
     silhouettes: settings of the masks.
     people: known data of several people.
     notes: sentences for the user about accepted irregularities.
@@ -450,7 +455,15 @@ def _relative(path: Path | None, folder: Path) -> str | None:
 
 
 def _build(folder: Path, origin: Path, settings: Mapping[str, Any], notes: list[str], uncalibrated: bool) -> Recording:
-    """Build the recording from the settings of recording.toml; origin: the file or folder that errors name."""
+    """Build the recording from the settings of recording.toml after checking them and all files that they name.
+
+    folder: folder of the recording, where relative paths start.
+    origin: file or folder that the error messages name.
+    settings: keys of recording.toml.
+    notes: sentences so far, to which those about accepted irregularities are added.
+    uncalibrated: make placeholder cameras, as `cameras_of_pictures`.
+    Raises: InputError, CalibrationError for cameras.
+    """
     where = str(origin)
     check_keys(where, settings, RECORDING_KEYS)
     settings = with_detected(folder, settings, notes)
@@ -558,7 +571,11 @@ def keypoints_of_recording(recording: Recording) -> list[ViewKeypoints | None]:
 def _by_stored_frames(
     keypoints: Sequence[ViewKeypoints | None], views: Sequence[ViewSettings]
 ) -> list[ViewKeypoints | None]:
-    """Number key points of other programs by the stored frames of the video."""
+    """Number key points of other programs by the stored frames of the video.
+
+    keypoints: key points of each view; None where it has none.
+    views: views, whose videos may be read by their time stamps.
+    """
     return [
         k if k is None or k.table.timed else replace(k, frames=stored_numbers(v))
         for k, v in zip(keypoints, views, strict=True)
@@ -586,6 +603,13 @@ def _named(folder: Path, where: str, key: str, name: str) -> Path:
 
 
 def _view(folder: Path, where: str, table: Mapping[str, Any], index: int) -> ViewSettings:
+    """Convert a [[view]] table to settings.
+
+    folder: folder of the recording, for relative paths.
+    where: file, for the error messages.
+    index: number of the view from 0, which names it where the table does not.
+    Raises: InputError where a path does not exist or paths contradict each other.
+    """
     name = table.get("name") or f"view{index + 1}"
     where = f"{where}, view {name}"
     paths: dict[str, Any] = {}
@@ -621,6 +645,12 @@ def _view(folder: Path, where: str, table: Mapping[str, Any], index: int) -> Vie
 
 
 def _calibration(folder: Path, where: str, settings: Mapping[str, Any], notes: list[str]) -> tuple[Path, CameraRig]:
+    """Read the calibration that the settings name, or the one in the folder, and turn its world so that z points up.
+
+    folder, where, settings, notes: as in `_build`.
+    Returns: path of the calibration, and its cameras.
+    Raises: CalibrationError where there is none or it cannot be used.
+    """
     if "calibration" in settings:
         path: Path | None = _named(folder, where, "calibration", settings["calibration"])
     else:
@@ -667,7 +697,13 @@ def cameras_of_pictures(where: str, views: Sequence[ViewSettings]) -> CameraRig:
 def _match_cameras(
     rig: CameraRig, path: Path, views: Sequence[ViewSettings], wanted: Sequence[str | None], notes: list[str]
 ) -> CameraRig:
-    """Put the cameras of a rig into the order of the views."""
+    """Put the cameras of a rig into the order of the views.
+
+    path: the calibration, for the error messages.
+    wanted: for each view the name of its camera that recording.toml gives; None to match the names.
+    notes: list to which sentences about the choice are added.
+    Raises: CalibrationError where views and cameras cannot be matched.
+    """
     names = [w or v.name for w, v in zip(wanted, views, strict=True)]
     if all(wanted) or (len(rig) > len(views) and all(name in rig.names for name in names)):
         chosen = rig.select(names)  # its error lists the existing cameras

@@ -165,7 +165,12 @@ def persons_objects(
 def _everybodys(
     recording: Recording, masks: Sequence[ObjectMasks | None], people: Sequence[Mapping[int, str]]
 ) -> tuple[list[frozenset[str] | None], tuple[str, ...]]:
-    """Choose, in each view, the objects of people that another view shows as well, with a note about the rest."""
+    """Choose, in each view, the objects of people that another view shows as well.
+
+    masks: masks of each view; None for a view without objects.
+    people: the objects of each person, {view: object}.
+    Returns: as `persons_objects`; the note names the rest.
+    """
     seen = [p for p in people if len(p) > 1]
     chosen = [None if m is None else frozenset(p[c] for p in seen if c in p) for c, m in enumerate(masks)]
     rest = [
@@ -180,7 +185,14 @@ def _everybodys(
 def _points_inside(
     recording: Recording, small: CameraRig, c: int, view: ObjectMasks, keypoints: Sequence[Keypoints]
 ) -> dict[str, int]:
-    """Count the key points inside each object of a view."""
+    """Count the key points inside each object of a view, over some frames.
+
+    small: pinhole cameras of the working size, in whose px the key points are.
+    c: number of the view.
+    view: its masks.
+    keypoints: those of all frames.
+    Returns: counts above 0 by the object's name.
+    """
     out: dict[str, int] = {}
     camera, into = recording.rig[c], small[c]
     for f in evenly_spread(recording.frames.start, recording.frames.stop, _SAMPLES):

@@ -16,8 +16,8 @@ from hypose.geometry import Array
 from hypose.io.recordings.object_masks import ObjectMasks, open_masks
 from hypose.io.videos.video import VideoReader, check_numbers, frame_size, frame_times, open_video, stored_frames
 
+# Ratio of frame rates below which they count as equal: 29.97 and 30 frames/s differ by rounding in the container.
 _ALIKE = 1.005
-"""Ratio of frame rates below which they count as equal: 29.97 and 30 frames/s differ by rounding in the container."""
 SIDECAR = "hypose-masks.json"
 """Name of the note in a folder of masks that are already undistorted; their files are found by frame number."""
 
@@ -97,6 +97,7 @@ def look_together(views: Sequence[ViewSettings], notes: list[str]) -> tuple[list
 
     Where such files begin with different numbers, the lowest is the first frame of all views.
 
+    notes: list to which a sentence about different numbers is added.
     Returns: the views, with `first_mask` set where needed, and the properties of their files.
     Why: a person who is not seen at the start has no masks there.
     """
@@ -133,8 +134,11 @@ def open_pictures(view: ViewSettings, threads: int | None = None) -> VideoReader
 def check_picture_size(
     view: ViewSettings, camera: Camera, path: Path, size: tuple[int, int], notes: list[str] | None
 ) -> None:
-    """Check that pictures of a given size (width, height) can be those of a camera; note where they are scaled.
+    """Check that pictures of a given size can be those of a camera.
 
+    path: the pictures.
+    size: their width and height, px.
+    notes: list to which a sentence is added where they are scaled; None for no sentence.
     Raises: CalibrationError where the shapes differ by more than 1 %.
     """
     if size == camera.size:
@@ -201,8 +205,11 @@ def on_one_clock(
     The frame rate is the given one, else that of the videos (the lowest), else that of the key points' file. Videos
     with lost frames, or with another or a varying frame rate, are read by their time stamps.
 
-    given: frame rate of recording.toml, frames/s.
-    reported: frame rate of the key points' file, frames/s.
+    where: start of the error messages.
+    given: frame rate of recording.toml, frames/s; None where it has none.
+    views, clips: views, and the properties of their files as `look_together` gives them.
+    reported: frame rate of the key points' file, frames/s; None where it has none.
+    notes: list to which sentences about irregular videos are added.
     Returns: the views with `rate` set where needed, their files' properties, the frame rate.
     Raises: InputError where no frame rate is known or it is implausible.
     """
@@ -256,8 +263,10 @@ def _of_times(times: Array) -> str:
 
 
 def common_frames(views: Sequence[ViewSettings], clips: Sequence[list[_ClipInfo]], notes: list[str]) -> int:
-    """Count the frames that every view has, and note where the views differ.
+    """Count the frames that every view has.
 
+    views, clips: views, and the properties of their files.
+    notes: list to which sentences are added where views differ or files are cut off.
     Raises: InputError where a view has no frames.
     """
     counts = {}
@@ -271,8 +280,7 @@ def common_frames(views: Sequence[ViewSettings], clips: Sequence[list[_ClipInfo]
                     f"ends after frame {clip.n_frames - 1}; the file is probably cut off: copy it again if "
                     "more was recorded."
                 )
-        counts_of_view = [c.n_frames for c in found]
-        if min(counts_of_view) == 0:
+        if any(c.n_frames == 0 for c in found):
             raise InputError(f"View {view.name}: {found[0].path} has no frames; record or copy it again.")
     low, high = min(counts.values()), max(counts.values())
     if high - low > 2:

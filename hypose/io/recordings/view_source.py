@@ -46,8 +46,8 @@ from hypose.io.videos.video import VideoReader, evenly_spread, frame_size, list_
 
 
 _KEPT = 8
+# Largest number of depth maps that describe the empty room.
 _ROOM_FRAMES = 30
-"""Largest number of depth maps that describe the empty room."""
 
 
 class DepthPreparer:
@@ -88,8 +88,7 @@ class DepthSource:
     """
 
     def __init__(self, view: ViewSettings, camera: Camera, small: Camera, people: bool = False) -> None:
-        if view.depth is None:
-            raise InputError(f"View {view.name} has no depth; give its folder of 16-bit PNG in millimetres.")
+        assert view.depth is not None  # views of other cameras have no such source
         self.view, self._small, self._people = view, small, people
         self._files = list_images(view.depth)
         self._prepared = DepthPreparer(camera, small, view.image_shift)
@@ -225,9 +224,11 @@ class Preparer:
         return self._lenses[stored]
 
     def differing_box(self, image: Image, glance: Glance) -> Box | None:
-        """Find the box (working size) around all foreground in a stored picture; None where there is none.
+        """Find the box around all foreground in a stored picture.
 
+        image: (h, w, 3) BGR as stored.
         glance: coarse test of pixels against the background.
+        Returns: y0, y1, x0, x1 in the undistorted picture of working size; None where there is no foreground.
         """
         image = self._enlarged(image)
         stored = (image.shape[1], image.shape[0])
@@ -256,13 +257,11 @@ def mask_in(image: Image, prepare: Preparer, segment: Segmenter, band: Mask | No
         box = found or (0, 0, 0, 0)
     prepared = prepare.within(image, box)
     runs = segment.runs(prepared, band, box)
-    if box is not None and runs.area and not _holds(box, runs.box):  # closed or filled parts may reach beyond it
-        prepared = prepare.within(image, None)
+    if box is not None and runs.area:
+        (y0, y1, x0, x1), (a0, a1, b0, b1) = box, runs.box
+        if not (y0 <= a0 and a1 <= y1 and x0 <= b0 and b1 <= x1):  # closed or filled parts may reach beyond it
+            prepared = prepare.within(image, None)
     return runs, prepared
-
-
-def _holds(box: Box, other: Box) -> bool:
-    return box[0] <= other[0] and other[1] <= box[1] and box[2] <= other[2] and other[3] <= box[3]
 
 
 class _MaskSource:
@@ -354,12 +353,17 @@ class ViewSource:
             self._masks.chosen = objects
 
     def image(self, frame: int) -> Image:
-        """Read the undistorted picture of a frame at working size."""
+        """Read the undistorted picture (h, w, 3) BGR of a frame at working size.
+
+        Raises: InputError where the view has no pictures or the frame cannot be read.
+        """
         return self._prepare(self._stored(frame))
 
     def image_of_mask(self, frame: int) -> Image | None:
-        """Get the undistorted picture of a frame, valid at least within the mask just made for it; None without a
-        picture."""
+        """Get the undistorted picture (h, w, 3) BGR of a frame whose mask was made last.
+
+        Returns: the picture, valid at least within the mask; None where the view has no picture or it is damaged.
+        """
         if self._shown is not None and self._shown[0] == frame:
             return self._shown[1]
         try:

@@ -48,14 +48,11 @@ def write_depth_png(path: str | Path, depth: ArrayLike) -> None:
 
 def write_millimetres_png(path: str | Path, depth: NDArray[np.uint16]) -> None:
     """Write a depth map (h, w) in whole millimetres, 0 for a hole, as a 16-bit PNG."""
-    ok, data = cv2.imencode(".png", depth, DEPTH_PNG)
-    if not ok:
-        raise InputError(f"{path}: a depth map of shape {depth.shape} cannot be written; it must be (height, width).")
-    write_bytes(path, data.tobytes(), synced=False)
+    write_bytes(path, cv2.imencode(".png", depth, DEPTH_PNG)[1].tobytes(), synced=False)
 
 
+# Value of a hole, mm, that some recorders write in place of 0.
 _NOT_MEASURED = 65535
-"""Value of a hole, mm, that some recorders write in place of 0."""
 
 
 def read_depth_png(path: str | Path) -> DepthMap:
@@ -159,6 +156,7 @@ def _title(stream: Any) -> str:
 
 
 def _calibration(container: Any) -> dict[str, Any]:
+    """Read the attached calibration.json of an open Azure Kinect recording; empty where there is none."""
     for stream in container.streams:
         if stream.type == "attachment" and str(stream.metadata.get("filename", "")).endswith(".json"):
             try:
@@ -171,6 +169,7 @@ def _calibration(container: Any) -> dict[str, Any]:
 
 
 def _azure_frames(container: Any, track: Any, path: str, library: Any) -> Iterator[DepthFrame]:
+    """Decode the depth track of an open recording of PyAV (`library`), and close it at the end."""
     with container:
         try:
             for frame in container.decode(track):
@@ -188,8 +187,8 @@ def _azure_frames(container: Any, track: Any, path: str, library: Any) -> Iterat
 
 
 _MAX_RECORDING_BYTES = 256 * 2**30
+# Time without a frame, ms, after which a recording is at its end and a camera is disconnected.
 _PATIENCE_MS = 2000
-"""Time without a frame, ms, after which a recording is at its end and a camera is disconnected."""
 
 
 def read_realsense(path: str | Path) -> DepthFile:
@@ -217,7 +216,7 @@ def open_realsense(serial: str | None = None) -> DepthFile:
 
     The frames end when the camera is disconnected; closing the iterator stops the camera.
 
-    serial: serial number, needed where there are several cameras.
+    serial: serial number of the camera; None for the only one.
     Raises: InputError where there is no such camera or it does not start.
     """
     library = _library()
@@ -279,6 +278,11 @@ def _opened(library: Any, config: Any, what: str, recorded: bool) -> DepthFile:
 
 
 def _frames(pipeline: Any, scale: float, what: str) -> Iterator[DepthFrame]:
+    """Read the depth frames of a running pipeline of pyrealsense2, and stop it at the end.
+
+    scale: size of a step of the values, m.
+    what: camera or file, for the error message.
+    """
     first, last, frames, frame = None, -np.inf, None, None
     try:
         while True:
@@ -326,14 +330,14 @@ def _short(error: Exception) -> str:
 
 
 ENDINGS = (".mkv", ".bag", ".db3", ".r3d")
+# Depth modes of the Azure Kinect by size: side of the sensor's picture, px, and origin of the mode's picture in it.
 _MODES = {(640, 576): (1024, 192, 180), (320, 288): (512, 96, 90), (512, 512): (512, 0, 0), (1024, 1024): (1024, 0, 0)}
-"""Depth modes of the Azure Kinect by size: side of the sensor's picture, px, and origin of the mode's picture in it."""
 FOLDER_RATE = 30.0
 """Frames per second of a folder of depth maps, where none is given."""
+# Exceptions of a zip that is not a zip, cut off, or locked by a password.
 _DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, NotImplementedError)
-"""Exceptions of a zip that is not a zip, cut off, or locked by a password."""
+# Largest unpacked size of one entry of a capture.
 _PACKED_BYTES = 64 * 2**20
-"""Largest unpacked size of one entry of a capture."""
 
 
 def open_depth(path: str | Path, frame_rate: float = FOLDER_RATE, millimetres: float = 1.0) -> DepthFile:
@@ -502,7 +506,7 @@ def _number(name: str) -> int:
 
 
 def _unpacked(archive: zipfile.ZipFile, name: str) -> bytes:
-    """Read an entry of a zip after checking its stated size."""
+    """Read an entry of a zip; BadZipFile where its stated size is above 64 MiB."""
     if archive.getinfo(name).file_size > _PACKED_BYTES:
         raise zipfile.BadZipFile(name)
     return archive.read(name)
@@ -565,7 +569,7 @@ class _RealSense:
 
 
 class _Maps:
-    """A folder of depth maps as a `Film` that can be played."""
+    """A folder of depth maps (16-bit PNG, mm) as a `Film`, whose pictures are maps (h, w), float32 m."""
 
     frame_rate: float | None = None
 

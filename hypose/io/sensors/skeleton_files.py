@@ -42,6 +42,7 @@ from hypose.io.sensors.depth import read_depth_png, sample_depth
 from hypose.io.sensors.skeleton_streams import (
     MAX_JOINTS,
     MISSING_MARK,
+    SKELETON_UNITS,
     SkeletonRecording,
     StreamRows,
     checked_recording,
@@ -51,11 +52,21 @@ from hypose.io.sensors.skeleton_streams import (
 _FORMAT = "hypose-skeletons"
 _FRAMES = ["sensor", "frame", "time"]
 _SKELETON = ["sensor", "frame", "person", "joint", "x", "y", "z", "state"]
-_SCALE = {"m": 1.0, "mm": 0.001}
 
 
 @dataclass
 class _Sensor:
+    """A sensor of a recording folder while it is read.
+
+    rows: its name, the names of its joints, and its bodies.
+    scale: metres per unit of the positions.
+    intrinsics: fx, fy, cx, cy of its depth maps, px; None without depth maps.
+    y_up: the skeleton's y axis points up.
+    joint: index of each joint by its name.
+    times: time (s) of each frame by its number.
+    depth: path of the depth map of a frame by its number, relative to the folder.
+    """
+
     rows: StreamRows
     scale: float
     intrinsics: tuple[float, float, float, float] | None
@@ -97,10 +108,11 @@ def read_folder(source: Source) -> SkeletonRecording:
 
 
 def _sensor(path: Path, value: Mapping[str, Any]) -> _Sensor:
+    """Convert the entry of a sensor in session.json; InputError, which names the file, where it is not valid."""
     name, joints, unit, depth = value["name"], value["joints"], value.get("unit", "m"), value.get("depth")
     texts = [name, *joints]
     named = all(isinstance(text, str) and 1 <= len(text) <= 64 for text in texts)
-    if not named or len(set(joints)) < len(joints) or not 1 <= len(joints) <= MAX_JOINTS or unit not in _SCALE:
+    if not named or len(set(joints)) < len(joints) or not 1 <= len(joints) <= MAX_JOINTS or unit not in SKELETON_UNITS:
         raise InputError(
             f"{path}: each sensor needs a name, a list of 1 to {MAX_JOINTS} different names of joints, and the unit m "
             "or mm; correct it."
@@ -111,7 +123,9 @@ def _sensor(path: Path, value: Mapping[str, Any]) -> _Sensor:
         lens, y_up = (fx, fy, cx, cy), depth.get("y_up", False) is True
         if not (0 < fx < 1e5 and 0 < fy < 1e5 and abs(cx) < 1e5 and abs(cy) < 1e5):
             raise InputError(f"{path}: depth of sensor {name} needs intrinsics [fx, fy, cx, cy] in pixels.")
-    return _Sensor(StreamRows(name, tuple(joints)), _SCALE[unit], lens, y_up, {n: i for i, n in enumerate(joints)})
+    return _Sensor(
+        StreamRows(name, tuple(joints)), SKELETON_UNITS[unit], lens, y_up, {n: i for i, n in enumerate(joints)}
+    )
 
 
 def _rows_of(path: Path, header: Sequence[str], kind: str) -> Iterator[tuple[str, list[str]]]:
@@ -147,6 +161,7 @@ _Bodies = dict[tuple[int, int], tuple[Array, NDArray[np.uint8]]]
 
 
 def _read_bodies(path: Path, sensors: Mapping[str, _Sensor]) -> dict[str, _Bodies]:
+    """Read skeleton.csv: for each sensor positions (J, 3), in its unit, and states (J,) by frame and person."""
     bodies: dict[str, _Bodies] = {name: {} for name in sensors}
     for where, cells in _rows_of(path, _SKELETON, "skeleton.csv of a skeleton recording"):
         sensor = _known(where, sensors, cells[0], "the sensor")
@@ -168,7 +183,13 @@ def _read_bodies(path: Path, sensors: Mapping[str, _Sensor]) -> dict[str, _Bodie
 
 
 def _fill(sensor: _Sensor, bodies: _Bodies, folder: Path) -> None:
-    """Add the bodies to the sensor's rows in the order of frame numbers, which is the order of arrival."""
+    """Add the bodies to the sensor's rows in the order of frame numbers, which is the order of arrival.
+
+    sensor: its times are known, its rows are empty.
+    bodies: positions (J, 3), in the sensor's unit, and states (J,) by frame number and person.
+    folder: the recording folder, in which depth maps lie.
+    Raises: InputError where a depth map cannot be read.
+    """
     by_frame: dict[int, list[tuple[int, Array, NDArray[np.uint8]]]] = {}
     for (frame, person), (positions, state) in bodies.items():
         scaled = np.where(positions > -9000, positions * sensor.scale, positions)
@@ -229,6 +250,7 @@ class FolderWriter:
 
         time: s.
         person: the sensor's number of the person; None where the sensor saw no person.
+        joint_names: names of the J joints, the same for all bodies of the sensor.
         positions: (J, 3) m.
         state: (J,) 0 not tracked, 1 inferred, 2 tracked.
         Raises: InputError where the folder cannot be written.
@@ -415,8 +437,7 @@ def read_azure(source: Source) -> SkeletonRecording:
     Raises: InputError where a file is not of this format.
     """
     paths = source.files(".json")
-    sensors = [_azure_rows(p) for p in paths]
-    inputs = {p.name: p for p in paths}
+    sensors, inputs = [_azure_rows(p) for p in paths], {p.name: p for p in paths}
     return checked_recording(text_of(paths[0].stem), sensors, str(paths[0]), inputs, common_clock=len(paths) == 1)
 
 

@@ -30,6 +30,8 @@ MAX_SENSORS = 16
 MAX_PEOPLE = 16
 """Largest number of people that one sensor may report at a time."""
 MAX_JOINTS = 64
+SKELETON_UNITS = {"m": 1.0, "mm": 0.001}
+"""Metres per unit of positions."""
 REORDER_S = 0.2
 """A time that is further back than this, s, means that the clock was set back; otherwise the row came late."""
 _SLOWEST_S = 5.0  # largest usual step of a sensor, s: a larger one means that milliseconds were given as seconds
@@ -117,7 +119,8 @@ class StreamRows:
     name: name of the sensor.
     joint_names: J names.
     times, ids: time (s) and number of the person of each body.
-    positions, state, joint_depth: (J, 3) m, (J,) and (J,) m of each body, as in `SensorStream`.
+    positions, state: (J, 3) m and (J,) of each body, as in `SensorStream`.
+    joint_depth: (J,) depth map at the joints' pixels of each body, m; empty where the sensor has no depth maps.
     """
 
     name: str
@@ -145,18 +148,16 @@ class StreamRows:
 
 
 def build_stream(rows: StreamRows, where: str) -> tuple[SensorStream, tuple[str, ...]]:
-    """Build a stream with increasing times from the bodies of a sensor.
+    """Build a stream with increasing times from the bodies of a sensor, at least one.
 
     A body that is less than 0.2 s late is sorted in. A single time far ahead of its neighbours is removed. After a
     clock was set back, time continues with the sensor's usual step.
 
     where: the recording, for the error messages.
     Returns: the stream, and notes about corrected faults.
-    Raises: InputError where there are no bodies, too many people, or times or positions that cannot be correct.
+    Raises: InputError where there are too many people, or times or positions that cannot be correct.
     """
     notes: list[str] = []
-    if not rows.times:
-        raise InputError(f"{where}: the sensor {rows.name} has no skeleton at all; check the recording.")
     arrival = np.array(rows.times)
     if not np.isfinite(arrival).all():
         raise InputError(f"{where}: a time of the sensor {rows.name} is not a number; times are seconds.")
@@ -175,11 +176,9 @@ def build_stream(rows: StreamRows, where: str) -> tuple[SensorStream, tuple[str,
     empty = np.array(rows.empty) if not clock_notes else np.zeros(0)
     instants, first = np.unique(np.concatenate([repaired[order], empty]), return_inverse=True)
     present: list[dict[int, int]] = [{} for _ in instants]
-    doubled = 0
     for i, at in zip(order.tolist(), first[: len(order)].tolist(), strict=True):
-        doubled += rows.ids[i] in present[at]
         present[at][rows.ids[i]] = i
-    if doubled:
+    if doubled := len(order) - sum(map(len, present)):
         notes.append(f"{rows.name}: {doubled} bodies came twice for the same person and time; the last one counts")
     columns = _columns([list(p) for p in present])
     people = max((c + 1 for row in columns for c in row.values()), default=1)
@@ -201,18 +200,18 @@ def build_stream(rows: StreamRows, where: str) -> tuple[SensorStream, tuple[str,
 
 
 def _columns(present: Sequence[Sequence[int]]) -> list[dict[int, int]]:
-    """Assign people to columns at every instant: the same column while a person is seen, else the lowest free one."""
+    """Assign people to columns at every instant: the same column while a person is seen, else the lowest free one.
+
+    present: numbers of the people at each instant.
+    Returns: column of each person by number, at each instant.
+    """
     out: list[dict[int, int]] = []
-    last: dict[int, int] = {}
     for people in present:
-        now = {p: last[p] for p in people if p in last}
-        taken = set(now.values())
+        now = {p: c for p, c in out[-1].items() if p in people} if out else {}
         for p in people:
             if p not in now:
-                now[p] = next(c for c in range(len(taken) + 1) if c not in taken)
-                taken.add(now[p])
+                now[p] = next(c for c in range(len(now) + 1) if c not in now.values())
         out.append(now)
-        last = now
     return out
 
 
@@ -222,7 +221,10 @@ def clean_joints(
     """Mark missing joints alike: NaN positions and state 0.
 
     positions: (..., J, 3) m.
+    state: (..., J) 0 not tracked, 1 inferred, 2 tracked.
     where: the sensor, for the error message.
+    joint_names: names of the J joints, for the error message.
+    Returns: copies of positions and states.
     Raises: InputError where coordinates are too large to be metres.
     """
     positions, state = positions.copy(), state.copy()
@@ -240,7 +242,7 @@ def clean_joints(
 
 
 def repair_clock(times: ArrayLike) -> tuple[Array, NDArray[np.bool_], tuple[str, ...]]:
-    """Correct faults in the times of a sensor.
+    """Correct faults in the times of a sensor: late rows, single wrong stamps and clocks that were set back.
 
     times: (T,) s, in the order of arrival.
     Returns: times (T,) on one clock, which rows to keep (T,), and notes.
@@ -283,12 +285,11 @@ def repair_clock(times: ArrayLike) -> tuple[Array, NDArray[np.bool_], tuple[str,
 def common_times(streams: Sequence[SensorStream], rate: float | None = None) -> Array:
     """Compute evenly spaced instants from the first sensor's start to the last sensor's end.
 
+    streams: streams of all sensors, on one clock.
     rate: Hz; by default that of the first stream, rounded to a whole number when it is within 5 %.
     Returns: (N,) s.
-    Raises: InputError where there are no sensors, the rate is out of range, or the span is too long.
+    Raises: InputError where the rate is out of range or the span is too long.
     """
-    if not streams:
-        raise InputError("There is no sensor to synchronise; give a recording with at least one.")
     if rate is None:
         rate = streams[0].rate
         rate = float(round(rate)) if abs(rate - round(rate)) < 0.05 * rate and round(rate) > 0 else rate
@@ -437,7 +438,6 @@ MAX_SKELETON_LINE = 16384
 _KNOWN = frozenset({"sensor", "time", "person", "joints", "unit", "token", "received", "v"})
 _SENSOR = re.compile(r"[A-Za-z0-9_.-]{1,32}")
 _JOINT = re.compile(r"[A-Za-z0-9_ .-]{1,48}")
-_SCALE = {"m": 1.0, "mm": 0.001}
 _NUMBERS = frozenset({float, int})
 _MISSING = [math.nan, math.nan, math.nan, 0]
 
@@ -467,7 +467,7 @@ def parse_line(data: bytes | str) -> tuple[SensorReport, str]:
     if not isinstance(token, str):
         _bad("token must be text")
     unit = value.get("unit", "m")
-    if not isinstance(unit, str) or unit not in _SCALE:
+    if not isinstance(unit, str) or unit not in SKELETON_UNITS:
         _bad("unit must be m or mm")
     time = _number(value.get("time"), "time")
     received = None if value.get("received") is None else _number(value["received"], "received")
@@ -479,7 +479,7 @@ def parse_line(data: bytes | str) -> tuple[SensorReport, str]:
         return SensorReport(sensor, time, None, (), empty, np.zeros(0, dtype=np.uint8), received), token
     if not isinstance(joints, dict) or not 1 <= len(joints) <= MAX_JOINTS:
         _bad(f"joints must be an object with 1 to {MAX_JOINTS} joints, or null when no person is seen")
-    names, scale = tuple(joints), _SCALE[unit]
+    names, scale = tuple(joints), SKELETON_UNITS[unit]
     _check_names(names)
     return SensorReport(sensor, time, person, names, *_positions(joints, scale), received), token
 
@@ -495,6 +495,9 @@ def _check_names(names: tuple[str, ...]) -> None:
 def _positions(joints: Mapping[str, Any], scale: float) -> tuple[Array, NDArray[np.uint8]]:
     """Convert the cells of all joints at once to positions (J, 3), m, and states (J,).
 
+    joints: cells of each joint by name, as the protocol has them.
+    scale: metres per unit.
+    Raises: InputError where a cell is not valid.
     Why: a line of 15 joints is parsed 540 times a second live, and cell by cell it takes three times as long.
     """
     rows = [_MISSING if c is None else [*c, 2] if type(c) is list and len(c) == 3 else c for c in joints.values()]

@@ -164,7 +164,11 @@ class _Captured:
 
 
 def _device(number: int, rate: float, size: tuple[int, int]) -> _Captured:
-    """Open a camera of this computer with OpenCV's own back end (V4L2, DirectShow, AVFoundation)."""
+    """Open a camera of this computer with OpenCV's own back end (V4L2, DirectShow, AVFoundation).
+
+    number: number of the device, from 0.
+    rate, size: frame rate (Hz), width and height (px) that are requested; the camera may give others.
+    """
     advice = "is it plugged in, and does no other program use it? Devices are numbered from 0."
     camera = _Captured(f"Camera {number} of this computer", advice, number)
     # raw pictures of two cameras are more than one USB bus carries
@@ -263,6 +267,7 @@ class _MotionJpeg:
         raise ValueError("a part begins with too many lines")
 
     def _body(self, length: int | None) -> bytes:
+        """Read a picture of `length` bytes, or up to the next boundary where the length is not known (None)."""
         if length is not None:
             if not 0 < length <= LARGEST_PART:
                 raise ValueError(f"a picture of {length} bytes")
@@ -291,6 +296,7 @@ class _MotionJpeg:
 def _asked(address: str, seconds: float) -> http.client.HTTPResponse:
     """Open an address with the name and password in it, by Basic or Digest authentication.
 
+    seconds: longest time to wait for the connection and for each read.
     Why: Basic is sent at once, because many cameras do not request it.
     """
     parts, known = urllib.parse.urlsplit(address), urllib.request.HTTPPasswordMgrWithDefaultRealm()
@@ -311,6 +317,7 @@ def _asked(address: str, seconds: float) -> http.client.HTTPResponse:
 class Film(Protocol):
     """Interface of everything that can be played: numbered pictures.
 
+    path: file or folder, for the error messages.
     frame_rate: Hz; None where not known.
     n_frames: number of pictures.
     """

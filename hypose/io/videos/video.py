@@ -47,10 +47,10 @@ _CODECS = {
     ".avi": ("MJPG", "mp4v"),
     ".mkv": ("FFV1", "mp4v"),
 }
+# A video is read frame by frame when its time stamps would need more than this many times its number of frames.
 _MOST_REPEATS = 4
-"""A video is read frame by frame when its time stamps would need more than this many times its number of frames."""
+# Codecs whose stored packets are one frame each, so that counting packets counts frames.
 _PICTURE_PER_PACKET = {cv2.VideoWriter.fourcc(*name) for name in ("avc1", "h264", "hevc", "hvc1")}
-"""Codecs whose stored packets are one frame each, so that counting packets counts frames."""
 
 
 @contextlib.contextmanager
@@ -419,7 +419,10 @@ def _looked_into(path: Path, size: int, changed: int, number: int) -> _About:
             )
     by_packets = codec in _PICTURE_PER_PACKET
     whole = stated > 0 and (by_packets and _holds_packets(path, stated) or _ends_with(path, stated))
-    count = stated if whole else _count(path)
+    count = stated
+    if not whole:
+        with _capturing(path) as capture:
+            count = sum(1 for _ in iter(capture.grab, False))
     return _About((first.shape[1], first.shape[0]), rate if 0 < rate < 100_000 else None, stated, count)
 
 
@@ -445,14 +448,9 @@ def _ends_with(path: Path, stated: int) -> bool:
         return landed == stated - 1 and capture.grab() and not capture.grab()
 
 
-def _count(path: Path) -> int:
-    with _capturing(path) as capture:
-        return sum(1 for _ in iter(capture.grab, False))
-
-
 @contextlib.contextmanager
 def _capturing(path: Path, threads: int | None = None, raw: bool = False) -> Iterator[cv2.VideoCapture]:
-    """Open a video as `open_capture` does, and release it at the end of a with block."""
+    """Open a video and release it at the end of a with block; threads, raw: as for `open_capture`."""
     capture = open_capture(path, threads, raw)
     try:
         yield capture
@@ -546,8 +544,7 @@ class VideoWriter:
 
         Raises: InputError where the frame has another size or type.
         """
-        if self._writer is None:
-            raise InputError(f"{self.path} is not open; use VideoWriter in a with block.")
+        assert self._writer is not None  # it is used in a with block
         h, w = image.shape[:2]
         if (w // 2 * 2, h // 2 * 2) != self.size or image.ndim != 3 or image.dtype != np.uint8:
             raise InputError(
@@ -643,7 +640,7 @@ def _read_wav(path: Path) -> Sound:
         raise InputError(f"{path} is no WAV file that can be read ({error}); export it as 16-bit PCM.") from None
     if width not in (1, 2, 4) or channels < 1 or rate < 1000:
         raise InputError(f"{path}: {8 * width} bits at {rate} Hz; export it as 16-bit PCM with at least 8000 Hz.")
-    kind = {1: np.uint8, 2: np.int16, 4: np.int32}[width]
-    samples = np.frombuffer(data[: len(data) // (width * channels) * width * channels], kind).astype(np.float64)
+    kind, whole = {1: np.uint8, 2: np.int16, 4: np.int32}[width], len(data) // (width * channels) * width * channels
+    samples = np.frombuffer(data[:whole], kind).astype(np.float64)
     samples = (samples - 128) / 128 if width == 1 else samples / float(np.iinfo(kind).max)
     return Sound(int(rate), samples.reshape(-1, channels).mean(1))

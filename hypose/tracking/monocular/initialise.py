@@ -128,6 +128,10 @@ def initialise(
 def rival_poses(body: Body, camera: Camera, points: MonoPoints, active: NDArray[np.int64], count: int) -> Array:
     """Find distinct poses that explain the points, from several headings and with mirrored limbs.
 
+    body, camera: the body, and the camera of the picture.
+    points: seen in the picture.
+    active: (A,) dof that may change.
+
     All poses are optimised before they are compared.
     count: largest number of poses.
     Returns: (M, D) poses, M <= count, best first.
@@ -145,6 +149,9 @@ def rival_poses(body: Body, camera: Camera, points: MonoPoints, active: NDArray[
 def _later_pose(body: Body, camera: Camera, points: MonoPoints, near: Array, active: NDArray[np.int64]) -> Array:
     """Find the best pose (D,) on the points of another picture, from the pose `near` (D,) and from several headings.
 
+    body, camera, points: the body, and the camera and points of the picture.
+    active: (A,) dof that may change.
+
     Which mirror image it is does not matter, since only the lengths are used.
     """
     starts = [near, *(_placed(body, camera, points, yaw, "standing") for yaw in _yaws())]
@@ -153,12 +160,14 @@ def _later_pose(body: Body, camera: Camera, points: MonoPoints, near: Array, act
 
 
 def _yaws() -> Array:
+    """Return the headings that are tried, rad."""
     return np.arange(_HEADINGS) * 2 * np.pi / _HEADINGS
 
 
 def _placed(body: Body, camera: Camera, points: MonoPoints, yaw: float, name: str) -> Array:
     """Build a start pose (D,): a known posture with a heading, placed where its points lie nearest to the seen ones.
 
+    body, camera, points: the body, and the camera and points of the picture.
     The placing uses a scaled orthographic camera: the depth comes from the size of the figure.
     yaw: heading, rad.
     name: name of the posture ("standing" or "a").
@@ -186,6 +195,7 @@ def _solved(
 ) -> tuple[Array, Array]:
     """Fit poses to 2D points, from several starts.
 
+    body, camera, points: the body, and the camera and points of the picture.
     starts: (M, D) start poses.
     active: coordinates of the pose that may change; the others are held at their start.
     Returns: poses (M, D), costs (M,).
@@ -211,6 +221,7 @@ def _solved(
 
 
 def _distinct(poses: Array, costs: Array, body: Body, count: int) -> Array:
+    """Select the best poses (M, D), by costs (M,), that differ from all better ones; at most count."""
     order = np.argsort(costs, kind="stable")
     return poses[order][_distinct_indices(body.joints(poses[order]), count)]
 
@@ -233,7 +244,14 @@ def _contour_cost(
     template: Body, search: PictureSearch, points_on: PointsOn, frame: Frame, pose: Array
 ) -> Callable[[Array], float]:
     """Build the function that gives the cost of factors (K,) at a fixed pose, on the picture's contours and the
-    points."""
+    points.
+
+    template: body whose proportions are unknown.
+    search: settings of the cost.
+    points_on: places the picture's points on a body.
+    frame: with the picture.
+    pose: (D,).
+    """
     light = without_display(template)
 
     def cost(x: Array) -> float:
@@ -245,6 +263,7 @@ def _contour_cost(
 
 
 def _residual(body: Body, camera: Camera, points: MonoPoints, pose: Array) -> float:
+    """Compute the root mean square distance, px, of a posed body (D,) from the seen points."""
     seen = points.confidence > 0
     apart = camera.project_pinhole(points_on_body(body, pose, points)[seen]) - points.pixels[seen]
     return float(np.sqrt((apart**2).sum(1).mean()))

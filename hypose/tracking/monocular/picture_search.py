@@ -62,6 +62,8 @@ flow."""
 
 @dataclass(frozen=True)
 class _Place:
+    """Parts of the search that depend on the camera: the fixed parts of the problem, and scratch memory per thread."""
+
     camera: Camera
     fixed: Fixed
     workspaces: list[MonoWorkspace]
@@ -206,6 +208,9 @@ class PictureSearch:
     ) -> Hypotheses:
         """Optimise poses on one still picture (edges, silhouette, points; no flow, no prediction).
 
+        frame: with the picture.
+        points: seen in it; None: none.
+
         Used for initialisation and for mirrored poses.
         poses: (N, D) start poses.
         iterations: of the Newton search.
@@ -269,6 +274,11 @@ class PictureSearch:
     ) -> list[MonoSolution]:
         """Optimise every start (N, D) in several threads.
 
+        place: of the camera.
+        problem: evidence of the frame.
+        starts, before: (N, D) start poses, and poses in the previous picture.
+        coarse, iterations: as in `newton_descent`.
+        Returns: N solutions.
         predict: add to each a pull to its own start as the prediction.
         """
         solutions: list[MonoSolution | None] = [None] * len(starts)
@@ -293,6 +303,14 @@ class PictureSearch:
         predictions: Array,
         history: Array,
     ) -> Hypotheses:
+        """Make candidates from N solutions.
+
+        role: origin of the candidates.
+        fixed: fixed parts of the problem.
+        found: the solutions.
+        velocities, predictions: (N, D) columns of the candidates.
+        history: (N,) cost accumulated before this frame.
+        """
         poses, gradient = np.stack([s.pose for s in found]), np.stack([s.gradient for s in found])
         at, cost = poses[:, fixed.model.active], np.array([s.evidence for s in found])
         held = ((at <= fixed.lower + 1e-6) & (gradient > 0)) | ((at >= fixed.upper - 1e-6) & (gradient < 0))

@@ -71,6 +71,10 @@ def clicked_joints(body: Body, clicks: Mapping[str, tuple[float, float]], scale_
 
 
 def keypoints_on(body: Body, names: Sequence[str], keypoints: Array) -> MonoPoints:
-    """Place key points (K, 3) on a body, with the error that detectors usually have at that size of the person."""
+    """Place key points (K, 3) on a body, with the error that detectors usually have at that size of the person.
+
+    names: (K) names of the key points.
+    keypoints: (K, 3) u px, v px, confidence.
+    """
     scale = max(FEWEST_PX, _KEYPOINT_SHARE * person_size(keypoints))
     return points_from_keypoints(body, names, keypoints, scale_px=scale)

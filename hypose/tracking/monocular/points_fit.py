@@ -48,6 +48,9 @@ def fit_proportions(
 ) -> tuple[Array, Array, float]:
     """Fit one body to all M pictures: poses and proportions together, by a bounded Newton search.
 
+    template: body that is deformed.
+    camera: of the pictures.
+    prior: of the proportions.
     pictures: M functions that place the points of a picture on a body.
     poses: M start poses (D,).
     factors: (K,) start values of the proportions, logarithms; only those that move joints change.
@@ -93,6 +96,7 @@ class _PointsProblem(Problem[Array, tuple[Array, Array]]):
         return q, f
 
     def evaluate(self, state: Array) -> tuple[float, Callable[[], tuple[Array, Array]]]:
+        """Compute the cost of a vector (M A + I,), and its gradient and Hessian; see `Problem`."""
         (q, f), x, active, floor = self.unpack(state), state, self.active, self.floor
         body, camera, (m, a) = shaped(self.bare, f), self.camera, (len(self.pictures), len(self.active))
         moved = [shaped(self.bare, f + _STEP * (np.arange(len(f)) == i)) for i in INTERNAL]
@@ -120,19 +124,27 @@ class _PointsProblem(Problem[Array, tuple[Array, Array]]):
         return value, lambda: (gradient + pull, hessian + np.diag(self.stiffness))
 
     def propose(self, state: Array, equations: tuple[Array, Array], damping: float) -> tuple[Array, float] | None:
+        """Propose the next vector within the bounds, and its largest change; see `Problem`."""
         step = bounded_step(equations[1], equations[0], state, self.lower, self.upper, damping)
         return None if step is None else (np.clip(state + step, self.lower, self.upper), float(np.abs(step).max()))
 
 
 def _residuals(body: Body, camera: Camera, points: MonoPoints, pose: Array) -> Array:
-    """Compute the residuals (P, 2) of the points, in standard deviations; 0 for points that are not seen."""
+    """Compute the residuals (P, 2) of the points, in standard deviations; 0 for points that are not seen.
+
+    body, camera: the body, and the camera of the picture.
+    points, pose: placed on the body, and its pose (D,).
+    """
     shown = camera.project_pinhole(points_on_body(body, pose, points))
     apart = (shown - points.pixels) / points.scale_px[:, None]
     return np.where(points.confidence[:, None] > 0, apart, 0.0)
 
 
 def image_jacobian(body: Body, camera: Camera, points: MonoPoints, pose: Array) -> Array:
-    """Compute the derivative (P, 2, D) of the points' pixels with respect to the pose (D,), px per unit."""
+    """Compute the derivative (P, 2, D) of the points' pixels with respect to the pose (D,), px per unit.
+
+    body, camera: the body, and the camera of the picture.
+    """
     world, by_pose = points_on_body(body, pose, points), _jacobian(body, pose, points.joint, points.offset)
     p = camera.projection
     h = world @ p[:, :3].T + p[:, 3]
@@ -145,6 +157,10 @@ def _above_floor(
     body: Body, moved: Sequence[Body], pose: Array, floor: FloorArrays, active: NDArray[np.int64]
 ) -> tuple[Array, Array]:
     """Compute heights of the soles above the floor, in standard deviations, and their derivatives.
+
+    body, pose: the body and its pose (D,).
+    floor: soles and floor.
+    active: (A,) dof that may change.
 
     Only the lowest sole point and those under the floor count (F).
     moved: one body per factor that moves joints, changed by one step.
@@ -159,12 +175,19 @@ def _above_floor(
 
 
 def _places(body: Body, pose: Array, joint: NDArray[np.int64], offset: Array) -> Array:
-    """Compute the world positions (P, 3), m, of points fixed to joints (P,) at offsets (P, 3)."""
+    """Compute the world positions (P, 3), m, of points fixed to joints (P,) at offsets (P, 3).
+
+    body, pose: the body and its pose (D,).
+    """
     return body.skeleton.points(joint, offset, pose)
 
 
 def _jacobian(body: Body, pose: Array, joint: NDArray[np.int64], offset: Array) -> Array:
-    """Compute the derivative (P, 3, D) of the world positions of points on joints with respect to the pose."""
+    """Compute the derivative (P, 3, D) of the world positions of points on joints with respect to the pose.
+
+    body, pose: the body and its pose (D,).
+    joint, offset: (P,) and (P, 3) m, as in MonoPoints.
+    """
     twists = body.skeleton.world_twists(pose)
     world = _places(body, pose, joint, offset)
     out = np.cross(twists[None, :, :3], world[:, None]) + twists[None, :, 3:]

@@ -189,7 +189,11 @@ def part_spheres(body: Body, weight: float) -> SphereArrays:
 
 
 def _spheres(body: Body, name: str, skin: Array) -> list[tuple[Array, float]]:
-    """List the spheres of one part: (centre in the joint's rest frame, radius), m; skin (V, 3) in the same frame."""
+    """List the spheres of one part: (centre in the joint's rest frame, radius), m; skin (V, 3) in the same frame.
+
+    body: at rest.
+    name: joint of the part.
+    """
     end = BONE_END.get(name)
     if end is not None:
         s = body.skeleton
@@ -252,6 +256,9 @@ def fixed_parts(
 ) -> Fixed:
     """Build the parts of the problem that do not change from frame to frame.
 
+    body, mesh: the body, and its mesh that is compared.
+    camera: of the pictures.
+    settings: of the cost.
     active: (A,) ascending indices of the dof to estimate.
     floor: its height in the world, m; None: unknown or none.
     Raises: InputError where the active dof are not dof of the body.
@@ -293,6 +300,9 @@ def frame_problem(
 ) -> MonoProblem:
     """Build the problem of one frame, with the pull to the rest posture but without a prediction.
 
+    fixed: parts of the problem that stay.
+    picture: of the frame.
+    settings: of the cost.
     field: (h, w, 2) edges of the picture, from `field_of`.
     points, flow: None where there are none.
     """
@@ -323,7 +333,11 @@ def frame_problem(
 
 
 def field_of(image: NDArray[np.uint8], settings: MonoSettings) -> NDArray[np.float32]:
-    """Compute the edges (h, w, 2) of a picture; all 0 where edges are not used."""
+    """Compute the edges (h, w, 2) of a picture; all 0 where edges are not used.
+
+    image: (h, w, 3) BGR.
+    settings: of the cost.
+    """
     if not settings.edges:
         return np.zeros((*image.shape[:2], 2), np.float32)
     return edge_field(image, settings.edge.smoothing_px, settings.edge.strength)

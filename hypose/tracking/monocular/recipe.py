@@ -52,6 +52,8 @@ class WholeClip:
 def solve_clip(clip: Clip, active: NDArray[np.int64]) -> tuple[Motion, tuple[str, ...]]:
     """Solve the motion of a whole clip from the modes of all frames of the forward and the backward pass.
 
+    clip: tracked forwards, with its frames.
+
     Frames in which the person was lost are bridged. Feet are not held where they seem to stand, as they are with
     several
     cameras: their depth is too uncertain for that.
@@ -96,6 +98,8 @@ def backward_estimates(tracker: Tracker, last: TrackerState, frames: Iterable[Fr
 def together(there: Modes, back: Modes, frame_rate: float, settings: WholeClip | None = None) -> tuple[Array, Array]:
     """Average the poses of the forward and the backward pass over a clip, weighted by their costs.
 
+    frame_rate: Hz.
+    settings: of the average; None: the usual ones.
     there: modes of the forward pass; back: of the backward pass, whose last frame is not used.
     Returns: poses (T, D); covariances (T, D, D) of the average, including the difference of the passes.
     """
@@ -144,6 +148,7 @@ def _by_turn(off: Array, poses: Array) -> Array:
 def information(covariances: ArrayLike, active: NDArray[np.int64], settings: WholeClip | None = None) -> Array:
     """Compute the information matrices (T, D, D) of the frames' poses, for solving the clip.
 
+    settings: of the average; None: the usual ones.
     covariances: (T, D, D), inverted over the active dof after widening.
     active: (A,) estimated dof; all others are fixed.
     """
@@ -167,6 +172,8 @@ PICTURE_CUES = ("auto", "edges", "silhouettes", "keypoints", "both")
 def monocular(body: Body, particles: int = 7, frame_rate: float = 25.0, *, floor: float | None = None) -> Recipe:
     """Build the recipe for the pictures of one camera.
 
+    body: of the person.
+    frame_rate: Hz.
     particles: number of hypotheses.
     floor: height in the world of the floor, m; None: unknown.
     Mirrored limbs are tried while tracking where there are key points, because these show sooner or later which is
@@ -207,4 +214,5 @@ def picture_recipe(search: PictureSearch) -> Recipe:
 
 
 def _best(h: Hypotheses, /) -> Array:
+    """Return the pose of the best candidate that is not a sample."""
     return h.values[best_of(h)]

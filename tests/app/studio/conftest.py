@@ -10,7 +10,7 @@ import urllib.request
 import pytest
 from websockets.sync.client import connect
 
-from hypose.app.studio.server import Studio, StudioOptions, make_server
+from hypose.app.studio.server import Studio, StudioOptions, make_server, open_port
 from tests import missing
 from tests.app.studio.browser import build
 from tests.conftest import HANG_S
@@ -65,19 +65,12 @@ def until(socket, kind, wanted=lambda message: True):
 
 @contextlib.contextmanager
 def serving(root, **options):
-    studio = Studio(StudioOptions(root, **options))
-    ready, ports = threading.Event(), []
-
-    def listening(port):
-        ports.append(port)
-        ready.set()
-
-    server = make_server(studio, "127.0.0.1", 0, listening)
-    thread = threading.Thread(target=server.run, daemon=True)
+    studio, port = Studio(StudioOptions(root, **options)), open_port("127.0.0.1", 0)
+    server = make_server(studio)
+    thread = threading.Thread(target=server.run, kwargs={"sockets": [port]}, daemon=True)
     thread.start()
-    assert ready.wait(HANG_S)
     try:
-        yield Client(studio, ports[0])
+        yield Client(studio, port.getsockname()[1])
     finally:
         server.should_exit = True
         thread.join(HANG_S)
