@@ -92,7 +92,7 @@ def limb_offsets(
     column = {n: k for k, n in enumerate(names)}
     limbs = np.array([(column[a], column[b]) for a, b in _LIMBS if a in column and b in column]).reshape(-1, 2)
     bones = np.array([(column[a], column[b]) for a, b in (*_LIMBS, *_TRUNK) if a in column and b in column])
-    parts = [np.zeros((0, 10))]
+    parts: list[Array] = [np.zeros((0, 10))]
     for t, p in enumerate(points):
         mask = masks[t + lag] if 0 <= t + lag < len(masks) else None
         size = _size(p)
@@ -121,7 +121,8 @@ def limb_offsets(
         offset = 0.5 * (width[:, 0] - width[:, 1])
         across = width.sum(1) / size
         frame = np.full(len(which), t)
-        parts.append(np.column_stack([normal, velocity, start, offset, across, which, frame])[fine])
+        columns = np.column_stack([normal, velocity, start, offset, across, which, frame])
+        parts.append(np.asarray(columns[fine], dtype=np.float64))
     rows = np.concatenate(parts)
     rows = rows[_alone(rows[:, 8].astype(np.int64), rows[:, 7], len(limbs))]
     limb, frame = rows[:, 8:].astype(np.int64).T
