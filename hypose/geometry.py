@@ -161,25 +161,6 @@ def nearest_branch(rotation_vector: ArrayLike, reference: ArrayLike) -> Array:
     return np.where(closer, r - 2 * np.pi * r / np.maximum(angle, 1e-12), r)
 
 
-def rotation_mean(rotations: ArrayLike, weights: ArrayLike | None = None, iterations: int = 10) -> Array:
-    """Compute the weighted Karcher mean of rotations, the average on SO(3).
-
-    rotations: (N, ..., 3, 3) rotation matrices.
-    weights: (N,), of any sum; None for equal weights.
-    iterations: largest number of steps.
-    Returns: (..., 3, 3) mean rotation.
-    """
-    m = np.asarray(rotations, dtype=np.float64)
-    w = np.full(len(m), 1 / len(m)) if weights is None else np.asarray(weights, dtype=np.float64) / np.sum(weights)
-    mean = m[int(w.argmax())]
-    for _ in range(iterations):
-        step = np.tensordot(w, so3_log(m @ np.swapaxes(mean, -1, -2)), 1)
-        mean = so3_exp(step) @ mean
-        if np.abs(step).max() < 1e-12:
-            break
-    return mean
-
-
 def se3(rotation: ArrayLike, translation: ArrayLike) -> Array:
     """Assemble rigid motions from rotations and translations.
 

@@ -7,7 +7,6 @@ from hypose.geometry import (
     nearest_branch,
     procrustes,
     rotation_between,
-    rotation_mean,
     se3,
     se3_inverse,
     skew,
@@ -67,16 +66,6 @@ def test_nearest_branch_is_the_same_rotation_and_nearest(rng):
     b = nearest_branch(r, reference)
     np.testing.assert_allclose(so3_exp(b), so3_exp(r), atol=1e-12)
     assert (np.linalg.norm(b - reference, axis=1) <= np.linalg.norm(r - reference, axis=1) + 1e-12).all()
-
-
-def test_mean_is_the_karcher_mean(rng):
-    centre = so3_exp(rng.normal(size=3))
-    d = rng.normal(size=(20, 3)) * 0.5
-    m = so3_exp(np.concatenate([d, -d])) @ centre  # symmetric about the centre
-    np.testing.assert_allclose(rotation_mean(m), centre, atol=1e-12)
-    w = rng.uniform(size=40)
-    mean = rotation_mean(m, w, iterations=50)
-    np.testing.assert_allclose(np.tensordot(w, so3_log(m @ mean.T), 1), 0, atol=1e-10)
 
 
 def test_rigid_motions_round_trip(rng):

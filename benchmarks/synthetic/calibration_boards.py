@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from hypose.calibration.boards import Board, BoardDetection
 from hypose.cameras.camera import Camera, CameraRig
-from hypose.geometry import Array, procrustes, rotation_mean, se3, se3_inverse, so3_exp, so3_log, transform
+from hypose.geometry import Array, procrustes, se3, se3_inverse, so3_exp, so3_log, transform
 
 _SLANT = 0.4  # cosine of the steepest view of a board that a detector still reads
 
@@ -108,11 +109,8 @@ class RigErrors:
 
 def compare_rigs(found: CameraRig, true: CameraRig) -> RigErrors:
     """How far `found` is from `true`, camera by camera in their order."""
-    turn = rotation_mean(
-        np.stack(
-            [t.camera_from_world[:3, :3].T @ f.camera_from_world[:3, :3] for f, t in zip(found, true, strict=True)]
-        )
-    )
+    turns = [t.camera_from_world[:3, :3].T @ f.camera_from_world[:3, :3] for f, t in zip(found, true, strict=True)]
+    turn = Rotation.from_matrix(turns).mean().as_matrix()
     if len(found) >= 3:
         # centres and axes: points half a metre before each camera count as well
         a = np.concatenate([_marks(c) for c in found])

@@ -95,6 +95,10 @@ def _sound(faces: Faces) -> bool:
 def _smoothed(v: Array, f: Faces, passes: int) -> Array:
     """Smooth a mesh without shrinking it (Taubin 1995): every pass moves vertices towards the mean of their neighbours,
     then a little more back.
+
+    v, f: vertices (V, 3), m, and faces (F, 3).
+    passes: number of passes.
+    Returns: (V, 3) m.
     """
     edges = np.concatenate([f[:, [0, 1]], f[:, [1, 2]], f[:, [2, 0]]])
     n = len(v)
@@ -112,7 +116,13 @@ def _used(v: Array, f: Faces) -> tuple[Array, Faces]:
 
 
 def _fitted(v: Array, f: Faces, samples: Array, rounds: int = 3) -> Array:
-    """Move vertices along their normals until the mesh runs through the middle of surface samples (S, 3)."""
+    """Move vertices along their normals until the mesh runs through the middle of surface samples.
+
+    v, f: vertices (V, 3), m, and faces (F, 3).
+    samples: (S, 3) m.
+    rounds: number of least-squares solves.
+    Returns: (V, 3) m.
+    """
     k = 5
     corner = np.array([(i, j, k - i - j) for i in range(k + 1) for j in range(k + 1 - i)]) / k
     size = float(np.ptp(v, axis=0).max())

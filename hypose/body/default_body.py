@@ -78,7 +78,13 @@ def human_skeleton(rest_joints: Array) -> Skeleton:
 
 
 def _hinge_axis(name: str, kind: str, axis_name: str, joints: Array) -> Array:
-    """Return the unit axis of a hinge in the model frame, oriented so that flexion is positive."""
+    """Compute the unit axis of a hinge in the model frame, oriented so that flexion is positive.
+
+    name, kind: name of the joint, and the same without its side.
+    axis_name: flexion, inversion, y or z.
+    joints: (19, 3) m, joint centres at rest.
+    Returns: (3,).
+    """
     if kind == "elbow":
         j = JOINT_NAMES.index(name)
         upper, fore = joints[j] - joints[j - 1], joints[j + 1] - joints[j]

@@ -175,7 +175,11 @@ def angles_in_time(turns: Array) -> Array:
 
 
 def _product(a: Array, b: Array) -> Array:
-    """Multiply matrices (3, 3) or (3, 3, T), at least one of which has the frames axis."""
+    """Multiply matrices frame by frame.
+
+    a, b: (3, 3) or (3, 3, T); at least one has the frames axis.
+    Returns: (3, 3, T).
+    """
     out = np.empty((3, 3, max(a.size, b.size) // 9))
     for i in range(3):
         for k in range(3):
@@ -201,9 +205,12 @@ def neutral_frames(skeleton: Skeleton) -> dict[str, Array]:
 
 
 def straight_offset(skeleton: Skeleton, name: str) -> float:
-    """Compute the angle (rad) of a knee or elbow hinge between the straight limb and the rest pose.
+    """Compute the angle of a knee or elbow hinge between the straight limb and the rest pose.
 
-    Add it to the value of the degree of freedom to get the anatomical angle.
+    skeleton: human skeleton.
+    name: of the hinge.
+    Returns: rad; added to the value of the degree of freedom it gives the anatomical angle.
+    Raises: InputError where the joint is no hinge or has no child.
     """
     axis, j = hinge_axis(skeleton, name), skeleton.joint(name)
     children = np.flatnonzero(skeleton.parents == j)

@@ -159,6 +159,7 @@ def _plain(name: str) -> tuple[str, str]:
 
 
 def _by_name(names: Sequence[str]) -> dict[str, int]:
+    """Find the joints of a rig whose names are known: index in the rig by our name."""
     plain = [_plain(n) for n in names]
     out: dict[str, int] = {}
     for ours, called in _CALLED.items():
@@ -175,7 +176,11 @@ def _by_name(names: Sequence[str]) -> dict[str, int]:
 
 
 def _chain(k: int, parents: NDArray[np.int64]) -> list[int]:
-    """List a joint and its ancestors; stops after as many as there are joints."""
+    """List a joint and its ancestors; stops after as many as there are joints.
+
+    k: index of the joint.
+    parents: (n,) index of each parent, -1 for none.
+    """
     out: list[int] = []
     while k >= 0 and len(out) <= len(parents):
         out.append(k)
@@ -184,7 +189,13 @@ def _chain(k: int, parents: NDArray[np.int64]) -> list[int]:
 
 
 def _trunk(found: Mapping[str, int], parents: NDArray[np.int64], at: Array) -> dict[str, int]:
-    """Find spine and chest among the joints between pelvis and head (or neck)."""
+    """Find spine and chest among the joints between pelvis and head (or neck).
+
+    found: index in the rig by our name.
+    parents: (n,) index of each parent.
+    at: (n, 3) joint centres.
+    Returns: index by name; a joint is left out where none lies near its usual share of the way.
+    """
     top = found.get("neck", found["head"])
     between = [k for k in _chain(top, parents)[1:] if k not in found.values()]
     chain = _chain(top, parents)
@@ -217,7 +228,12 @@ def _owners(found: Mapping[str, int], parents: NDArray[np.int64]) -> NDArray[np.
 
 
 def _placed(found: Mapping[str, int], at: Array) -> Array:
-    """Compute the positions (19, 3) of all joints; those that the rig lacks by the template's proportions."""
+    """Compute the positions of all joints; those that the rig lacks by the template's proportions.
+
+    found: index in the rig by our name.
+    at: (n, 3) joint centres of the rig.
+    Returns: (19, 3).
+    """
     rest, names = human().skeleton.rest_joints, JOINT_NAMES
     have = np.array([names.index(n) for n in found])
     there = at[list(found.values())]

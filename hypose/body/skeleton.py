@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from hypose.compute.arrays import BALL, FIXED, HINGES, TreeArrays
 from hypose.compute.kinematics import forward_kinematics, joint_frames
 from hypose.errors import InputError
-from hypose.geometry import Array, nearest_branch, rotation_mean, so3_exp, so3_left_jacobian, so3_log
+from hypose.geometry import Array, nearest_branch, so3_exp, so3_left_jacobian
 
 GRID = 2.0**20
 """Steps per metre and radian to which `Skeleton.clamp` rounds poses (a micrometre, a fifth of an arc second)."""
@@ -126,15 +126,6 @@ class Skeleton:
             np.ascontiguousarray(self.rest_joints - self.rest_joints[0]),
             self.joint_of_dof.astype(np.int64),
         )
-
-    @cached_property
-    def twists(self) -> Array:
-        """(D, 6) twists (w, v) of the dof in the model frame at rest; v = -w x p for a turn about a line through p."""
-        out = np.zeros((self.dof, 6))
-        out[:3, 3:] = self.axes[:3]
-        out[3:, :3] = self.axes[3:]
-        out[3:, 3:] = -np.cross(self.axes[3:], self.rest_joints[self.joint_of_dof[3:]])
-        return out
 
     @cached_property
     def ball_starts(self) -> NDArray[np.int64]:
@@ -309,37 +300,3 @@ class Skeleton:
         q = np.array(pose, dtype=np.float64)
         q[..., 3:6] = nearest_branch(q[..., 3:6], np.zeros(3))
         return q
-
-    def mean(self, poses: ArrayLike, weights: ArrayLike) -> Array:
-        """Compute the weighted mean (D,) of poses (N, D): rotations of balls and root on SO(3), all others as plain
-        numbers.
-        """
-        q, w = np.asarray(poses, dtype=np.float64), np.asarray(weights, dtype=np.float64)
-        out = w @ q / w.sum()
-        for s in self.ball_starts:
-            r = so3_log(rotation_mean(so3_exp(q[:, s : s + 3]), w))
-            out[s : s + 3] = nearest_branch(r, q[int(w.argmax()), s : s + 3])
-        return out
-
-    def difference(self, a: ArrayLike, b: ArrayLike) -> Array:
-        """Compute the tangent vector d (..., D) from pose b to pose a, with step(b, d) = a.
-
-        Rotations of balls give the rotation vector of R_a R_b^T, other coordinates the plain difference.
-        """
-        qa, qb = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
-        d = qa - qb
-        for s in self.ball_starts:
-            ra, rb = so3_exp(qa[..., s : s + 3]), so3_exp(qb[..., s : s + 3])
-            d[..., s : s + 3] = so3_log(ra @ np.swapaxes(rb, -1, -2))
-        return d
-
-    def step(self, pose: ArrayLike, tangent: ArrayLike) -> Array:
-        """Move a pose (..., D) along a tangent vector (..., D): the inverse of `difference`, on the
-        branch of the pose.
-        """
-        q, d = np.asarray(pose, dtype=np.float64), np.asarray(tangent, dtype=np.float64)
-        out = q + d
-        for s in self.ball_starts:
-            r = so3_log(so3_exp(d[..., s : s + 3]) @ so3_exp(q[..., s : s + 3]))
-            out[..., s : s + 3] = nearest_branch(r, q[..., s : s + 3])
-        return out

@@ -91,8 +91,9 @@ def body_bones(body: Body, pose: ArrayLike | None = None) -> Bones:
         at = [joints[s.joint(n)] if n in s.joint_names else points[marks.index(n)] for n in names]
         return np.mean(at, axis=0)
 
-    start, end = (np.array([middle(row[k]) for row in _HUMAN]) for k in (1, 2))
-    return Bones(start, end, np.array([s.joint(row[0]) for row in _HUMAN]))
+    joint, start, end = zip(*_HUMAN, strict=True)
+    first, last = (np.array([middle(names) for names in side]) for side in (start, end))
+    return Bones(first, last, np.array([s.joint(name) for name in joint]))
 
 
 def heat_weights(vertices: ArrayLike, faces: ArrayLike, bones: Bones, n_joints: int) -> Array:
@@ -200,7 +201,13 @@ def _closest_points(v: Array, bones: Bones) -> tuple[Array, Array]:
 
 
 def _warm_every_part(near: NDArray[np.bool_], distance: Array, faces: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Make the nearest bone a source of heat for connected parts of the mesh in which no vertex sees a bone."""
+    """Make the nearest bone a source of heat for connected parts of the mesh in which no vertex sees a bone.
+
+    near: (V, B) whether a bone is a source for a vertex.
+    distance: (V, B) m.
+    faces: (F, 3).
+    Returns: (V, B).
+    """
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 

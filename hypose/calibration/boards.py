@@ -156,6 +156,7 @@ def make_detector(board: Board) -> Detector:
 
 
 def _charuco_detector(board: Board) -> Detector:
+    """Make the detector of a ChArUco board, as `make_detector` does."""
     pattern = opencv_charuco(board)
     detector = cv2.aruco.CharucoDetector(pattern)
     nx = board.size[0]
@@ -195,7 +196,12 @@ def opencv_charuco(board: Board) -> cv2.aruco.CharucoBoard:
 
 
 def _find_chessboard(gray: Gray, size: tuple[int, int]) -> Array | None:
-    """Find the corners (N, 2) of a chessboard roughly, px, in any of its numberings; None without a board."""
+    """Find the corners of a chessboard roughly, in any of its numberings.
+
+    gray: (h, w) picture.
+    size: corners along x and along y.
+    Returns: (N, 2) px; None without a board.
+    """
     scale = min(1.0, _SEARCH_SIZE / max(gray.shape))
     small = gray if scale == 1 else _gray(cv2.resize(gray, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA))
     found, corners = cv2.findChessboardCornersSB(small, size, flags=_FLAGS)
@@ -262,8 +268,11 @@ def _sheets(gray: Gray) -> list[Array]:
 def _numbered(gray: Gray, corners: Array, size: tuple[int, int]) -> Array:
     """Put the corners into the order that the pattern defines, or into one of the equivalent orders of Board.turns.
 
-    The order is right-handed as seen from the front, and the first inner square is dark where the opposite one is
-    light.
+    gray: (h, w) picture in which the board is black on white.
+    corners: (N, 2) px, row by row in any direction.
+    size: corners along x and along y.
+    Returns: (N, 2) px in right-handed order as seen from the front; the first inner square is dark where the opposite
+        one is light.
     """
     nx, ny = size
     grid = corners.reshape(ny, nx, 2)

@@ -36,7 +36,7 @@ _ITERATIONS = 50
 
 @dataclass(frozen=True)
 class Observations:
-    """M corners observed in pictures.
+    """M corners observed in pictures, in the order of the cameras, and of the frames of each camera.
 
     camera, frame, corner: (M,) indices of the camera, of the board's pose and of the board's corner.
     pixels: (M, 2) px.
@@ -168,20 +168,12 @@ class _Problem(SharedProblem[list[Camera]]):
         free: bool | NDArray[np.bool_],
         fixed: NDArray[np.bool_] | None,
     ) -> None:
-        order = np.lexsort((observations.frame, observations.camera))
-        self.order = order
-        o = Observations(
-            observations.camera[order],
-            observations.frame[order],
-            observations.corner[order],
-            observations.pixels[order],
-        )
-        self.o, self.points, self.prior = o, points, prior or LensPrior()
+        self.o, self.points, self.prior = observations, points, prior or LensPrior()
         self.robust = robust / NOISE_PX
-        self.noise = np.broadcast_to(np.asarray(noise, dtype=np.float64), (len(order),))[order]
+        self.noise = np.broadcast_to(np.asarray(noise, dtype=np.float64), (len(observations),))
         c = len(cameras)
         self.p = 6 + 4 + max(len(camera.distortion) for camera in cameras)
-        self.slices = [slice(*np.searchsorted(o.camera, [i, i + 1])) for i in range(c)]
+        self.slices = [slice(*np.searchsorted(observations.camera, [i, i + 1])) for i in range(c)]
         self.free_lens = np.broadcast_to(np.asarray(free, dtype=bool), (c,))
         self.fixed_frames = fixed
         free_of = np.zeros((c, self.p), bool)
@@ -198,6 +190,12 @@ class _Problem(SharedProblem[list[Camera]]):
         return turned, world @ camera.camera_from_world[:3, :3].T + camera.camera_from_world[:3, 3]
 
     def _errors(self, camera: Camera, frames: Array, s: slice) -> Array:
+        """Compute the residuals of one camera.
+
+        frames: (F, 4, 4) world_from_board.
+        s: the camera's observations.
+        Returns: (M, 2) measured minus projected, px; all infinite where a corner lies behind the camera.
+        """
         _, x = self._at(camera, frames, s)
         if len(x) == 0:
             return np.zeros((0, 2))
@@ -206,13 +204,15 @@ class _Problem(SharedProblem[list[Camera]]):
         return self.o.pixels[s] - project_with_derivatives(camera, x)[0]
 
     def residuals(self, cameras: Sequence[Camera], frames: Array) -> Array:
-        """Compute the residuals (M, 2), px, in the order of the given observations."""
-        out = np.empty((len(self.o), 2))
-        for camera, s in zip(cameras, self.slices, strict=True):
-            out[self.order[s]] = self._errors(camera, frames, s)
-        return out
+        """Compute the residuals (M, 2), px, in the order of the observations."""
+        return np.concatenate([self._errors(c, frames, s) for c, s in zip(cameras, self.slices, strict=True)])
 
     def cost(self, cameras: Sequence[Camera], frames: Array) -> float:
+        """Compute the robust cost of all observations, with the lens prior; infinite where a corner lies behind a
+        camera.
+
+        frames: (F, 4, 4) world_from_board.
+        """
         total = 0.0
         for camera, s, free in zip(cameras, self.slices, self.free_lens, strict=True):
             e = np.linalg.norm(self._errors(camera, frames, s), axis=1) / self.noise[s] / self.robust
@@ -265,8 +265,13 @@ class _Problem(SharedProblem[list[Camera]]):
         return SharedEquations(a.reshape(c * p, c * p), ga.ravel(), b, gb, w.reshape(f, 6, c * p))
 
     def _derivatives(self, camera: Camera, frames: Array, s: slice) -> tuple[Array, Array, Array]:
-        """Compute weighted derivatives with respect to the camera (M, 2, p) and the board (M, 2, 6), and weighted
-        errors (M, 2)."""
+        """Compute weighted derivatives and errors of one camera.
+
+        frames: (F, 4, 4) world_from_board.
+        s: the camera's observations.
+        Returns: derivatives with respect to the camera (M, 2, p) and to the board (M, 2, 6), and errors (M, 2), all
+            multiplied by the root of the robust weight and divided by the noise.
+        """
         turned, x = self._at(camera, frames, s)
         uv, by_point, by_lens = project_with_derivatives(camera, x)
         noise = self.noise[s][:, None]
@@ -289,6 +294,13 @@ class _Problem(SharedProblem[list[Camera]]):
         return self.cost(*state), partial(self.equations, *state)
 
     def moved(self, state: _State, step: Array, own: Array) -> tuple[_State, float]:
+        """Apply a step; changes of focal lengths are limited, so that a camera stays possible.
+
+        state: cameras and world_from_board (F, 4, 4).
+        step: (C p,) of the cameras.
+        own: (F, 6) of the boards.
+        Returns: the new state, and infinity, because the descent does not stop by the size of a step.
+        """
         cameras, frames = state
         out = []
         for camera, d, free in zip(cameras, step.reshape(-1, self.p), self.free_lens, strict=True):
@@ -314,9 +326,9 @@ class _Problem(SharedProblem[list[Camera]]):
         freedom = 2 * len(self.o) - int(self.free.sum()) - 6 * (len(np.unique(self.o.frame)) - fixed)
         if freedom < 60:
             return 1.0
-        noise = np.empty(len(self.o))
-        noise[self.order] = self.noise
-        share = np.minimum(np.linalg.norm(residuals, axis=1) / noise, self.robust)  # outliers do not count as noise
+        share = np.minimum(
+            np.linalg.norm(residuals, axis=1) / self.noise, self.robust
+        )  # outliers do not count as noise
         return max(float(np.sqrt((share**2).sum() / freedom)), 1 / 3)
 
     def deviations(self, cameras: Sequence[Camera], equations: SharedEquations) -> tuple[Array, Array]:
@@ -464,8 +476,8 @@ def collect_observations(sightings: Mapping[int, Mapping[int, BoardDetection]], 
     place = {f: k for k, f in enumerate(frames)}
     parts = [
         (np.full(len(s.ids), c), np.full(len(s.ids), place[f]), s.ids, s.pixels)
-        for c, seen in sightings.items()
-        for f, s in seen.items()
+        for c, seen in sorted(sightings.items())
+        for f, s in sorted(seen.items(), key=lambda item: place.get(item[0], -1))
         if f in place
     ]
     if not parts:
@@ -505,6 +517,14 @@ def board_poses(camera: Camera, sighting: BoardDetection, points: Array) -> list
 def _first(
     name: str, frames: Sequence[int], sightings: Mapping[int, BoardDetection], board: Board, size: tuple[int, int]
 ) -> Camera:
+    """Calibrate the lens roughly, as a start: OpenCV's closed form and refinement; without distortion where that fails.
+
+    name: name of the camera.
+    frames: frame numbers to use.
+    sightings: detected boards by frame number.
+    size: width and height of the pictures, px.
+    Returns: the camera; its pose is the identity.
+    """
     objects = [board.points[sightings[f].ids].astype(np.float32) for f in frames]
     images = [sightings[f].pixels.astype(np.float32) for f in frames]
     k = np.asarray(cv2.initCameraMatrix2D(objects, images, size, 1.0), dtype=np.float64)
@@ -530,6 +550,8 @@ def _first_fisheye(
     """Choose the start focal length of a fisheye lens, from those of 60 to 220 degrees of view, by the fit of board
     poses.
 
+    name, frames, sightings, size: as in `_first`.
+    Returns: the camera without distortion; its pose is the identity.
     Why: the equidistant model r = f angle is near enough for a start; OpenCV's own start fails on boards near the edge.
     """
     best = (float("inf"), 0.0)

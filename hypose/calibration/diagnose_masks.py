@@ -92,7 +92,7 @@ def limb_offsets(
     column = {n: k for k, n in enumerate(names)}
     limbs = np.array([(column[a], column[b]) for a, b in _LIMBS if a in column and b in column]).reshape(-1, 2)
     bones = np.array([(column[a], column[b]) for a, b in (*_LIMBS, *_TRUNK) if a in column and b in column])
-    parts: list[tuple[Array, ...]] = []
+    parts: list[Array] = [np.zeros((0, 10))]
     for t, p in enumerate(points):
         mask = masks[t + lag] if 0 <= t + lag < len(masks) else None
         size = _size(p)
@@ -120,29 +120,25 @@ def limb_offsets(
         fine &= _clearance(start, which, p, limbs, bones) > _CLEAR * size
         offset = 0.5 * (width[:, 0] - width[:, 1])
         across = width.sum(1) / size
-        frame = np.full(len(which), float(t))
-        made = (normal, offset, velocity, start, which.astype(np.float64), frame, across)
-        parts.append(tuple(np.asarray(x[fine], dtype=np.float64) for x in made))
-    if not parts:
-        none, flat = np.zeros(0, np.int64), np.zeros((0, 2))
-        return LimbOffsets(flat, np.zeros(0), flat, flat, none, none)
-    normal, offset, velocity, position, limb, frame, across = (np.concatenate([x[k] for x in parts]) for k in range(7))
-    keep = _alone(limb.astype(np.int64), across, len(limbs))
-    return LimbOffsets(
-        normal[keep],
-        offset[keep],
-        velocity[keep],
-        position[keep],
-        limb[keep].astype(np.int64),
-        frame[keep].astype(np.int64),
-    )
+        frame = np.full(len(which), t)
+        columns = np.column_stack([normal, velocity, start, offset, across, which, frame])
+        parts.append(np.asarray(columns[fine], dtype=np.float64))
+    rows = np.concatenate(parts)
+    rows = rows[_alone(rows[:, 8].astype(np.int64), rows[:, 7], len(limbs))]
+    limb, frame = rows[:, 8:].astype(np.int64).T
+    return LimbOffsets(rows[:, :2], rows[:, 6], rows[:, 2:4], rows[:, 4:6], limb, frame)
 
 
 def _clearance(
     start: Array, limb: NDArray[np.int64], p: Array, limbs: NDArray[np.int64], bones: NDArray[np.int64]
 ) -> Array:
-    """Compute the distance (N,), px, from points on limbs (N, 2) to the nearest other bone without a common joint.
+    """Compute the distance of points on limbs from the nearest other bone.
 
+    start: (N, 2) px, points on limbs.
+    limb: (N,) index of the limb of each.
+    p: (K, 3) px of the frame's key points, and confidence.
+    limbs, bones: (L, 2) and (B, 2) indices of the key points at both ends.
+    Returns: (N,) px; infinite where no bone without a common joint is seen.
     Why: a limb in front of another part of the body has no outline of its own.
     """
     a, b = p[bones[:, 0], :2], p[bones[:, 1], :2]
@@ -155,7 +151,13 @@ def _clearance(
 
 
 def _alone(limb: NDArray[np.int64], across: Array, n_limbs: int) -> NDArray[np.bool_]:
-    """Test (N,) whether the mask is about as wide as the limb; it is wider in front of another part of the body."""
+    """Test whether the mask is about as wide as the limb; it is wider in front of another part of the body.
+
+    limb: (N,) index of the limb of each measurement.
+    across: (N,) width of the mask across the limb, in sizes of the person.
+    n_limbs: number of limbs, of both sides together.
+    Returns: (N,) True where the width is below 1.35 times the limb's lower quartile.
+    """
     out = np.zeros(len(limb), dtype=bool)
     half = max(n_limbs // 2, 1)  # _LIMBS lists the left side first, then the right in the same order
     for k in range(half):
@@ -219,7 +221,11 @@ def align_to_masks(
 
 
 def _views_of_limbs(found: LimbOffsets, size: float) -> float:
-    """Compute the effective number of limbs: one that hardly moves has the same bias in every frame."""
+    """Compute the effective number of limbs: one that hardly moves has the same bias in every frame.
+
+    found: measured offsets.
+    size: of the person, px.
+    """
     total = 0.0
     for limb in np.unique(found.limb):
         mine = found.position[found.limb == limb]
@@ -238,7 +244,12 @@ def _velocities(points: Array) -> Array:
 
 
 def _regressed(found: LimbOffsets, scale_px: float) -> tuple[Array, Array]:
-    """Estimate (shift x, shift y, time) by robust regression, with standard deviations (3,)."""
+    """Estimate shift and lag from the offsets of limbs by robust regression.
+
+    found: measured offsets.
+    scale_px: robust scale of an offset, px.
+    Returns: (3,) shift x and y, px, and time, frames; and their standard deviations (3,).
+    """
     rows = np.concatenate([found.normal, (found.normal * found.velocity).sum(1)[:, None]], 1)
     y, x, h = found.offset, np.zeros(3), np.eye(3)
     # a calf bulges backwards in every frame: limbs that are often seen may not outvote the others
@@ -402,6 +413,11 @@ def focal_by_masks(rig: CameraRig, tracks: Sequence[MaskTrack]) -> CommonFocal:
 
 
 def _factor(rig: CameraRig, rows: FactorRows) -> CommonFocal:
+    """Estimate the common focal factor that makes the residuals smallest.
+
+    rows: function that computes the residuals.
+    Returns: factor 1 with an infinite standard deviation where there are fewer than three views or too few rows.
+    """
     views = list(range(len(rig)))
     found = _solve(rig, rows, views, 0.0) if len(views) > 2 else None  # with two views, a wrong pose looks the same
     if found is None or abs(found[0]) >= _LARGEST:
@@ -420,8 +436,14 @@ def _factor(rig: CameraRig, rows: FactorRows) -> CommonFocal:
 def _solve(
     rig: CameraRig, rows: FactorRows, views: list[int], begin: float, *, once: bool = False
 ) -> tuple[float, Array, Array, Array] | None:
-    """Estimate the logarithm of the factor, with the slopes, residuals and weights of the rows; None without enough
-    rows."""
+    """Estimate the logarithm of the factor from some of the views.
+
+    rows: function that computes the residuals.
+    views: indices of the views.
+    begin: start value.
+    once: True for two iterations only, from a good start.
+    Returns: the logarithm, and slopes, residuals and weights of the rows (R, G); None without enough rows.
+    """
     x = begin
     slope = residual = weight = np.zeros((0, 1))
     for _ in range(2 if once else _ROUNDS):

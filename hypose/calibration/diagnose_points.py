@@ -202,8 +202,14 @@ def trials(
 
 
 def _turned(pixels: Array, rig: CameraRig, c: int, factor: Array, twin: list[int] | None) -> Array:
-    """Multiply the key points of view c about the picture's middle, and exchange left and right where `twin` is
-    given."""
+    """Multiply the key points of one view about the picture's middle.
+
+    pixels: (C, T, K, 3) distorted px, and confidence.
+    c: index of the view.
+    factor: (2,) of x and y.
+    twin: index of each point on the other side, where left and right are exchanged as well; None where not.
+    Returns: a changed copy of `pixels`.
+    """
     middle = (np.array(rig[c].size) - 1) / 2
     out = _placed(pixels, c, middle + factor * (pixels[c, ..., :2] - middle))
     if twin is not None:
@@ -219,7 +225,12 @@ def _placed(pixels: Array, c: int, xy: Array) -> Array:
 
 
 def _sizes(rig: CameraRig, pixels: Array, c: int, stored: tuple[int, int] | None) -> Iterator[Trial[Array]]:
-    """Yield trials for key points of images of another size than calibrated: scaled or cropped."""
+    """Yield trials for key points of images of another size than calibrated: scaled or cropped.
+
+    pixels: (C, T, K, 3) distorted px, and confidence.
+    c: index of the view.
+    stored: width and height of its stored images, px; None where unknown, then usual factors are tried.
+    """
     camera = rig[c]
     w, h = camera.size
     xy = pixels[c, ..., :2]
@@ -342,9 +353,12 @@ def certain_delays(
 def _contradicted(
     rig: CameraRig, uv: Array, confidence: Array, scatter: float, found: Array, o: Limits
 ) -> NDArray[np.bool_]:
-    """Test (C,) whether the first or the last part of a clip contradicts the delay found (C,), frames, in the whole
-    clip.
+    """Test whether the first or the last part of a clip contradicts the delay found in the whole clip.
 
+    uv, confidence: (C, T, K, 2) undistorted px and (C, T, K).
+    scatter: standard deviation of a detection, px.
+    found: (C,) delay, frames.
+    Returns: (C,) True where a part contradicts it.
     Why: in a person who stands and waves few points move, and their lasting errors look like delayed motion. They
         differ between parts of a clip.
     """
@@ -457,7 +471,11 @@ def judge_extrinsics(rig: CameraRig, pixels: Array, o: Limits) -> tuple[list[Fin
 
 def _no_one_person(rig: CameraRig, pixels: Array, before: float, after: float) -> Finding:
     """Make the finding that the views disagree wherever the cameras are moved; it names a view without which the others
-    agree."""
+    agree.
+
+    pixels: (C, T, K, 3) distorted px, and confidence.
+    before, after: median residual before and after all cameras were moved, px.
+    """
     views = range(len(rig)) if len(rig) > 3 else ()
     rest = [np.delete(np.arange(len(rig)), c) for c in views]
     without = [disagreement(CameraRig(tuple(rig[int(k)] for k in r)), pixels[r]) for r in rest]
@@ -490,7 +508,13 @@ def _witnesses(confidence: Array) -> NDArray[np.int64]:
 def _undecided(
     rig: CameraRig, views: list[int], confidence: Array, before: float, after: float, image_px: float
 ) -> Finding:
-    """Make the finding that pairs of cameras disagree, where it is unknown which camera is wrong."""
+    """Make the finding that pairs of cameras disagree, where it is unknown which camera is wrong.
+
+    views: indices of the cameras that moved.
+    confidence: (C, T, K) of the key points.
+    before, after: median residual before and after the refinement, px.
+    image_px: largest movement of the person in an image by the refinement, px.
+    """
     seen = (confidence > 0.3).reshape(len(confidence), -1)
     partners = {j for k in views for j in range(len(rig)) if (seen[k] & seen[j]).sum() >= _COMMON}
     names = tuple(rig.names[k] for k in sorted({*views, *partners}))
@@ -518,8 +542,13 @@ def _lenses(
 ) -> list[Finding]:
     """Find cameras whose lens distortion differs from their coefficients.
 
-    It is a fault where frames that were not used fit better with a radial term per camera, else a note.
-
+    rig, ideal: the cameras with and without distortion.
+    lens, plain: refinement with and without a radial term per camera.
+    uv, confidence: (C, T, K, 2) undistorted px and (C, T, K).
+    rest: frames that the refinements did not use.
+    person: size of the person, px.
+    o: limits.
+    Returns: faults where the other frames fit better with a radial term per camera, else at most one note.
     Why: with many points a term can be significant without any effect.
     """
     c, filmed = len(rig), uv[:, rest].reshape(len(rig), -1, 2)

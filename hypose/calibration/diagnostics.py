@@ -161,6 +161,15 @@ def _few(tracks: Sequence[MaskTrack], count: int) -> list[MaskTrack]:
 def _gross_masks(
     rig: CameraRig, tracks: list[MaskTrack], size: Array, findings: list[Finding], o: Limits
 ) -> tuple[CameraRig, list[MaskTrack]]:
+    """Find and undo up to two gross faults by the tangent planes of the masks.
+
+    rig: the cameras of the masks.
+    tracks: mask track of each view.
+    size: (C,) size of the person in each view, px of the masks.
+    findings: list to which findings are added.
+    o: limits.
+    Returns: cameras and tracks after the faults were undone.
+    """
     for _ in range(2):
         few = _few(tracks, 25)
         before = _score(rig, few, size)
@@ -196,6 +205,16 @@ def _delayed(track: MaskTrack, late: float) -> MaskTrack:
 def _timing(
     rig: CameraRig, small: CameraRig, tracks: list[MaskTrack], size: Array, findings: list[Finding], o: Limits
 ) -> Array:
+    """Estimate the delay of each view from its masks, and add the findings.
+
+    rig: the calibrated cameras.
+    small: the cameras of the masks, at their size.
+    tracks: mask track of each view.
+    size: (C,) size of the person in each view, px of the masks.
+    findings: list to which findings are added.
+    o: limits.
+    Returns: (C,) frames; 0 where it is not certain, and for all views of fewer than 24 frames.
+    """
     if len(tracks[0].area) < 24:
         return np.zeros(len(rig))
     scale = max(float(np.median(size)) / 130, 0.5)
@@ -217,7 +236,14 @@ def _displaced(
     """Find the camera that removes the disagreement of tangent planes when it alone is moved, far better than
     synchronisation.
 
-    Returns: the finding and the rig with the moved camera; None where there is no such camera.
+    rig: the calibrated cameras.
+    small: the cameras of the masks, at their size.
+    tracks: mask track of each view.
+    size: (C,) size of the person in each view, px of the masks.
+    silhouettes: of the frames, for points of the person.
+    in_step: disagreement that remains after synchronisation, share of the person's size.
+    o: limits.
+    Returns: the finding and the cameras of the masks with the moved one; None where there is no such camera.
     """
     few = _few(tracks, _JUDGED)
     before = _score(small, few, size)
@@ -237,7 +263,16 @@ def _poses(
     silhouettes: Sequence[Silhouettes | None],
     o: Limits,
 ) -> list[Finding]:
-    """Check whether moving one camera makes the tangent planes agree."""
+    """Check whether moving one camera makes the tangent planes agree.
+
+    rig: the calibrated cameras.
+    small: the cameras of the masks, at their size.
+    tracks: mask track of each view.
+    size: (C,) size of the person in each view, px of the masks.
+    silhouettes: of the frames, for points of the person.
+    o: limits.
+    Returns: at most one finding; none where the planes agree already or there are two views.
+    """
     few = _few(tracks, _JUDGED)
     before = _score(small, few, size)
     if before < o.tangency or len(rig) < 3:
@@ -260,6 +295,9 @@ def _poses(
 def _scattered(small: CameraRig, tracks: Sequence[MaskTrack], size: Array, before: float) -> Finding:
     """Make the finding that masks do not show one person; it names a view without which the others agree.
 
+    small: the cameras of the masks, at their size.
+    tracks: mask track of each view.
+    size: (C,) size of the person in each view, px of the masks.
     before: disagreement of the tangent planes, share of the person's size.
     """
     disagree = f"the silhouettes' tangent planes disagree by {100 * before:.0f} % of the person's size"
@@ -302,7 +340,14 @@ def _elsewhere(
 
 
 def _moved_alone(rig: CameraRig, tracks: list[MaskTrack], size: Array, c: int) -> CameraRig:
-    """Move camera c to where its tangent planes agree best with those of the others."""
+    """Move one camera to where its tangent planes agree best with those of the others.
+
+    rig: the cameras of the masks.
+    tracks: mask track of each view.
+    size: (C,) size of the person in each view, px.
+    c: index of the camera.
+    Returns: the cameras with the moved one.
+    """
     from scipy.optimize import least_squares  # takes long to import
 
     mine = [k for k in range(len(rig)) if k != c]
@@ -537,10 +582,11 @@ def _against_masks(
 
 
 def _own_shifts(made: Sequence[Alignment | None], rig: CameraRig, small: CameraRig) -> Array:
-    """Compute the shift (C, 2) of each view's images, px of the calibrated size, without the part common to all views.
+    """Compute the shift of each view's images without the part common to all views.
 
-    NaN where unknown.
-
+    made: alignment of each view's key points with its masks; None where unknown.
+    rig, small: the calibrated cameras, and those of the masks.
+    Returns: (C, 2) px of the calibrated size; NaN where unknown.
     Why: the common part comes from the detector's definition of the joints.
     """
     own = np.full((len(made), 2), np.nan)

@@ -89,8 +89,10 @@ def _from_above(image: Image, camera: Camera, board: Board) -> tuple[NDArray[np.
 def _correlation(
     one: tuple[NDArray[np.float32], NDArray[np.bool_]], two: tuple[NDArray[np.float32], NDArray[np.bool_]]
 ) -> float:
-    """Compute the mean correlation of colours over the common floor; NaN where too little is common.
+    """Compute the mean correlation of colours over the common floor.
 
+    one, two: pictures from above (n, n, 3) with masks (n, n) of the floor that is seen well.
+    Returns: -1 to 1; NaN where too little is common.
     Why: each colour is relative to its surroundings, so that shading has no effect.
     """
     mask = one[1] & two[1]
@@ -321,6 +323,11 @@ def calibrate_from_boards(
 
 
 def _all_found(views: Sequence[CameraViews], board: Board, all_views: tuple[CameraViews, ...]) -> None:
+    """Raise BoardsNotFound where a camera saw no board; the message says what was seen instead.
+
+    views: results of the search for the rig.
+    all_views: these and the ones for the lenses, for the contact sheet.
+    """
     missing = [v for v in views if not v.sightings]
     if not missing:
         return
@@ -339,6 +346,15 @@ def _all_found(views: Sequence[CameraViews], board: Board, all_views: tuple[Came
 def _lens(
     i: int, views: Sequence[CameraViews], lens_views: Sequence[CameraViews], board: Board, o: CalibrateOptions
 ) -> CalibratedLens:
+    """Take the lens of a camera from the given file, or calibrate it from its board pictures.
+
+    i: index of the camera.
+    views: results of the search for the rig.
+    lens_views: results of the search in the lens pictures; empty where there are none.
+    o: options.
+    Returns: the lens, at the size of the rig's pictures.
+    Raises: CalibrationError where the file has no such camera, or pictures have another shape.
+    """
     view = views[i]
     if o.lenses is not None:
         given = o.lenses.select([view.name])[0] if view.name in o.lenses.names else None
@@ -381,7 +397,11 @@ def _determined(fit: RigCalibration) -> None:
 
 
 def _chooser(views: Sequence[CameraViews], lenses: Sequence[CalibratedLens], board: Board) -> PoseComparison:
-    """Make the function that compares relative poses by the floor, in the first frame that both cameras saw."""
+    """Make the function that compares relative poses by the floor, in the first frame that both cameras saw.
+
+    views: results of the search, with the boards of each camera.
+    lenses: lens of each camera.
+    """
     pictures: dict[tuple[int, int], Image] = {}
 
     def picture(c: int, frame: int) -> Image:
@@ -402,6 +422,12 @@ def _chooser(views: Sequence[CameraViews], lenses: Sequence[CalibratedLens], boa
 
 
 def _warnings(fit: RigCalibration, lenses: Sequence[CalibratedLens], views: Sequence[CameraViews]) -> list[str]:
+    """List sentences on what makes the result doubtful.
+
+    fit: result of the joint refinement.
+    lenses: lens of each camera before it.
+    views: results of the search in the pictures that gave the lenses.
+    """
     out = []
     names = fit.rig.names
     for c, name in enumerate(names):

@@ -246,7 +246,15 @@ class _Search:
     def judged(
         self, rig: CameraRig, late: Array, points: Array, median_px: float, sds: Uncertainty
     ) -> PersonCalibration:
-        """Put the rig on its floor and assemble the result; CalibrationError where the uncertainty is too large."""
+        """Put the rig on its floor and assemble the result.
+
+        rig: cameras in metres, in any world.
+        late: (C,) delay against the median view, frames.
+        points: (F, K, 3) m, the person.
+        median_px: median residual, px.
+        sds: uncertainty.
+        Raises: CalibrationError where the uncertainty is too large.
+        """
         middle = np.nanmedian(points.reshape(-1, 3), axis=0)
         rays = (middle - rig.positions) / np.linalg.norm(middle - rig.positions, axis=1)[:, None]
         widest = float(np.degrees(np.arcsin(np.linalg.norm(np.cross(rays[:, None], rays), axis=-1).max())))
@@ -319,8 +327,12 @@ class _Search:
         return self.height / body.stature * ((body.skeleton.rest_joints[joint] + offset)[:, 2] - sole)
 
     def upright(self, points: Array, frames: NDArray[np.int64]) -> tuple[Array, float, bool]:
-        """Estimate the vertical: up (3,), the floor's height along it, and whether feet on the floor define it, not the
-        trunk."""
+        """Estimate the vertical and the floor.
+
+        points: (F, K, 3) m, the person, NaN where missing.
+        frames: (F,) frame of the common clock of each.
+        Returns: up (3,), the floor's height along it, m, and whether feet on the floor define it, not the trunk.
+        """
         ends = [[self.names.index(f"{side}_{part}") for side in ("left", "right")] for part in ("ankle", "shoulder")]
         up = np.nanmean(points[:, ends[1]] - points[:, ends[0]], axis=(0, 1))
         up /= np.linalg.norm(up)
@@ -432,9 +444,13 @@ def uncertainty(
 
 
 def _without_gauge(cameras: Sequence[Camera], points: Array, size: int) -> Array:
-    """Compute the projection (S, S) of the cameras' unknowns that removes what pictures do not determine.
+    """Compute the projection of the cameras' unknowns that removes what pictures do not determine: a motion and the
+    scale of the whole world, and the start of the common clock.
 
-    These are a motion and the scale of the whole world, and the start of the common clock.
+    cameras: C cameras.
+    points: (N, 3) m, points of the person.
+    size: number of unknowns of a camera, the offset included.
+    Returns: (S, S) with S = C size.
     """
     count = len(cameras)
     middle = np.median(points, axis=0)

@@ -154,6 +154,15 @@ def calibrate_from_points(scene: ScenePoints, lenses: CameraRig | None = None) -
 
 
 def _start(name: str, world: Array, pixels: Array, lens: Camera | None, size: tuple[int, int] | None) -> Camera:
+    """Find a camera that explains the clicks roughly; 24 focal lengths are tried where the lens is unknown.
+
+    name: name of the camera.
+    world: (N, 3) m, measured points.
+    pixels: (N, 2) px, their clicks.
+    lens: the known lens; None where unknown.
+    size: width and height of the picture, px; None where unknown.
+    Raises: CalibrationError where there are too few points, they lie in a line or plane, or the size is missing.
+    """
     least = _LEAST_UNKNOWN if lens is None else _LEAST_KNOWN
     spread = np.linalg.svd(world - world.mean(0), compute_uv=False)
     if len(world) < least:
@@ -188,8 +197,12 @@ def _start(name: str, world: Array, pixels: Array, lens: Camera | None, size: tu
 
 
 def _posed(camera: Camera, world: Array, pixels: Array) -> tuple[Camera, float]:
-    """Find the camera pose with the smallest median error, px, with all points and with each point left out.
+    """Find the camera pose with the smallest median error, with all points and with each point left out.
 
+    world: (N, 3) m.
+    pixels: (N, 2) px, distorted.
+    Returns: the camera at that pose, and the median error, px.
+    Raises: CalibrationError where there is no pose.
     Why: one wrong click distorts the whole pose.
     """
     undistorted = camera.undistort_points(pixels)

@@ -123,6 +123,7 @@ def _marks(camera: Camera, reach: float) -> Array:
 def changes(old: CameraRig, new: CameraRig, points_world: Array) -> tuple[CameraChange, ...]:
     """Compute the change of each camera between two rigs of the same world.
 
+    old, new: the rigs, with the same cameras in the same order.
     points_world: (N, 3) points of the person, m.
     """
     out = []
@@ -350,7 +351,13 @@ class PointBundle(SharedProblem[_Shared]):
         return cost, partial(self.equations, cameras, radial, points)
 
     def moved(self, state: tuple[_Shared, Array], step: Array, own: Array) -> tuple[tuple[_Shared, Array], float]:
-        """Apply a step to cameras and points; the largest camera change is returned too."""
+        """Apply a step to cameras and points.
+
+        state: cameras with their radial terms, and points (N, 3), m.
+        step: (C P,) of the cameras.
+        own: (N, 3) of the points.
+        Returns: the new state, and the largest change of a camera.
+        """
         (cameras, radial), points = state
         x = step.reshape(len(cameras), self.unknowns.count)
         new = [apply_parameters(c, d if self.unknowns.focal else d[:6]) for c, d in zip(cameras, x, strict=True)]

@@ -185,7 +185,13 @@ def _link(
     poses: Sequence[Mapping[int, list[tuple[Array, float]]]],
     board: Board,
 ) -> Link | None:
-    """Find the relative pose with which most common frames agree, and the next best different one."""
+    """Find the relative pose of two cameras with which most common frames agree, and the next best different one.
+
+    c, d: indices of the cameras.
+    sightings: detected boards per camera, by frame.
+    poses: the two poses (4, 4) with their errors, px, of each board, per camera, by frame.
+    Returns: the link; None where no frame has a usable board in both.
+    """
     shared = [f for f in sightings[c] if f in sightings[d]]
     shared = [f for f in shared if poses[c][f][0][1] < 5 and poses[d][f][0][1] < 5]
     if not shared:
@@ -236,8 +242,15 @@ def _disagreement(
     poses: Sequence[Mapping[int, list[tuple[Array, float]]]],
     board: Board,
 ) -> Array:
-    """Compute the rms error (F,) in camera d of the boards seen by camera c, px, for the best of their poses and
-    numberings."""
+    """Compute the error in camera d of the boards seen by camera c, for the best of their poses and numberings.
+
+    d_from_c: (4, 4) relative pose.
+    c, d: indices of the cameras.
+    shared: F frames with a board in both.
+    sightings: detected boards per camera, by frame.
+    poses: the two poses (4, 4) with their errors, px, of each board, per camera, by frame.
+    Returns: (F,) rms, px; infinite where a board would lie behind the camera.
+    """
     out = np.empty(len(shared))
     for k, f in enumerate(shared):
         s = sightings[d][f]
@@ -260,7 +273,14 @@ def _tree(
     choose: PoseComparison | None,
     notes: list[str],
 ) -> list[Link]:
-    """Choose links that join all cameras: unambiguous ones first, and those on which most frames agree first."""
+    """Choose links that join all cameras: unambiguous ones first, and those on which most frames agree first.
+
+    links: relative poses of pairs of cameras.
+    sightings: detected boards per camera, by frame, for the message.
+    choose: compares two relative poses by the pictures; None where that is not possible.
+    notes: list to which sentences on decisions are added.
+    Raises: CalibrationError where cameras cannot be joined, or an ambiguity cannot be decided.
+    """
     names = [c.name for c in cameras]
     group = list(range(len(cameras)))
     out: list[Link] = []
@@ -350,6 +370,9 @@ def _numbered(
     """Choose per frame the board pose of one camera with which the others agree best, and each camera's numbering for
     it.
 
+    cameras: cameras in one world.
+    sightings: detected boards per camera, by frame.
+    poses: the two poses (4, 4) with their errors, px, of each board, per camera, by frame.
     Returns: the detections, numbered alike, and world_from_board (4, 4) by frame.
     """
     boards: dict[int, Array] = {}
@@ -381,8 +404,13 @@ def _numbered(
 
 
 def _choose_frames(seen: _Sightings, boards: Mapping[int, Array], cameras: Sequence[Camera]) -> list[int]:
-    """Choose at most _MAX_FRAMES frames: for each pair of cameras those that differ most, then others for the
-    lenses."""
+    """Choose frames for the joint refinement: for each pair of cameras those that differ most, then others for the
+    lenses.
+
+    seen: detected boards by camera index and frame.
+    boards: world_from_board (4, 4) by frame.
+    Returns: at most _MAX_FRAMES frame numbers, increasing.
+    """
     if len(boards) <= _MAX_FRAMES:
         return sorted(boards)
     pairs = [(c, d) for c, d in combinations(range(len(cameras)), 2) if set(seen[c]) & set(seen[d])]
@@ -409,6 +437,16 @@ def _refined(
     board: Board,
     notes: tuple[str, ...],
 ) -> RigCalibration:
+    """Refine cameras, lenses and boards jointly; boards that contradict the others are left out in between.
+
+    cameras: start cameras in one world.
+    named: detected boards by camera index and frame, numbered alike.
+    boards: world_from_board (4, 4) by frame; poses of `extra` are added.
+    frames: frames that are used.
+    extra: boards for one camera's lens only, by camera index and negative frame number.
+    lenses: lens of each camera; given ones stay.
+    notes: sentences so far.
+    """
     all_frames = [*frames, *(f for seen in extra.values() for f in seen)]
     for c, seen in extra.items():
         for f, s in seen.items():
@@ -499,7 +537,13 @@ def _in_front(camera: Camera, world_from_board: Array, board: Board) -> bool:
 
 
 def _by_view(obs: Observations, residuals: Array, c: int, f: int) -> tuple[Array, IntArray]:
-    """Compute rms errors per coordinate (C, F), px, NaN where a camera saw no board, and the numbers of corners."""
+    """Summarise residuals by camera and frame.
+
+    obs: M observations.
+    residuals: (M, 2) px.
+    c, f: numbers of cameras and of frames.
+    Returns: rms per coordinate (C, F), px, NaN where a camera saw no board; numbers of corners (C, F).
+    """
     at = obs.camera * f + obs.frame
     count = np.bincount(at, minlength=c * f).reshape(c, f).astype(np.int64)
     total = np.bincount(at, (residuals**2).sum(1), c * f).reshape(c, f)

@@ -139,8 +139,11 @@ def keypoint_curves(
 
 
 def _independent(pixels: Array, scale_px: float) -> Array:
-    """Compute the effective weight (K,) of each point.
+    """Compute the effective weight of each point.
 
+    pixels: (C, T, K, 2) px.
+    scale_px: standard deviation of a detection, px.
+    Returns: (K,) 1 for a point by itself, less for points that are close together.
     Why: points that are close together in every view, as in a face or hand, have the same error.
     """
     apart = np.zeros((pixels.shape[2], pixels.shape[2]))
@@ -403,7 +406,13 @@ def farther(found: Offsets, frames: Array, reach: float) -> NDArray[np.bool_]:
 
 
 def _starts(splines: dict[tuple[int, int], CubicSpline], lags: Array, n: int) -> list[Array]:
-    """List start offsets: all zero, and for every view as reference the best offsets of its pairs."""
+    """List start offsets: all zero, and for every view as reference the best offsets of its pairs.
+
+    splines: disagreement of each pair of views over the offset.
+    lags: (L,) offsets, frames.
+    n: number of views.
+    Returns: n + 1 arrays (n,), whole frames.
+    """
     out = [np.zeros(n)]
     for reference in range(n):
         x = np.zeros(n)
@@ -465,10 +474,11 @@ def _homogeneous(x: Array) -> Array:
 
 
 def _pencil(rig: CameraRig, a: int, b: int) -> Array:
-    """Compute the frame (3, 3) of the pencil of planes: rows are the baseline's direction and two perpendicular ones,
-    world.
+    """Compute the frame of the pencil of planes through the baseline of two cameras.
 
-    Planes are identified by their angle about the first row, from the middle of the cameras' viewing directions.
+    a, b: indices of the cameras.
+    Returns: (3, 3) rows: the baseline's direction and two perpendicular ones, in the world. Planes are identified by
+        their angle about the first row, from the middle of the cameras' viewing directions.
     """
     base = rig[b].position - rig[a].position
     e0 = base / max(float(np.linalg.norm(base)), 1e-12)
@@ -482,8 +492,13 @@ def _pencil(rig: CameraRig, a: int, b: int) -> Array:
 
 
 def _angles(rig: CameraRig, c: int, pixels: Array, pencil: Array) -> tuple[Array, Array]:
-    """Compute the angle (n,) of the plane through the baseline and each pixel (n, 2), and the pixels per radian there
-    (n,)."""
+    """Compute the planes through the baseline and pixels.
+
+    c: index of the camera.
+    pixels: (n, 2) px, undistorted.
+    pencil: (3, 3) frame of the pencil of planes.
+    Returns: angle (n,) of each plane about the baseline, rad, and pixels per radian there (n,).
+    """
     camera = rig[c]
     d = _homogeneous(pixels) @ np.linalg.inv(camera.K).T @ camera.camera_from_world[:3, :3]
     length = np.linalg.norm(d, axis=1)
@@ -493,8 +508,13 @@ def _angles(rig: CameraRig, c: int, pixels: Array, pencil: Array) -> tuple[Array
 
 
 def _activity(rig: CameraRig, tracks: Sequence[MaskTrack], a: int, b: int, planes: Array) -> tuple[Array, Array] | None:
-    """Compute the share of the mask that changed, by the place along the pencil: (T, BINS) per view; None without
-    masks."""
+    """Compute the share of the mask that changed, by the place along the pencil of planes.
+
+    tracks: mask track of each view.
+    a, b: indices of the views.
+    planes: (2, T, 2) angles of the tangent planes in both views, rad, NaN where unknown.
+    Returns: (T, BINS) square roots of shares for a and for b; None with fewer than 8 known frames.
+    """
     known = planes[np.isfinite(planes).all(-1)]
     if len(known) < 8:
         return None

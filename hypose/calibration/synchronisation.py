@@ -200,6 +200,12 @@ class _Between(NamedTuple):
 
 
 def _masks_in_step(here: Silhouettes, views: Sequence[_Between]) -> Silhouettes:
+    """Interpolate the masks of all views at an instant of the common clock.
+
+    here: masks of the frame with the same number.
+    views: where the instant lies in each view.
+    Raises: InputError where there is not one offset per view.
+    """
     if len(views) != len(here.rig):
         raise InputError(f"{len(views)} offsets are given for {len(here.rig)} views; give one each.")
     masks, usable, reasons = here.masks.copy(), here.usable.copy(), list(here.reasons)
@@ -216,6 +222,11 @@ def _masks_in_step(here: Silhouettes, views: Sequence[_Between]) -> Silhouettes:
 
 
 def _points_in_step(here: Keypoints, views: Sequence[_Between]) -> Keypoints:
+    """Interpolate the key points of all views at an instant of the common clock.
+
+    here: key points of the frame with the same number.
+    views: where the instant lies in each view.
+    """
     points = here.points.copy()
     for v in views:
         c = v.view
@@ -279,7 +290,13 @@ def offsets_from_sound(sounds: Sequence[Sound], names: Sequence[str], largest_s:
 
 
 def _consistent(rows: Array, values: Array, weights: Array) -> Array:
-    """Solve for the offsets that agree with most pairs (weighted L1, iteratively reweighted)."""
+    """Solve for the offsets that agree with most pairs (weighted L1, iteratively reweighted).
+
+    rows: (P, C) -1 for the first and 1 for the second view of each pair.
+    values: (P,) delay of the second against the first, s.
+    weights: (P,).
+    Returns: (C,) s.
+    """
     w = np.sqrt(weights)
     x = np.zeros(rows.shape[1])
     for _ in range(20):
@@ -289,6 +306,11 @@ def _consistent(rows: Array, values: Array, weights: Array) -> Array:
 
 
 def _prepared(sound: Sound, name: str) -> Array:
+    """Resample a sound to _RATE, filter it to 150 to 3500 Hz, and divide it by its standard deviation.
+
+    name: name of the view, for messages.
+    Raises: EvidenceError where the sound is too short, damaged or silent.
+    """
     x = np.asarray(sound.samples, dtype=np.float64)
     if x.ndim != 1 or len(x) < sound.rate // 2 or not np.isfinite(x).all():
         raise EvidenceError(f"{name}: the sound is shorter than half a second or damaged; use --by motion.")

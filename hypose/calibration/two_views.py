@@ -142,7 +142,15 @@ def start_rig(points: Array, rig: CameraRig, sd: float) -> list[tuple[float, Cam
 def _chained(
     cameras: dict[int, Camera], rig: CameraRig, uv: Array, seen: NDArray[np.bool_], sd: float
 ) -> CameraRig | None:
-    """Add cameras to a pair one by one, next the one with which most of the triangulated points agree."""
+    """Add cameras to a pair one by one, next the one with which most of the triangulated points agree.
+
+    cameras: the pair, by index; the others are added to it.
+    rig: lenses of all cameras.
+    uv: (C, N, 3) px, and confidence.
+    seen: (C, N) whether a point counts.
+    sd: standard deviation of a detection, px.
+    Returns: the rig; None where a camera sees too few of the points.
+    """
     while len(cameras) < len(rig):
         have = sorted(cameras)
         known = CameraRig(tuple(cameras[c] for c in have))
@@ -169,6 +177,9 @@ def _chained(
 def _pair(a: Camera, b: Camera, xa: Array, xb: Array, sd: float) -> list[tuple[float, Array]]:
     """Estimate the relative pose of two cameras.
 
+    a, b: cameras; their poses are ignored.
+    xa, xb: (N, 2) px, corresponding points.
+    sd: standard deviation of a detection, px.
     Returns: a list of one pair: badness as a start (disagreement, nearly parallel rays, points behind the cameras) and
         b_from_a (4, 4); empty without an epipolar geometry.
     """
@@ -189,9 +200,12 @@ def _pair(a: Camera, b: Camera, xa: Array, xb: Array, sd: float) -> list[tuple[f
 def _epipolar(
     xa: Array, xb: Array, lenses: tuple[Array, Array] | None, sd: float, iterations: int
 ) -> tuple[Array, Array, Array, Array] | None:
-    """Estimate the epipolar geometry of corresponding points xa, xb (N, 2), px.
+    """Estimate the epipolar geometry of corresponding points.
 
+    xa, xb: (N, 2) px.
     lenses: K of both; None where unknown.
+    sd: standard deviation of a detection, px.
+    iterations: largest number of samples of MAGSAC.
     Returns: fundamental matrix F with x_b^T F x_a = 0, essential matrix, and points at depth 1; without lenses the
         pixels and no essential matrix. None where the estimation fails.
     """

@@ -137,6 +137,11 @@ def find_sources(paths: Sequence[Path], what: str = "board videos") -> list[Boar
 
 
 def _inside(folder: Path, what: str) -> list[Path]:
+    """List the videos or photo folders in a folder, one per camera.
+
+    what: name of the expected files, for the message.
+    Raises: InputError where there are none.
+    """
     entries = sorted(folder.iterdir(), key=lambda p: natural_key(p.name))
     videos = [p for p in entries if p.is_file() and p.suffix.lower() in VIDEO_ENDINGS]
     if videos:
@@ -196,6 +201,12 @@ def look_for_board(
 
 
 def _look(source: BoardFootage, numbers: Sequence[int], board: Board, step: Callable[[], None]) -> CameraViews:
+    """Search for the board in the pictures of one camera.
+
+    source: board pictures of the camera.
+    numbers: frames of the common time to search.
+    step: called once per frame, for progress.
+    """
     detect = make_detector(board)
     looks: dict[int, Look] = {}
     with open_video(source.path) as reader:
@@ -226,7 +237,12 @@ def _look(source: BoardFootage, numbers: Sequence[int], board: Board, step: Call
 
 
 def _still_mean(source: BoardFootage, numbers: Sequence[int]) -> Gray | None:
-    """Compute the mean picture of a clip in which nothing moves, which has less noise; None where something moves."""
+    """Compute the mean picture of a clip in which nothing moves, which has less noise.
+
+    source: board pictures of the camera.
+    numbers: frames of the common time.
+    Returns: (h, w) grey; None where something moves, or there are fewer than three frames.
+    """
     if len(numbers) < 3:
         return None
     with open_video(source.path) as reader:
@@ -244,6 +260,10 @@ def _still_mean(source: BoardFootage, numbers: Sequence[int]) -> Gray | None:
 
 
 def _examine(picture: object, detect: Detector) -> Look:
+    """Search for the board in one picture (h, w), and measure its sharpness and brightness.
+
+    detect: detector of the board.
+    """
     gray = np.asarray(picture, dtype=np.uint8)
     small = cv2.resize(gray, (640, max(1, round(640 * gray.shape[0] / gray.shape[1]))), interpolation=cv2.INTER_AREA)
     focus = float((cv2.Laplacian(small, cv2.CV_32F) ** 2).mean())
@@ -306,6 +326,7 @@ def chessboard_seen(grays: Sequence[Gray], about: tuple[int, int] = (9, 6)) -> t
 
 
 def _diagnose_chessboard(grays: Sequence[Gray], board: Board) -> str:
+    """Explain why no chessboard was found in grey pictures; empty where there is no explanation."""
     other_way = make_detector(replace(board, inverted=not board.inverted))
     if any(other_way(g) is not None for g in grays):
         return _COLOURS[board.inverted]
@@ -321,7 +342,12 @@ def _diagnose_chessboard(grays: Sequence[Gray], board: Board) -> str:
 
 
 def _markers(grays: Sequence[Gray], dictionary: str, inverted: bool) -> float:
-    """Count the markers in the picture that shows most of them."""
+    """Count the markers in the picture that shows most of them.
+
+    grays: grey pictures.
+    dictionary: OpenCV's name of the markers.
+    inverted: whether they are printed white on black.
+    """
     detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary)))
     best = 0
     for gray in grays:
@@ -331,6 +357,7 @@ def _markers(grays: Sequence[Gray], dictionary: str, inverted: bool) -> float:
 
 
 def _diagnose_markers(grays: Sequence[Gray], board: Board) -> str:
+    """Explain why no ChArUco board was found in grey pictures; empty where there is no explanation."""
     if _markers(grays, board.dictionary, board.inverted) >= 4:
         swapped = replace(board, columns=board.rows, rows=board.columns)
         legacy = replace(board, legacy=not board.legacy)

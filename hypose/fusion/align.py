@@ -138,6 +138,13 @@ class _Track:
         self.reports: list[tuple[Array, NDArray[np.uint8]]] = []  # positions and state
 
     def add(self, time: float, positions: Array, state: NDArray[np.uint8]) -> bool:
+        """Insert a report in order of time; the oldest one goes where there are too many.
+
+        time: s of the sensor's clock.
+        positions: (15, 3) m.
+        state: (15,) joint states.
+        Returns: False for a report that is doubled or older than all that are kept.
+        """
         n = len(self.times)
         at = bisect_left(self.times, time)
         if at < n and self.times[at] - time < 1e-6 or at > 0 and time - self.times[at - 1] < 1e-6:
@@ -172,6 +179,8 @@ class _Track:
         return self._ahead(k, time, period, s)
 
     def _between(self, k: int, w: float) -> tuple[Array, NDArray[np.uint8]]:
+        """Interpolate between the reports k - 1 and k; w: share of the way, 0..1. A joint that one of them lacks is
+        that of the nearer one."""
         (a, before), (b, after) = self.reports[k - 1], self.reports[k]
         both = a + w * (b - a)
         state = np.minimum(before, after)
@@ -184,6 +193,11 @@ class _Track:
     def _ahead(self, k: int, time: float, period: float, s: AlignSettings) -> tuple[Array, NDArray[np.uint8]]:
         """Extrapolate along a straight line fitted to the last reports, at most `horizon` ahead.
 
+        k: number of reports before the time.
+        time: s of the sensor's clock.
+        period: s between two reports of the sensor.
+        s: settings.
+        Returns: positions (15, 3) m and states (15,); tracked joints become inferred where the last report is old.
         Why: a line through two reports alone would double the noise, and holding the last report lags by its age.
         """
         last, state = self.reports[k - 1]
@@ -243,8 +257,11 @@ class _Sensor:
     def wake(self, time: float, now: float, s: AlignSettings) -> None:
         """Handle a report after a long silence: reset the sensor where it is new or restarted.
 
-        Reports that were only late (because this machine was busy) continue the sensor's clock where the last ones
-        ended; then nothing is reset.
+        time: s of the sensor's clock.
+        now: s of the host's clock.
+        s: settings.
+        Why: reports that were only late (because this machine was busy) continue the sensor's clock where the last ones
+            ended; then nothing is reset.
         """
         ahead = time + self.clock.offset - now  # NaN for a new sensor
         same_clock = self.newest < time and ahead <= AGREE_S and now - self.arrival < WINDOW_S
@@ -366,6 +383,11 @@ class Aligner:
         return p, q
 
     def _new(self, name: str, now: float) -> _Sensor:
+        """Add a sensor; where there are too many, one that has long been silent makes room.
+
+        now: s of the host's clock.
+        Raises: InputError where all sensors are alive.
+        """
         s = self.settings
         if len(self._sensors) >= s.most_sensors:
             dead = [x for x in self._sensors.values() if now - x.arrival > 10 * s.timeout]
@@ -413,6 +435,7 @@ class Aligner:
         return self._start + n / self.settings.rate
 
     def _view(self, it: _Sensor, t: float) -> SensorView:
+        """Interpolate the persons of one sensor at an instant; t: s of the host's clock."""
         s, bodies, period = self.settings, [], it.period
         t -= it.shift
         if it.alive:

@@ -151,9 +151,12 @@ def offset_by_movement(
 
 
 def _apart(ta: Array, pa: Array, tb: Array, pb: Array) -> float:
-    """Compute the RMS distance (m) of the joints after the best rigid motion, at 150 common instants or fewer.
+    """Compute the RMS distance of the joints of two recordings after the best rigid motion, at 150 common instants or
+    fewer.
 
-    Returns: infinity where fewer than 10 instants or 100 joints are common.
+    ta, tb: (T,) s on one clock.
+    pa, pb: (T, J, 3) m, NaN where missing.
+    Returns: m; infinity where fewer than 10 instants or 100 joints are common.
     """
     inside = np.flatnonzero((ta > tb[0]) & (ta < tb[-1]))
     inside = inside[:: max(1, len(inside) // 150)]

@@ -206,6 +206,9 @@ def _bone_deviation(
 ) -> tuple[Array, Array, Array]:
     """Update the usual lengths of the limbs' bones, and compute how far each sensor's bones deviate from them.
 
+    positions: (K, 15, 3) m.
+    state: (K, 15) joint states.
+    lengths, samples: (8,) usual lengths, m, and numbers of samples so far.
     Returns: lengths (8,) m, numbers of samples (8,), deviations (K, 15) m.
     """
     usual, count, length = adapt_lengths(positions, state, lengths, samples, _LIMB_BONES, 300)

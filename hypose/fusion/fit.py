@@ -381,8 +381,11 @@ def clip_lengths(positions: ArrayLike, states: ArrayLike) -> Array:
 
 
 def _first_guess(points: Array, weights: Array) -> Array:
-    """Compute the weighted means (15, 3) of the sensors' joints; joints that no sensor sees get the mean
-    of the others.
+    """Compute the weighted means of the sensors' joints.
+
+    points: (K, 15, 3) m.
+    weights: (K, 15), 0 where missing.
+    Returns: (15, 3) m; joints that no sensor sees get the mean of the others, and all are 0 where nothing is seen.
     """
     total = weights.sum(0)
     if not (total > 0).any():

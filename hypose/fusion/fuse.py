@@ -339,6 +339,10 @@ def _check_alike(
 def _refit(state: FusionState, raw: SensorJoints, time: float) -> FusionState:
     """Add a frame to the registration window, and refit the registration where that is due ("published": by this
     frame).
+
+    raw: the common joints of the frame, in the sensors' frames.
+    time: s of the frame.
+    Returns: the new memory of the stream.
     """
     s = state.settings
     if s.per_frame:
@@ -368,7 +372,11 @@ def _refit(state: FusionState, raw: SensorJoints, time: float) -> FusionState:
 
 
 def _noise(state: FusionState, raw: SensorJoints) -> tuple[FusionState, Array | None]:
-    """Compute the noise lambda (K, 15) of this frame; None unless the swarm runs."""
+    """Compute the noise lambda of this frame.
+
+    raw: the common joints of the frame, in the sensors' frames.
+    Returns: the new memory of the stream, and lambda (K, 15); None unless the swarm runs.
+    """
     if state.confidence is None:
         return state, None
     s = state.settings.swarm_settings
@@ -404,6 +412,8 @@ def _with_rest(
 
 
 def _clip_times(joints: Sequence[SensorJoints]) -> Array:
+    """Compute the time (T,) of each frame of a clip, s: the latest of its sensors; gaps are interpolated, and a clip
+    without any time has 30 frames per second."""
     times = np.array([np.nanmax(f.times) if np.isfinite(f.times).any() else np.nan for f in joints])
     missing = ~np.isfinite(times)
     if missing.all():

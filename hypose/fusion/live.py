@@ -122,6 +122,12 @@ class LiveFuser:
         )
 
     def _person(self, p: SeenPerson, names: tuple[str, ...], now: float) -> LiveSkeleton:
+        """Fuse one person at an instant.
+
+        p: the person's skeletons.
+        names: of all sensors.
+        now: s of the host's clock.
+        """
         positions, eyes = np.full((len(names), 15, 3), np.nan), np.full((len(names), 3), np.nan)
         state = np.zeros((len(names), 15), dtype=np.uint8)
         for k, name in enumerate(names):

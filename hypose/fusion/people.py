@@ -197,6 +197,12 @@ class PeopleTracker:
     # ---- matching ----
 
     def _match(self, name: str, bodies: Sequence[SensorBody], now: float) -> None:
+        """Assign the skeletons of one registered sensor to persons; those without a person become new ones.
+
+        name: of the sensor.
+        bodies: its skeletons.
+        now: s of the host's clock.
+        """
         s, link = self.settings, self._links[name]
         assert link.motion is not None
         placed = [transform_points(link.motion, b.positions) for b in bodies]
@@ -247,6 +253,8 @@ class PeopleTracker:
                 return
 
     def _renew(self, p: _Person, now: float) -> None:
+        """Update place, velocity and joints of a person from its skeletons of this instant; now: s of the host's
+        clock."""
         names = list(p.members)
         swapped = [is_swapped(p.placed[n], p.joints) for n in names]
         stacked = np.array([p.placed[n][MIRROR] if s else p.placed[n] for n, s in zip(names, swapped, strict=True)])
@@ -280,8 +288,12 @@ class PeopleTracker:
     def _note(self, link: _Link, body: SensorBody, swapped: bool, rest: Array, weight: Array, now: float) -> None:
         """Keep a pair of skeletons (this sensor's, the mean of all others) for the next registration of the sensor.
 
-        rest: (15, 3) weighted sum of the others' joints.
+        link: the sensor.
+        body: its skeleton of the person.
+        swapped: whether its sides are exchanged.
+        rest: (15, 3) weighted sum of the others' joints, m.
         weight: (15,) sum of their weights.
+        now: s of the host's clock.
         """
         if (weight[np.array(TRUNK_JOINTS)] > 0).sum() < 4:
             return
@@ -307,6 +319,12 @@ class PeopleTracker:
     # ---- registration ----
 
     def _place(self, name: str, bodies: Sequence[SensorBody], now: float) -> None:
+        """Register a sensor, or refit its registration, where that is due.
+
+        name: of the sensor.
+        bodies: its skeletons.
+        now: s of the host's clock.
+        """
         link, s = self._links[name], self.settings
         if link.motion is not None:
             if not link.anchor and now - link.fitted >= s.refit and len(link.pairs) >= 10:
@@ -322,6 +340,7 @@ class PeopleTracker:
             self._try(link, now)
 
     def _refit(self, link: _Link, now: float) -> None:
+        """Refit the registration of a sensor to the pairs of the last seconds; now: s of the host's clock."""
         s = self.settings
         while link.pairs and link.pairs[0][0] < now - s.window:
             link.pairs.popleft()
@@ -338,6 +357,7 @@ class PeopleTracker:
             link.motion, link.residual = found.common_from_sensor[1], float(found.residual[1])
 
     def _try(self, link: _Link, now: float) -> None:
+        """Try to register a sensor: at its last place, else by pairing persons; now: s of the host's clock."""
         s = self.settings
         while link.shots and link.shots[0][0] < now - s.window:
             link.shots.popleft()
@@ -471,8 +491,12 @@ def trunk_centre(joints: Array) -> Array | None:
 
 
 def _fit(body: Array, ours: Array, iterations: int) -> tuple[Array, float] | None:
-    """Estimate common_from_sensor (4, 4) robustly from skeletons (T, 15, 3) of both sides, with the median distance
-    (m).
+    """Estimate where a sensor stands from skeletons of the same person, robustly.
+
+    body: (T, 15, 3) m in the sensor's frame.
+    ours: (T, 15, 3) m of the tracked person in the common frame.
+    iterations: largest number of weighted solves.
+    Returns: common_from_sensor (4, 4) and the median distance, m; None with fewer than 20 common joints.
     """
     source, target = body.reshape(-1, 3), ours.reshape(-1, 3)
     use = np.isfinite(source[:, 0]) & np.isfinite(target[:, 0])

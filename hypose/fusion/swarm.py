@@ -281,7 +281,14 @@ def swarm_step(
 def _candidates(
     old: Hypotheses | None, due: bool, frame: SwarmFrame, last: Array, seed: int, number: int
 ) -> Hypotheses:
-    """Return the old population, initialised again where a restart is due or a joint is seen for the first time."""
+    """Return the old population, initialised again where a restart is due or a joint is seen for the first time.
+
+    old: population of the frame before; None before the first.
+    due: whether a restart is due.
+    frame: evidence of this frame.
+    last: (K, J, 3) m, where each sensor last saw each joint.
+    seed, number: seed, and number of the frame, of the random stream.
+    """
     s = frame.settings
     joints = frame.positions.shape[1]
     seen = np.asarray(frame.weights > 0)
@@ -314,8 +321,13 @@ def _placed(
     radius: float,
     rng: np.random.Generator,
 ) -> tuple[Array, Array, NDArray[np.int32]]:
-    """Draw new candidates of the joints marked by renew (J,), in balls around base (K, J, 3).
+    """Draw new candidates in balls around the joints of the sensors.
 
+    base: (K, J, 3) m, centres of the balls.
+    usable: (K, J) sensors around whose joint candidates are drawn.
+    renew: (J,) joints of which candidates are drawn.
+    count: number of candidates per joint.
+    radius: of the balls, m.
     Returns: values (J, count, 3), log-weights -log(count), origins (the sensor of each).
     """
     joints = base.shape[1]
