@@ -1,8 +1,8 @@
 """Resampling: draw the hypotheses that go on, by their weights. Every function but `keep` returns equal weights;
 origins, roles and covariances are inherited. All work on any batch axes (*B, N).
 
-Sources: Alcoverro 2014, Algorithms 1 and 4; systematic resampling after Kitagawa 1996; roulette wheel: Asteriadis et
-    al. 2013; keeping the k best: Sminchisescu & Triggs 2001, Fig. 4.
+Sources: Alcoverro 2014, Algorithms 1 and 4; systematic resampling after Kitagawa 1996; keeping the k best:
+    Sminchisescu & Triggs 2001, Fig. 4.
 """
 
 from __future__ import annotations
@@ -40,28 +40,9 @@ def systematic_indices(weights: FloatArray, u: ArrayLike) -> IndexArray:
     return found.reshape(weights.shape)
 
 
-def roulette_indices(weights: FloatArray, rng: np.random.Generator) -> IndexArray:
-    """Draw N ancestors independently per population (multinomial resampling).
-
-    weights: (*B, N), summing to 1.
-    Returns: (*B, N) indices of the ancestors.
-    """
-    count = weights.shape[-1]
-    cumulated = np.cumsum(weights.reshape(-1, count), axis=-1)
-    cumulated /= cumulated[:, -1:]
-    points = rng.random(cumulated.shape)
-    found = [np.searchsorted(c, p, side="right") for c, p in zip(cumulated, points, strict=True)]
-    return np.array(found, dtype=np.intp).reshape(weights.shape)
-
-
 def systematic(h: Hypotheses, rng: np.random.Generator, /) -> Hypotheses:
     """Resample systematically: one random number per population, low variance."""
     return h.take(systematic_indices(h.weights, rng.random(h.values.shape[:-2]))).equal()
-
-
-def roulette(h: Hypotheses, rng: np.random.Generator, /) -> Hypotheses:
-    """Resample with independent draws (roulette wheel)."""
-    return h.take(roulette_indices(h.weights, rng)).equal()
 
 
 def keep(h: Hypotheses, rng: np.random.Generator, /) -> Hypotheses:

@@ -52,7 +52,6 @@ KERNELS = {
 }
 SELECTORS = {
     "systematic": [resampling.systematic],
-    "roulette": [resampling.roulette],
     "keep": [resampling.keep],
     "LayeredResampling": [resampling.LayeredResampling(SOME), resampling.LayeredResampling(np.zeros(D, bool))],
 }

@@ -5,7 +5,6 @@ import numpy as np
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.resampling import (
     LayeredResampling,
-    roulette_indices,
     systematic,
     systematic_indices,
 )
@@ -37,24 +36,10 @@ def test_systematic_is_unbiased():
     np.testing.assert_allclose(c.mean(0), 20 * w, atol=2 / 4000)
 
 
-def test_roulette_is_unbiased_and_varies_more():
-    rng = np.random.default_rng(2)
-    w = random_weights(rng, 20)
-    many = np.broadcast_to(w, (20000, 20))
-    r, s = copies(roulette_indices(many, rng), 20), copies(systematic_indices(many, rng.random(20000)), 20)
-    error = np.sqrt(20 * w * (1 - w) / 20000)
-    assert (np.abs(r.mean(0) - 20 * w) < 4.5 * error).all()
-    often = 20 * w > 0.05
-    spread_of_variance = np.sqrt((3 + 1 / (20 * w[often])) / 20000)  # binomial, relative
-    assert (np.abs(r.var(0) / (20 * w * (1 - w)) - 1)[often] < 4.5 * spread_of_variance).all()
-    assert s.var(0).sum() < 0.5 * r.var(0).sum()
-
-
 def test_weight_zero_is_never_drawn():
     w = np.array([0.0, 0.5, 0.0, 0.0, 0.5, 0.0])
     for u in (0.0, 1e-17, 0.3, np.nextafter(1, 0)):
         assert set(systematic_indices(w, u).tolist()) <= {1, 4}
-    assert set(roulette_indices(np.tile(w, (500, 1)), np.random.default_rng(0)).ravel().tolist()) == {1, 4}
 
 
 def test_layered_copies_only_filtered_coordinates():

@@ -28,7 +28,6 @@ from hypose.fusion.register import triangle_transform
 from hypose.fusion.swarm import PUBLISHED, MergedWheel, SwarmFrame, SwarmSettings, energy, ride, start_swarm, swarm_step
 from hypose.geometry import so3_exp, transform
 from hypose.inference.hypotheses import Hypotheses
-from hypose.inference.resampling import roulette
 
 
 def random_rotation(rng):
@@ -240,9 +239,6 @@ def test_the_merged_wheel_draws_like_n_independent_spins(rng, candidates):
     assert np.all(mean[p == 0] == 0)
     # multinomial, not systematic: the counts scatter as independent spins do
     assert variance.sum() == pytest.approx((300 * p * (1 - p)).sum(), rel=0.15)
-    # and the spine's own wheel has the same mean
-    plain = roulette(h, rng)
-    assert plain.values.shape == h.values.shape
 
 
 def test_universal_sampling_gives_each_candidate_its_share_up_to_one(rng):
