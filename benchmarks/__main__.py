@@ -1,4 +1,4 @@
-"""`python -m benchmarks NAME` (`make bench ARGS=NAME`, `./run bench NAME`): what measures hypose, by name."""
+"""Measure accuracy and speed: `./run bench NAME --case CASE`, or `python -m benchmarks NAME --case CASE`."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from hypose.options import Option, Threads
 
 def bench(
     name: Annotated[str, Option("Name of the benchmark; a wrong one lists them.", argument=True)] = "",
+    case: Annotated[str, Option("Case of the benchmark; a wrong one lists them.")] = "",
     quick: Annotated[bool, Option("At most a minute on two cores; small, and says so.")] = False,
     seeds: Annotated[int, Option("Repetitions; 0 = the benchmark's own number.", 0, 100_000)] = 0,
     first_seed: Annotated[
@@ -40,10 +41,10 @@ def bench(
     if keep and name != "golden":
         from benchmarks.pages import check_keep
 
-        check_keep(name, quick)
+        check_keep(quick)
     with Stages() as progress:
         given = {"seeds": seeds, "first_seed": first_seed, "data": data, "parts": parts, "other": other}
-        report = run_benchmark(name, quick=quick, progress=progress, **given)
+        report = run_benchmark(name, case, quick=quick, progress=progress, **given)
     _show(report)
     if json is not None:
         with atomic_path(json) as temporary:
@@ -59,7 +60,7 @@ def bench(
     if keep:
         from benchmarks.pages import RESULTS
 
-        path = RESULTS / f"{name}.json"
+        path = RESULTS / f"{report['name']}.json"
         with atomic_path(path) as temporary:
             temporary.write_text(to_json(report), encoding="utf-8", newline="\n")
         say(f"Written: {path}. make docs writes the pages.")

@@ -12,8 +12,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from benchmarks.bench_report import BenchOptions, Row
-from benchmarks.short_calls import best
+from benchmarks.bench_report import BenchOptions, Row, best
 
 ROOT = Path(__file__).resolve().parent.parent
 YARDSTICK = "OpenCV fill"
@@ -38,9 +37,9 @@ def _git(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(["git", "-C", str(ROOT), *arguments], capture_output=True, text=True, check=False)
 
 
-def command(name: str, options: BenchOptions) -> str:
+def command(name: str, case: str, options: BenchOptions) -> str:
     """What was called, with DATA and PARTS in place of folders of this machine."""
-    words = ["./run bench", name]
+    words = ["./run bench", name, *([f"--case {case}"] if case else [])]
     words += ["--quick"] if options.quick else []
     words += [f"--seeds {options.seeds}"] if options.seeds else []
     words += [f"--first-seed {options.first_seed}"] if options.first_seed is not None else []

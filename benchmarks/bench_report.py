@@ -7,6 +7,7 @@ of the same run, because machines are noisy.
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -100,3 +101,15 @@ def row(metric: str, case: str, values: Any, unit: str, **more: Any) -> Row:
     v = np.atleast_1d(np.asarray(values, dtype=np.float64))
     sd = float(v.std(ddof=1)) if len(v) > 1 else None
     return Row(metric, case, float(v.mean()), unit, sd, len(v), **more)
+
+
+def best(call: Callable[[], object], repeats: int, clock: Callable[[], float] = time.perf_counter) -> float:
+    """Seconds of the fastest of some calls: the figure that other load on the machine disturbs least.
+
+    clock: time.thread_time (processor time of this thread) for what uses no second thread is disturbed less still."""
+    seconds = []
+    for _ in range(repeats):
+        begin = clock()
+        call()
+        seconds.append(clock() - begin)
+    return min(seconds)

@@ -25,11 +25,11 @@ hide: [navigation, toc]
 ---
 # Benchmarks
 
-Written by `make docs` from `benchmarks/results`. `./run bench NAME --keep` measures again and keeps. The table shows
-every missed target and up to four other figures of each benchmark; the linked file has all figures, the commit, the
-date and the machine. `x / y` as value: the figure and its baseline of the same run, since the machine is shared with
-other work. DATA is the folder of the recordings, PARTS a folder for the finished parts of a long benchmark. A benchmark
-without a linked file is not measured yet in this form. The [accuracy page](accuracy.md) is the summary."""
+Written by `make docs` from `benchmarks/results`; `./run bench NAME --case CASE --keep` measures again. The table shows
+every missed target and up to four other figures of each benchmark. The linked file has all figures, the commit, the
+date and the machine. `x / y` is a figure and its baseline in the same run. DATA is the folder of the recordings, PARTS
+a folder for the finished parts of a long benchmark. A benchmark without a linked file has no kept figures yet.
+The [accuracy page](accuracy.md) is the summary."""
 
 
 def documents() -> dict[str, Document]:
@@ -123,9 +123,9 @@ def written() -> dict[str, str]:
     return {"benchmarks.md": benchmarks_page(kept), "accuracy.md": accuracy_page(kept)}
 
 
-def check_keep(name: str, quick: bool) -> None:
+def check_keep(quick: bool) -> None:
     """Raise an InputError when figures could not be kept: quick ones are not quoted, and the commit must be known."""
     if quick:
-        raise InputError(f"--keep keeps figures that are quoted, and --quick gives none: run {name} without --quick.")
+        raise InputError("--keep keeps figures that are quoted, and --quick gives none: run it without --quick.")
     if commit() is None:
         raise InputError("--keep needs to know the commit that is measured; run it in a git checkout, or use --json.")

@@ -86,17 +86,7 @@ TARGETS = (
         ),
     ),
     Benchmark(
-        "court-4",
-        "a tennis serve, person 80 px tall, another person in the masks, cameras up to two frames late",
-        (
-            Figure("tracked_share", "hpf", at_least=1, of="apf"),
-            Figure("tracked_share", "hpf-apo", at_least=1, of="hpf"),
-            Figure("recovery_s", "hpf+", at_most=1),
-            Figure("recovery_s", "default", at_most=1),
-        ),
-    ),
-    Benchmark(
-        "doubt",
+        "error-model",
         "the probability that a joint is more than 100 mm off, silhouettes, seeds that nothing was fitted on",
         (
             Figure("auroc", "scenes", at_least=0.98),
@@ -132,7 +122,7 @@ TARGETS = (
         ),
     ),
     Benchmark(
-        "uncertainty",
+        "regions",
         "share of true joints inside the reported 90 % regions",
         (
             Figure("coverage_90", "torso", at_least=0.85, at_most=0.95),
@@ -185,7 +175,7 @@ TARGETS = (
         ),
     ),
     Benchmark(
-        "opensim",
+        "real-opensim",
         "OpenSim's inverse kinematics on the exported model and markers",
         (
             Figure("marker_rmse_mm", "balancing", at_most=15),
@@ -201,7 +191,7 @@ TARGETS = (
         ),
     ),
     Benchmark(
-        "silhouette-scorer",
+        "speed-scorer",
         "time to weigh one pose in one view of 640 x 480, as a share of OpenCV filling triangles",
         (
             Figure("ratio_to_opencv", "1t", at_most=0.016667),
@@ -211,7 +201,7 @@ TARGETS = (
         ),
     ),
     Benchmark(
-        "contour-solve",
+        "speed-solve",
         "one solve of a frame: 4 views, 36 degrees of freedom, one thread",
         (
             Figure("ms_per_frame", "contours", at_most=8),
@@ -221,7 +211,7 @@ TARGETS = (
         ),
     ),
     Benchmark(
-        "multiview-speed",
+        "speed-tracking",
         "whole tracking, four views, two cores",
         (
             Figure("frames_per_second", "masks:default/4", at_least=100),
@@ -233,15 +223,6 @@ TARGETS = (
             Figure("frames_per_second", "keypoints:clip/4", at_least=100),
             Figure("decode_ratio", "balancing 1080p", at_most=1.5),
             Figure("peak_memory_mib", "all", at_most=1024),
-        ),
-    ),
-    Benchmark(
-        "front-back",
-        "frames in which the body is turned around, 6 s clips",
-        (
-            Figure("turned", "own start, corrected", at_most=0),
-            Figure("error_mm", "own start, corrected", at_most=1, of="own start, as tracked"),
-            Figure("turned", "turned start, corrected", at_most=0),
         ),
     ),
     Benchmark(
@@ -276,7 +257,7 @@ TARGETS = (
         ),
     ),
     Benchmark(
-        "players",
+        "people-players",
         "two people on a court; silent: wrong by more than 40 mm and called good",
         (
             Figure("silent", "late", at_most=0),
@@ -284,7 +265,7 @@ TARGETS = (
         ),
     ),
     Benchmark(
-        "clothes",
+        "people-clothes",
         "people who are tracked under another's name after leaving and coming back",
         (
             Figure("wrong", "another comes/pictures", at_most=0),
@@ -292,7 +273,7 @@ TARGETS = (
         ),
     ),
     Benchmark(
-        "shelf",
+        "people-shelf",
         "Belagiannis 2014, Shelf, from published detections: correct parts (published: 97.4 %)",
         (
             Figure("pcp", "all", at_least=97.2),
@@ -301,28 +282,12 @@ TARGETS = (
         ),
     ),
     Benchmark(
-        "two-people",
+        "people-real",
         "a real clip with a second person, against the same man tracked alone",
         (
             Figure("man_mm", "keypoints", at_most=20),
             Figure("man_mm", "both", at_most=20),
             Figure("man_mm", "silhouettes", at_most=20),
-        ),
-    ),
-    Benchmark(
-        "mixed-up",
-        "largest mean error of a frame when detections are mixed up",
-        (
-            Figure("max_mm", "sides exchanged, 30 %/keypoints", at_most=130),
-            Figure("max_mm", "sides exchanged, 30 %/both", at_most=130),
-            Figure("max_mm", "two cameras exchanged/keypoints", at_most=130),
-            Figure("max_mm", "two cameras exchanged/both", at_most=130),
-            Figure("max_mm", "bystander instead, 40 %/keypoints", at_most=130),
-            Figure("max_mm", "bystander instead, 40 %/both", at_most=130),
-            Figure("max_mm", "mirror in two views/keypoints", at_most=130),
-            Figure("max_mm", "mirror in two views/both", at_most=130),
-            Figure("said", "keypoints", at_least=1),
-            Figure("said", "both", at_least=1),
         ),
     ),
     Benchmark(
@@ -336,7 +301,7 @@ TARGETS = (
         ),
     ),
     Benchmark(
-        "gait",
+        "cameras-gait",
         "foot strikes and step lengths, ten bodies, three cameras, against the captured feet",
         (
             Figure("foot_strike_frames", "all", at_most=1),
@@ -346,20 +311,12 @@ TARGETS = (
         ),
     ),
     Benchmark(
-        "caliscope",
+        "real-caliscope",
         "four webcams without a trigger, MediaPipe's points: pixels in a camera left out",
         (Figure("loco_px", "hypose", at_most=1, of="caliscope"),),
     ),
     Benchmark(
-        "rigging",
-        "joints found in body scans with 3 mm of noise",
-        (
-            Figure("joints, mean error", "8 scans, pose t, noise 3 mm"),
-            Figure("joints, largest error", "8 scans, pose t, noise 3 mm"),
-        ),
-    ),
-    Benchmark(
-        "anthropometry",
+        "body",
         "body measures of 23 subjects from five cameras, without a height",
         (
             Figure("segment_error_cm", "motion", at_most=2),
@@ -374,7 +331,7 @@ TARGETS = (
         ),
     ),
     Benchmark(
-        "subject-balancing",
+        "body-real",
         "the balancing clip with a body from silhouettes alone",
         (
             Figure("median_mm", "start from key points", at_most=50),
@@ -410,7 +367,7 @@ TARGETS = (
         ),
     ),
     Benchmark(
-        "doctor",
+        "calibration-faults",
         "planted faults found in recordings; half of the recordings are healthy",
         (
             Figure("verdict_precision", "all", at_least=0.95),
@@ -418,7 +375,7 @@ TARGETS = (
         ),
     ),
     Benchmark(
-        "doctor-real",
+        "calibration-real",
         "the balancing clip as shipped and with cameras refined from the person",
         (
             Figure("refined_residual_px", "keypoints", at_most=7),
@@ -428,7 +385,7 @@ TARGETS = (
         ),
     ),
     Benchmark(
-        "sync",
+        "calibration-sync",
         "offsets of up to five frames between four cameras, largest error",
         (
             Figure("sync_error_largest_frames", "walk, keypoints", at_most=0.2),
@@ -465,14 +422,6 @@ TARGETS = (
             Figure("success", "swarm/B/t50", at_least=0.95),
             Figure("success", "swarm/B/t100", at_least=0.92),
             Figure("success", "swarm/B/adaptive", at_least=0.95),
-        ),
-    ),
-    Benchmark(
-        "fusion-departures",
-        "the published swarm with one setting changed",
-        (
-            Figure("success", "published/A/adaptive"),
-            Figure("success", "power=2/A/adaptive"),
         ),
     ),
     Benchmark(
@@ -536,15 +485,6 @@ TARGETS = (
         ),
     ),
     Benchmark(
-        "depth-noise",
-        "noise of real and simulated depth cameras about planes",
-        (
-            Figure("noise_mm", "azure/0.9-1.5"),
-            Figure("noise_mm", "kinect/0.9-1.5"),
-            Figure("noise_mm", "simulated/0.9-1.5"),
-        ),
-    ),
-    Benchmark(
         "gesture-table-3.1",
         "Alcoverro 2014, table 3.1, simulated: area under the curve by clipping distance",
         (
@@ -558,14 +498,6 @@ TARGETS = (
         (
             Figure("mean_ap", "online_hard", at_least=0.88),
             Figure("mean_ap", "online_hard", at_least=2, of="online_random"),
-        ),
-    ),
-    Benchmark(
-        "gesture-sweeps",
-        "settings of the forest, one gesture: average precision",
-        (
-            Figure("ap", "alpha_50"),
-            Figure("ap", "alpha_1200"),
         ),
     ),
     Benchmark(
@@ -635,7 +567,7 @@ TARGETS = (
         ),
     ),
     Benchmark(
-        "start",
+        "speed-start",
         "disk space, and time from the start of a process to the first pose",
         (
             Figure("install_mb", "core", at_most=500),
@@ -647,7 +579,7 @@ TARGETS = (
         ),
     ),
     Benchmark(
-        "short-clip",
+        "speed-short-clip",
         "processor time of `hypose track`, 100 frames of key points, four cameras",
         (
             Figure("cpu_s", "all", at_most=10),
@@ -655,26 +587,7 @@ TARGETS = (
         ),
     ),
     Benchmark(
-        "inputs",
-        "every layout of key points that is read, and 40 damaged sets of each",
-        (
-            Figure("refused", "rtmlib"),
-            Figure("guessed_wrong", "rtmlib"),
-        ),
-    ),
-    Benchmark("kills", "SIGKILL at random moments of all long commands", ()),
-    Benchmark(
-        "faults",
-        "evidence spoilt for two seconds of a walk; error in the last second, wrong frames without a flag",
-        (
-            Figure("error_after_mm", "none"),
-            Figure("error_after_mm", "camera-stops"),
-            Figure("error_after_mm", "empty-masks"),
-            Figure("error_after_mm", "frames-dropped"),
-        ),
-    ),
-    Benchmark(
-        "batch",
+        "speed-batch",
         "a hundred recordings on two workers; a worker killed twice",
         (
             Figure("speed_up", "two workers", at_least=1.8),

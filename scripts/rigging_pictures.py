@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
-from benchmarks.multiview.rigging import scan_of
+from benchmarks.synthetic.scans import scan_of
 from hypose.body.body import Body
 from hypose.body.default_body import JOINT_NAMES
 from hypose.io.motions.meshes import PersonMesh

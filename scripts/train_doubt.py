@@ -4,7 +4,7 @@
     python scripts/train_doubt.py fit FOLDER                          fits, judges on other seeds, writes the weights
                                                                       of P(wrong), and of the covariances
 
-Seeds below `doubt_scenes.JUDGES` are trained on, the others judge. FOLDER also serves the benchmark `doubt`.
+Seeds below `doubt_scenes.JUDGES` are trained on, the others judge. FOLDER also serves the benchmark `error-model`.
 """
 
 from __future__ import annotations

@@ -4,98 +4,20 @@ have these: what reads the real ones is then tried all the same, though not on w
 import gzip
 import struct
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import ezc3d
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from hypose.geometry import transform
 from hypose.io.motions.marker_files import write_trc
 from hypose.io.sensors.skeleton_files import KINECT_V2
-from hypose.synthetic.motions import jog, walk
-from hypose.synthetic.performance import Performance, soles
-from hypose.synthetic.subjects import SyntheticSubject, load_subjects
 from tests import depth_sensors, missing
-
-UNIT = 0.0254 / 0.45  # metres per unit of length in CMU's files
-# their axes: y up, facing +z, x to the subject's left; those here: z up, facing -y
-FILE = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
-_ARM = [("clavicle", "thorax", 0), ("humerus", "clavicle", 1), ("radius", "humerus", 2), ("wrist", "radius", None)]
-_HAND = [("hand", "wrist", None), ("fingers", "hand", None), ("thumb", "wrist", None)]
-_LEG = [("hipjoint", "root", None), ("femur", "hipjoint", 0), ("tibia", "femur", 1), ("foot", "tibia", 2)]
-
-
-def _bones(subject: SyntheticSubject) -> list[tuple[str, str, int | None, np.ndarray]]:
-    """CMU's bones below the root, parents first: name, parent, the joint that turns it or None, and from the bone's
-    beginning to its end in the subject's rest (m, world)."""
-    j = subject.joints
-    head = np.array([0.0, 0.0, 0.1])
-    bones = [("lowerback", "root", 1, j[1] - j[0]), ("upperback", "lowerback", None, (j[2] - j[1]) / 2)]
-    bones += [("thorax", "upperback", 2, (j[2] - j[1]) / 2), ("lowerneck", "thorax", 3, j[3] - j[2])]
-    bones += [("upperneck", "lowerneck", None, j[4] - j[3]), ("head", "upperneck", 4, head)]
-    for side, arm, leg in (("l", 5, 13), ("r", 9, 16)):
-        tip = 0.08 * (j[arm + 3] - j[arm + 2]) / np.linalg.norm(j[arm + 3] - j[arm + 2])
-        ways = [j[arm + 1] - j[2], j[arm + 2] - j[arm + 1], j[arm + 3] - j[arm + 2], tip, tip, tip, tip]
-        for (name, parent, k), way in zip([*_ARM, *_HAND], ways, strict=True):
-            parent = parent if parent == "thorax" else side + parent
-            bones.append((side + name, parent, None if k is None else arm + k, way))
-        ball = np.array([0.0, -0.12, -0.04])
-        ways = [j[leg] - j[0], j[leg + 1] - j[leg], j[leg + 2] - j[leg + 1], ball]
-        for (name, parent, k), way in zip(_LEG, ways, strict=True):
-            bones.append(
-                (side + name, parent if parent == "root" else side + parent, None if k is None else leg + k, way)
-            )
-        bones.append((side + "toes", side + "foot", None, np.array([0.0, -0.06, 0.0])))
-    return bones
-
-
-def write_asf(path: Path, subject: SyntheticSubject) -> None:
-    """The subject as a skeleton of CMU's: 30 bones, none of them with axes of its own."""
-    bones = _bones(subject)
-    lines = [":version 1.10", ":name VICON", ":units", "  mass 1.0", "  length 0.45", "  angle deg", ":root"]
-    lines += ["  order TX TY TZ RX RY RZ", "  axis XYZ", "  position 0 0 0", "  orientation 0 0 0", ":bonedata"]
-    for k, (name, _, turns, way) in enumerate(bones):
-        length = np.linalg.norm(way)
-        direction = " ".join(f"{v:.9f}" for v in FILE @ way / length)
-        lines += ["  begin", f"     id {k + 1}", f"     name {name}", f"     direction {direction}"]
-        lines += [f"     length {length / UNIT:.9f}", "     axis 0 0 0  XYZ"]
-        lines += ["    dof rx ry rz"] * (turns is not None) + ["  end"]
-    lines += [":hierarchy", "  begin"]
-    for parent in dict.fromkeys(parent for _, parent, _, _ in bones):
-        lines.append("    " + " ".join([parent, *(name for name, p, _, _ in bones if p == parent)]))
-    path.write_text("\n".join([*lines, "  end"]) + "\n")
-
-
-def write_amc(path: Path, subject: SyntheticSubject, performance: Performance) -> None:
-    """The motion, on the skeleton that `write_asf` writes of the same subject."""
-    world = {"root": FILE @ performance.rotations[:, 0] @ FILE.T}
-    channels = {"root": np.hstack([performance.root @ FILE.T / UNIT, _angles(world["root"])])}
-    for name, parent, turns, _ in _bones(subject):
-        world[name] = world[parent] if turns is None else FILE @ performance.rotations[:, turns] @ FILE.T
-        if turns is not None:
-            channels[name] = _angles(np.swapaxes(world[parent], -1, -2) @ world[name])
-    lines = ["#!OML:ASF", ":FULLY-SPECIFIED", ":DEGREES"]
-    for t in range(len(performance)):
-        lines += [str(t + 1), *(" ".join([n, *(f"{v:.7g}" for v in values[t])]) for n, values in channels.items())]
-    path.write_text("\n".join(lines) + "\n")
-
-
-def _angles(rotations: np.ndarray) -> np.ndarray:
-    return Rotation.from_matrix(rotations).as_euler("xyz", degrees=True)
 
 
 def mocap(folder: Path) -> None:
-    """A walk and a run as CMU's files, markers as OpenCap's, and C3D files, written by ezc3d."""
-    subject = load_subjects()["neutral"]
-    write_asf(folder / "02.asf", subject)
-    write_amc(folder / "02_01.amc", subject, walk(subject, 343 / 120, 120.0, radius=np.inf))
-    run = jog(subject, 173 / 120, 120.0, None, 1.3, 1.2, np.inf)
-    flight = np.maximum(soles(subject, run.rotations, run.joints)[0].min(1), 0)  # higher: a sprinter's
-    run = replace(run, root=run.root + 2 * flight[:, None] * [0, 0, 1])
-    write_amc(folder / "02_03.amc", subject, run)
+    """Markers as OpenCap's, and C3D files, written by ezc3d."""
     names = ["C7", *(f"m{k}" for k in range(49)), "L_toe"]
     place = np.linspace([0, 0, 1.5], [0, 0, 0.05], 51) + np.random.default_rng(0).normal(0, 0.01, (136, 51, 3))
     write_trc(folder / "opencap_walking2.trc", names, place, 100, "m")

@@ -8,9 +8,7 @@ behind a desk, MediaPipe's points without scores.
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 
@@ -19,7 +17,7 @@ from benchmarks.multiview.leave_one_out import body_points, solved_clip, without
 from benchmarks.multiview.real_recordings import in_memory
 from hypose.cameras.camera import triangulate
 from hypose.evidence.frame import Frame, Keypoints
-from hypose.geometry import Array, procrustes, transform
+from hypose.geometry import Array
 from hypose.io.recordings.recording import load_recording
 
 ARMS = ("shoulder", "elbow", "wrist")
@@ -27,8 +25,7 @@ ARMS = ("shoulder", "elbow", "wrist")
 
 def caliscope(options: BenchOptions) -> BenchReport:
     """loco_px: median distance in a camera that was left out, from what the other three say, of the points that the
-    body has; baseline: the same points triangulated as Caliscope does (linear, all views alike), on the same samples.
-    agreement_mm: our form of its triangulation, and our body's points, from its own 3D file, after rigid alignment."""
+    body has; baseline: the same points triangulated as Caliscope does (linear, all views alike), same samples."""
     recording = load_recording(options.folder("caliscope_person"))
     n = 60 if options.quick else len(recording.frames)
     frames, rate = in_memory(recording, n).frames, recording.frame_rate
@@ -36,7 +33,7 @@ def caliscope(options: BenchOptions) -> BenchReport:
     errors: dict[str, list[Array]] = {"caliscope": [], "hypose": []}
     cameras = [c.name for c in recording.rig]
     for view, name in enumerate(cameras):
-        options.progress(name, view, len(cameras) + 1)
+        options.progress(name, view, len(cameras))
         rest = [without_view(f, view) for f in frames]
         found = {"caliscope": _triangulated(rest), "hypose": body_points(*solved_clip(rest, rate))}
         given = np.stack([_keypoints(f).points[view] for f in frames])
@@ -48,13 +45,11 @@ def caliscope(options: BenchOptions) -> BenchReport:
         both = np.isfinite(away["caliscope"]) & np.isfinite(away["hypose"]) & (given[..., 2] > 0)
         for method, e in away.items():
             errors[method].append(np.where(both, e, np.nan))
-    options.progress("agreement", len(cameras), len(cameras) + 1)
+
     rows = [*_rows("", slice(None), names, errors), *_rows(", arms", slice(None), names, errors, ARMS)]
     for view, name in enumerate(cameras):
         rows += _rows(f", {name}", slice(view, view + 1), names, errors)
-    theirs = _their_points(options.folder("caliscope_person") / "xyz_HOLISTIC.csv", n, len(names))
-    whole = {"caliscope": _triangulated(frames), "hypose": body_points(*solved_clip(frames, rate))}
-    rows += [_agreement(method, x, theirs) for method, x in whole.items()]
+
     return BenchReport(tuple(rows), {"frames": n})
 
 
@@ -72,19 +67,6 @@ def _rows(
     ]
 
 
-def _agreement(method: str, points: Array, theirs: Array) -> Row:
-    """Median distance after a rigid alignment that the nearer two thirds of the points decide."""
-    known = np.isfinite(points).all(-1) & np.isfinite(theirs).all(-1)
-    a, b = points[known], theirs[known]
-    near = np.ones(len(a), dtype=np.bool_)
-    distance = np.zeros(len(a))
-    for _ in range(8):
-        moved, _ = procrustes(b[near], a[near])
-        distance = np.linalg.norm(transform(moved, b) - a, axis=1)
-        near = distance <= np.quantile(distance, 2 / 3)
-    return Row("agreement_mm", method, float(1e3 * np.median(distance)), "mm", n=len(a))
-
-
 def _keypoints(frame: Frame) -> Keypoints:
     assert frame.keypoints is not None
     return frame.keypoints
@@ -95,14 +77,3 @@ def _triangulated(frames: Sequence[Frame]) -> Array:
     points = np.stack([_keypoints(f).points for f in frames], 1)
     found, views = triangulate(_keypoints(frames[0]).rig, points[..., :2], (points[..., 2] > 0).astype(float))
     return np.where((views >= 2)[..., None], found, np.nan)
-
-
-def _their_points(path: Path, frames: int, count: int) -> Array:
-    """(T, K, 3) m of their file, NaN where it has none."""
-    out = np.full((frames, count, 3), np.nan)
-    with path.open(newline="") as file:
-        for row in csv.DictReader(file):
-            t, k = int(row["sync_index"]), int(row["point_id"])
-            if t < frames and k < count:
-                out[t, k] = [float(row[f"{a}_coord"]) for a in "xyz"]
-    return out

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
-import ezc3d
 import numpy as np
 from numpy.typing import NDArray
 
@@ -32,19 +29,6 @@ from hypose.synthetic.metrics import JOINT_NAMES
 RATE, SECONDS = 60.0, 2.8
 _MATCHED = 0.2  # s
 _SURE = 1.645
-_LOADED_N = 20.0
-
-
-@dataclass
-class _Found:
-    """Of all walks: time errors s and their sd by kind, step lengths' errors m and sd, and how many events there were
-    that were not found, and found that were not there."""
-
-    events: dict[str, list[tuple[float, float]]] = field(default_factory=lambda: {"strike": [], "off": []})
-    lengths: list[tuple[float, float]] = field(default_factory=list)
-    missed: int = 0
-    invented: int = 0
-    there: int = 0
 
 
 def gait(options: BenchOptions) -> BenchReport:
@@ -52,43 +36,42 @@ def gait(options: BenchOptions) -> BenchReport:
     step_length_mm: median error; coverage_90: share in the stated 90 % intervals; missed, invented: shares of events.
 
     CMU's walk (02_01) overground on the body of a seed, 2.8 s, three of the balancing clip's cameras, key points alone
-    that err like a detector's. force plates: the definition itself (heel farthest in front, toe farthest back) on the
-    markers of another captured walk, against the plates under its feet: frames, signed, of the events that lie on
-    them."""
+    that err like a detector's."""
     seeds = options.seed_range(10, quick=2)
-    rig, found = balancing_rig(options), _Found()
+    rig, walks = balancing_rig(options), list[dict[str, Any]]()
     for k, seed in enumerate(seeds):
         options.progress(f"walk seed {seed}", k, len(seeds))
-        one = options.part(f"gait-{seed}", lambda s=seed: _walk(options, rig, s))
-        for kind in found.events:
-            found.events[kind] += [tuple(x) for x in one[kind]]
-        found.lengths += [tuple(x) for x in one["lengths"]]
-        found.missed, found.invented = found.missed + one["missed"], found.invented + one["invented"]
-        found.there += one["there"]
-    rows = _rows(found)
-    rows += _plates(options.folder("mocap") / "walking2.c3d")
-    return BenchReport(tuple(rows), {"seeds": len(seeds), "first_seed": seeds.start, "seconds": SECONDS, "rate": RATE})
+        walks.append(options.part(f"gait-{seed}", lambda s=seed: _walk(options, rig, s)))
+    return BenchReport(
+        tuple(_rows(walks)), {"seeds": len(seeds), "first_seed": seeds.start, "seconds": SECONDS, "rate": RATE}
+    )
 
 
-def _rows(found: _Found) -> list[Row]:
+def _rows(walks: list[dict[str, Any]]) -> list[Row]:
     rows, inside = list[Row](), list[NDArray[np.bool_]]()
-    for kind, pairs in found.events.items():
-        error, sd = np.array(pairs).reshape(-1, 2).T
+
+    def errors(kind: str) -> Array:
+        """Errors over all walks; whether each lies within its interval is kept in `inside`."""
+        error, sd = np.array([pair for walk in walks for pair in walk[kind]]).reshape(-1, 2).T
         inside.append(np.abs(error) <= _SURE * sd)
+        return error
+
+    for kind in ("strike", "off"):
+        error = errors(kind)
         rows.append(Row(f"foot_{kind}_frames", "all", float(np.median(np.abs(error)) * RATE), "frames", n=len(error)))
         rows.append(Row(f"foot_{kind}_bias_frames", "all", float(np.median(error) * RATE), "frames", n=len(error)))
         rows.append(Row("coverage_90", kind, float(inside[-1].mean()), "1", n=len(error)))
-    error, sd = np.array(found.lengths).reshape(-1, 2).T
-    inside.append(np.abs(error) <= _SURE * sd)
-    rows += [
+    error = errors("lengths")
+    there, missed, invented = (sum(walk[k] for walk in walks) for k in ("there", "missed", "invented"))
+    return [
+        *rows,
         Row("step_length_mm", "all", float(1e3 * np.median(np.abs(error))), "mm", n=len(error)),
         Row("step_length_bias_mm", "all", float(1e3 * np.median(error)), "mm", n=len(error)),
         Row("coverage_90", "step length", float(inside[-1].mean()), "1", n=len(error)),
         Row("coverage_90", "all", float(np.concatenate(inside).mean()), "1", n=sum(map(len, inside))),
-        Row("missed", "all", found.missed / max(1, found.there), "1", n=found.there),
-        Row("invented", "all", found.invented / max(1, found.there), "1", n=found.there),
+        Row("missed", "all", missed / max(1, there), "1", n=there),
+        Row("invented", "all", invented / max(1, there), "1", n=there),
     ]
-    return rows
 
 
 def _walk(options: BenchOptions, rig: Any, seed: int) -> dict[str, Any]:
@@ -162,39 +145,3 @@ def _lengths(walk: Captured, truth: list[GaitEvent]) -> list[tuple[str, float, f
             k = min(len(facing) - 1, round(now.time * RATE))
             out.append((now.side, now.time, float((feet[now.side][0][k] - feet[before.side][0][k]) @ facing[k])))
     return out
-
-
-def _plates(path: Path) -> list[Row]:
-    """The definition on markers against force plates: events whose foot is on one plate alone, in frames of 60/s."""
-    c = ezc3d.c3d(str(path), extract_forceplat_data=True)
-    labels, rate = c["parameters"]["POINT"]["LABELS"]["value"], c["header"]["points"]["frame_rate"]
-    points = {n: c["data"]["points"][:3, k].T / 1e3 for k, n in enumerate(labels)}
-    pelvis = np.mean([points[n] for n in ("LASI", "RASI", "LPSI", "RPSI")], axis=0)
-    known = np.asarray(np.isfinite(pelvis).all(1))
-    times = np.arange(len(pelvis)) / rate
-    way = pelvis[known][-1] - pelvis[known][0]
-    facing = way * [1, 1, 0] / np.linalg.norm(way[:2])
-    analog = len(c["data"]["platform"][0]["force"][2]) / len(pelvis)
-    away: dict[str, list[float]] = {"strike": [], "off": []}
-    for plate in c["data"]["platform"]:
-        force = plate["force"][2] - np.median(plate["force"][2])
-        loaded = np.convolve(np.abs(force) > _LOADED_N, np.ones(41) / 41, "same") > 0.5
-        edges = np.flatnonzero(np.diff(loaded.astype(int))) / (analog * rate)
-        low, high = plate["corners"].T.min(0)[:2] / 1e3, plate["corners"].T.max(0)[:2] / 1e3
-        for kind, marker, sign, edge in (("strike", "CAL", 1.0, edges[0]), ("off", "MT1", -1.0, edges[-1])):
-            for side in "LR":
-                point = points[f"{side}{marker}"]
-                series = sign * (point - pelvis) @ facing
-                seen = known & np.isfinite(series)
-                found = turns(series, times, np.zeros(len(times)), rate, seen)
-                for t, _, _ in found:
-                    # the back of the heel may overhang by the width of a marker and half of a heel
-                    at = point[min(len(times) - 1, round(edge * rate))]
-                    on = (at[:2] > low - 0.04).all() and (at[:2] < high + 0.04).all()
-                    if abs(t - edge) < _MATCHED and on:
-                        away[kind].append(60 * (t - edge))
-    return [
-        Row(f"foot_{kind}_bias_frames", "force plates", float(np.mean(v)), "frames", n=len(v))
-        for kind, v in away.items()
-        if v
-    ]

@@ -14,7 +14,7 @@ import numpy as np
 
 from benchmarks.bench_report import BenchOptions, BenchReport, Row
 from benchmarks.synthetic.noisy_masks import noisy_scene
-from hypose.calibration.diagnose_person import Finding, Limits
+from hypose.calibration.diagnose_person import Finding
 from hypose.calibration.diagnose_points import mirrored_names
 from hypose.calibration.diagnostics import Observed, ViewFile, examine
 from hypose.cameras.camera import Camera, CameraRig
@@ -157,6 +157,19 @@ def _points(o: Observed, c: int, xy: Array, order: list[int] | None = None) -> O
     return replace(o, keypoints=points)
 
 
+def _masks(o: Observed, c: int, change: Callable[[np.ndarray], np.ndarray]) -> Observed:
+    """The masks (h, w) of one view changed."""
+    w, h = _small(o)[c].size
+    out: list[Silhouettes | None] = []
+    for s in o.silhouettes:
+        if s is not None:
+            masks = s.masks.copy()
+            masks[c, :h, :w] = change(masks[c, :h, :w])
+            s = replace(s, masks=masks)
+        out.append(s)
+    return replace(o, silhouettes=out)
+
+
 def _size(o: Observed, c: int, rng: np.random.Generator) -> Planted:
     w, h = o.rig[c].size
     f = float(rng.choice([0.5, 0.75, 2 / 3]))
@@ -185,17 +198,8 @@ def _cropped(o: Observed, c: int, rng: np.random.Generator) -> Planted:
     # the masks are those of the cut image, stretched to the calibrated size by the loader
     small = _small(o)[c].size
     a = np.array([[w / (w - cut), 0, -left * small[0] / (w - cut)], [0, 1, 0]])
-    masks = []
-    for s in o.silhouettes:
-        new = s
-        if s is not None:
-            m = s.masks.copy()
-            m[c, : small[1], : small[0]] = cv2.warpAffine(
-                m[c, : small[1], : small[0]], a, small, flags=cv2.INTER_NEAREST
-            )
-            new = replace(s, masks=m)
-        masks.append(new)
-    return Planted("cropped", replace(made, silhouettes=masks), ("cropped", "size"), (o.rig.names[c],))
+    made = _masks(made, c, lambda m: cv2.warpAffine(m, a, small, flags=cv2.INTER_NEAREST))
+    return Planted("cropped", made, ("cropped", "size"), (o.rig.names[c],))
 
 
 def _frame_rate(o: Observed, c: int, rng: np.random.Generator) -> Planted:
@@ -225,16 +229,8 @@ def _keypoint_shift(o: Observed, c: int, rng: np.random.Generator) -> Planted:
     small = _small(o)[c].size
     move = -shift * np.array(small) / np.array(o.rig[c].size)
     a = np.array([[1, 0, move[0]], [0, 1, move[1]]])
-    masks = []
-    for s in o.silhouettes:
-        new = s
-        if s is not None:
-            m = s.masks.copy()
-            grey = cv2.warpAffine(m[c, : small[1], : small[0]] * 255, a, small, flags=cv2.INTER_LINEAR)
-            m[c, : small[1], : small[0]] = grey > 127
-            new = replace(s, masks=m)
-        masks.append(new)
-    return Planted("keypoint_shift", replace(o, silhouettes=masks), ("keypoint_shift",), (o.rig.names[c],))
+    made = _masks(o, c, lambda m: np.asarray(cv2.warpAffine(m * 255, a, small, flags=cv2.INTER_LINEAR)) > 127)
+    return Planted("keypoint_shift", made, ("keypoint_shift",), (o.rig.names[c],))
 
 
 def _extrinsics(o: Observed, c: int, rng: np.random.Generator) -> Planted:
@@ -283,16 +279,7 @@ def _turned(o: Observed, c: int, rng: np.random.Generator) -> Planted:
 
 def _flipped(o: Observed, c: int, kind: str, xy: Array, order: list[int] | None, code: int) -> Planted:
     made = o if o.keypoints is None else _points(o, c, xy, order)
-    w, h = _small(o)[c].size
-    masks = []
-    for s in o.silhouettes:
-        new = s
-        if s is not None:
-            m = s.masks.copy()
-            m[c, :h, :w] = cv2.flip(s.masks[c, :h, :w], code)
-            new = replace(s, masks=m)
-        masks.append(new)
-    return Planted(kind, replace(made, silhouettes=masks), (kind,), (o.rig.names[c],))
+    return Planted(kind, _masks(made, c, lambda m: cv2.flip(m, code)), (kind,), (o.rig.names[c],))
 
 
 def _distortion(o: Observed, c: int, rng: np.random.Generator) -> Planted:
@@ -390,49 +377,28 @@ def judged(fault: Planted, findings: Sequence[Finding]) -> tuple[bool, int]:
     return bool(right), len(wrong)
 
 
-def run_set(
-    first_seed: int,
-    count: int,
-    limits: Limits | None = None,
-    *,
-    keypoints: bool = True,
-    bystander: bool = False,
-    progress=None,  # noqa: ANN001
-) -> list[tuple[str, Planted, bool, int, tuple[Finding, ...]]]:
-    """`count` healthy recordings and as many with a planted fault: (kind, recording, found, wrong findings, all)."""
-    kinds = ("late", *FAULTS) if keypoints else _MASK_FAULTS
-    out = []
-    for k in range(count):
-        if progress is not None:
-            progress("recordings", k, count)
-        base = healthy(first_seed + k, keypoints=keypoints)
-        faulty = planted(base, kinds[k % len(kinds)], first_seed + k)
-        for kind, one in (("healthy", base), (faulty.name, faulty)):
-            one = with_bystander(one, first_seed + k) if bystander else one
-            found = examine(one.observed, limits)[0].findings
-            right, wrong = judged(one, found)
-            out.append((kind, one, right, wrong, found))
-    return out
-
-
 def doctor(options: BenchOptions) -> BenchReport:
     """Verdicts on planted faults and healthy recordings: precision = right findings / all findings, recall = faults
-    found with their kind and camera / faults planted. Cases: all (key points and masks), silhouettes (masks alone),
-    bystander (somebody else among the key points)."""
+    found with their kind and camera / faults planted. Cases: all (key points and masks), silhouettes (masks alone)."""
     seeds = options.seed_range(50, quick=6, first=FIRST_SEED)
     rows: list[Row] = []
-    less = max(len(seeds) // 3, 3)
-    for case, keypoints, n in (("all", True, len(seeds)), ("silhouettes", False, less), ("bystander", True, less)):
-        done = run_set(seeds.start, n, keypoints=keypoints, bystander=case == "bystander", progress=options.progress)
-        faults = [d for d in done if d[0] != "healthy"]
-        healthy_ones = [d for d in done if d[0] == "healthy"]
-        right = sum(d[2] for d in faults)
-        wrong = sum(d[3] for d in done)
-        rows.append(Row("verdict_precision", case, right / max(right + wrong, 1), "1", n=len(done)))
-        rows.append(Row("verdict_recall", case, right / max(len(faults), 1), "1", n=len(faults)))
-        clean = sum(d[3] == 0 for d in healthy_ones) / max(len(healthy_ones), 1)
-        rows.append(Row("healthy_without_finding", case, clean, "1", n=len(healthy_ones)))
-        for kind in sorted({d[0] for d in faults}):
-            of = [d for d in faults if d[0] == kind]
-            rows.append(Row("recall", f"{case}, {kind}", float(np.mean([d[2] for d in of])), "1", n=len(of)))
+    for case, count in (("all", len(seeds)), ("silhouettes", max(len(seeds) // 3, 3))):
+        kinds = ("late", *FAULTS) if case == "all" else _MASK_FAULTS
+        wrong, clean, found = 0, list[bool](), dict[str, list[bool]]()
+        for k in range(count):
+            options.progress(case, k, count)
+            base = healthy(seeds.start + k, keypoints=case == "all")
+            faulty = planted(base, kinds[k % len(kinds)], seeds.start + k)
+            _, false = judged(base, examine(base.observed)[0].findings)
+            right, more = judged(faulty, examine(faulty.observed)[0].findings)
+            wrong += false + more
+            clean.append(false == 0)
+            found.setdefault(faulty.name, []).append(right)
+        every = [x for some in found.values() for x in some]
+        rows += [
+            Row("verdict_precision", case, sum(every) / max(sum(every) + wrong, 1), "1", n=2 * count),
+            Row("verdict_recall", case, float(np.mean(every)), "1", n=count),
+            Row("healthy_without_finding", case, float(np.mean(clean)), "1", n=count),
+        ]
+        rows += [Row("recall", f"{case}, {k}", float(np.mean(v)), "1", n=len(v)) for k, v in sorted(found.items())]
     return BenchReport(tuple(rows), {"first_seed": seeds.start, "frames": _FRAMES})

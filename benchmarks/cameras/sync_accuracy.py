@@ -1,4 +1,4 @@
-"""Known offsets between synthetic cameras, recovered from motion, sound and light."""
+"""Measure how exactly known offsets between synthetic cameras are found from motion."""
 
 from __future__ import annotations
 
@@ -6,12 +6,11 @@ import numpy as np
 
 from benchmarks.bench_report import BenchOptions, BenchReport, Row
 from benchmarks.synthetic.noisy_masks import LEVELS, corrupt_mask
-from hypose.calibration.synchronisation import offsets_from_light, offsets_from_motion, offsets_from_sound
+from hypose.calibration.synchronisation import offsets_from_motion
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.frame import Silhouettes
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.geometry import Array
-from hypose.io.videos.video import Sound
 from hypose.synthetic.scenes import Scene, keypoint_detections, make_scene
 
 _FINE, _RATE, _PAD = 10, 25.0, 8
@@ -60,7 +59,7 @@ def seen_masks(scene: Scene, shown: Array, scale: float = 0.5) -> list[Silhouett
 
 def sync(options: BenchOptions) -> BenchReport:
     """Largest and mean error of offsets of -5.0 to +5.0 frames (all cameras, several scenes). Cases: walk and arms from
-    key points, from silhouettes, and from both; sound (a clap in a noisy room); lamp (a light switched on)."""
+    key points, from silhouettes, and from both."""
     seeds = options.seed_range(4, first=FIRST_SEED)
     rows: list[Row] = []
     for done, (case, motion) in enumerate(MOTIONS.items()):
@@ -82,10 +81,7 @@ def sync(options: BenchOptions) -> BenchReport:
         for name, e in errors.items():
             rows.append(Row("sync_error_frames", f"{case}, {name}", float(np.mean(e)), "frames", n=len(e)))
             rows.append(Row("sync_error_largest_frames", f"{case}, {name}", float(np.max(e)), "frames", n=len(e)))
-    for case, of in (("sound", _sound_errors), ("lamp", _lamp_errors)):
-        e = np.concatenate([of(seeds.start + s) for s in range(4)])
-        rows.append(Row("sync_error_frames", case, float(np.mean(e)), "frames", n=len(e)))
-        rows.append(Row("sync_error_largest_frames", case, float(np.max(e)), "frames", n=len(e)))
+
     settings = {"seeds": len(seeds), "first_seed": seeds.start, "frame_rate": _RATE, "seconds": 6.0}
     return BenchReport(tuple(rows), settings)
 
@@ -94,39 +90,3 @@ def _late(seed: int, n: int) -> Array:
     late = np.round(np.random.default_rng([seed, 500]).uniform(-5, 5, n), 1)
     late[seed % n] = 5.0 if seed % 2 else -5.0
     return late
-
-
-def _sound_errors(seed: int) -> Array:
-    """(C,) frames: one noisy scene heard by four microphones with echoes."""
-    rng = np.random.default_rng([seed, 503])
-    late, rate = _late(seed, 4), 16000
-    n = 6 * rate
-    true = rng.normal(size=n + rate) * 0.2
-    for at in rng.integers(rate, n, 3):
-        true[at : at + 400] += rng.normal(size=400) * np.exp(-np.arange(400) / 80) * 6
-    heard = []
-    for x in late:
-        shift = x / _RATE * rate
-        t = np.arange(n) - shift + rate // 2
-        own = np.interp(t, np.arange(len(true)), true)
-        echo = np.interp(t - rng.uniform(100, 400), np.arange(len(true)), true)
-        heard.append(Sound(rate, own + 0.4 * echo + rng.normal(size=n) * 0.1))
-    found = offsets_from_sound(heard, [f"cam{k}" for k in range(4)])[0] * _RATE
-    wrong = found - late
-    return np.abs(wrong - np.median(wrong))
-
-
-def _lamp_errors(seed: int) -> Array:
-    """(C,) frames: a lamp switched on, integrated over each camera's exposure, with a person moving."""
-    rng = np.random.default_rng([seed, 504])
-    late = _late(seed, 4)
-    at = 70 + rng.uniform(0, 1)
-    levels = []
-    for x in late:
-        t = np.arange(150)
-        share = np.clip(t + 1 - (at + x), 0, 1)
-        drift = 0.5 * np.sin(t / 20 + rng.uniform(0, 6))
-        levels.append(80 + 30 * share + drift + rng.normal(0, 0.1, len(t)))
-    found = offsets_from_light(levels, [f"cam{k}" for k in range(4)])[0]
-    wrong = found - late
-    return np.abs(wrong - np.median(wrong))

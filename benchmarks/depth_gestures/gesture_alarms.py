@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -17,7 +16,7 @@ from hypose.gestures.depth_pictures import KINECT
 from hypose.gestures.events import EventSettings, EventState, detect_events
 from hypose.gestures.forest import Forest
 from hypose.gestures.localise import LocaliseSettings, Scratch, densities, localise, settle
-from hypose.gestures.online import Example, Learner
+from hypose.gestures.online import Learner
 from hypose.gestures.trainer import Trainer
 from hypose.synthetic.gesture_people import Puppet, load_people
 from hypose.synthetic.gesture_poses import GESTURES, Keyframe, apply, movement
@@ -27,80 +26,51 @@ WATCHED_FPS = 5.0
 """Of the free movement."""
 HELD_S, TRIES = 2.5, 6
 """A gesture is asked for so long (getting there takes some 0.7 s), in so many other rooms."""
-_MODES = ("random", "hard")
-_MEMORIES = {"no_recursion": 1.0, "recursion": 0.8}
+MEMORIES = {"hard/no_recursion": 1.0, "hard/recursion": 0.8}
+"""Adaptation rate of each case; negatives are hard."""
 
 
-@dataclass(frozen=True)
-class _Learned:
-    """What the sessions of one person left: forests by kind of negatives; by case (the kinds, and the other ways to
-    find a threshold) the thresholds of every gesture, and the share of its pictures that each lets through."""
+def _learn_all(
+    names: Sequence[str], person: int, frames: int, seed: int, rng: np.random.Generator
+) -> tuple[list[Forest], list[float], list[float]]:
+    """Learn each gesture in one session of a person, with hard negatives.
 
-    forests: dict[str, list[Forest]]
-    thresholds: dict[str, list[float]]
-    passed: dict[str, list[float]]
-
-
-def _learn_all(names: Sequence[str], person: int, frames: int, seed: int, rng: np.random.Generator) -> _Learned:
-    out = _Learned({m: [] for m in _MODES}, {}, {})
+    Returns: per gesture the forest, its threshold, and the share of its pictures that the threshold lets through."""
+    forests, thresholds, passed = list[Forest](), list[float](), list[float]()
     for name in names:
         number = GESTURES.index(name) + 1
         shown = [example(f, number) for f, _ in session_frames(person, name, frames, rng)]
         test = [f for f in test_frames(person, name, 12, rng) if f.gesture == number]
-        for mode in _MODES:
-            trainer = Trainer(Learner.new(np.random.default_rng([90, seed])))
-            for e in shown:
-                live_step(trainer, e, mine=mode == "hard")
-            forest = trainer.learner.forest.freeze()
-            out.forests[mode].append(forest)
-            limits = {mode: trainer.final_threshold()}
-            if mode == "hard":
-                limits["hard/published_threshold"] = trainer.threshold
-                limits["hard/half_way"] = _half_way(forest, shown)
-            found = np.array([localise(f.depth, KINECT, [forest])[0].score for f in test])
-            for case, limit in limits.items():
-                threshold = max(limit or 0.0, 1e-3)
-                out.thresholds.setdefault(case, []).append(threshold)
-                out.passed.setdefault(case, []).append(float((found >= threshold).mean()))
-    return out
-
-
-def _half_way(forest: Forest, shown: Sequence[Example]) -> float:
-    """Of twelve frames of each kind that were learned: the simplest threshold, to compare with."""
-    kinds = [[e for e in shown if bool(e.gesture) == wanted] for wanted in (True, False)]
-    kept = [several[:: max(1, len(several) // 12)][:12] for several in kinds]
-    gestures, others = ([localise(e.depth, e.lens, [forest])[0].score for e in several] for several in kept)
-    return 0.5 * (float(np.quantile(gestures, 0.25)) + max(others, default=0.0))
+        trainer = Trainer(Learner.new(np.random.default_rng([90, seed])))
+        for e in shown:
+            live_step(trainer, e)
+        forests.append(trainer.learner.forest.freeze())
+        thresholds.append(max(trainer.final_threshold() or 0.0, 1e-3))
+        found = np.array([localise(f.depth, KINECT, forests[-1:])[0].score for f in test])
+        passed.append(float((found >= thresholds[-1]).mean()))
+    return forests, thresholds, passed
 
 
 class _Watcher:
-    """Looks with all forests in every way at once; forgets what it saw with `rest`."""
+    """Looks with all forests, with and without temporal recursion; forgets what it saw with `rest`."""
 
-    def __init__(self, learned: _Learned) -> None:
-        self._learned = learned
-        self._limits = {case: [EventSettings(t) for t in values] for case, values in learned.thresholds.items()}
-        self.cases = [f"{case}/{memory}" for case in learned.thresholds for memory in _MEMORIES]
+    def __init__(self, forests: list[Forest], thresholds: list[float]) -> None:
+        self._forests = forests
+        self._limits = [EventSettings(t) for t in thresholds]
         self.rest()
 
     def rest(self) -> None:
         """Begin a new stream."""
-        self._looking = {mode: Scratch() for mode in self._learned.forests}
-        self._kept = {(mode, memory): Scratch() for mode in self._learned.forests for memory in _MEMORIES}
-        self._states = dict.fromkeys(self.cases, EventState())
+        self._looking, self._kept = Scratch(), {case: Scratch() for case in MEMORIES}
+        self._states = dict.fromkeys(MEMORIES, EventState())
 
     def started(self, depth: DepthImage, seconds: float) -> dict[str, list[int]]:
         """The gestures (from 1 on) that start in a frame, by case."""
-        found = {}
-        for mode, forests in self._learned.forests.items():
-            maps = densities(depth, KINECT, forests, LocaliseSettings(), self._looking[mode])
-            for memory, share in _MEMORIES.items():
-                look = LocaliseSettings(adaptation_rate=share)
-                found[mode, memory] = settle(maps, depth, KINECT, look, self._kept[mode, memory])
         out = {}
-        for case in self.cases:
-            limit, _, memory = case.rpartition("/")
-            seen = found[limit.partition("/")[0], memory]
-            self._states[case], events = detect_events(self._states[case], seen, seconds, self._limits[limit])
+        maps = densities(depth, KINECT, self._forests, LocaliseSettings(), self._looking)
+        for case, share in MEMORIES.items():
+            seen = settle(maps, depth, KINECT, LocaliseSettings(adaptation_rate=share), self._kept[case])
+            self._states[case], events = detect_events(self._states[case], seen, seconds, self._limits)
             out[case] = [e.gesture for e in events if e.kind == "start"]
         return out
 
@@ -110,7 +80,7 @@ def _count_alarms(
 ) -> dict[str, int]:
     """Events that start while the person moves freely, by case."""
     setting = Setting(make_gesture_room(rng, "furnished"), make_view(rng, 2.0))
-    puppet, out = Puppet(load_people()[person]), dict.fromkeys(watcher.cases, 0)
+    puppet, out = Puppet(load_people()[person]), dict.fromkeys(MEMORIES, 0)
     watcher.rest()
     for k, pose in enumerate(continuous(puppet, rng, seconds, WATCHED_FPS)):
         for case, started in watcher.started(moment(puppet, pose, setting, rng), k / WATCHED_FPS).items():
@@ -123,7 +93,7 @@ def _share_of_holds(
     watcher: _Watcher, person: int, names: Sequence[str], tries: int, rng: np.random.Generator
 ) -> dict[str, float]:
     """Share of the gestures, each held for HELD_S in other rooms, that start an event of theirs, by case."""
-    out = dict.fromkeys(watcher.cases, 0.0)
+    out = dict.fromkeys(MEMORIES, 0.0)
     for number, name in enumerate(names, 1):
         for _ in range(tries):
             watcher.rest()
@@ -139,41 +109,38 @@ def _share_of_holds(
 
 
 def false_alarms(options: BenchOptions) -> BenchReport:
-    """Events per minute and gesture of free movement without gestures, with the automatic threshold: after random and
-    after hard negatives (and there with other thresholds), with and without temporal recursion; and in other rooms, the
-    share of pictures of the gesture that the threshold lets through, and of gestures held that start an event."""
+    """Events per minute and gesture of free movement without gestures, with the automatic threshold, with and without
+    temporal recursion; and in other rooms, the share of pictures of the gesture that the threshold lets through, and of
+    gestures held that start an event."""
     minutes, frames, tries = (0.5, 60, 1) if options.quick else (10.0, 300, TRIES)
     names = PUBLISHED[:1] if options.quick else (*PUBLISHED, "pause")
     seeds = options.seed_range(SEEDS)
     alarms: dict[str, list[float]] = {}
-    passed: dict[str, list[float]] = {}
+    passed: list[float] = []
     held: dict[str, list[float]] = {}
     for done, seed in enumerate(seeds):
         measure = partial(_one_person, names, seed, (frames, tries, minutes), options)
         part = options.part(f"gesture-false-alarms.{seed}", measure)
-        for case, shares in part["passed"].items():
-            passed.setdefault(case, []).append(float(np.mean(shares)))
+        passed.append(float(np.mean(part["passed"])))
         for case, starts in part["starts"].items():
             alarms.setdefault(case, []).append(starts / minutes / len(names))
             held.setdefault(case, []).append(part["held"][case])
         options.progress("person", done + 1, len(seeds))
     rows = [row("false_alarms_per_minute", case, v, "1/min") for case, v in alarms.items()]
-    rows += [row("let_through", case, v, "1") for case, v in passed.items()]
+    rows.append(row("let_through", "hard", passed, "1"))
     rows += [row("holds_found", case, v, "1") for case, v in held.items()]
     settings = {"minutes": minutes, "frames_per_second": WATCHED_FPS, "gestures": names, "seeds": list(seeds)}
     return BenchReport(tuple(rows), settings | {"session_frames": frames, "holds_of_each_gesture": tries})
 
 
-def _one_person(
-    names: Sequence[str], seed: int, size: tuple[int, int, float], options: BenchOptions
-) -> dict[str, dict[str, Any]]:
+def _one_person(names: Sequence[str], seed: int, size: tuple[int, int, float], options: BenchOptions) -> dict[str, Any]:
     frames, tries, minutes = size
     rng, person = np.random.default_rng([89, seed]), (7 * seed + 1) % 18
-    learned = _learn_all(names, person, frames, seed, rng)
-    watcher = _Watcher(learned)
+    forests, thresholds, passed = _learn_all(names, person, frames, seed, rng)
+    watcher = _Watcher(forests, thresholds)
     starts = _count_alarms(watcher, person, 60 * minutes, rng, options)
     held = _share_of_holds(watcher, person, names, tries, rng)
-    return {"starts": starts, "held": held, "passed": learned.passed, "thresholds": learned.thresholds}
+    return {"starts": starts, "held": held, "passed": passed, "thresholds": thresholds}
 
 
 def continuous(puppet: Puppet, rng: np.random.Generator, seconds: float, rate: float) -> Iterator[Keyframe]:

@@ -1,4 +1,4 @@
-"""Speed of finding and of learning gestures, and memory while growing."""
+"""Measure the speed of finding and of learning gestures, and the memory of a forest."""
 
 from __future__ import annotations
 
@@ -10,15 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.bench_report import BenchOptions, BenchReport, Row, row
+from benchmarks.bench_report import BenchOptions, BenchReport, Row, best, row
 from benchmarks.depth_gestures.gesture_data import Size, examples, for_gesture, teach, test_set, thinned, training_set
 from benchmarks.depth_gestures.gesture_pictures import GestureFrame
 from benchmarks.depth_gestures.gesture_scores import THOROUGH, judge
-from benchmarks.short_calls import best
 from hypose.gestures.depth_pictures import KINECT
-from hypose.gestures.forest import Forest, ForestSettings
+from hypose.gestures.forest import Forest
 from hypose.gestures.localise import Scratch, localise
-from hypose.gestures.online import Learner, LearnSettings
+from hypose.gestures.online import Learner
 from hypose.synthetic.gesture_poses import GESTURES
 
 
@@ -62,23 +61,17 @@ def speed(options: BenchOptions) -> BenchReport:
     shot = training_set(size, rng, tick=lambda k, n: options.progress("render", k, n))
     test = test_set(size, rng)
     grown = _grow(shot, test, options)
-    shown = examples(shot, GESTURES.index("ok") + 1)
-    deep = Learner.new(rng, ForestSettings(alpha=40), LearnSettings(positives=60, hard=60))
-    for _ in range(2 if options.quick else 4):
-        teach(deep, shown, shuffle=True)
+
     pictures = [f.depth for f in test[:: 4 if options.quick else 2]]
     ms = grown.find_ms
     rows = [
         Row("detect_ms", "one", float(np.median(ms)), "ms", float(np.std(ms)), len(ms)),
         Row("detect_ms", "one/p95", float(np.percentile(ms, 95)), "ms", n=len(ms)),
-        Row("detect_ms", "one/deep", float(np.median(_milliseconds(pictures, [deep.forest.freeze()]))), "ms"),
         Row("detect_ms", "six", float(np.median(_milliseconds(pictures, grown.forests))), "ms", n=len(pictures)),
         row("ap_lost_to_rejection", "all", grown.lost, "1"),
         Row("train_frames_per_second", "all", 1 / float(np.mean(grown.steps_s)), "1/s", n=len(grown.steps_s)),
         Row("model_mb", "all", max(grown.megabytes), "MB", n=len(grown.megabytes)),
-        Row("model_mb", "deep", _megabytes(deep), "MB"),
         Row("nodes", "one", float(np.mean([f.size.sum() for f in grown.forests])), "1"),
-        Row("nodes", "deep", float(deep.forest.arrays.size.sum()), "1"),
     ]
     return BenchReport(
         tuple(rows), {"size": [640, 480], "trees": 15, "deepest": 20, "threads": 1, "time": "processor, best of 3"}

@@ -7,8 +7,10 @@ from 710 on are reported (700 and 701 showed that a box stood before a sensor, a
 
 from __future__ import annotations
 
+import tempfile
 import time
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,9 +18,6 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from benchmarks.bench_report import BenchOptions, BenchReport, Row, row
-from benchmarks.depth_sensors.depth_live import live_depth
-from benchmarks.depth_sensors.depth_moved import moved_sensor
-from benchmarks.depth_sensors.depth_passing import people_apart
 from benchmarks.multiview.action_scenes import captured, subject_of_seed
 from benchmarks.multiview.doubt_fit import auroc, ece
 from benchmarks.synthetic.depth_frames import depth_frames, empty_rooms, seen_before
@@ -30,25 +29,31 @@ from hypose.body.motion import Motion
 from hypose.calibration.depth_registration import place_error
 from hypose.cameras.camera import CameraRig
 from hypose.compute.parts import covered
-from hypose.errors import HyposeError
+from hypose.errors import EvidenceError, HyposeError
 from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.depth_floor import camera_on_floor
 from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.fusion import joints as jt
 from hypose.fusion.fuse import FusionSettings, common_positions, fuse_clip
-from hypose.geometry import Array, se3_inverse, transform
+from hypose.geometry import Array, se3, se3_inverse, so3_exp, transform
 from hypose.pipeline.import_depth import register_depth
+from hypose.pipeline.live.capture import CaptureOptions
+from hypose.pipeline.live.engine import LiveEngine, LiveResult, LiveStatus, LiveTrackingOptions
+from hypose.pipeline.live.live_rig import live_rig
+from hypose.pipeline.live.live_search import LivePersonOptions
+from hypose.pipeline.people_run import PeopleRun
 from hypose.pipeline.run import track_source
 from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.depth_scenes import DepthScene, depth_rig, depth_scene, to_profile, turning
 from hypose.synthetic.metrics import EVALUATED, population_offsets, with_offsets
 from hypose.synthetic.motions import act
+from hypose.synthetic.performance import assemble
 from hypose.synthetic.scenes import look_at
 from hypose.synthetic.subjects import dress
+from hypose.synthetic.write_recording import walking_scene, write_depth_scene
 from hypose.tracking.error_model import WRONG_M
-from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.recipes import recipe
 from hypose.tracking.tracker import Tracker, TrackerSettings, motion_of
 
@@ -94,11 +99,11 @@ def depth(options: BenchOptions) -> BenchReport:
     the later map's arrival to the pose, of two simulated sensors whose maps the live engine plays at their pace."""
     seeds = options.seed_range(10, first=FRESH_SEED, quick=1)
     seconds = 1.2 if options.quick else 2.0
-    found: dict[tuple[str, str, str], list[float]] = {}
+    found: dict[tuple[str, str], list[float]] = {}
 
-    def keep(metric: str, case: str, unit: str, value: float) -> None:
+    def keep(metric: str, case: str, value: float) -> None:
         if np.isfinite(value):
-            found.setdefault((metric, case, unit), []).append(value)
+            found.setdefault((metric, case), []).append(value)
 
     jobs = [(seed, case) for seed in seeds for case in (*SENSORS, "one+colour")]
     jobs += [(seed, what) for what in ("registration", "speed") for seed in seeds[:_FEW]]
@@ -111,34 +116,20 @@ def depth(options: BenchOptions) -> BenchReport:
     for n, (seed, case) in enumerate(jobs):
         options.progress(f"{case} seed {seed}", n, len(jobs))
         part = options.part(f"depth.{seed}.{case}", lambda s=seed, c=case: _measured(s, c, seconds, options))
-        for name, unit in (("mean_mm", "mm"), ("p95_mm", "mm"), ("colour_mm", "mm"), ("sdk_mm", "mm")):
-            if name in part:
-                metric, _, at = name.rpartition("_")
-                if metric in ("mean", "p95"):
-                    keep(name, case, unit, part[name])
-                else:
-                    keep("mean_mm", "colour alone" if metric == "colour" else f"sdk/{case}", unit, part[name])
-        for name, unit in (("registration_deg", "degrees"), ("registration_mm", "mm"), ("clock_ms", "ms")):
-            if name in part:
-                keep(name, "two", unit, part[name])
-        for name, unit in (("together_mm", "mm"), ("alone_mm", "mm"), ("exchanged", "1"), ("invented", "1")):
-            if name in part:
-                keep(name, case, unit, part[name])
-        for name, unit in (("place_deg", "degrees"), ("place_mm", "mm"), ("moved_mm", "mm"), ("told_mm", "mm")):
-            if name in part:
-                keep(name, case, unit, part[name])
-        for name in ("latency_p50_ms", "latency_p99_ms"):
-            if name in part:
-                keep(name, "two", "ms", part[name])
-        for name in ("ms_per_frame", "ms_mean"):
-            for at, value in part.get(name, {}).items():
-                keep(name, at, "ms", value)
+        for name, value in part.items():
+            if name in ("ms_per_frame", "ms_mean"):
+                for sensors, ms in value.items():
+                    keep(name, sensors, ms)
+            elif name in ("colour_mm", "sdk_mm"):
+                keep("mean_mm", "colour alone" if name == "colour_mm" else f"sdk/{case}", value)
+            elif isinstance(value, float):
+                keep(name, "two" if case in ("registration", "live") else case, value)
         if "error" in part:
             away = np.linalg.norm(np.asarray(part["error"]), axis=-1)
             told.setdefault(case, []).append((np.asarray(part["error_probability"]).ravel(), (away > WRONG_M).ravel()))
             inside.setdefault(case, []).append(float(_within(part).mean()))
     options.progress("done", len(jobs), len(jobs))
-    rows: list[Row] = [row(metric, case, values, unit) for (metric, case, unit), values in found.items()]
+    rows: list[Row] = [row(metric, case, values, _unit(metric)) for (metric, case), values in found.items()]
     rows += [row("coverage_90", case, values, "1") for case, values in inside.items()]
     if inside:
         rows.append(row("coverage_90", "all", [np.mean(v) for v in zip(*inside.values(), strict=False)], "1"))
@@ -150,6 +141,12 @@ def depth(options: BenchOptions) -> BenchReport:
     settings["motion"] = "captured" if captured(options) else "built-in"
     settings["sensors"] = "simulated"
     return BenchReport(tuple(rows), settings)
+
+
+def _unit(metric: str) -> str:
+    if metric.startswith("ms_"):
+        return "ms"
+    return {"mm": "mm", "ms": "ms", "deg": "degrees"}.get(metric.rpartition("_")[2], "1")
 
 
 def _within(part: dict[str, Any]) -> NDArray[np.bool_]:
@@ -167,19 +164,18 @@ def _measured(seed: int, case: str, seconds: float, options: BenchOptions) -> di
             return _speed(seed, seconds, options)
         if case.startswith("people/"):
             sensors, _, unknown = case.removeprefix("people/").partition(", ")
-            return people_apart(seed, SENSORS[sensors], seconds, RATE, aligned, empty=not unknown)
+            return people_apart(seed, SENSORS[sensors], seconds, empty=not unknown)
         if case.startswith("moved/"):
             scene = scene_of(seed, "depth-2", 1.6 if options.quick else _MOVED_S, options, action=-1)
-            return moved_sensor(scene, _MOVED[case.removeprefix("moved/")], RATE, seed, aligned)
+            return moved_sensor(scene, _MOVED[case.removeprefix("moved/")], seed)
         if case == "live":
             return live_depth(seed, options.quick)
         if case == "one+colour":
             return _with_colour(seed, seconds, options)
         return _tracked(seed, case, seconds, options)
     except HyposeError as error:  # a clip that the product refuses is a miss, and not left out
-        return (
-            {"refused": str(error), "mean_mm": 1000.0} if case in (*SENSORS, "one+colour") else {"refused": str(error)}
-        )
+        missed = {"mean_mm": 1000.0} if case in (*SENSORS, "one+colour") else {}
+        return {"refused": str(error), **missed}
 
 
 def _tracked(seed: int, case: str, seconds: float, options: BenchOptions) -> dict[str, Any]:
@@ -284,8 +280,6 @@ def _with_colour(seed: int, seconds: float, options: BenchOptions) -> dict[str, 
     found = [e for _, e in tracker.follow(tracker.start(result.motion.poses[0]), alone)]
     colour = motion_of(result.body, scene.times, found)
     out["colour_mm"] = _errors(colour, scene)["mean_mm"]
-    first = prepare(frames[0], result.body, result.motion.poses[0])
-    out["iou"] = first.silhouettes.overlap(result.body, result.motion.poses[0])
     return out
 
 
@@ -315,3 +309,125 @@ def _registration(seed: int, options: BenchOptions) -> dict[str, Any]:
     degrees, metres = place_error(found.rig[1].camera_from_world, true, at)
     clock = float(found.seconds[1]) - (late / RATE - ahead)
     return {"registration_deg": degrees, "registration_mm": 1e3 * metres, "clock_ms": 1e3 * abs(clock)}
+
+
+_TURN_DEGREES, _STEP_M = 2.0, (0.04, 0.0, 0.0)
+
+
+def knocked(scene: DepthScene) -> DepthScene:
+    """The scene before a second camera that is turned about the vertical and stands a step beside."""
+    camera = scene.rig[1]
+    turn = se3(so3_exp(np.radians([0, 0, _TURN_DEGREES])), np.zeros(3))
+    here, there = (se3(np.eye(3), p) for p in (-camera.position, camera.position + np.array(_STEP_M)))
+    moved = replace(camera, camera_from_world=camera.camera_from_world @ np.linalg.inv(there @ turn @ here))
+    return replace(scene, rig=CameraRig((scene.rig[0], moved, *list(scene.rig)[2:])))
+
+
+def moved_sensor(scene: DepthScene, share: float, seed: int) -> dict[str, Any]:
+    """place_deg, place_mm: how far off the second camera's place is at the end; moved_mm, told_mm: mean error with its
+    place found again, and with the given one. share: of the frames before it is knocked. What it sees is cut from the
+    empty room as it sees that from where it stands."""
+    other, frames = knocked(scene), list(depth_frames(scene))
+    change = round(share * len(frames))
+    frames[change:] = [_as_told(f, scene.rig) for f in list(depth_frames(other))[change:]]
+    source, options = FrameList(frames, RATE), TrackOptions(seed=seed)
+    found = track_source(source, RATE, options)
+    now = found.places[-1].camera_from_world[1] if found.places else scene.rig[1].camera_from_world
+    at = scene.joints[-1].mean(0)
+    degrees, metres = place_error(now, other.rig[1].camera_from_world, at)
+    told = track_source(source, RATE, options, find_places=False)
+    out = {"place_deg": degrees, "place_mm": 1e3 * metres, "moved_mm": 1e3 * float(_away(found.motion, scene).mean())}
+    return out | {"told_mm": 1e3 * float(_away(told.motion, scene).mean())}
+
+
+def _as_told(frame: Frame, rig: CameraRig) -> Frame:
+    assert frame.silhouettes is not None and frame.depth is not None
+    told = replace(frame.silhouettes, rig=rig)
+    return replace(frame, silhouettes=told, depth=replace(frame.depth, rig=rig))
+
+
+_SPEED, _ASIDE_M = 1.1, 0.4
+"""m/s, and m beside the middle on which each of them walks"""
+_LOST_M = 0.25
+"""m: mean error of a frame in which a track is somebody else's, or nobody's"""
+
+
+def passing(seed: int, sensors: str, seconds: float, rate: float) -> list[DepthScene]:
+    """Two scenes of the same instants: somebody alone who walks along x, and somebody who comes towards them."""
+    scenes = []
+    for k, way in enumerate((1.0, -1.0)):
+        subject = dress(subject_of_seed(seed + 1000 * k), 0.02, np.random.default_rng([seed, k]))
+        p = act("walk", subject, seconds, rate, np.random.default_rng([seed, 5 + k]))
+        p = turning(p, subject, np.full(len(p), way * np.pi / 2))
+        at = p.root * [0, 0, 1] + [0, -_ASIDE_M * way, 0]
+        at[:, 0] += way * _SPEED * (p.times - p.times.mean())
+        scenes.append(depth_scene(assemble(p.name, subject, p.times, p.rotations, at), subject, sensors, seed=seed))
+    return scenes
+
+
+def people_apart(seed: int, sensors: str, seconds: float, empty: bool = True) -> dict[str, float]:
+    """together_mm, alone_mm: mean error of both when they are tracked together, and each alone; exchanged: share of
+    the frames in which a track is not its person's; invented: people beyond the two. empty: the empty room was
+    recorded."""
+    alone = passing(seed, sensors, seconds, RATE)
+    first, second = alone
+    both = replace(first, others=((second.subject, second.performance),))
+    options = TrackOptions(seed=seed)
+    found = PeopleRun(FrameList(list(depth_frames(both, True, empty)), RATE), RATE, options)().people
+    out = {"invented": float(max(len(found) - 2, 0)), "together_mm": 1000.0, "exchanged": 1.0}
+    errors = np.array([[_away(p.result.motion, s) for p in found] for s in alone])
+    if len(found) >= 2:
+        mine = errors.mean(-1).argmin(1)
+        own = errors[[0, 1], mine]
+        if mine[0] != mine[1]:
+            out |= {"together_mm": 1e3 * float(own.mean()), "exchanged": float((own > _LOST_M).mean())}
+    by_themselves = [
+        track_source(FrameList(list(depth_frames(s, empty=empty)), RATE), RATE, options).motion for s in alone
+    ]
+    out["alone_mm"] = 1e3 * float(np.mean([_away(m, s) for m, s in zip(by_themselves, alone, strict=True)]))
+    return out
+
+
+def _away(motion: Motion, scene: DepthScene) -> Array:
+    """(T,) m: mean error of each frame."""
+    return np.linalg.norm(scene.joints - aligned(motion, scene), axis=-1)[:, EVALUATED].mean(1)
+
+
+class _Late:
+    """A listener that notes how late each pose is, s."""
+
+    def __init__(self) -> None:
+        self.late: list[float] = []
+
+    def seen(self, seen: LiveResult) -> None:
+        """See `Listener`."""
+        if seen.poses:
+            self.late.append(time.monotonic() - seen.sight.arrival)
+
+    def status(self, status: LiveStatus) -> None:
+        """See `Listener`."""
+
+
+def live_depth(seed: int, quick: bool) -> dict[str, Any]:
+    """latency_p50_ms, latency_p99_ms of somebody who walks; an EvidenceError when nobody was found."""
+    seconds = 15.0 if quick else 40.0
+    scene = walking_scene("walk", "", "depth-2", seconds=seconds, frame_rate=RATE, seed=seed)
+    listener = _Late()
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary) / "depth"
+        write_depth_scene(scene, folder)
+        found = live_rig(folder, {})
+        person = LivePersonOptions(TrackOptions(seed=seed), None, None)
+        eyes = CaptureOptions(found.rate, 0.0, found.silhouettes)
+        engine = LiveEngine(found.rig, found.views, LiveTrackingOptions(eyes, person), [listener])
+        try:
+            engine.start()
+            engine.ended.wait(seconds + 10)
+        finally:
+            engine.stop()
+    if engine.failed is not None:
+        raise engine.failed
+    if len(listener.late) < 2 * RATE:
+        raise EvidenceError("Nobody was followed long enough to tell how late poses are.")
+    p50, p99 = np.percentile(listener.late, [50, 99]) * 1e3
+    return {"latency_p50_ms": float(p50), "latency_p99_ms": float(p99)}

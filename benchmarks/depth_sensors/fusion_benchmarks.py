@@ -13,7 +13,6 @@ import numpy as np
 from benchmarks.bench_report import BenchOptions, BenchReport, row
 from benchmarks.depth_sensors.baselines import BASELINES, fuse_baseline, single_sensor
 from benchmarks.depth_sensors.fusion_scenes import FRESH_SEED, HANDS, scene_recording, scene_settings
-from benchmarks.depth_sensors.sensor_choice import register_per_frame
 from benchmarks.multiview.doubt_fit import auroc
 from benchmarks.synthetic.sensors import SensorRecording
 from hypose.app.jobs.fuse_job import run_fuse
@@ -103,13 +102,12 @@ def _best_single(recording: SensorRecording) -> float:
 # ---- two real sensors ----
 
 CONFIGURATIONS = {"0": "parallel", "1": "45", "2": "90"}
-SCENARIOS = {"occlusion": {"6"}, "two_persons": {"4", "5", "8"}}
 
 
 def real(options: BenchOptions) -> BenchReport:
     """fusion-real: two Kinect v2 on one person, no truth: agreement between the sensors after registration, bone
     lengths and jitter after fusion, leaving one sensor out. Three recordings per configuration, their first 400 common
-    frames; with "/all" every recording, whole; with "/even" those that are even by their number in the order of their
+    frames; with "/even" those that are even by their number in the order of their
     names, on which nothing was chosen that `hypose.fusion.fit` holds."""
     folder = options.folder("kinect_multitrack")
     found: dict[tuple[str, str, str], list[float]] = {}
@@ -125,12 +123,6 @@ def real(options: BenchOptions) -> BenchReport:
         except InputError:
             continue
         name = CONFIGURATIONS[configuration]
-        if not options.quick:
-            scenario = _scenarios(file)
-            for label, wanted in SCENARIOS.items():
-                part = [f for f in frames if scenario.get(round(1e3 * float(f.times[0]))) in wanted]
-                if len(part) >= 100:
-                    _measure_pair(part, name, f"/{label}", found)
         even = n % 2 == 1
         if even and not options.quick:
             _verdicts(file, frames, found)
@@ -140,9 +132,7 @@ def real(options: BenchOptions) -> BenchReport:
             sensor_left_out(frames, name, found)
         used[configuration] = used.get(configuration, 0) + 1
         if used[configuration] <= 3:
-            _measure_pair(frames[:400], name, "", found)
-        if not options.quick:
-            _measure_pair(frames, name, "/all", found)
+            _measure_pair(frames[:400], name, found)
     rows = [row(metric, case, values, unit) for (metric, case, unit), values in found.items()]
     return BenchReport(tuple(rows), {"recordings": {CONFIGURATIONS[c]: n for c, n in used.items()}})
 
@@ -222,41 +212,23 @@ def _scenarios(file: Path) -> dict[int, str]:
     return {round(t - first): scenario for t, scenario in rows}
 
 
-def _measure_pair(
-    frames: list[SensorJoints], name: str, suffix: str, found: dict[tuple[str, str, str], list[float]]
-) -> None:
+def _measure_pair(frames: list[SensorJoints], name: str, found: dict[tuple[str, str, str], list[float]]) -> None:
     positions, states = np.stack([f.positions for f in frames]), np.stack([f.state for f in frames])
 
     def add(metric: str, case: str, value: float) -> None:
-        found.setdefault((metric, case + suffix, "mm"), []).append(1e3 * value)
-
-    def agreement(world: Array) -> float:
-        return float(np.nanmedian(np.linalg.norm(world[:, 0] - world[:, 1], axis=-1)))
+        found.setdefault((metric, case, "mm"), []).append(1e3 * value)
 
     registration = register(positions, states)
-    world = registration.apply(positions)
-    add("agreement_mm", name, agreement(world))
-    add("agreement_mm", f"{name}/causal", agreement(_causal_world(frames)))
+    for case, world in ((name, registration.apply(positions)), (f"{name}/causal", _causal_world(frames))):
+        add("agreement_mm", case, float(np.nanmedian(np.linalg.norm(world[:, 0] - world[:, 1], axis=-1))))
     fused = {"mean": fuse_baseline(frames, "weighted_mean", registration)}
-    for method in ("fit",) if suffix else ("fit", "swarm"):
+    for method in ("fit", "swarm"):
         result = fuse_clip(frames, method, FusionSettings(check=False), registration)
         fused[method] = common_positions(result.motion)
     for label, joints in fused.items():
         for metric, value in (("bone_sd_mm", bone_sd(joints)), ("jitter_mm", jitter(joints))):
             add(metric, f"{label}/{name}", value)
-            if not suffix:
-                add(metric, label, value)
-    if suffix:
-        return
-    add("agreement_mm", f"{name}/per_frame", agreement(register_per_frame(positions)))
-    add("agreement_mm", f"{name}/raw", agreement(positions))
-    # leave one out: what the other sensor alone says, seen from here
-    for left, kept in ((0, 1), (1, 0)):
-        alone = np.where(np.arange(2)[:, None, None] == kept, world, np.nan)
-        one = [SensorJoints(alone[t], f.state, f.times, jt.COMMON, f.sensor_names) for t, f in enumerate(frames)]
-        result = fuse_clip(one, "fit", FusionSettings(registered=True, check=False))
-        distance = np.linalg.norm(common_positions(result.motion) - world[:, left], axis=-1)
-        add("leave_one_out_mm", name, float(np.nanmedian(distance)))
+            add(metric, label, value)
 
 
 def _causal_world(frames: list[SensorJoints]) -> Array:

@@ -167,55 +167,6 @@ def _all_cycles(
     return out
 
 
-def _cured(**changes: object) -> SwarmSettings:
-    confidence = replace(PUBLISHED.confidence, thickness=True, hold=True, clip_m=0.3, floor_m=0.15)
-    return replace(PUBLISHED, confidence=confidence, **changes)  # type: ignore[arg-type]
-
-
-def departure_settings() -> dict[str, SwarmSettings]:
-    """The published settings with one departure each, and the improved ones with one taken back each."""
-
-    def inputs(base: SwarmSettings, **changes: object) -> SwarmSettings:
-        return replace(base, confidence=replace(base.confidence, **changes))  # type: ignore[arg-type]
-
-    return {
-        "published": PUBLISHED,
-        "h=0.02": replace(PUBLISHED, h_m=0.02),
-        "h=0.1": replace(PUBLISHED, h_m=0.1),
-        "h=0.2": replace(PUBLISHED, h_m=0.2),
-        "pressure=4": replace(PUBLISHED, pressure=4.0),
-        "immigrants=7": replace(PUBLISHED, immigrants=7),
-        "power=2": replace(PUBLISHED, power=2.0),
-        "universal": replace(PUBLISHED, universal=True),
-        "depth: thickness, hold, floor": _cured(),
-        "without F": inputs(PUBLISHED, use_f=False),
-        "without D": inputs(PUBLISHED, use_d=False),
-        "without A": inputs(PUBLISHED, use_a=False),
-        "improved": IMPROVED,
-        "improved, h=0.05": replace(IMPROVED, h_m=0.05),
-        "improved, power=1": replace(IMPROVED, power=1.0),
-        "improved, independent spins": replace(IMPROVED, universal=False),
-        "improved, pressure=1, 7 immigrants": replace(IMPROVED, pressure=1.0, immigrants=7),
-        "improved, no immigrants": replace(IMPROVED, immigrants=0),
-        "improved, no merged evidence": inputs(IMPROVED, merge_bones=False, merge_state=False),
-    }
-
-
-def departures(options: BenchOptions) -> BenchReport:
-    """fusion-departures: every departure from the paper, switched alone (registration is the robust one throughout)."""
-    seeds = options.seed_range(4)
-    rows: list[Row] = []
-    recordings = [(scene, scene_recording(scene, s, options), s) for s in seeds for scene in "AB"]
-    for n, (name, settings) in enumerate(departure_settings().items()):
-        options.progress("departures", n, len(departure_settings()))
-        found: dict[str, list[Case]] = {}
-        for scene, recording, s in recordings:
-            for cycle, got in _all_cycles(recording, settings, False, s).items():
-                found.setdefault(f"{name}/{scene}/{cycle}", []).extend(got)
-        rows += [row("success", case, [c.success for c in got], "share") for case, got in found.items() if got]
-    return BenchReport(tuple(rows), scene_settings(options, seeds))
-
-
 def register_per_frame(positions: ArrayLike) -> Array:
     """Positions (T, K, 15, 3) m of a clip in the common frame, every frame registered by itself (`by_triangles`)."""
     s = np.asarray(positions, dtype=np.float64)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import tempfile
-import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -24,7 +23,6 @@ from hypose.evidence.colours import colour_codes, colour_edges
 from hypose.evidence.frame import Colours, Frame
 from hypose.evidence.limb_maps import LABELS, LimbMaps, limb_of_joints
 from hypose.geometry import Array
-from hypose.inference.layer import Recipe
 from hypose.pipeline.first_frame import SubjectOptions, find_subject
 from hypose.pipeline.passes import ClipState, track_clip, tracker_of
 from hypose.pipeline.run import finish, track_source
@@ -34,9 +32,6 @@ from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.metrics import EVALUATED, population_offsets, with_offsets
 from hypose.synthetic.scenes import Scene, make_scene
 from hypose.synthetic.write_recording import write_scene
-from hypose.tracking.arm_hypotheses import RefineRivals
-from hypose.tracking.recipes import default
-from hypose.tracking.tracker import Tracker, TrackerSettings
 
 _ARMS = [list(EVALUATED).index(JOINT_NAMES.index(f"{s}_{j}")) for s in ("left", "right") for j in ("elbow", "wrist")]
 _COLOURED, _LIMBS = "/colours", "/limbs"
@@ -65,8 +60,7 @@ def arms(options: BenchOptions) -> BenchReport:
     CASE/colours: with the rendered pictures in addition to the masks, as `hypose track --colours`; CASE/limbs: with a
     label image per view that tells limbs apart, each limb of it missing or of the wrong side in 5 % of the images.
     demo: the recording of `hypose demo` (seed 1), draws 0 to 4. draw_difference_mm: by how much two draws differ at
-    most in any joint of any frame. ms_added: per frame by looking arms up and carrying rivals, four views, against the
-    same recipe without. Seeds from 600 on; the settings were chosen on 500 to 507."""
+    most in any joint of any frame. Seeds from 600 on; the settings were chosen on 500 to 507."""
     seeds = options.seed_range(16, first=600)
     draws = 1 if options.quick else 2
     known: dict[str, list[tuple[Array, Array]]] = {}
@@ -81,7 +75,6 @@ def arms(options: BenchOptions) -> BenchReport:
     for case, runs in (("all", everything), *known.items()):
         rows += _rows(case, [smoothed for smoothed, _ in runs], whole=case == "all")
     rows += _rows("unsmoothed", [tracked for _, tracked in everything], whole=False)
-    rows += _cost(options, seeds.start)
     if not options.quick:
         rows += _demo(options)
         if options.data is not None and (options.data / "pose2sim_balancing").exists():
@@ -169,41 +162,6 @@ def _rows(case: str, runs: Sequence[Array], *, whole: bool) -> list[Row]:
         rows.append(Row("p95_mm", case, float(np.percentile(every, 95)), "mm", n=every.size))
         rows.append(Row("arms_p95_mm", case, float(np.percentile(every[:, _ARMS], 95)), "mm", n=len(every)))
     return rows
-
-
-def without_rivals(recipe: Recipe) -> Recipe:
-    """The same recipe, in which no arm is looked up and one hypothesis goes on."""
-    layers = [
-        replace(layer, propagate=replace(layer.propagate, arms=(), keep=1))
-        if isinstance(layer.propagate, RefineRivals)
-        else layer
-        for layer in recipe.layers
-    ]
-    return replace(recipe, layers=layers, rivals=1)
-
-
-def _cost(options: BenchOptions, seed: int) -> list[Row]:
-    """The median over frames of walk, box and combo of what a frame takes more, both ways in turn."""
-    times: dict[bool, list[float]] = {True: [], False: []}
-    for action in ("walk",) if options.quick else ("walk", "box", "combo"):
-        scene = action_scene(action, seed, _SECONDS, options)
-        subject = known_subject(scene)
-        made = default(subject.body, frame_rate=scene.frame_rate)
-        settings = TrackerSettings(frame_rate=scene.frame_rate)
-        trackers = {True: Tracker(subject.body, made, settings)}
-        trackers[False] = replace(trackers[True], recipe=without_rivals(made))
-        states = {way: tracker.start(subject.start) for way, tracker in trackers.items()}
-        for frame in scene.mask_frames(1.0):
-            for way in (True, False):
-                begin = time.perf_counter()
-                states[way], _ = trackers[way].step(states[way], frame)
-                times[way].append(1e3 * (time.perf_counter() - begin))
-    more = float(np.median(np.array(times[True]) - np.array(times[False])))
-    base = {"baseline": "ms without", "baseline_value": float(np.median(times[False]))}
-    return [
-        Row("ms_added", "4 views", more, "ms", n=len(times[True])),
-        Row("ms_per_frame", "4 views", float(np.median(times[True])), "ms", n=len(times[True]), **base),
-    ]
 
 
 def _demo(options: BenchOptions) -> list[Row]:

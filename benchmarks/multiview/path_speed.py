@@ -16,15 +16,12 @@ import numpy as np
 
 from benchmarks.bench_report import BenchOptions, BenchReport, Row
 from benchmarks.multiview.action_scenes import action_scene, known_subject
-from benchmarks.multiview.clip_speed import keypoint_clip_rows
 from benchmarks.multiview.real_recordings import balancing_recording
-from hypose.cameras.camera import CameraRig
 from hypose.compute.threads import default_threads
 from hypose.evidence.background import BackgroundModel
 from hypose.evidence.frame import Frame
 from hypose.evidence.outlines import WORKING_HEIGHT
 from hypose.evidence.prefetch import look_ahead
-from hypose.evidence.silhouettes import make_silhouettes
 from hypose.evidence.terms import contour_term
 from hypose.io.recordings.frames import FrameSettings, FrameStream, build_backgrounds
 from hypose.io.recordings.recording import Recording, load_recording
@@ -32,6 +29,8 @@ from hypose.io.videos.video import VideoWriter, open_video
 from hypose.pipeline.first_frame import SubjectOptions, TrackedSubject, find_subject
 from hypose.synthetic.scenes import Scene
 from hypose.synthetic.write_recording import write_scene
+from hypose.tracking.keypoint_clip import solve_keypoint_clip
+from hypose.tracking.keypoint_evidence import keypoint_model
 from hypose.tracking.recipes import recipe
 from hypose.tracking.tracker import Tracker, TrackerSettings
 
@@ -59,13 +58,11 @@ def _cost(call: Callable[[], int], repeats: int) -> _Cost:
 
 
 def multiview_speed(options: BenchOptions) -> BenchReport:
-    """Frames per second of whole tracking (masks in, or video files in) per preset, the share of each stage of the
-    processor time, decode_ratio and growth.
+    """Frames per second of whole tracking (masks in, or video files in) per preset, and decode_ratio.
 
     decode_ratio CASE: processor time from video files to prepared evidence (masks, distances, outlines) over that of
     decoding alone. decode_ratio CASE, poses: time by the clock from video files to poses over that of decoding alone.
-    growth: time per frame with twice the particles, views, or frames, over that without; peak_memory_growth_mib: how
-    much higher the peak is after a clip of twice the length.
+
     With --data also the balancing clip, whose videos are 1080p.
     """
     seconds = 0.6 if options.quick else 4.0
@@ -74,12 +71,11 @@ def multiview_speed(options: BenchOptions) -> BenchReport:
     known = known_subject(scene)
     frames = list(scene.mask_frames(1.0))
     rows = _masks_in(options, scene, known, frames, repeats)
-    rows += keypoint_clip_rows(scene, known, repeats)
+    rows += _keypoint_clip_rows(scene, known, repeats)
     with tempfile.TemporaryDirectory() as folder:
         options.progress("videos", 0, 1)
         small = load_recording(write_scene(scene, Path(folder) / "480p").parent)
-        # first: peaks are those of the process, and larger pictures would hide any growth
-        rows += _twice_as_long(small, Path(folder) / "long", known)
+
         rows += videos_in("480p", small, known, repeats)
         rows += videos_in("1080p", enlarged(small, Path(folder) / "1080p", 2.25), known, repeats)
     if options.data is not None and (options.data / "pose2sim_balancing").exists():
@@ -103,13 +99,28 @@ def _masks_in(
         cost = _cost(lambda p=preset: follow(look_ahead(anew(frames)), subject, scene.frame_rate, p), repeats)
         rows.append(Row("frames_per_second", f"masks:{preset}/4", 1 / cost.wall, "1/s", n=len(frames)))
         rows.append(Row("cpu_ms_per_frame", f"masks:{preset}/4", 1e3 * cost.cpu, "ms", n=len(frames)))
-    few = frames[: 10 if options.quick else 25]
-    one = _cost(lambda: follow(few, subject, scene.frame_rate, "hpf"), 2)
-    more = _cost(lambda: follow(few, subject, scene.frame_rate, "hpf", particles=2), 2)
-    fewer = _cost(lambda: follow([_two_views(f) for f in few], subject, scene.frame_rate, "hpf"), 2)
-    rows.append(Row("growth", "particles x 2", more.cpu / one.cpu, "1", n=len(few)))
-    rows.append(Row("growth", "views x 2", one.cpu / fewer.cpu, "1", n=len(few)))
+
     return rows
+
+
+def _keypoint_clip_rows(scene: Scene, subject: TrackedSubject, repeats: int) -> list[Row]:
+    """frames_per_second and cpu_ms_per_frame of `solve_keypoint_clip` (key points in, poses of all frames out), the
+    least of some runs; 25 key points in every view, half-size pictures."""
+    seen = [f.keypoints for f in scene.mask_frames(0.5, keypoints=True)]
+    names = next(k.names for k in seen if k is not None)
+    model = keypoint_model(subject.body, names)
+
+    def solve() -> int:
+        solve_keypoint_clip(subject.body, model, seen, subject.start, scene.frame_rate)
+        return len(seen)
+
+    solve()  # loads the kernels
+    cost = _cost(solve, repeats)
+    case = f"keypoints:clip/{len(scene.rig)}"
+    return [
+        Row("frames_per_second", case, 1 / cost.wall, "1/s", n=len(seen)),
+        Row("cpu_ms_per_frame", case, 1e3 * cost.cpu, "ms", n=len(seen)),
+    ]
 
 
 def anew(frames: Iterable[Frame]) -> Iterator[Frame]:
@@ -119,17 +130,10 @@ def anew(frames: Iterable[Frame]) -> Iterator[Frame]:
         yield replace(frame, silhouettes=replace(frame.silhouettes))
 
 
-def _two_views(frame: Frame) -> Frame:
-    assert frame.silhouettes is not None
-    rig = CameraRig(frame.silhouettes.rig.cameras[:2])
-    masks = [m[: c.size[1], : c.size[0]] for m, c in zip(frame.silhouettes.masks, rig, strict=False)]
-    return replace(frame, silhouettes=make_silhouettes(masks, rig))
-
-
-def follow(frames: Iterable[Frame], subject: TrackedSubject, rate: float, preset: str, particles: int = 1) -> int:
-    """Track the frames by a preset with so many times its particles; how many frames there were."""
+def follow(frames: Iterable[Frame], subject: TrackedSubject, rate: float, preset: str) -> int:
+    """Track the frames by a preset; how many frames there were."""
     made = recipe(preset, subject.body, frame_rate=rate)
-    made = replace(made, particles=particles * made.particles)
+
     tracker = Tracker(subject.body, made, TrackerSettings(frame_rate=rate), subject.keypoints)
     return sum(1 for _ in tracker.follow(tracker.start(subject.start), frames))
 
@@ -149,7 +153,7 @@ def videos_in(case: str, recording: Recording, subject: TrackedSubject, repeats:
     whole = _cost(lambda: follow(look_ahead(frames_of(recording, backgrounds)), subject, rate, "default"), repeats)
     n = len(recording.frames)
     against = {"baseline": "decoding the videos alone", "baseline_value": 1 / decoding.wall}
-    rows = [
+    return [
         Row("frames_per_second", f"{case}:default/4", 1 / whole.wall, "1/s", n=n, **against),
         Row("frames_per_second", f"{case}:evidence/4", 1 / evidence.wall, "1/s", n=n, **against),
         Row("cpu_ms_per_frame", f"{case}:decoding", 1e3 * decoding.cpu, "ms", n=n),
@@ -159,10 +163,6 @@ def videos_in(case: str, recording: Recording, subject: TrackedSubject, repeats:
         Row("opening_seconds", case, opening[0], "s"),
         Row("opening_cpu_seconds", case, opening[1], "s"),
     ]
-    parts = (decoding.cpu, evidence.cpu - decoding.cpu, whole.cpu - evidence.cpu)
-    for stage, value in zip(("decoding", "evidence", "tracking"), parts, strict=True):
-        rows.append(Row("stage_share", f"{case}:{stage}", value / whole.cpu, "1"))
-    return rows
 
 
 def _decode(recording: Recording) -> int:
@@ -208,36 +208,6 @@ def enlarged(recording: Recording, folder: Path, factor: float) -> Recording:
                         writer.write(np.asarray(cv2.resize(picture, size), dtype=np.uint8))
         views.append(replace(view, **made))
     return replace(recording, views=tuple(views))
-
-
-def _twice_as_long(recording: Recording, folder: Path, subject: TrackedSubject) -> list[Row]:
-    """The clip forth and back and forth, and that again: time per frame and peak memory must not grow."""
-    backgrounds = build_backgrounds(recording)
-    costs, peaks = [], []
-    for rounds in (1, 2):
-        clip = _repeated(recording, folder / str(rounds), rounds)
-        costs.append(_cost(lambda c=clip: follow(frames_of(c, backgrounds), subject, c.frame_rate, "default"), 1))
-        peaks.append(_peak_mib())
-    frames = len(recording.frames)
-    return [
-        Row("growth", "frames x 2", costs[1].cpu / costs[0].cpu, "1", n=2 * frames),
-        Row("peak_memory_growth_mib", "frames x 2", peaks[1] - peaks[0], "MiB", n=2 * frames),
-    ]
-
-
-def _repeated(recording: Recording, folder: Path, rounds: int) -> Recording:
-    folder.mkdir(parents=True)
-    views = []
-    for view in recording.views:
-        assert view.video is not None
-        with open_video(view.video) as reader:
-            pictures, size = list(reader), reader.size
-        with VideoWriter(folder / view.video.name, recording.frame_rate, size) as writer:
-            for _ in range(rounds):
-                for picture in [*pictures, *pictures[::-1]]:
-                    writer.write(picture)
-        views.append(replace(view, video=folder / view.video.name))
-    return replace(recording, views=tuple(views), n_frames=2 * rounds * len(recording.frames))
 
 
 def _peak_mib() -> float:

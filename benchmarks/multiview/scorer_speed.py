@@ -7,9 +7,8 @@ import cv2
 import numpy as np
 from scipy.stats import spearmanr
 
-from benchmarks.bench_report import BenchOptions, BenchReport, Row
+from benchmarks.bench_report import BenchOptions, BenchReport, Row, best
 from benchmarks.multiview.action_scenes import action_scene, known_subject
-from benchmarks.short_calls import best
 from hypose.body.body import Body, Mesh
 from hypose.compute.arrays import PreparedMasks, prepare_masks
 from hypose.compute.parts import covered, projected
@@ -18,13 +17,11 @@ from hypose.evidence.frame import Frame
 from hypose.evidence.prefetch import prepared_masks
 from hypose.geometry import Array
 
-_UPPER = ("pelvis", "spine", "chest", "neck", "head", "left_clavicle", "right_clavicle")
-
 
 def silhouette_scorer(options: BenchOptions) -> BenchReport:
-    """Microseconds per silhouette (one pose, one view, 640 x 480) with 1 and 2 threads, whole, in boxes, by parts, and
-    of an arm over the standing rest; OpenCV filling every front-facing triangle as baseline; and Spearman's correlation
-    of the coarse mesh's ranking of poses with the fine mesh's."""
+    """Microseconds per silhouette (one pose, one view, 640 x 480) with 1 and 2 threads; OpenCV filling every
+    front-facing triangle as baseline; and Spearman's correlation of the coarse mesh's ranking of poses with the fine
+    mesh's."""
     scene = action_scene("walk", 0, 0.2, options)
     frame = next(iter(scene.mask_frames(1.0)))
     subject = known_subject(scene)
@@ -34,7 +31,6 @@ def silhouette_scorer(options: BenchOptions) -> BenchReport:
     tree, mesh = body.skeleton.tree, body.coarse.arrays
     n = 96 if options.quick else 500
     poses = around(body, subject.start, 2 * body.skeleton.sigma, n)
-    modes = ways_to_count(body, masks)
     views, repeats = len(masks.masks), 7 if options.quick else 25
     silhouette_xor(poses[:8], tree, mesh, masks)
     opencv = best(_opencv_call(body, poses[:4], masks), 5) / (4 * views) * 1e6
@@ -45,10 +41,6 @@ def silhouette_scorer(options: BenchOptions) -> BenchReport:
         value = seconds / (n * views) * 1e6
         rows.append(Row("us_per_silhouette", f"{threads}t", value, "us", n=n, **against))
         rows.append(Row("ratio_to_opencv", f"{threads}t", value / opencv, "1"))
-    for case, more in (*list(modes.items())[1:], ("fine", {})):
-        arrays = body.fine.arrays if case == "fine" else mesh
-        seconds = best(lambda m=more, a=arrays: silhouette_xor(poses, tree, a, masks, threads=1, **m), repeats)
-        rows.append(Row("us_per_silhouette", f"1t,{case}", seconds / (n * views) * 1e6, "us", n=n))
     rest = body.skeleton.rest_pose()
     rest[:6] = subject.start[:6]
     for case, pose in (("standing", rest), ("walking", subject.start)):
@@ -68,23 +60,6 @@ def opencv_unit(frame: Frame, body: Body, pose: Array) -> float:
 def around(body: Body, pose: Array, sd: Array, n: int) -> Array:
     """(N, D) poses about one, within the limits."""
     return body.skeleton.clamp(pose + np.random.default_rng(0).standard_normal((n, len(pose))) * sd)
-
-
-def ways_to_count(body: Body, masks: PreparedMasks) -> dict[str, dict]:
-    """Whole images, a box per view (half the person's), only head and trunk, both, and one arm over the rest."""
-    boxes = []
-    for mask in masks.masks:
-        y, x = np.nonzero(mask)
-        boxes.append([x.min() - 10, x.max() + 10, y.min() - 10, (y.min() + y.max()) // 2] if len(x) else [0, 9, 0, 9])
-    names = body.skeleton.joint_names
-    upper = np.isin(body.coarse.main_joint[body.coarse.faces[:, 0]], [names.index(k) for k in _UPPER])
-    return {
-        "whole": {},
-        "box": {"boxes": np.array(boxes)},
-        "parts": {"faces": upper},
-        "parts in box": {"boxes": np.array(boxes), "faces": upper},
-        "arm": {"moving": np.isin(names, ("left_clavicle", "left_shoulder", "left_elbow"))},
-    }
 
 
 def _silhouette(vertices: Array, faces: np.ndarray, projection: Array, size: tuple[int, int]) -> np.ndarray:

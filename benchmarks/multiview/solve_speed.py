@@ -7,10 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from benchmarks.bench_report import BenchOptions, BenchReport, Row, row
+from benchmarks.bench_report import BenchOptions, BenchReport, Row, best, row
 from benchmarks.multiview.action_scenes import action_scene, known_subject
 from benchmarks.multiview.real_recordings import against_keypoints, balancing_recording
-from benchmarks.short_calls import best
 from hypose.body.body import Body
 from hypose.evidence.frame import Frame
 from hypose.evidence.outlines import WORKING_HEIGHT
@@ -38,23 +37,19 @@ class _Solved:
 def contour_solve(options: BenchOptions) -> BenchReport:
     """Milliseconds per frame of the robust solve from the prediction (8 iterations, 4 views, one thread).
 
-    contours: as the tracker prepares them (distances around the person); half size: masks of half the size; keypoints:
-    25 key points a view. to_converged_mm: mean joint distance after so many iterations from the solution after 60, from
-    the same prediction. With --data, the balancing clip: median_mm to its key points (12 limb joints, aligned) of the
-    solve alone, and of a slow reference with the same cost: whole distances in images of twice the size, outlines three
-    times as dense, 60 iterations.
+    contours: as the tracker prepares them (distances around the person); keypoints: 25 key points a view. With --data,
+    the balancing clip: median_mm to its key points (12 limb joints, aligned) of the solve alone, and of a slow
+    reference with the same cost: whole distances in images of twice the size, outlines three times as dense, 60
+    iterations.
     """
     scene = action_scene("walk", 0, 0.4 if options.quick else 1.0, options)
     subject = known_subject(scene)
     body, start = subject.body, subject.start
     rows = []
-    for case, scale in (("contours", 1.0), ("contours, half size", 0.5)):
-        terms = [_fast_term(f) for f in scene.mask_frames(scale)]
-        solved = _follow(body, start, terms, [None] * len(terms), _FAST, repeats=3)
-        rows.append(row("ms_per_frame", case, 1e3 * solved.seconds, "ms"))
-        rows.append(Row("iterations_p90", case, float(np.percentile(solved.iterations, 90)), "1", n=len(terms)))
-        if scale == 1.0:
-            rows += _convergence(body, solved.poses, terms)
+    terms = [_fast_term(f) for f in scene.mask_frames(1.0)]
+    solved = _follow(body, start, terms, [None] * len(terms), _FAST, repeats=3)
+    rows.append(row("ms_per_frame", "contours", 1e3 * solved.seconds, "ms"))
+    rows.append(Row("iterations_p90", "contours", float(np.percentile(solved.iterations, 90)), "1", n=len(terms)))
     points = [
         keypoint_term(f.keypoints, body) if f.keypoints is not None else None
         for f in scene.mask_frames(0.5, keypoints=True)
@@ -103,24 +98,6 @@ def _follow(
         iterations.append(fit.iterations)
         poses.append(fit.pose)
     return _Solved(np.array(seconds), np.array(iterations), np.stack(poses[2:]))
-
-
-def _convergence(body: Body, poses: Array, terms: list[ContourTerm]) -> list[Row]:
-    """How far the joints still are from where 60 iterations take them, from the same predictions."""
-    s = body.skeleton
-    gaps: dict[int, list[float]] = {2: [], 4: [], 6: [], 8: []}
-    for t in range(2, len(terms)):
-        q = s.clamp(poses[t - 1] + _GAIN * (poses[t - 1] - s.on_branch(poses[t - 2], poses[t - 1])))
-        end = body.joints(_solve(body, q, terms[t], None, _LONG).pose)
-        for n, found in gaps.items():
-            few = replace(_FAST, iterations=n, coarse_iterations=min(4, n // 2))
-            near = body.joints(_solve(body, q, terms[t], None, few).pose)
-            found.append(1e3 * float(np.linalg.norm(near - end, axis=-1).mean()))
-    return [
-        Row("to_converged_mm", f"{n} iterations, {name}", float(np.percentile(v, share)), "mm", n=len(v))
-        for n, v in gaps.items()
-        for name, share in (("median", 50), ("p90", 90))
-    ]
 
 
 def _balancing(options: BenchOptions) -> list[Row]:

@@ -1,13 +1,12 @@
 """Benchmarks of the monocular tracker on scenes with known truth: mono-arm, mono-body, mono-speed.
 
 Seeds 0 to 9 (arm) and 0 to 7 (body) are reported; settings, inflation included, were chosen on seeds from 100 on.
-Ablations are settings of the same tracker.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -19,70 +18,29 @@ from benchmarks.bench_report import BenchOptions, BenchReport, Row, row
 from benchmarks.one_camera.mono_runs import (
     KEPT_MEDIAN_M,
     KEPT_PX,
-    STAGES,
     MonoRun,
     pictures,
     solve_scene,
     track_scene,
 )
-from benchmarks.synthetic.mono_motions import STRAIGHT_KNEE
 from benchmarks.synthetic.mono_scenes import MonoScene, arm_scene, body_scene
 from hypose.compute.mono_terms import GAUSSIAN
 from hypose.geometry import Image
 from hypose.tracking.monocular.problem import grey
 from hypose.tracking.monocular.settings import MonoSettings
 
-Ablation = Callable[[MonoSettings], MonoSettings]
 
-
-def hypotheses(count: int, directions: int) -> Ablation:
+def hypotheses(count: int, directions: int) -> MonoSettings:
     """So many hypotheses from so many uncertain directions."""
-    return lambda s: replace(s, search=replace(s.search, hypotheses=count, directions=directions))
+    settings = MonoSettings()
+    return replace(settings, search=replace(settings.search, hypotheses=count, directions=directions))
 
-
-def _single(s: MonoSettings) -> MonoSettings:
-    return hypotheses(1, 0)(s)
-
-
-def _gaussian(s: MonoSettings) -> MonoSettings:
-    return s.robust(GAUSSIAN)
-
-
-def _no_flow(s: MonoSettings) -> MonoSettings:
-    return replace(s, flow=s.flow._replace(use=False))
-
-
-def _no_boundaries(s: MonoSettings) -> MonoSettings:
-    return replace(s, edge=s.edge._replace(motion_boundaries=False))
-
-
-def _isotropic(s: MonoSettings) -> MonoSettings:
-    return replace(s, search=replace(s.search, isotropic=True))
-
-
-def _no_velocity(s: MonoSettings) -> MonoSettings:
-    return replace(s, velocity=0.0)
-
-
-def _no_limits(s: MonoSettings) -> MonoSettings:
-    return replace(s, limits=False)
-
-
-ABLATIONS: Mapping[str, Ablation] = {
-    "single": _single,
-    "gaussian": _gaussian,
-    "no_flow": _no_flow,
-    "no_boundaries": _no_boundaries,
-    "isotropic": _isotropic,
-    "no_velocity": _no_velocity,
-}
-"""Each leaves out one part of the method."""
 
 GOOD_ARM_M = 0.080
 """Mean error that is asked of the arm."""
-ARM = hypotheses(3, 1)(MonoSettings())
-"""The published arm experiment: 3 hypotheses, one uncertain direction."""
-BODY = hypotheses(7, 3)(MonoSettings())
+ARM, SINGLE = hypotheses(3, 1), hypotheses(1, 0)
+"""The published arm experiment: 3 hypotheses, one uncertain direction; and one hypothesis alone."""
+BODY = hypotheses(7, 3)
 """The published body experiment: 7 hypotheses, three uncertain directions."""
 
 KEYPOINTS = "keypoints"
@@ -96,51 +54,39 @@ def mono_arm(options: BenchOptions) -> BenchReport:
     mean_error_mm, depth_mm, image_error_px: means over elbow, wrist and knuckles, in the world, over all seeds, sd over
     the seeds; kept_error_mm: over the seeds kept; at_most_80: number of seeds that are kept at no more than 80 mm;
     alive: hypotheses really alive. '/whole_clip': the clip solved as a whole (hypose.tracking.monocular.recipe). quick:
-    one seed, its first second, without the ablations."""
+    one seed, its first second."""
     seeds = options.seed_range(10)
     seconds = 1.0 if options.quick else 8.0  # the first ones of the same motion
-    variants: dict[str, MonoSettings] = {
-        "robust_3": ARM,
-        "robust_1": _single(ARM),
-        "gaussian_1": _gaussian(_single(ARM)),
-    }
-    if not options.quick:
-        variants |= {f"robust_3/{n}": ABLATIONS[n](ARM) for n in ABLATIONS if n not in ("single", "gaussian")}
+    variants = {"robust_3": ARM, "robust_1": SINGLE, "gaussian_1": SINGLE.robust(GAUSSIAN)}
     scenes = (arm_scene(s) for s in seeds)
     rows = _table(scenes, variants, options, len(seeds), "mean_error_mm", seconds)
     return BenchReport(tuple(rows), _settings(seeds, seconds))
 
 
 def mono_body(options: BenchOptions) -> BenchReport:
-    """A 30-dof body for 1.2 s (and, without --quick, for 8 s), 7 hypotheses, and what each part of the method is worth.
+    """A 30-dof body for 1.2 s (and, without --quick, for 8 s), 7 hypotheses.
 
     root_aligned_mm, depth_mm: 14 joints, pelves made to coincide; image_error_px; oracle_mm: the best of all modes;
     '/whole_clip' as in mono_arm; coverage_90: share of joints and frames whose truth lies in the 90 % region of any
     mode, coverage_90_best in that of the best hypothesis; kept_track: number of scenes. keypoints: with a detector's
-    points besides. no_limits is compared on a motion near a straight knee. quick: half a second of one scene, and of
-    the ablations the Gaussian only.
+    points besides. quick: half a second of one scene.
     """
     seeds = options.seed_range(8)
     seconds = 0.5 if options.quick else 1.2
     mocap = _mocap(options)
-    variants: dict[str, MonoSettings] = {"full": BODY}
-    variants |= {n: ABLATIONS[n](BODY) for n in (("gaussian",) if options.quick else ABLATIONS)}
-    variants[KEYPOINTS] = BODY
+    variants = {"full": BODY, "gaussian": BODY.robust(GAUSSIAN), KEYPOINTS: BODY}
     scenes = (body_scene(s, 1.2, mocap=mocap) for s in seeds)
     rows = _table(scenes, variants, options, len(seeds), "root_aligned_mm", seconds)
     if not options.quick:
-        knees = [body_scene(s, 1.2, motion=STRAIGHT_KNEE) for s in seeds[:4]]
-        pair = {"straight_knee": BODY, "straight_knee/no_limits": _no_limits(BODY)}
-        rows += _table(knees, pair, options, len(knees), "root_aligned_mm")
         longer = (body_scene(s, 8.0, mocap=mocap) for s in seeds[:4])
-        pair = {"full/8s": BODY, "single/8s": _single(BODY), "gaussian/8s": _gaussian(BODY)}
+        pair = {"full/8s": BODY, "gaussian/8s": BODY.robust(GAUSSIAN)}
         rows += _table(longer, pair, options, len(seeds[:4]), "root_aligned_mm")
     return BenchReport(tuple(rows), {**_settings(seeds, seconds), "captured_motion": mocap is not None})
 
 
 def mono_speed(options: BenchOptions) -> BenchReport:
     """Seconds of the processor per frame of 384 x 288 px on one core (median over the frames), beside those of OpenCV's
-    optical flow of the whole picture in the same run, and the share of each stage."""
+    optical flow of the whole picture in the same run."""
     frames = 15 if options.quick else 50
     rows: list[Row] = []
     for case, scene, settings in (
@@ -149,12 +95,9 @@ def mono_speed(options: BenchOptions) -> BenchReport:
     ):
         images = pictures(scene, frames / 25.0)
         flow = _flow_seconds(images)
-        seconds = track_scene(scene, settings, images).seconds[2:]  # the first ones compile
-        total = seconds.sum(1)
+        total = track_scene(scene, settings, images).seconds[2:]  # the first ones compile
         value, sd = float(np.median(total)), float(total.std())
         rows.append(Row("seconds_per_frame", case, value, "s", sd, len(total), "optical flow", flow))
-        for name, part in zip(STAGES, seconds.T, strict=True):
-            rows.append(Row("stage_share", f"{case}:{name}", float(part.sum() / total.sum()), "1", n=len(total)))
     return BenchReport(tuple(rows), {"frames": frames, "size": [384, 288]})
 
 

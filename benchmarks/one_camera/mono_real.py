@@ -30,15 +30,12 @@ CASES = (
     "keypoints/one_view/live",
     "both/one_view",
 )
-_DRIFT_S = (0.0, 0.5, 1.0, 1.5)
-"""When the drift is read, s."""
 
 
 def mono_real(options: BenchOptions) -> BenchReport:
     """root_aligned_mm: mean distance of 12 limb joints to the triangulated key points (good to 2-3 cm, not marker
     truth), middles of the hips made to coincide; offsets between detector's points and joints are those of the subject
-    fitted to all four views. depth_mm: its part along the optical axis; image_error_px of the 1088 x 1920 picture;
-    drift_mm: the mean over 0.1 s at the given time.
+    fitted to all four views. depth_mm: its part along the optical axis; image_error_px of the 1088 x 1920 picture.
 
     keypoints, both (with silhouettes): start and every frame from this view's own key points, which took part in the
     reference; edges, silhouettes: only the start from key points, then edges and flow, and masks besides. The body is
@@ -86,16 +83,10 @@ def _rows(case: str, found: TrackResult, subject: TrackedSubject, recording: Rec
     error = 1e3 * np.linalg.norm(apart, axis=-1)
     depth = 1e3 * np.abs(apart @ camera.camera_from_world[2, :3])
     per_frame = np.nanmean(error, axis=1)
-    rows = [
+    return [
         Row("root_aligned_mm", case, float(np.nanmean(error)), "mm", float(np.nanstd(per_frame)), len(error)),
         Row("median_mm", case, float(np.nanmedian(error)), "mm", n=len(error)),
         Row("depth_mm", case, float(np.nanmean(depth)), "mm", n=len(error)),
         Row("image_error_px", case, float(np.nanmean(shown)), "px", n=len(error)),
         Row("alive", case, float(found.modes.alive.mean()), "1", n=len(error)),
     ]
-    window = max(1, round(0.1 * recording.frame_rate))
-    for second in _DRIFT_S:
-        at = round(second * recording.frame_rate)
-        if at + window <= len(error):
-            rows.append(Row("drift_mm", f"{case}/{second:g}s", float(np.nanmean(per_frame[at : at + window])), "mm"))
-    return rows

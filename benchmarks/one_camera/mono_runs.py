@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from scipy.stats import chi2
 
 from benchmarks.synthetic.mono_scenes import FRAME_RATE, MonoScene
-from hypose.body.body import Body
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.frame import Frame, Keypoints, Picture
 from hypose.geometry import Array, Image, so3_turns
 from hypose.inference.hypotheses import Hypotheses
-from hypose.inference.layer import Recipe
 from hypose.tracking.monocular.picture_search import PictureSearch
 from hypose.tracking.monocular.points import points_from_keypoints
 from hypose.tracking.monocular.recipe import WholeClip, backward_estimates, information, picture_recipe, together
@@ -25,8 +21,6 @@ from hypose.tracking.monocular.settings import MonoSettings
 from hypose.tracking.smoothing import smooth_poses
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerSettings, TrackerState, modes_of
 
-STAGES = ("edges", "flow", "optimise", "mirror", "sample", "posterior")
-"""The layers of the recipe, and the rest."""
 LEVEL = 0.9
 DEFINITION_SD_M = 0.008
 """What two bodies' definitions of a joint differ by; added to every region."""
@@ -43,7 +37,7 @@ class MonoRun:
     """T frames after the first, M marks. errors, depth (T, M) m: distance of the best hypothesis to the truth, and its
     part along the line of sight; pixels (T, M): distance in the image; oracle (T,) m: mean error of the best of all
     modes; inside, inside_best (T, M): the truth lies in the LEVEL region of any mode, of the best hypothesis;
-    mode_count (T,); seconds (T, stages) of STAGES, of the processor."""
+    mode_count (T,); seconds (T,) of the processor."""
 
     scene: str
     kind: str
@@ -84,20 +78,20 @@ def track_scene(
 ) -> MonoRun:
     """Follows the scene from its measured first pose through images, frame after frame; keypoints: with the detector's
     points besides. The truth is used for measuring only."""
-    return _frame_after_frame(scene, _follow(scene, *_tracker_and_frames(scene, settings, images, keypoints)).rows)
+    return _frame_after_frame(scene, _follow(scene, *_tracker_and_frames(scene, settings, images, keypoints))[0])
 
 
 def solve_scene(scene: MonoScene, settings: MonoSettings, images: Sequence[Image]) -> tuple[MonoRun, MonoRun]:
     """The same without points, and the clip solved as a whole (hypose.tracking.monocular.recipe), whose seconds are
     those of both passes."""
     tracker, frames = _tracker_and_frames(scene, settings, images)
-    there = _follow(scene, tracker, frames)
-    n = len(there.rows)
+    there, last = _follow(scene, tracker, frames)
+    n = len(there)
     turned = [frames[k] for k in range(n - 1, 0, -1)]
     behind = [frames[k + 1] for k in range(n - 1, 0, -1)]
-    way_back = backward_estimates(tracker.tracker, there.state, _with_before(turned, behind))
-    back = [*reversed(tracker.timed(way_back)), there.rows[-1]]
-    modes, others = (modes_of([e for e, _ in rows]) for rows in (there.rows, back))
+    way_back = backward_estimates(tracker, last, _with_before(turned, behind))
+    back = [*reversed(_timed(way_back)), there[-1]]
+    modes, others = (modes_of([e for e, _ in rows]) for rows in (there, back))
     assert modes is not None and others is not None
     poses, covariances = together(modes, others, FRAME_RATE)
     poses = smooth_poses(scene.body, poses, information(covariances, scene.active), FRAME_RATE, WholeClip().motion)
@@ -106,64 +100,29 @@ def solve_scene(scene: MonoScene, settings: MonoSettings, images: Sequence[Image
         apart, depth, shown = _errors(scene, poses[i : i + 1], 1 + i)
         inside = _inside(scene, poses[i], covariances[i], apart[0])
         distance = np.linalg.norm(apart[0], axis=-1)
-        rows.append((distance, depth, shown, distance.mean(), inside, inside, 1, there.rows[i][1] + back[i][1]))
-    return _frame_after_frame(scene, there.rows), _run(scene, rows)
+        rows.append((distance, depth, shown, distance.mean(), inside, inside, 1, there[i][1] + back[i][1]))
+    return _frame_after_frame(scene, there), _run(scene, rows)
 
 
-Rows = list[tuple[FrameEstimate, Array]]
-"""Of every frame its estimate, and the seconds of its STAGES."""
+Rows = list[tuple[FrameEstimate, float]]
+"""Of every frame its estimate, and its seconds."""
 
 
-@dataclass(frozen=True)
-class _Clocked:
-    """A tracker whose layers are timed, by the processor: marks are the times at which each of STAGES began."""
-
-    tracker: Tracker
-    marks: dict[str, float]
-
-    @staticmethod
-    def of(body: Body, recipe: Recipe) -> _Clocked:
-        marks: dict[str, float] = {}
-
-        def marked(call: Callable[..., Any], name: str) -> Callable[..., Any]:
-            def run(*arguments: Any) -> Any:
-                marks[name] = time.process_time()
-                return call(*arguments)
-
-            return run
-
-        assert recipe.uncertainty is not None
-        layers = [replace(layer, propagate=marked(layer.propagate, layer.name)) for layer in recipe.layers]
-        timed = replace(recipe, layers=layers, uncertainty=marked(recipe.uncertainty, STAGES[-1]))
-        return _Clocked(Tracker(body, timed, TrackerSettings("both", frame_rate=FRAME_RATE)), marks)
-
-    def timed(self, estimates: Iterable[FrameEstimate]) -> Rows:
-        """All of the estimates; what is not spent in a layer is the posterior's. Reading the clock takes a while, so it
-        is read once per stage."""
-        rows: Rows = []
-        source = iter(estimates)
-        while True:
-            self.marks.clear()
-            begin = time.process_time()
-            estimate = next(source, None)
-            if estimate is None:
-                return rows
-            whole = time.process_time() - begin
-            run = [name for name in STAGES if name in self.marks]
-            spent = {a: self.marks[b] - self.marks[a] for a, b in pairwise(run)}
-            stages = [spent.get(name, 0.0) for name in STAGES[:-1]]
-            rows.append((estimate, np.array([*stages, whole - sum(stages)])))
-
-
-@dataclass(frozen=True)
-class _Followed:
-    rows: Rows
-    state: TrackerState
+def _timed(estimates: Iterable[FrameEstimate]) -> Rows:
+    """All of the estimates, and the processor's seconds that each took."""
+    rows: Rows = []
+    source = iter(estimates)
+    while True:
+        begin = time.process_time()
+        estimate = next(source, None)
+        if estimate is None:
+            return rows
+        rows.append((estimate, time.process_time() - begin))
 
 
 def _tracker_and_frames(
     scene: MonoScene, settings: MonoSettings, images: Sequence[Image], keypoints: bool = False
-) -> tuple[_Clocked, list[Frame]]:
+) -> tuple[Tracker, list[Frame]]:
     rig = CameraRig((scene.camera,))
     frames = []
     for i, image in enumerate(images):
@@ -171,7 +130,7 @@ def _tracker_and_frames(
         picture = Picture(scene.camera, image)
         frames.append(Frame(float(scene.performance.times[i]), i, keypoints=seen, picture=picture))
     search = PictureSearch(scene.body, settings, scene.active, threads=1, points=points_from_keypoints)
-    return _Clocked.of(scene.body, picture_recipe(search)), frames
+    return Tracker(scene.body, picture_recipe(search), TrackerSettings("both", frame_rate=FRAME_RATE)), frames
 
 
 def _with_before(frames: Sequence[Frame], behind: Sequence[Frame]) -> Iterator[Frame]:
@@ -180,16 +139,16 @@ def _with_before(frames: Sequence[Frame], behind: Sequence[Frame]) -> Iterator[F
         yield replace(frame, picture=replace(frame.picture, before=last.picture.image))
 
 
-def _follow(scene: MonoScene, clocked: _Clocked, frames: Sequence[Frame]) -> _Followed:
-    """Estimates of all frames but the first, whose pose is given."""
-    states = [clocked.tracker.start(Hypotheses.uniform(np.atleast_2d(scene.start)))]
+def _follow(scene: MonoScene, tracker: Tracker, frames: Sequence[Frame]) -> tuple[Rows, TrackerState]:
+    """Estimates of all frames but the first, whose pose is given, and the last state."""
+    states = [tracker.start(Hypotheses.uniform(np.atleast_2d(scene.start)))]
 
     def estimates() -> Iterator[FrameEstimate]:
-        for state, estimate in clocked.tracker.follow(states[0], _with_before(frames[1:], frames[:-1])):
+        for state, estimate in tracker.follow(states[0], _with_before(frames[1:], frames[:-1])):
             states[:] = [state]
             yield estimate
 
-    return _Followed(clocked.timed(estimates()), states[0])
+    return _timed(estimates()), states[0]
 
 
 def _frame_after_frame(scene: MonoScene, estimates: Rows) -> MonoRun:
@@ -242,6 +201,3 @@ def _inside(scene: MonoScene, pose: Array, covariance: Array, apart: Array) -> A
     spread = at @ covariance @ np.swapaxes(at, 1, 2) + DEFINITION_SD_M**2 * np.eye(3)
     squared = (apart * np.linalg.solve(spread, apart[..., None])[..., 0]).sum(1)
     return squared <= chi2.ppf(LEVEL, 3)
-
-
-"""Names of the columns of MonoRun.seconds."""

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from benchmarks.bench_report import BenchOptions, BenchReport, Row
 from benchmarks.multiview.action_scenes import subject_of_seed
+from benchmarks.people.together import out_of_view
 from benchmarks.synthetic.noisy_masks import noisy_scene
 from hypose.evidence.colours import colour_codes
 from hypose.evidence.frame import Colours, Frame
@@ -83,7 +84,7 @@ def _twins(setting: str, seed: int) -> tuple[Scene, NDArray[np.bool_]]:
         one, other = _shifted(here, side), _shifted(here, -side)
         there = np.tile(back | (here.times < _LEAVES), (2, 1))
     scene = noisy_scene(one, twin, "ring-5", seed=seed)
-    first, second = (_away(p, ~t) for p, t in zip((one, other), there, strict=True))
+    first, second = (out_of_view(p, ~t) for p, t in zip((one, other), there, strict=True))
     return replace(scene, performance=first, others=((scene.subject, second),)), there
 
 
@@ -92,14 +93,6 @@ def _shifted(p: Performance, x: Array) -> Performance:
     root, joints = p.root.copy(), p.joints.copy()
     root[:, 0] += x
     joints[..., 0] += x[:, None]
-    return Performance(p.name, p.times, p.rotations, root, joints)
-
-
-def _away(p: Performance, away: NDArray[np.bool_]) -> Performance:
-    down = np.where(away, -200.0, 0.0)
-    root, joints = p.root.copy(), p.joints.copy()
-    root[:, 2] += down
-    joints[..., 2] += down[:, None]
     return Performance(p.name, p.times, p.rotations, root, joints)
 
 

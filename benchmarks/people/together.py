@@ -192,7 +192,7 @@ def run(name: str, views: str, seed: int, options: BenchOptions) -> dict[str, An
     if setting.away is not None:
         a, b = (round(t * RATE) for t in setting.away)
         present[1, a:b] = False
-        scenes[1] = replace(scenes[1], performance=_out_of_view(scenes[1].performance, ~present[1]))
+        scenes[1] = replace(scenes[1], performance=out_of_view(scenes[1].performance, ~present[1]))
     together = replace(scenes[0], others=tuple((s.subject, s.performance) for s in scenes[1:]))
     count = round(seconds * RATE)
     union = list(together.mask_frames(1.0))[:count]
@@ -226,7 +226,7 @@ def _points(scenes: Sequence[Scene], count: int) -> KeypointPeople:
     return KeypointPeople(people_of(frames, BODY_25, small, RATE), BODY_25, small)
 
 
-def _out_of_view(p: Performance, away: NDArray[np.bool_]) -> Performance:
+def out_of_view(p: Performance, away: NDArray[np.bool_]) -> Performance:
     """The performance with the person far below every view in the frames `away`."""
     down = np.where(away, -200.0, 0.0)
     root, joints = p.root.copy(), p.joints.copy()
@@ -347,15 +347,7 @@ def people_rows(found: Mapping[tuple[str, str, int], Mapping[str, Any]]) -> list
         rows.append(
             Row("flagged", case, float(np.mean([f for r in runs for f in r["flagged"]] or [np.nan])), "1", n=len(runs))
         )
-        kind = (
-            "touching+keypoints"
-            if name == "touching+keypoints"
-            else "touching"
-            if name == "touching"
-            else f"0.55 m, {views} cameras"
-            if name == "close"
-            else f"{views} cameras"
-        )
+        kind = {"close": f"0.55 m, {views} cameras"}.get(name, name if "touching" in name else f"{views} cameras")
         pairs = [(e, a) for r in runs for e, a in zip(r["errors"], r["alone"], strict=True)]
         over.setdefault(kind, []).extend(float(np.mean(e)) - a for e, a in pairs if e and np.isfinite(a))
     rows += [row("over_alone_mm", kind, values or [np.nan], "mm") for kind, values in over.items()]

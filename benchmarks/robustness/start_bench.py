@@ -6,20 +6,17 @@ import contextlib
 import os
 import re
 import resource
-import shutil
 import subprocess
 import sys
 import tempfile
 import tomllib
 from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, distribution
-from importlib.util import find_spec
 from pathlib import Path
 
 from benchmarks.bench_origin import ROOT
 from benchmarks.bench_report import BenchOptions, BenchReport, Row
 from benchmarks.robustness.small_recordings import small_scene, write_masks
-from hypose.app.commands.console import print_note
 from hypose.body.default_body import human
 from hypose.compute.compiled import VARIABLE
 from hypose.errors import InputError
@@ -69,12 +66,6 @@ before = clock()
 subprocess.run([sys.executable, "-m", "hypose", "track", "--help"], check=True, stdout=subprocess.DEVNULL)
 print(clock() - before, 0.0)
 """
-_POSE2SIM = """
-from Pose2Sim import Pose2Sim
-Pose2Sim.personAssociation()
-Pose2Sim.triangulation()
-Pose2Sim.filtering()
-"""
 _LARGEST = ("llvmlite", "numba", "numpy", "scipy", "opencv-python-headless")
 
 
@@ -112,8 +103,7 @@ def start(options: BenchOptions) -> BenchReport:
 def short_clip(options: BenchOptions) -> BenchReport:
     """cpu_s: processor time of `hypose track` on the key points of the balancing clip, 100 frames from four cameras,
     the least of three runs (quick: one). all: every file and the report, without the overlay; trc: motion.trc alone,
-    no report. baseline: Pose2Sim's association, triangulation and filtering of the same key points, run by turns, where
-    it is installed.
+    no report.
     """
     folder, runs = options.folder("pose2sim_balancing"), 1 if options.quick else 3
     with tempfile.TemporaryDirectory() as temporary:
@@ -123,15 +113,9 @@ def short_clip(options: BenchOptions) -> BenchReport:
         commands = {"all": (track, root), "trc": ([*track, "--no-report", "--formats", "trc"], root)}
         for command, where in commands.values():  # what is compiled by the first run
             _run(command, where)
-        if find_spec("Pose2Sim") is None:
-            print_note("Pose2Sim is not installed here: the short clip has no baseline.")
-        else:
-            shutil.copytree(folder, root / "project")
-            commands["Pose2Sim"] = [sys.executable, "-c", _POSE2SIM], root / "project"
         seconds = [{name: _run(*command)[1] for name, command in commands.items()} for _ in range(runs)]
     least = {name: min(s[name] for s in seconds) for name in commands}
-    base = {"baseline": "Pose2Sim", "baseline_value": least["Pose2Sim"]} if "Pose2Sim" in least else {}
-    rows = [Row("cpu_s", name, least[name], "s", n=runs, **base) for name in ("all", "trc")]
+    rows = [Row("cpu_s", name, least[name], "s", n=runs) for name in ("all", "trc")]
     return BenchReport(tuple(rows), {"frames": 100, "cameras": 4, "runs_s": seconds})
 
 

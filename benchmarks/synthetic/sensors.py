@@ -10,7 +10,7 @@ are not what a particular sensor will give.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numba
 import numpy as np
@@ -87,7 +87,6 @@ class SensorRecording:
     camera_from_world: Array
     visible: Array
     error: Array
-    bars: Array = field(default_factory=lambda: np.zeros((0, 7)))
 
     def __len__(self) -> int:
         return len(self.times)
@@ -114,26 +113,6 @@ class SensorRecording:
     def truth_in(self, sensor: int) -> Array:
         """(T, 15, 3) true joints in a sensor's frame."""
         return transform(self.camera_from_world[sensor], self.truth)
-
-    def depth_map(self, frame: int, sensor: int, size: tuple[int, int] = (320, 240), fov_deg: float = 58.0) -> Array:
-        """(h, w) m along the optical axis, rendered from the capsule body, the bars and a wall; and `intrinsics` of
-        that image."""
-        k = intrinsics(size, fov_deg)
-        u, v = np.meshgrid(np.arange(size[0]), np.arange(size[1]))
-        rays = np.stack([(u - k[0, 2]) / k[0, 0], (v - k[1, 2]) / k[1, 1], np.ones(u.shape)], -1).reshape(-1, 3)
-        world_from_camera = se3_inverse(self.camera_from_world[sensor])
-        norm = np.linalg.norm(rays, axis=1)
-        directions = (rays / norm[:, None]) @ world_from_camera[:3, :3].T
-        capsules = np.concatenate([body_capsules(self.truth[frame]), self.bars])
-        out = np.empty(len(rays))
-        cast_rays(world_from_camera[:3, 3].copy(), directions, capsules, out)
-        return np.minimum(out / norm, BACKGROUND_M).reshape(u.shape)
-
-
-def intrinsics(size: tuple[int, int], fov_deg: float) -> Array:
-    """(3, 3) pinhole of an image (width, height) with a horizontal field of view."""
-    f = size[0] / 2 / np.tan(np.radians(fov_deg) / 2)
-    return np.array([[f, 0, (size[0] - 1) / 2], [0, f, (size[1] - 1) / 2], [0, 0, 1.0]])
 
 
 def body_capsules(joints: Array) -> Array:
@@ -260,9 +239,7 @@ def simulate(
         out[:, k] = transform(camera, world)
         error[:, k] = np.linalg.norm(world - joints, axis=-1)
     times = np.arange(frames) / FRAME_RATE
-    return SensorRecording(
-        times, out, state, depth, joints, heading, np.array(camera_from_world), visible, error, np.array(bars)
-    )
+    return SensorRecording(times, out, state, depth, joints, heading, np.array(camera_from_world), visible, error)
 
 
 def _seen(joints: Array, eye: Array, capsules: Array) -> Array:

@@ -20,6 +20,7 @@ from hypose.calibration.findings import REVIEW, Finding, Limits, ViewFile
 from hypose.calibration.refine_points import CameraChange
 from hypose.cameras.camera import CameraRig, triangulate
 from hypose.errors import EvidenceError
+from hypose.evidence.keypoint_check import sides_exchanged
 from hypose.evidence.keypoints import KEYPOINT_SETS, landmark_of
 from hypose.geometry import Array
 from hypose.tracking.subject import shape_from_keypoints
@@ -46,16 +47,6 @@ _PAIRS = tuple(
 _LEAST_BONES = 6
 _NOISE_M = 0.06
 _UPRIGHT = 0.5  # cosine
-EXCHANGED = 7.0
-"""Log likelihood ratio (1000 to 1) from which left and right count as exchanged."""
-_DEFINED = 0.05
-"""Share of a leg within which detectors differ on the position of a joint, in every view and frame alike; it
-corresponds to a knee bent by 11 degrees."""
-_MOST_OF_ONE = 3.0  # largest contribution of one point in one frame, because it may be wrong by more than noise
-_SIDED = (
-    *(f"{s}_{n}" for s in ("left", "right") for n in ("shoulder", "hip", "knee", "ankle", "heel", "big_toe", "ear")),
-    "nose",
-)
 
 
 def wrong_set(points_world: Array, names: Sequence[str]) -> Finding | None:
@@ -178,11 +169,9 @@ def wrong_way_up(points_world: Array, names: Sequence[str], pixels: Array, rig: 
         text = "All cameras: the person lies in the calibration's world from beginning to end"
         cure = "if they stand, set world_up in recording.toml to the axis along which they do"
         yield Finding("lying", (), text, cure, 1.0, severity=REVIEW)
-    sides = _sides(points_world, names, pixels, rig)
-    against = -sides[sides < 0].sum()
-    if not turned and against > EXCHANGED and against > _WRONG_WAY_SHARE * np.abs(sides).sum():
+    if not turned and sides_exchanged(points_world, names):
         text = (
-            "All cameras: the person's left and right are exchanged (toes, nose or bent knees point backwards): "
+            "All cameras: the person's left and right are exchanged (toes or nose point backwards): "
             "mirrored images, exchanged cameras, or the sides' names"
         )
         cure = "mirror the videos back, or check keypoint_set in recording.toml"
@@ -218,73 +207,6 @@ def _upright_in_images(pixels: Array, names: Sequence[str]) -> float:
             signs.append(np.sign(pixels[..., b, 1] - pixels[..., a, 1])[seen])
     found = np.concatenate(signs) if signs else np.zeros(0)
     return float(found.mean()) if len(found) else float("nan")
-
-
-def _sides(points_world: Array, names: Sequence[str], pixels: Array, rig: CameraRig) -> Array:
-    """Compute log likelihood ratios (T, 5) that left and right are named correctly; negative: exchanged.
-
-    The evidence is how far knees, feet and nose point forwards; 0 where it is unknown or within the noise.
-    """
-    column = {n: k for k, n in enumerate(names) if n in _SIDED and np.isfinite(points_world[:, k]).any()}
-    known, own = [n in column for n in _SIDED], [column[n] for n in _SIDED if n in column]
-    shape = (len(points_world), len(_SIDED), 3)
-    points, noise, lasts = np.full(shape, np.nan), np.zeros((*shape, 3)), np.zeros(len(_SIDED))
-    points[:, known] = points_world[:, own]
-    noise[:, known], lasts[known] = _noise(points_world[:, own], pixels[:, :, own], rig)
-    ahead = _ahead(points)
-    variance, lasting = np.zeros((2, *ahead.shape))
-    for k, axis in np.ndindex(len(_SIDED), 3):
-        moved = points.copy()
-        moved[:, k] += noise[:, k, :, axis]
-        change = (_ahead(moved) - ahead) ** 2
-        variance, lasting = variance + change, lasting + lasts[k] * change
-    z = np.maximum(np.abs(ahead) - _DEFINED, 0.0) / np.sqrt(variance)
-    counts = np.clip((variance - lasting) / (variance + lasting), 0.0, 1.0)  # of a first-order process, Bartlett 1946
-    return np.nan_to_num(counts * np.sign(ahead) * np.minimum(z**2 / 2, _MOST_OF_ONE))
-
-
-def _ahead(points: Array) -> Array:
-    """Compute how far two knees, two feet and the nose point forwards, in shares of a leg's length.
-
-    Forwards is left times up of the same part of the body, so that the posture of other parts has no effect.
-
-    points: (T, 15, 3) in the order of _SIDED.
-    Returns: (T, 5).
-    """
-    by = dict(zip(_SIDED, np.moveaxis(points, 1, 0), strict=True))
-    hips, shoulders = (by[f"left_{n}"] - by[f"right_{n}"] for n in ("hip", "shoulder"))
-    legs = [[by[f"{side}_{n}"] for n in ("hip", "knee", "ankle", "heel", "big_toe")] for side in ("left", "right")]
-    trunk = by["left_shoulder"] + by["right_shoulder"] - by["left_hip"] - by["right_hip"]
-    found = [((k - a) * _unit(np.cross(hips, h - a))).sum(-1) for h, k, a, _, _ in legs]
-    found += [((toe - heel) * _unit(np.cross(hips, k - a))).sum(-1) for _, k, a, heel, toe in legs]
-    found.append(((by["nose"] - (by["left_ear"] + by["right_ear"]) / 2) * _unit(np.cross(shoulders, trunk))).sum(-1))
-    leg = [np.linalg.norm(np.diff(leg[:3], axis=0), axis=-1) for leg in legs]
-    return np.stack(found, -1) / np.nanmedian(np.sum(leg, axis=1))
-
-
-def _noise(points_world: Array, pixels: Array, rig: CameraRig) -> tuple[Array, Array]:
-    """Estimate the noise of triangulated points from the distances of their rays.
-
-    Returns: (T, K, 3, 3) roots of the covariance, m; (K,) correlation from frame to frame.
-    """
-    uv, confidence = undistorted(rig, pixels)
-    seen = (confidence > 0.3) & np.isfinite(points_world).all(-1)
-    rays = points_world - rig.positions[:, None, None]
-    far = np.linalg.norm(rays, axis=-1)
-    off = np.stack([(c.project_pinhole(points_world) - p) / c.K[0, 0] for c, p in zip(rig, uv, strict=True)])
-    off = np.where(seen[..., None], off * far[..., None], np.nan)
-    free = np.maximum(2 * seen.sum(0) - 3, 1)
-    missed = np.nansum(off**2, (0, -1)) / free
-    usual = missed / (1 - 2 / (9 * free)) ** 3  # as large as the median of a chi-square (Wilson & Hilferty 1931)
-    usual = np.where(seen.any(0), usual, np.nan)
-    variance = np.maximum(np.maximum(missed, np.nanmedian(usual)), np.nanmedian(usual, axis=0))
-    d = rays / far[..., None]
-    across = np.where(seen[..., None, None], np.eye(3) - d[..., None] * d[..., None, :], 0.0).sum(0)
-    size, axes = np.linalg.eigh(across)
-    alike = np.sign(off[:, 1:] * off[:, :-1])
-    roots = axes * np.sqrt(variance[..., None] / np.maximum(size, 1e-9))[..., None, :]
-    lasts = np.nansum(alike, (0, 1, 3)) / np.maximum(np.isfinite(alike).sum((0, 1, 3)), 1)
-    return np.nan_to_num(roots), np.sin(np.pi / 2 * lasts)  # signs agree by the arcsine of the correlation
 
 
 def _middle(points_world: Array, names: Sequence[str], part: str) -> Array:

@@ -87,7 +87,7 @@ def _misread(points: Array, plain: float, names: Sequence[str], rig: CameraRig) 
     world = _well_known(points, rig)
     if plain < 2 * _FINE and _disproportion(world, names) > _NO_BODY:
         return plain, "the bones between them have lengths that no body has, so the points must be in another order"
-    mirrored = _mirrored(world, names)
+    mirrored = sides_exchanged(world, names)
     if mirrored and plain < 2 * _FINE:
         return plain, "the person is mirrored: y counts upwards, or left and right are exchanged in the names"
     return None
@@ -225,10 +225,12 @@ def _disproportion(world: Array, names: Sequence[str]) -> float:
     return float(np.mean(np.abs(np.array(found) - np.median(found))))
 
 
-def _mirrored(world: Array, names: Sequence[str]) -> bool:
-    """Decide whether nose or toes point backwards relative to left and right in nearly all frames of points (T, K, 3).
+def sides_exchanged(world: Array, names: Sequence[str]) -> bool:
+    """Test whether nose and toes point backwards relative to left and right, in more than 85 % of the frames.
 
-    world: (T, K, 3) m, NaN where unknown; names: of the K points. False where fewer than ten comparisons are possible.
+    world: (T, K, 3) m; NaN where missing.
+    names: K names of the key points.
+    Returns: False also where neither face nor feet are known in ten places and frames.
     """
     at = {n: i for i, n in enumerate(names)}
 

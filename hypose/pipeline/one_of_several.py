@@ -187,7 +187,7 @@ def with_all_people(source: FrameStream, options: TrackOptions) -> FrameStream |
             return None
     elif len(views) < 3:
         return None
-    whole = FrameSettings(settings.longer_side, settings.factor, settings.silhouettes, people=True, colours=True)
+    whole = FrameSettings(settings.longer_side, settings.silhouettes, people=True, colours=True)
     all_people = FrameStream(source.recording, whole, source.backgrounds or None)
     if several_seen(all_people, options):
         return all_people

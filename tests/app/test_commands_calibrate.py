@@ -4,20 +4,13 @@ import cv2
 import numpy as np
 import pytest
 
-from hypose.app.cli import run_cli
 from hypose.app.commands.commands_calibrate import parse_length
 from hypose.errors import InputError
 from hypose.io.calibrations.calibration_formats import read_any
 from hypose.io.calibrations.calibration_text import write_calibration
+from tests.app.conftest import fails
 from tests.calibration.painted_boards import paint
 from tests.calibration.test_from_boards import BOARD, board_poses, make_rig
-
-
-def run(capsys, *arguments):
-    with pytest.raises(SystemExit) as end:
-        run_cli([str(a) for a in ("calibrate", *arguments)])
-    shown = capsys.readouterr()
-    return end.value.code, " ".join(shown.out.split()), " ".join(shown.err.split())
 
 
 @pytest.fixture(scope="module")
@@ -31,45 +24,38 @@ def pictures(tmp_path_factory):
     return base
 
 
-def test_boards(pictures, tmp_path, capsys):
-    out = tmp_path / "rig.toml"
-    code, said, _ = run(
-        capsys, pictures, "--chessboard", "6x5", "--square", "6cm", "--intrinsics", pictures / "lenses.toml",
-        "--floor", 0, "--out", out,
-    )  # fmt: skip
-    assert code == 0
-    assert "Joint fit of all boards" in said and str(out) in said
-    assert read_any(out)[0].names == ("cam1", "cam2", "cam3")
+def test_boards(hypose, pictures, tmp_path):
+    board = ("--chessboard", "6x5", "--square", "6cm", "--intrinsics", pictures / "lenses.toml", "--floor", 0)
+    code, said, err = hypose("calibrate", pictures, *board, "--out", tmp_path / "rig.toml")
+    assert code == 0 and "Joint fit of all boards" in said and str(tmp_path / "rig.toml") in said, err
+    assert read_any(tmp_path / "rig.toml")[0].names == ("cam1", "cam2", "cam3")
     sheet = cv2.imread(str(tmp_path / "rig.png"))
     assert sheet is not None and sheet.shape[1] == 1560 and sheet.std() > 10
 
 
-def test_a_board_that_is_not_found_leaves_a_sheet(pictures, tmp_path, capsys):
-    code, _, said = run(
-        capsys, pictures / "cam1", "--chessboard", "9x8", "--square", "60mm", "--out", tmp_path / "a.toml"
-    )
-    assert code == 2
-    assert "No chessboard of 9 x 8 inner corners" in said and "What was seen is in" in said
+def test_a_board_that_is_not_found_leaves_a_sheet(hypose, pictures, tmp_path):
+    board = ("--chessboard", "9x8", "--square", "60mm", "--out", tmp_path / "a.toml")
+    refused = hypose("calibrate", pictures / "cam1", *board)
+    fails(refused, "No chessboard of 9 x 8 inner corners", "What was seen is in")
     assert (tmp_path / "a.png").is_file() and not (tmp_path / "a.toml").exists()
 
 
-def test_conversion(pictures, tmp_path, capsys):
+def test_conversion(hypose, pictures, tmp_path):
     for name in ("x.toml", "y/extri.yml"):
-        assert run(capsys, "--convert", pictures / "lenses.toml", "--out", tmp_path / name)[0] == 0
+        assert hypose("calibrate", "--convert", pictures / "lenses.toml", "--out", tmp_path / name)[0] == 0
         back = read_any(tmp_path / name)[0]
         np.testing.assert_allclose(back.positions, make_rig().positions, atol=1e-9)
 
 
-def test_points(pictures, tmp_path, capsys):
+def test_points(hypose, pictures, tmp_path):
     rig = make_rig()
     places = {"a": [0, 0, 0], "b": [0.5, 0, 0], "c": [0, 0.5, 0], "d": [0.1, 0.1, 0.7], "e": [-0.4, 0.2, 0.4]}
     lines = ["[points]", *(f"{n} = {p}" for n, p in places.items())]
     for camera in rig:
         lines += [f"[clicks.{camera.name}]", *(f"{n} = {camera.project(p).tolist()}" for n, p in places.items())]
     (tmp_path / "p.toml").write_text("\n".join(lines))
-    code, said, _ = run(
-        capsys, "--points", tmp_path / "p.toml", "--intrinsics", pictures / "lenses.toml", "--out", tmp_path / "o.toml"
-    )
+    given = ("--points", tmp_path / "p.toml", "--intrinsics", pictures / "lenses.toml", "--out", tmp_path / "o.toml")
+    code, said, _ = hypose("calibrate", *given)
     assert code == 0 and "Fit of the points: 0.00 px rms" in said
     np.testing.assert_allclose(read_any(tmp_path / "o.toml")[0].positions, rig.positions, atol=1e-4)
 
@@ -88,8 +74,7 @@ def test_lenses_of_unknown_pictures_are_refused(hypose, tmp_path):
         "   data: [ 900., 0., 640., 0., 900., 360., 0., 0., 1. ]\n"
     )
     (tmp_path / "points.toml").write_text("[points]\n")
-    code, _, err = hypose("calibrate", "--points", tmp_path / "points.toml", "--intrinsics", tmp_path / "lens.yml",
-                          "--out", tmp_path / "c.toml")  # fmt: skip
-    assert code == 2 and not (tmp_path / "c.toml").exists()
-    assert "--intrinsics: lens.yml does not say how large the images of lens are, and lenses fit only pictures" in err
-    assert "lens.yml" in err and "add the size" in err
+    given = ("--points", tmp_path / "points.toml", "--intrinsics", tmp_path / "lens.yml", "--out", tmp_path / "c.toml")
+    no_size = "--intrinsics: lens.yml does not say how large the images of lens are, and lenses fit only pictures"
+    fails(hypose("calibrate", *given), no_size, "add the size")
+    assert not (tmp_path / "c.toml").exists()

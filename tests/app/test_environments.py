@@ -1,4 +1,4 @@
-"""Thirteen environments times three commands: one sentence and code 2, or success; never a traceback, never another
+"""Twelve environments times three commands: one sentence and code 2, or success; never a traceback, never another
 code, never a file outside the folder that was asked for."""
 
 import json
@@ -151,12 +151,6 @@ def call_view(box, old, new):
         path.write_text(re.sub(f'^(name|camera) = "{old}"', lambda m: f"{m[1]} = {name}", text, flags=re.MULTILINE))
 
 
-def leads_out(box):
-    named("up")(box)
-    call_view(box, "up", "../../../up")
-    box.out = box.out / ".." / "out" / ".." / "up"
-
-
 # a process that is forked later would not notice these
 YOUNG = {
     "no cache can be written": no_cache,
@@ -173,7 +167,6 @@ ENVIRONMENTS = YOUNG | {
     "read-only: the results' folder": closed_results,
     "name: not UTF-8": named(b"caf\xe9", inside=False),
     "name: newline, terminal escapes, quotes, alphabets": named('a\n\x1b[31mred\x07 it\'s "so" $(y) 走る %s {0}'),
-    "name: leads out": leads_out,
 }
 
 

@@ -73,14 +73,6 @@ def test_masks_stay_in_the_folder(hypose, masks, written, tmp_path):
     assert (tmp_path / "out" / "deep" / "cam4" / "000000.png").is_file()
 
 
-def test_masks_are_not_written_through_links_that_lead_out(hypose, masks, tmp_path):
-    (tmp_path / "precious").mkdir()
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "cam2").symlink_to(tmp_path / "precious")
-    fails(hypose("silhouettes", masks, "--out", tmp_path / "out"), "cam2 is a link that leads out of")
-    assert not list((tmp_path / "precious").iterdir())
-
-
 def test_what_is_in_step_stays_in_the_folder(hypose, masks, written, tmp_path):
     assert hypose("sync", masks, "--offsets", "0,0,1,0", "--out", tmp_path / "out")[0] == 0
     assert all(p.is_relative_to(tmp_path / "out") for p in written())

@@ -1,7 +1,6 @@
 """What survives kill -9. Slow: real processes."""
 
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -35,35 +34,30 @@ def run(*arguments):
     return done.stdout + done.stderr
 
 
+def begun(longer, out):
+    """A run that has written a checkpoint."""
+    process = subprocess.Popen(command(longer, out), stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    deadline = time.monotonic() + HANG_S
+    while not (out / "checkpoint.npz").exists():
+        assert process.poll() is None and time.monotonic() < deadline
+        time.sleep(0.02)
+    return process
+
+
 def test_a_killed_run_resumes_to_the_same_bytes(longer, tmp_path):
     run(longer, tmp_path / "whole")
-    process = subprocess.Popen(
-        command(longer, tmp_path / "killed"), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-    )
-    try:
-        deadline = time.monotonic() + HANG_S
-        while not (tmp_path / "killed" / "checkpoint.npz").exists():
-            assert process.poll() is None and time.monotonic() < deadline
-            time.sleep(0.02)
-    finally:
-        process.send_signal(signal.SIGKILL)
-        process.wait()
+    with begun(longer, tmp_path / "killed") as process:
+        process.kill()
     assert not (tmp_path / "killed" / "motion.npz").exists()
     said = run(longer, tmp_path / "killed", "--resume")
     assert "Track: 25/60" in said or "Track: 50/60" in said  # it went on, it did not start again
     whole, killed = (tmp_path / name / "motion.npz" for name in ("whole", "killed"))
-    assert len(load_motion(whole)) == 60
-    assert killed.read_bytes() == whole.read_bytes()
+    assert len(load_motion(whole)) == 60 and killed.read_bytes() == whole.read_bytes()
 
 
 def test_sigterm_is_an_orderly_stop(longer, tmp_path):
-    process = subprocess.Popen(command(longer, tmp_path), stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
-    deadline = time.monotonic() + HANG_S
-    while not (tmp_path / "checkpoint.npz").exists():
-        assert process.poll() is None and time.monotonic() < deadline
-        time.sleep(0.02)
+    process = begun(longer, tmp_path)
     process.terminate()
     out, _ = process.communicate(timeout=HANG_S)
-    assert process.returncode == 130
-    assert "Kept: " in out and "--resume" in out
+    assert process.returncode == 130 and "Kept: " in out and "--resume" in out
     assert 25 <= len(load_motion(tmp_path / "motion.npz")) < 60

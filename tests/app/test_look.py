@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from hypose.app.reports.report import report_html
-from hypose.app.reports.result_pictures import as_shown, mask_outline
+from hypose.app.reports.result_pictures import mask_outline
 from hypose.app.studio.view_bundle import ViewResult
 from hypose.body.default_body import human
 from hypose.compute.parts import covered
 from hypose.io.motions.results import load_body, load_motion
-from hypose.io.recordings.recording import ViewSettings, load_recording
+from hypose.io.recordings.recording import load_recording
 from hypose.io.videos.video import open_video
 from hypose.synthetic.scenes import camera_rig
 
@@ -105,13 +105,6 @@ def test_the_report_says_what_went_wrong(result):
 
 
 # ---- pictures
-
-
-def test_points_are_drawn_with_distortion_scale_and_shift(rng):
-    camera, view = camera_rig("humaneva-4", distorted=True)[0], ViewSettings("v", image_shift=(3.0, -2.0))
-    points = rng.uniform(-0.7, 0.7, (20, 3)) + [0, 0, 1]
-    expected = camera.scaled((320, 240)).project(points) - np.array([3.0, -2.0]) / 2
-    np.testing.assert_allclose(as_shown(view, camera, (320, 240)).project(points), expected, atol=1e-9)
 
 
 def test_the_outline_of_an_undistorted_mask_lies_on_the_recorded_person():

@@ -38,13 +38,11 @@ def numeric_options():
                 yield name, option.flag, option
 
 
-def test_there_are_numbers_to_try():
-    names = {(command, option) for command, option, _ in numeric_options()}
-    assert {("check", "--samples"), ("gesture run", "--threshold"), ("track", "--floor")} <= names
-    assert len(names) > 50
+NUMBERS = list(numeric_options())
+assert len(NUMBERS) > 50
 
 
-@pytest.mark.parametrize(("command", "option", "of"), list(numeric_options()))
+@pytest.mark.parametrize(("command", "option", "of"), NUMBERS)
 def test_a_number_out_of_range_is_one_sentence(hypose, tmp_path, monkeypatch, command, option, of):
     assert of.option.least is not None, "declare what it may be"
     (tmp_path / "full").mkdir()

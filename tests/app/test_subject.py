@@ -6,7 +6,7 @@ import tomllib
 import numpy as np
 import pytest
 
-from benchmarks.multiview.rigging import scan_of
+from benchmarks.synthetic.scans import scan_of
 from hypose.io.motions.results import load_body, load_motion
 from hypose.synthetic.subjects import load_subjects
 

@@ -16,7 +16,7 @@ from hypose.pipeline.one_of_several import frames_to_examine, people_frames
 from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.depth_scenes import depth_scene
 from hypose.synthetic.motions import act
-from hypose.synthetic.scenes import camera_rig, keypoint_detections, make_scene
+from hypose.synthetic.scenes import camera_rig, make_scene
 from hypose.synthetic.subjects import load_subjects
 from hypose.synthetic.write_recording import write_depth_scene, write_scene
 from tests.app.conftest import fails
@@ -88,33 +88,6 @@ def test_of_who_is_not_at_their_place_it_is_said(hypose, two, tmp_path):
 @pytest.mark.parametrize("who", ["Carl", "0", "two"])
 def test_who_is_nobody_is_refused_with_the_names_there_are(hypose, two, who):
     fails(hypose("track", two, "--people", who), "Anna, Bert")
-
-
-@pytest.mark.slow
-def test_who_else_is_seen_is_said_at_the_end(hypose, two, tmp_path):
-    recording = shutil.copytree(two, tmp_path / "two")
-    cameras = camera_rig("humaneva-4", distorted=True).scaled(0.4)
-    seen = []
-    for k, place in enumerate((PLACES["Bert"], PLACES["Anna"])):
-        scene = make_scene("wave", "neutral", cameras, seconds=0.2, seed=3 + k)
-        scene = replace(scene, performance=standing_at(scene.performance, place))
-        seen.append([keypoint_detections(scene, c) for c in range(len(cameras))])
-    text = (recording / "recording.toml").read_text(encoding="utf-8").split("[[person]]")[0]
-    for c, name in enumerate(cameras.names):
-        folder = recording / f"points-{name}"
-        folder.mkdir()
-        for t in range(len(seen[0][c])):
-            people = [{"pose_keypoints_2d": np.ravel(one[c][t]).tolist()} for one in seen]
-            (folder / f"{t:06d}.json").write_text(json.dumps({"people": people}))
-        text = text.replace(f'name = "{name}"', f'name = "{name}"\nkeypoints = "{folder.name}"')
-    (recording / "recording.toml").write_text('keypoint_set = "BODY_25"\n' + text, encoding="utf-8")
-    code, out, err = hypose("track", recording, "--evidence", "keypoints", "--out", tmp_path / "out", *LIGHT)
-    assert code in (0, 3), out + err
-    said = json.loads((tmp_path / "out" / "assessment.json").read_text(encoding="utf-8"))
-    assert ["--people all tracks everybody" in f["text"] for f in said["findings"] if f["kind"] == "other people"] == [
-        True
-    ]
-    assert "another person is in the key points" in out + err
 
 
 def test_masks_that_are_brought_in_step_show_everybody_and_check_says_so(hypose, two, tmp_path):

@@ -34,12 +34,6 @@ def test_one_line_says_what_is_beyond(changed, said):
     assert lines(**changed) == [said]
 
 
-def test_a_case_that_was_never_kept_is_beyond():
-    assert list(golden.beyond({}, {"walk": OLD}, {"mean_error_mm": {"more": 0.3}})) == [
-        "walk: mean_error_mm 20, nothing is kept"
-    ]
-
-
 @pytest.fixture
 def measured(monkeypatch, tmp_path):
     """measured(error, failed) makes what the next run of `golden` measures; the kept file is one of its own."""
@@ -51,7 +45,7 @@ def measured(monkeypatch, tmp_path):
         settings = {"clips": clips, "quick": False, "skipped": ["uu4cam"], "failed": failed or {}}
         rows = (Row("mean_error_mm", "walk", error, "mm"), Row("time_ratio", "walk", time, "1"))
         made = BenchReport(rows, settings)
-        known = {"golden": bench_list.Benchmark(lambda options: made, "other")}
+        known = {"golden": {"": bench_list.Benchmark(lambda options: made, "other")}}
         monkeypatch.setattr(bench_list, "benchmarks", lambda: known)
 
     return set_to

@@ -23,10 +23,6 @@ def detected(points):
     return np.concatenate([uv, np.full((*uv.shape[:-1], 1), 0.9)], -1)
 
 
-def test_exact_detections_give_the_points(path):
-    np.testing.assert_allclose(pose2sim_points(RIG, detected(path), 60.0), path, atol=2e-3)
-
-
 def test_a_view_that_is_far_off_is_taken_away(path):
     seen = detected(path)
     seen[30:40, 1, 0, :2] += 200.0

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.multiview import court, table_2_4
+from benchmarks.multiview import table_2_4
 from benchmarks.multiview.action_scenes import Outcome
 from benchmarks.multiview.table_2_3 import table_rows
 from hypose.synthetic.metrics import EVALUATED_JOINTS
@@ -49,14 +49,3 @@ def test_table_2_4_averages_extremities_and_actions():
     assert rows["extremity_error_mm", "hpf/punch"].baseline_value == pytest.approx(51)
     assert rows["detection_recall", "right_hand"].value == pytest.approx(0.7)
     assert np.isnan(rows["detection_error_mm", "head"].value)
-
-
-def test_recovery_counts_from_the_return_and_must_last():
-    present = np.array([True] * 5 + [False] * 5 + [True] * 15)
-    errors = np.full(25, 0.05)
-    errors[10:13] = 0.5
-    assert court._recovery(errors, present, 25.0) == pytest.approx(3 / 25)
-    errors[16] = 0.5  # found, lost again two frames later, found for good
-    assert court._recovery(errors, present, 25.0) == pytest.approx(7 / 25)
-    assert court._recovery(np.full(25, 0.5), present, 25.0) == float("inf")
-    assert np.isnan(court._recovery(errors, np.ones(25, bool), 25.0))

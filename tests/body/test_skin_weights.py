@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from benchmarks.multiview.procedural import procedural_body
 from hypose.body.body import Body, Mesh, enclosed_volume
 from hypose.body.coarse_mesh import coarse_mesh, decimated, is_closed
 from hypose.body.default_body import JOINT_NAMES, human
@@ -25,9 +24,9 @@ def weights_of(body: Body, mesh: Mesh) -> np.ndarray:
     return heat_weights(mesh.vertices, mesh.faces, body_bones(body), 19)
 
 
-@pytest.fixture(scope="module", params=["template", "procedural"])
-def rigged(request) -> tuple[Body, np.ndarray]:
-    body = human() if request.param == "template" else procedural_body()
+@pytest.fixture(scope="module")
+def rigged() -> tuple[Body, np.ndarray]:
+    body = human()
     return body, weights_of(body, body.fine)
 
 

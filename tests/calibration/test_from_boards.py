@@ -134,7 +134,6 @@ def test_sources(folder, tmp_path):
 @pytest.mark.slow
 def test_real_floor_board(shared_data):
     """Four cameras, one lying board of 20 x 10 px per square, overexposed, the same turned by 180 degrees."""
-    from benchmarks.cameras.board_accuracy import fit_of_poses
     from benchmarks.multiview.real_recordings import uu4cam_recording
 
     data = shared_data("uu4cam")
@@ -143,7 +142,6 @@ def test_real_floor_board(shared_data):
     sources = [BoardFootage(f"cam{n}", data / f"cam{n}" / "checkerboard.avi") for n in range(1, 5)]
     found = calibrate_from_boards(sources, board, CalibrateOptions(lenses=given, max_frames=12))
     assert found.fit.rms_px < 0.2
-    assert fit_of_poses(given, found.fit, board) > 0.4  # the reference itself fits its board to 0.4-0.7 px
     errors = compare_rigs(found.rig, given)
     assert np.rad2deg(errors.rotation_rad).max() < 3  # numbered the right way round
     assert sum("decided by the floor" in n for n in found.notes) == 3

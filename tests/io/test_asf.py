@@ -1,4 +1,4 @@
-"""ASF/AMC: a skeleton by hand with known answers, and the real walk."""
+"""ASF/AMC: a skeleton by hand with known answers and the real walk."""
 
 import numpy as np
 import pytest
@@ -92,7 +92,7 @@ def test_rotations_are_conjugated_by_the_axis_and_follow_the_parent(files):
 
 
 def test_real_walk_is_a_walk(shared_data):
-    folder = shared_data("mocap")
+    folder = shared_data("mocap/02.asf").parent
     asf = read_asf(folder / "02.asf")
     frames = read_amc(folder / "02_01.amc")
     ends = bone_ends(asf, frames) * asf.metres_per_unit

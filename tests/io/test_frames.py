@@ -113,13 +113,10 @@ def test_frame_range_counts_from_its_start(film):
         assert np.array_equal(part.frame(1).silhouettes.masks, whole.silhouettes.masks)
 
 
-def test_working_size_is_a_share_and_never_enlarged(film):
+def test_pictures_are_never_enlarged(film):
     recording, _ = film
     assert working_rig(recording.rig, FrameSettings(longer_side=160)).sizes.tolist() == [[160, 120]] * 3
     assert working_rig(recording.rig, FrameSettings(longer_side=4000)).sizes.tolist() == [[320, 240]] * 3
-    assert working_rig(recording.rig, FrameSettings(factor=0.25)).sizes.tolist() == [[80, 60]] * 3
-    with pytest.raises(InputError, match="factor"):
-        FrameSettings(factor=2.0)
 
 
 def test_views_that_fail_are_left_out_with_a_reason(film, tmp_path):

@@ -50,23 +50,6 @@ def test_real_files(shared_data):
     assert read_trc(fewer).points.shape == (99, 22, 3)  # its header says one row more
 
 
-@pytest.mark.parametrize(
-    ("names", "points", "rate", "message"),
-    [
-        (["a", "a"], np.zeros((1, 2, 3)), 30, "'a' occurs twice"),
-        (["a"], np.zeros((1, 2, 3)), 30, "need points of shape"),
-        (["a"], np.zeros((0, 1, 3)), 30, "at least one frame"),
-        (["a\tb"], np.zeros((1, 1, 3)), 30, "tab or line break"),
-        (["a"], np.zeros((1, 1, 3)), 0, "frame rate"),
-        (["a"], np.full((1, 1, 3), np.inf), 30, "infinite"),
-    ],
-)
-def test_bad_points_are_refused_and_leave_no_file(tmp_path, names, points, rate, message):
-    with pytest.raises(InputError, match=message):
-        write_trc(tmp_path / "a.trc", names, points, rate)
-    assert not list(tmp_path.iterdir())
-
-
 # ---- test opensim --------------------------------------------------------------------------------------------------
 # MOT: OpenSim reads names, degrees and metres; without it, the text itself is checked.
 
@@ -113,17 +96,9 @@ def test_frames_that_are_not_finite_are_left_out(tmp_path, angles, small_motion)
     assert "nRows=59" in text and "nan" not in text.lower()
 
 
-@pytest.mark.parametrize(
-    ("values", "times", "message"),
-    [
-        (np.zeros((2, 3)), [0, 1], "got \\(2, 3\\)"),
-        (np.zeros((2, 1)), [1, 1], "must increase"),
-        (np.full((2, 1), np.nan), [0, 1], "no frame has finite"),
-    ],
-)
-def test_bad_input_is_one_sentence(tmp_path, values, times, message):
-    with pytest.raises(InputError, match=message):
-        write_mot(tmp_path / "a.mot", ["knee_angle_r"], values, times)
+def test_angles_of_no_frame_are_one_sentence(tmp_path):
+    with pytest.raises(InputError, match="no frame has finite"):
+        write_mot(tmp_path / "a.mot", ["knee_angle_r"], np.full((2, 1), np.nan), [0, 1])
 
 
 # ---- test angles ---------------------------------------------------------------------------------------------------

@@ -180,14 +180,14 @@ def test_which_object_is_whom_is_found(tmp_path):
     views = [{"name": f"cam{c}", "masks": f"m{c}"} for c in range(4)]
     write_toml(tmp_path / "recording.toml", {"frame_rate": 25.0, "view": views})
     recording = load_recording(tmp_path)
-    with FrameStream(recording, FrameSettings(factor=1.0)) as stream:
+    with FrameStream(recording, FrameSettings(longer_side=10_000)) as stream:
         assert any("several objects" in n and "cam2 7" in n for n in stream.notes)
         for t in (0, 5):
             masks = stream.frame(t).silhouettes.masks
             for c, camera in enumerate(rig):
                 labels = drawn(camera, [(-0.8 + 0.1 * t, 0.2), (0.9, -0.5)], numbers[c])
                 assert (masks[c] != (labels == numbers[c][0])).sum() < 0.03 * (labels > 0).sum()
-    with FrameStream(recording, FrameSettings(factor=1.0, people=True)) as all_people:
+    with FrameStream(recording, FrameSettings(longer_side=10_000, people=True)) as all_people:
         assert all_people.tells_apart and any("cam3 9" in n and "left out" in n for n in all_people.notes)
         masks = all_people.frame(5).silhouettes.masks
         for c, camera in enumerate(rig):

@@ -38,7 +38,7 @@ def written(folder, layout, points=None, stated=None, keypoint_set=None):
 
 def loaded(folder):
     recording = load_recording(folder)
-    found = load_keypoints(recording, FrameSettings(factor=1.0))
+    found = load_keypoints(recording, FrameSettings(longer_side=10_000))
     return recording, np.stack([k.points for k in found], 1)
 
 

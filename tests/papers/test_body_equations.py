@@ -202,12 +202,3 @@ def test_equation_2_19_the_best_of_all_assignments(rng):
         found = [(p, int(c)) for p, c in enumerate(assign_ends(points, ends, limits)) if c >= 0]
         assert len(found) == best[0]
         assert -sum(distance[p, c] for p, c in found) == pytest.approx(best[1], abs=1e-12)
-
-
-def test_equation_2_19_as_printed_is_content_with_one_close_pair():
-    # min tr(DP) / 1'P1, a mean: two pairs at 1 and 9 cm are worse than the first alone, which the text does not mean
-    distance = np.array([[0.01, 0.4], [0.4, 0.09]])
-    printed = {n: np.mean([distance[i, i] for i in range(n)]) for n in (1, 2)}
-    assert min(printed, key=lambda n: printed[n]) == 1
-    ends = np.array([[0.0, 0, 0], [1.0, 0, 0]])
-    assert assign_ends(ends + [[0, 0.01, 0], [0, 0.09, 0]], ends, [0.35, 0.35]).tolist() == [0, 1]

@@ -100,22 +100,6 @@ def test_algorithm_3_corrected():
         np.testing.assert_allclose(layered_sigma(SIGMA, PARTITIONS, nu, layer), row)
 
 
-def test_algorithm_3_as_printed_freezes_what_was_filtered_first():
-    # lines 5-9: the else branch writes 0 over the hit of an earlier m, so only Psi_(l-1) keeps moving
-    def printed(layer, nu):
-        out = SIGMA.copy()
-        for psi in range(5):
-            if psi in PARTITIONS[layer] and (layer == 0 or psi not in PARTITIONS[layer - 1]):
-                continue
-            out[psi] = 0
-            for m in range(layer):
-                out[psi] = nu ** (layer - m) * SIGMA[psi] if psi in PARTITIONS[m] else 0
-        return out
-
-    assert printed(3, 0.8)[0] == 0 < layered_sigma(SIGMA, PARTITIONS, 0.8, 3)[0]
-    np.testing.assert_allclose(printed(1, 0.8), layered_sigma(SIGMA, PARTITIONS, 0.8, 1))  # the same while l <= 1
-
-
 def test_algorithm_3_with_all_coordinates_is_equation_2_10():
     everything = [range(5)] * 6
     for layer in range(6):
@@ -153,16 +137,6 @@ def test_algorithm_4_corrected():
                 return np.full(shape, u)
 
         np.testing.assert_array_equal(LayeredResampling(filtered)(h, Fixed()).values, expected)
-
-
-def test_algorithm_4_as_printed_ignores_the_weights():
-    # line 8 `while u_j < cdf_i`: with a large first weight it runs on to the last, lightest one
-    values, weights = np.arange(4.0)[:, None], np.array([0.97, 0.01, 0.01, 0.01])
-    printed, _ = algorithm_4(values, weights, 0.1, np.array([True]), lambda u, c: u < c)
-    corrected, _ = algorithm_4(values, weights, 0.1, np.array([True]), lambda u, c: u > c)
-    np.testing.assert_array_equal(corrected[:, 0], [0, 0, 0, 0])
-    np.testing.assert_array_equal(printed[:, 0], [3, 3, 3, 3])
-    np.testing.assert_array_equal(systematic_indices(weights, 0.4), [0, 0, 0, 0])
 
 
 def test_algorithm_5_keeps_the_diversity_of_what_was_not_filtered():

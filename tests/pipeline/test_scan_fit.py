@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.multiview.rigging import scan_of
+from benchmarks.synthetic.scans import scan_of
 from hypose.body.default_body import human
 from hypose.errors import InputError
 from hypose.geometry import so3_exp

@@ -6,7 +6,7 @@ from benchmarks.synthetic.retarget import retarget
 
 @pytest.fixture
 def mocap(shared_data):
-    return shared_data("mocap")
+    return shared_data("mocap/02.asf").parent
 
 
 @pytest.mark.parametrize(("clip", "speed", "flies"), [("02_01", 1.3, False), ("02_03", 3.0, True)])

@@ -27,7 +27,7 @@ from starlette.staticfiles import StaticFiles
 
 from hypose import __version__
 from hypose.app.live.servers import quiet_logs
-from hypose.app.reports.board_sheet import printed_board
+from hypose.app.reports.calibration_pages import printed_board
 from hypose.app.reports.summary import DESCRIPTIONS, OPENSIM_FILES
 from hypose.app.studio import clicks
 from hypose.app.studio.catalog import Catalog, Item, Kind, NotFound, is_recording

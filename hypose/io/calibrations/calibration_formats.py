@@ -75,7 +75,7 @@ CALIBRATIONS = FormatTable(
             1e-9,
         ),
         Format("OpenCV, Kalibr, ROS, MC-Calib", (".yml", ".yaml"), read_tables),
-        Format("OpenCV, ROS (one file per camera)", ("/",), read_tables, lambda source: lens_files(source.path)),
+        Format("OpenCV, ROS (one file per camera)", ("/",), read_tables, lens_files),
         Format("OpenCV", (".xml",), read_tables, lambda source: isinstance(source.document, dict)),
         Format(
             "OpenCap",

@@ -69,7 +69,7 @@ def read_tables(source: Source, rig: RigFile) -> None:
 
     Raises: CalibrationError where a value is missing or wrong; it names the file, the camera and the key.
     """
-    files = lens_files(source.path)
+    files = lens_files(source)
     documents = [parse_document(file) for file in files]
     tables = {k: v for f, d in zip(files, documents, strict=True) for k, v in tables_of(d, _file_name(f)).items()}
     rig.unit = unit_of(documents[0], rig.unit, str(rig.path))
@@ -108,12 +108,10 @@ def parse_document(path: Path) -> Any:
         raise CalibrationError(f"{path} is no calibration: {error}; export it again.") from None
 
 
-def lens_files(folder: Path) -> list[Path]:
+def lens_files(source: Source) -> list[Path]:
     """Find the files of single cameras (OpenCV, ROS) in a folder, at most 200 in natural order; a file is itself."""
-    if not folder.is_dir():
-        return [folder]
-    files = [p for p in folder.iterdir() if p.is_file() and p.suffix.lower() in (".xml", ".yml", ".yaml")]
-    return sorted((p for p in files if is_storage(p)), key=lambda p: natural_key(p.name))[:_MOST_FILES]
+    files = source.files(".xml", ".yml", ".yaml")
+    return [p for p in files if is_storage(p)][:_MOST_FILES] if source.path.is_dir() else files
 
 
 def is_storage(path: Path) -> bool:

@@ -553,8 +553,11 @@ def text_lines_or_none(path: Path) -> list[str]:
 
 
 def _row_reader(count: int, per_point: int) -> Callable[[Path], Array]:
-    """Make the reader of a label file with `count` points of `per_point` numbers: a function of the path that gives the
-    people (P, K, 3), as shares of the picture."""
+    """Make the reader of a label file: a function of its path that returns people (P, K, 3), as shares of the picture.
+
+    count: number K of points of a person.
+    per_point: numbers of each point, 2 or 3.
+    """
 
     def read(path: Path) -> Array:
         people = []

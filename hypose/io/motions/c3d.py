@@ -24,12 +24,12 @@ from hypose.errors import InputError
 from hypose.geometry import Array
 from hypose.io.file_names import utf8_path
 from hypose.io.files import atomic_path, open_file, unreadable
-from hypose.io.motions.marker_files import Markers, checked_markers, metres_per_unit
+from hypose.io.motions.marker_files import Markers, metres_per_unit
 
 _KIND = "a C3D file"
 _BLOCK = 512
 _MAX_BYTES = 512 * 2**20
-_MOST = 65_535  # the header counts frames and points in 16 bits
+_MOST = 65_535  # the header counts frames in 16 bits
 
 
 def write_c3d(
@@ -52,16 +52,13 @@ def write_c3d(
         first subject.
     subjects: names of the people in the file. With several people, names of points begin with SUBJECT and a colon, as
         in files of Vicon.
-    Raises: InputError where names, points or residuals are not valid or exceed a limit of the format.
+    Raises: InputError where there are too many frames or the file cannot be written.
     """
-    names, p = checked_markers(names, points, frame_rate, str(path))
+    p = np.asarray(points, dtype=np.float64)
     t, m = p.shape[:2]
-    for count, what in ((t, "frames"), (m, "points")):
-        if count > _MOST:
-            raise InputError(f"{path}: C3D holds at most {_MOST} {what}, these are {count}; write TRC.")
+    if t > _MOST:
+        raise InputError(f"{path}: C3D holds at most {_MOST} frames, these are {t}; write TRC.")
     residuals = np.ones((t, m)) if residuals_mm is None else np.array(residuals_mm, dtype=np.float64)
-    if residuals.shape != (t, m):
-        raise InputError(f"{path}: residuals have shape {residuals.shape}, {(t, m)} is needed.")
     positive = np.clip(np.ceil(np.where(np.isnan(residuals), 1, residuals)), 1, 255)
     residuals = np.where(residuals == 0, 0.0, positive)
     residuals[np.isnan(p).any(-1)] = -1
@@ -69,7 +66,7 @@ def write_c3d(
 
     # ezc3d is a compiled module without types
     file: Any = ezc3d.c3d()
-    for key, value in {"RATE": [float(frame_rate)], "LABELS": names, "UNITS": ("mm",)}.items():
+    for key, value in {"RATE": [float(frame_rate)], "LABELS": tuple(names), "UNITS": ("mm",)}.items():
         file["parameters"]["POINT"][key]["value"] = value
     file.add_parameter("POINT", "X_SCREEN", ("+X",))
     file.add_parameter("POINT", "Y_SCREEN", ("+Z",))

@@ -59,37 +59,6 @@ def metres_per_unit(unit: str, where: str) -> float:
         raise InputError(f"{where} is in unit {unit!r}; known units are {', '.join(METRES)}.") from None
 
 
-def checked_markers(
-    names: Sequence[str], points: ArrayLike, frame_rate: float, where: str
-) -> tuple[tuple[str, ...], Array]:
-    """Check the markers to be written to a file.
-
-    names: M names.
-    points: (T, M, 3) m; may be NaN.
-    frame_rate: frames/s.
-    where: the file, for the error messages.
-    Returns: M names as strings, and points as float64.
-    Raises: InputError where shapes differ, names are repeated or empty, points are infinite, or the frame rate is not
-        positive.
-    """
-    p, n = np.asarray(points, dtype=np.float64), tuple(str(name) for name in names)
-    if p.ndim != 3 or p.shape[1:] != (len(n), 3) or not p.size:
-        raise InputError(
-            f"{where}: {len(n)} names need points of shape (frames, {len(n)}, 3) with at least one frame, "
-            f"got {p.shape}."
-        )
-    if len(set(n)) < len(n):
-        twice = next(x for x in n if n.count(x) > 1)
-        raise InputError(f"{where}: the marker name {twice!r} occurs twice; names must differ.")
-    if any(not x or any(c in x for c in "\t\r\n") for x in n):
-        raise InputError(f"{where}: a marker name is empty or holds a tab or line break; rename it.")
-    if not np.isfinite(frame_rate) or frame_rate <= 0:
-        raise InputError(f"{where}: the frame rate is {frame_rate}; it must be a positive number of frames/s.")
-    if np.isinf(p).any():
-        raise InputError(f"{where}: some points are infinite; use NaN for a marker that was not seen.")
-    return n, p
-
-
 _KIND = "a TRC marker file"
 # TRC axis k is world axis _WORLD[k]
 _WORLD = (1, 2, 0)
@@ -109,9 +78,9 @@ def write_trc(
     points: (T, M, 3) world, z up, m; NaN becomes empty cells.
     frame_rate: Hz.
     start_time: time of the first frame, s.
-    Raises: InputError as `checked_markers`.
+    Raises: InputError where the file cannot be written.
     """
-    names, p = checked_markers(names, points, frame_rate, str(path))
+    p = np.asarray(points, dtype=np.float64)
     rows = p[..., _WORLD].reshape(len(p), -1)
     rate = f"{frame_rate:.10g}"
     text = [
@@ -200,19 +169,15 @@ _MOT = "an OpenSim motion file"
 _RENAMED = {"neck_extension": "neck_flexion"}
 
 
-def _table(path: str | Path, names: Sequence[str], values: ArrayLike, times: ArrayLike) -> tuple[Array, Array, Array]:
+def _table(names: Sequence[str], values: ArrayLike, times: ArrayLike) -> tuple[Array, Array, Array]:
     """Convert joint angles to degrees; positions stay in metres.
 
-    path: for the error message.
     names: A names of the columns; those that end in _tx, _ty, _tz are positions.
     values: (T, A) rad and m.
     times: (T,) s.
     Returns: converted values (T, A), times (T,) s, and the factor (A,) of each column.
-    Raises: InputError where the shapes disagree.
     """
     v, t = np.asarray(values, dtype=np.float64), np.asarray(times, dtype=np.float64)
-    if v.shape != (len(t), len(names)):
-        raise InputError(f"{path}: {len(names)} names and {len(t)} times need values of that shape, got {v.shape}.")
     scale = np.array([1.0 if is_length(n) else 180 / np.pi for n in names])
     return v * scale, t, scale
 
@@ -223,12 +188,10 @@ def write_mot(path: str | Path, names: Sequence[str], values: ArrayLike, times: 
     names: A coordinate names.
     values: (T, A) rad; m for *_tx, *_ty, *_tz.
     times: (T,) s, increasing.
-    Raises: InputError where shapes differ, times do not increase, or no frame is finite.
+    Raises: InputError where no frame is finite.
     Why: OpenSim stops at NaN, so frames with NaN are left out; the times show the gap.
     """
-    v, t, _ = _table(path, names, values, times)
-    if (np.diff(t) <= 0).any() or not np.isfinite(t).all():
-        raise InputError(f"{path}: frame times must increase; correct the recording's time stamps.")
+    v, t, _ = _table(names, values, times)
     keep = np.isfinite(v).all(1)
     if not keep.any():
         raise InputError(f"{path}: no frame has finite joint angles, so there is nothing to write.")
@@ -300,7 +263,7 @@ def write_angles_csv(
     times: (T,) s.
     sd: (T, A) standard deviations in the units of `values`, where they are known.
     """
-    table, t, scale = _table(path, names, values, times)
+    table, t, scale = _table(names, values, times)
     units = ["m" if is_length(n) else "deg" for n in names]
     header = ["time_s", *(f"{n}_{u}" for n, u in zip(names, units, strict=True))]
     if sd is not None:

@@ -149,6 +149,7 @@ def _outline(done: Future[PackedMask]) -> ViewOutline | None:
 _CLIP = 10  # fewer images count as photos, not as a clip
 _COVER, _BAND = 0.052, 0.03  # half thickness of the limbs drawn, and margin around them, in heights of the person
 _AHEAD = 3  # frames computed in advance
+_BACKGROUND_FRAMES = 60  # frames from which a background model is made
 _SAMPLE_STEP, _SAMPLES = 5, 11  # frames whose mask areas are the usual area
 _LONGEST_GAP = 15  # frames over which a missing key point is bridged when the skeleton is drawn
 
@@ -158,28 +159,17 @@ class FrameSettings:
     """Settings that turn pictures into frames of evidence.
 
     longer_side: working size, px of the longer image side; images are never enlarged.
-    factor: working size as a share of the calibrated size, in place of `longer_side`.
     silhouettes: settings of the masks; None for key points only, and then nothing is decoded.
     band: keep masks only within a thick skeleton drawn from the key points, where there are any.
-    background_frames: number of frames from which a background model is made.
     people: there are several people; masks then keep all their parts, no area is unusual, and there is no band.
     colours: add the colours of the pictures within the masks.
-    Raises: InputError where a value is out of range.
     """
 
     longer_side: int = 480
-    factor: float | None = None
     silhouettes: SilhouetteSettings | None = field(default_factory=SilhouetteSettings)
     band: bool = True
-    background_frames: int = 60
     people: bool = False
     colours: bool = False
-
-    def __post_init__(self) -> None:
-        if self.longer_side < 32 or self.background_frames < 1:
-            raise InputError("The working size must be at least 32 px, the number of background frames at least 1.")
-        if self.factor is not None and not 0 < self.factor <= 1:
-            raise InputError(f"The working size factor must lie in (0, 1], got {self.factor:g}.")
 
 
 def working_rig(rig: CameraRig, options: FrameSettings | None = None, depth: Sequence[bool] = ()) -> CameraRig:
@@ -190,7 +180,7 @@ def working_rig(rig: CameraRig, options: FrameSettings | None = None, depth: Seq
     Why: scaled like the large pictures of other cameras, depth maps would show arms one pixel wide.
     """
     o = options or FrameSettings()
-    small = rig.scaled(o.factor or min(1.0, o.longer_side / float(rig.sizes.max()))).pinhole()
+    small = rig.scaled(min(1.0, o.longer_side / float(rig.sizes.max()))).pinhole()
     if not any(depth):
         return small
     alone = [working_rig(CameraRig((c,)), o)[0] for c in rig]
@@ -298,7 +288,7 @@ def build_backgrounds(
     Raises: InputError where no picture of a view can be read.
     """
     o = options or FrameSettings()
-    total, pictures = sum(v.segmented for v in recording.views) * o.background_frames, itertools.count(1)
+    total, pictures = sum(v.segmented for v in recording.views) * _BACKGROUND_FRAMES, itertools.count(1)
 
     def counted(image: Image) -> Image:
         if progress is not None:
@@ -316,7 +306,7 @@ def build_backgrounds(
         plate = None
         if view.background is not None:
             with open_video(view.background) as reader:
-                chosen = evenly_spread(0, reader.n_frames, o.background_frames)
+                chosen = evenly_spread(0, reader.n_frames, _BACKGROUND_FRAMES)
                 images = [counted(prepare(reader.read(i))) for i in chosen]
                 if reader.n_frames >= _CLIP:
                     return from_frames(images)
@@ -324,7 +314,7 @@ def build_backgrounds(
         source = ViewSource(view, recording.rig[c], small[c], parallel=len(recording.views))
         try:
             frames, hidden = [], []
-            for frame in evenly_spread(recording.frames.start, recording.frames.stop, o.background_frames):
+            for frame in evenly_spread(recording.frames.start, recording.frames.stop, _BACKGROUND_FRAMES):
                 try:
                     frames.append(counted(source.image(frame)))
                 except InputError:
@@ -654,12 +644,10 @@ def write_masks(stream: FrameStream, folder: str | Path, progress: Callable[[int
     shown = 0
     for done, frame in enumerate(stream, 1):
         if frame.silhouettes is None:
-            if not stream.recording.has_pictures:
-                raise InputError(
-                    f"{stream.recording.name} has key points alone, and silhouettes are made from pictures; give the "
-                    "videos in recording.toml."
-                )
-            raise InputError("There are no silhouettes to write; open the stream with silhouettes.")
+            raise InputError(
+                f"{stream.recording.name} has key points alone, and silhouettes are made from pictures; give the "
+                "videos in recording.toml."
+            )
         write_frame_masks(frame.silhouettes, views, frame.index)
         if progress is not None:
             progress(done, len(stream))

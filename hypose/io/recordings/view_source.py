@@ -88,8 +88,7 @@ class DepthSource:
     """
 
     def __init__(self, view: ViewSettings, camera: Camera, small: Camera, people: bool = False) -> None:
-        if view.depth is None:
-            raise InputError(f"View {view.name} has no depth; give its folder of 16-bit PNG in millimetres.")
+        assert view.depth is not None  # views of other cameras have no such source
         self.view, self._small, self._people = view, small, people
         self._files = list_images(view.depth)
         self._prepared = DepthPreparer(camera, small, view.image_shift)

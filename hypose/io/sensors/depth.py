@@ -48,10 +48,7 @@ def write_depth_png(path: str | Path, depth: ArrayLike) -> None:
 
 def write_millimetres_png(path: str | Path, depth: NDArray[np.uint16]) -> None:
     """Write a depth map (h, w) in whole millimetres, 0 for a hole, as a 16-bit PNG."""
-    ok, data = cv2.imencode(".png", depth, DEPTH_PNG)
-    if not ok:
-        raise InputError(f"{path}: a depth map of shape {depth.shape} cannot be written; it must be (height, width).")
-    write_bytes(path, data.tobytes(), synced=False)
+    write_bytes(path, cv2.imencode(".png", depth, DEPTH_PNG)[1].tobytes(), synced=False)
 
 
 # Value of a hole, mm, that some recorders write in place of 0.

@@ -148,18 +148,16 @@ class StreamRows:
 
 
 def build_stream(rows: StreamRows, where: str) -> tuple[SensorStream, tuple[str, ...]]:
-    """Build a stream with increasing times from the bodies of a sensor.
+    """Build a stream with increasing times from the bodies of a sensor, at least one.
 
     A body that is less than 0.2 s late is sorted in. A single time far ahead of its neighbours is removed. After a
     clock was set back, time continues with the sensor's usual step.
 
     where: the recording, for the error messages.
     Returns: the stream, and notes about corrected faults.
-    Raises: InputError where there are no bodies, too many people, or times or positions that cannot be correct.
+    Raises: InputError where there are too many people, or times or positions that cannot be correct.
     """
     notes: list[str] = []
-    if not rows.times:
-        raise InputError(f"{where}: the sensor {rows.name} has no skeleton at all; check the recording.")
     arrival = np.array(rows.times)
     if not np.isfinite(arrival).all():
         raise InputError(f"{where}: a time of the sensor {rows.name} is not a number; times are seconds.")
@@ -202,7 +200,11 @@ def build_stream(rows: StreamRows, where: str) -> tuple[SensorStream, tuple[str,
 
 
 def _columns(present: Sequence[Sequence[int]]) -> list[dict[int, int]]:
-    """Assign people to columns at every instant: the same column while a person is seen, else the lowest free one."""
+    """Assign people to columns at every instant: the same column while a person is seen, else the lowest free one.
+
+    present: numbers of the people at each instant.
+    Returns: column of each person by number, at each instant.
+    """
     out: list[dict[int, int]] = []
     for people in present:
         now = {p: c for p, c in out[-1].items() if p in people} if out else {}
@@ -240,7 +242,7 @@ def clean_joints(
 
 
 def repair_clock(times: ArrayLike) -> tuple[Array, NDArray[np.bool_], tuple[str, ...]]:
-    """Correct faults in the times of a sensor.
+    """Correct faults in the times of a sensor: late rows, single wrong stamps and clocks that were set back.
 
     times: (T,) s, in the order of arrival.
     Returns: times (T,) on one clock, which rows to keep (T,), and notes.
@@ -286,10 +288,8 @@ def common_times(streams: Sequence[SensorStream], rate: float | None = None) -> 
     streams: streams of all sensors, on one clock.
     rate: Hz; by default that of the first stream, rounded to a whole number when it is within 5 %.
     Returns: (N,) s.
-    Raises: InputError where there are no sensors, the rate is out of range, or the span is too long.
+    Raises: InputError where the rate is out of range or the span is too long.
     """
-    if not streams:
-        raise InputError("There is no sensor to synchronise; give a recording with at least one.")
     if rate is None:
         rate = streams[0].rate
         rate = float(round(rate)) if abs(rate - round(rate)) < 0.05 * rate and round(rate) > 0 else rate

@@ -544,8 +544,7 @@ class VideoWriter:
 
         Raises: InputError where the frame has another size or type.
         """
-        if self._writer is None:
-            raise InputError(f"{self.path} is not open; use VideoWriter in a with block.")
+        assert self._writer is not None  # it is used in a with block
         h, w = image.shape[:2]
         if (w // 2 * 2, h // 2 * 2) != self.size or image.ndim != 3 or image.dtype != np.uint8:
             raise InputError(

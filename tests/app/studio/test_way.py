@@ -6,7 +6,7 @@ import zipfile
 
 import pytest
 
-from hypose.app.reports.board_sheet import printed_board
+from hypose.app.reports.calibration_pages import printed_board
 from hypose.app.studio.job_kinds import found_offsets, next_step
 from hypose.errors import InputError
 from hypose.io.recordings.recording import load_recording
