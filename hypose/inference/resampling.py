@@ -1,8 +1,8 @@
 """Resampling: draw the hypotheses that go on, by their weights. Every function but `keep` returns equal weights;
 origins, roles and covariances are inherited. All work on any batch axes (*B, N).
 
-Sources: Alcoverro 2014, Algorithms 1 and 4; systematic resampling after Kitagawa 1996; roulette wheel: Asteriadis et
-    al. 2013; keeping the k best: Sminchisescu & Triggs 2001, Fig. 4.
+Sources: Alcoverro 2014, Algorithms 1 and 4; systematic resampling after Kitagawa 1996; keeping the k best:
+    Sminchisescu & Triggs 2001, Fig. 4.
 """
 
 from __future__ import annotations
