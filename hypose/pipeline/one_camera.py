@@ -627,9 +627,9 @@ def _far(body: Body, pose: Array, keypoints: Keypoints) -> float:
 
 
 def _outside(body: Body, pose: Array, silhouettes: Silhouettes) -> float:
-    """Compute the share of the joints of a posed body (D,) that lie far outside the mask.
+    """Compute the share of the joints of a posed body (D,) that lie far outside the mask, of those in the picture.
 
-    Returns: NaN without a mask, or with no joint in the picture.
+    Returns: 0 to 1; NaN without a mask, or with no joint in the picture.
     """
     w, h = silhouettes.rig[0].size
     mask = np.minimum(silhouettes.masks[0, :h, :w], 1)

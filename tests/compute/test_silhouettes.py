@@ -38,17 +38,6 @@ def scene(body, rig, rng):
     return poses, prepared
 
 
-def test_rasterizer_draws_a_known_triangle_half_open():
-    p = np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]])
-    corners = np.array([[1.0, 1, 1], [4, 1, 1], [1, 4, 1], [4, 4, 1]])
-    one = reference.rasterize(corners, np.array([[0, 1, 2]], np.int32), p, (6, 6))
-    other = reference.rasterize(corners, np.array([[1, 3, 2]], np.int32), p, (6, 6))
-    square = np.zeros((6, 6), bool)
-    square[1:4, 1:4] = True
-    np.testing.assert_array_equal(one | other, square)
-    assert not (one & other).any()
-
-
 def test_counts_are_those_of_the_rasterizer(body, scene):
     slow, fast = both(body, scene[0][:6], scene[1])
     assert np.abs(slow - fast).max() <= 2

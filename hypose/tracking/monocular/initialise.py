@@ -27,6 +27,7 @@ from hypose.tracking.monocular.flips import mirrored
 from hypose.tracking.monocular.picture_search import PictureSearch
 from hypose.tracking.monocular.points import MonoPoints
 from hypose.tracking.monocular.points_fit import PointsOn, fit_proportions, points_on_body
+from hypose.tracking.monocular.pool import distinct
 from hypose.tracking.monocular.problem import checked_picture, floor_arrays
 from hypose.tracking.monocular.proportions import VOLUMETRIC, proportions, search_factors, shaped, without_display
 from hypose.tracking.monocular.settings import MonoSettings, body_dofs
@@ -121,7 +122,7 @@ def initialise(
             body = shaped(template, factors)
             search = replace(search, body=body)
             found = search.optimise(found.values, frame, points_on(body))
-    found = found.take(_distinct_indices(body.joints(found.values), rivals))
+    found = found.take(distinct(body.joints(found.values), rivals, DISTINCT_M))
     return InitialFit(body, found, factors, _residual(body, camera, points_on(body), found.values[0]))
 
 
@@ -223,21 +224,7 @@ def _solved(
 def _distinct(poses: Array, costs: Array, body: Body, count: int) -> Array:
     """Select the best poses (M, D), by costs (M,), that differ from all better ones; at most count."""
     order = np.argsort(costs, kind="stable")
-    return poses[order][_distinct_indices(body.joints(poses[order]), count)]
-
-
-def _distinct_indices(joints: Array, count: int) -> list[int]:
-    """Select poses that differ from all better ones; at most count.
-
-    joints: (M, J, 3) joint centres, m, best pose first.
-    """
-    keep: list[int] = []
-    for i in range(len(joints)):
-        if all(np.linalg.norm(joints[i] - joints[k], axis=1).max() > DISTINCT_M for k in keep):
-            keep.append(i)
-        if len(keep) == count:
-            break
-    return keep
+    return poses[order][distinct(body.joints(poses[order]), count, DISTINCT_M)]
 
 
 def _contour_cost(

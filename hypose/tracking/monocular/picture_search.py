@@ -278,8 +278,8 @@ class PictureSearch:
         problem: evidence of the frame.
         starts, before: (N, D) start poses, and poses in the previous picture.
         coarse, iterations: as in `newton_descent`.
-        Returns: N solutions.
         predict: add to each a pull to its own start as the prediction.
+        Returns: N solutions.
         """
         solutions: list[MonoSolution | None] = [None] * len(starts)
         free = list(place.workspaces)

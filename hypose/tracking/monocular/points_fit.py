@@ -31,9 +31,10 @@ _STEP = 0.01
 """step of a factor's logarithm for its numeric derivative"""
 
 
-def points_on_body(body: Body, pose: Array, points: MonoPoints) -> Array:
-    """Compute the world positions (P, 3), m, of the points on the body at a pose (D,)."""
-    return _places(body, pose, points.joint, points.offset)
+def points_on_body(body: Body, pose: Array, points: MonoPoints | FloorArrays) -> Array:
+    """Compute the world positions (P, 3), m, of points on joints of the body at a pose (D,)."""
+    rotations, centres = body.skeleton.forward(pose)
+    return centres[points.joint] + np.einsum("pab,pb->pa", rotations[points.joint], points.offset)
 
 
 def fit_proportions(
@@ -145,7 +146,7 @@ def image_jacobian(body: Body, camera: Camera, points: MonoPoints, pose: Array) 
 
     body, camera: the body, and the camera of the picture.
     """
-    world, by_pose = points_on_body(body, pose, points), _jacobian(body, pose, points.joint, points.offset)
+    world, by_pose = points_on_body(body, pose, points), _jacobian(body, pose, points)
     p = camera.projection
     h = world @ p[:, :3].T + p[:, 3]
     shown = h[:, :2] / h[:, 2:]
@@ -166,30 +167,18 @@ def _above_floor(
     moved: one body per factor that moves joints, changed by one step.
     Returns: heights (F,); derivatives (F, A + I) with respect to the active dof and these factors.
     """
-    height = _places(body, pose, floor.joint, floor.offset)[:, 2] - floor.height
+    height = points_on_body(body, pose, floor)[:, 2] - floor.height
     on = np.flatnonzero((height < 0) | (np.arange(len(height)) == height.argmin()))
-    joint, offset = floor.joint[on], floor.offset[on]
-    by_pose = _jacobian(body, pose, joint, offset)[:, 2, active]
-    by_factor = [(_places(b, pose, joint, offset)[:, 2] - floor.height - height[on]) / _STEP for b in moved]
+    low = floor._replace(joint=floor.joint[on], offset=floor.offset[on])
+    by_pose = _jacobian(body, pose, low)[:, 2, active]
+    by_factor = [(points_on_body(b, pose, low)[:, 2] - floor.height - height[on]) / _STEP for b in moved]
     return height[on] / floor.scale, np.concatenate([by_pose, np.stack(by_factor, axis=1)], axis=1) / floor.scale
 
 
-def _places(body: Body, pose: Array, joint: NDArray[np.int64], offset: Array) -> Array:
-    """Compute the world positions (P, 3), m, of points fixed to joints (P,) at offsets (P, 3).
-
-    body, pose: the body and its pose (D,).
-    """
-    return body.skeleton.points(joint, offset, pose)
-
-
-def _jacobian(body: Body, pose: Array, joint: NDArray[np.int64], offset: Array) -> Array:
-    """Compute the derivative (P, 3, D) of the world positions of points on joints with respect to the pose.
-
-    body, pose: the body and its pose (D,).
-    joint, offset: (P,) and (P, 3) m, as in MonoPoints.
-    """
+def _jacobian(body: Body, pose: Array, points: MonoPoints | FloorArrays) -> Array:
+    """Compute the derivative (P, 3, D) by the pose (D,) of the world positions of points on joints of the body."""
     twists = body.skeleton.world_twists(pose)
-    world = _places(body, pose, joint, offset)
+    world = points_on_body(body, pose, points)
     out = np.cross(twists[None, :, :3], world[:, None]) + twists[None, :, 3:]
-    out[~body.skeleton.moves.T[joint]] = 0.0
+    out[~body.skeleton.moves.T[points.joint]] = 0.0
     return np.swapaxes(out, 1, 2)

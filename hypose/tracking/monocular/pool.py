@@ -126,15 +126,26 @@ def prune(pool: Hypotheses, body: Body, settings: SearchSettings) -> Hypotheses:
     """
     first = best_of(pool)
     others = np.delete(np.arange(pool.count), first)
-    ranked = [first, *others[np.argsort(pool.columns["evidence"][others], kind="stable")]]
+    ranked = np.array([first, *others[np.argsort(pool.columns["evidence"][others], kind="stable")]])
     places = landmark_places(body, pool.values[ranked])
-    kept: list[int] = []
-    for i in range(len(ranked)):
-        if all(np.linalg.norm(places[i] - places[k], axis=-1).max() > settings.distinct_m for k in kept):
-            kept.append(i)
-        if len(kept) == settings.hypotheses:
+    return pool.take(ranked[distinct(places, settings.hypotheses, settings.distinct_m)])
+
+
+def distinct(places: Array, count: int, apart_m: float) -> list[int]:
+    """Select poses that differ from all better ones; at most count.
+
+    places: (M, L, 3) m, points by which poses are compared, the best pose first.
+    count: largest number of poses.
+    apart_m: poses differ where at least one point lies further apart than this, m.
+    Returns: their indices, best first.
+    """
+    keep: list[int] = []
+    for i in range(len(places)):
+        if all(np.linalg.norm(places[i] - places[k], axis=1).max() > apart_m for k in keep):
+            keep.append(i)
+        if len(keep) == count:
             break
-    return pool.take([ranked[i] for i in kept])
+    return keep
 
 
 def landmark_places(body: Body, poses: Array) -> Array:
