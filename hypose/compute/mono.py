@@ -665,7 +665,7 @@ def full_cost(q, problem, sigma, n_flow, ws, hessian, gradient):
 
 
 @kernel
-def prepare(before, q, problem, ws):
+def prepare_terms(before, q, problem, ws):
     """Prepare the workspace for a search from pose q (D,): draw the still parts, place the inner nodes of the flow.
 
     problem, ws: evidence and priors, and scratch memory.
@@ -735,6 +735,6 @@ def warm_up(tree: TreeArrays, mesh: MeshArrays, pose: Array, projection: Array) 
         True,
     )
     ws = workspace(problem.model, 32, 32)
-    n_flow = prepare(pose, pose, problem, ws)
+    n_flow = prepare_terms(pose, pose, problem, ws)
     full_cost(pose, problem, 1.0, n_flow, ws, np.empty((d, d)), np.empty(d))
     score(pose[None], problem, ws)

@@ -23,9 +23,6 @@ from hypose.evidence.keypoints import other_sides
 from hypose.evidence.ray_matching import NOT_COMPARABLE_M, Views, between_rays, distances, mean_of_known, meet
 from hypose.geometry import Array
 
-_WALK, _NEAR_M = 2.5, 0.5  # m/s and m: largest distance of a person after a gap
-_ALIKE = 0.12  # largest mean difference of the logarithms of bones' lengths of the same body
-
 
 @dataclass(frozen=True)
 class PersonTrack:
@@ -111,7 +108,7 @@ def joined(tracks: Sequence[PersonTrack], names: Sequence[str], frame_rate: floa
             for j, b in enumerate(left):
                 gap = b.first - a.last
                 if gap > 0 and _same_body(sizes[i], sizes[j]):
-                    reach = _NEAR_M + _WALK * gap / frame_rate
+                    reach = AssociationSettings.restart + AssociationSettings.walk * gap / frame_rate
                     away = float(np.linalg.norm(b.place(b.first) - a.place(a.last)))
                     if not away > reach:
                         fits.append((gap, i, j))
@@ -155,7 +152,7 @@ def _same_body(a: Array, b: Array) -> bool:
     """Decide whether two sets of bone lengths (B,), m, are of one body; true where fewer than four bones are known of
     both."""
     both = np.isfinite(a) & np.isfinite(b)
-    return both.sum() < 4 or float(np.mean(np.abs(np.log(a[both] / b[both])))) < _ALIKE
+    return both.sum() < 4 or float(np.mean(np.abs(np.log(a[both] / b[both])))) < AssociationSettings.alike
 
 
 def _one(a: PersonTrack, b: PersonTrack) -> PersonTrack:
@@ -216,6 +213,10 @@ class AssociationSettings:
     plausible: least share of bones with a body's lengths.
     stretched: the end of a limb is not accepted when only two views show it and its bone is longer than this many times
         its usual length.
+    walk, restart: m/s and m, largest distance of a person after a gap.
+    alike: largest mean difference of the logarithms of bones' lengths of the same body.
+    motion: share of the last step of a point that predicts the next one; jump: m, a longer step predicts none.
+    objects: m, largest mean distance of the rays of one person's objects; large, because outlines are no points.
     """
 
     gate: float = 0.22
@@ -232,6 +233,12 @@ class AssociationSettings:
     exchanged_m: float = 0.03
     plausible: float = 0.7
     stretched: float = 1.35
+    walk: float = 2.5
+    restart: float = 0.5
+    alike: float = 0.12
+    motion: float = 0.6
+    jump: float = 0.12
+    objects: float = 0.35
 
 
 def people_of(
@@ -655,8 +662,8 @@ class Association:
             step = world[n] - t.points
             motion = np.zeros_like(step)
             if not fresh:
-                motion[both] = 0.6 * step[both]
-                jumped = np.sqrt((motion * motion).sum(1)) > 0.12
+                motion[both] = AssociationSettings.motion * step[both]
+                jumped = np.sqrt((motion * motion).sum(1)) > AssociationSettings.jump
                 motion[jumped] = 0.0
             common = np.median(step[both], axis=0) if both.sum() >= _LEAST_POINTS and not fresh else np.zeros(3)
             motion[~both] = np.median(motion[both], axis=0) if both.any() else 0.5 * t.motion[~both]
@@ -718,7 +725,6 @@ def clusters(apart: Array, birth: float) -> list[list[int]]:
     return sorted((g for g in group if len(g) > 1), key=len, reverse=True)
 
 
-_TOGETHER = 0.35  # m, largest mean distance of the rays of one person's objects; large, because outlines are no points
 _LIMIT, _LEAST_COMMON = 1.0, 6
 
 
@@ -753,7 +759,7 @@ def people_of_objects(points: Sequence[Mapping[str, Array]], rig: CameraRig) -> 
     found = np.concatenate([np.nan_to_num(found), known[..., None].astype(np.float64)], -1)
     which = np.array([c for c, _ in at], dtype=np.int64)
     apart = between_rays(Views(rig), which, found, _LIMIT, _LEAST_COMMON)
-    groups = clusters(apart, _TOGETHER)
+    groups = clusters(apart, AssociationSettings.objects)
     alone = [[i] for i in range(len(at)) if not any(i in g for g in groups)]
     there = known.sum(1)
     ordered = sorted([*groups, *alone], key=lambda g: (-len(g) * int(there[g].sum()), at[g[0]]))

@@ -24,8 +24,8 @@ from hypose.io.file_names import text_of
 from hypose.io.motions.meshes import PersonMesh, closed_surface, read_person
 from hypose.io.motions.results import save_body
 from hypose.pipeline.scan_fit import (
+    SCAN,
     SCAN_POSES,
-    UNLIKELY,
     ScanFit,
     ScanPose,
     find_stances,
@@ -175,7 +175,7 @@ def _metres(extent: float, source: str, unit: str, height: float | None) -> floa
 
 
 def _check_fit(fit: ScanFit, stance: ScanPose, source: str) -> None:
-    if fit.far <= SETTINGS.mesh_most_far and fit.distance < 0.02 * fit.body.stature and fit.unlikely < UNLIKELY:
+    if fit.far <= SETTINGS.mesh_most_far and fit.distance < 0.02 * fit.body.stature and fit.unlikely < SCAN.unlikely:
         return
     raise InputError(
         f"{source} does not look like one person in any known pose: {fit.far:.0%} of the surfaces lie more than "

@@ -7,7 +7,8 @@ combination with samples of the scan. Then the best few are refined like the sha
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,18 +22,56 @@ from hypose.evidence.terms import DepthTerm
 from hypose.geometry import Array, rotation_between, so3_exp, so3_log
 from hypose.tracking.shape_refinement import ShapeSettings, refine_shape
 
-# direction of the straight arm in each pose a scan may be taken in, for the left side (model frame)
-_ARMS = {"a": (0.75, 0.0, -0.66), "t": (1.0, 0.0, 0.0), "standing": (0.18, 0.0, -1.0), "hands-up": (0.35, 0.0, 1.0)}
-SCAN_POSES = tuple(_ARMS)
-"""Poses in which a person may be scanned: A-pose, T-pose, standing with hanging arms, hands up."""
 
-_ROUGH = ShapeSettings(iterations=(4,), coarse=(4.0,))
-_FINE = ShapeSettings(iterations=(6, 8, 10), coarse=(2.7, 1.4, 0.8))
-_WEIGHT = 150.0
-"""Weight of all samples of a scan together: errors of neighbouring samples are correlated."""
-UNLIKELY = 8.0
-"""Mahalanobis distance of proportions above which a scan is no person: heavy people have 6, a person squeezed to a pole
-10."""
+@dataclass(frozen=True)
+class ScanSettings:
+    """Settings of fitting the template to a scan.
+
+    arms: direction of the straight left arm in each pose that a scan may be taken in, model frame.
+    up: up axes that a file may have, each with a factor on its score; the larger, the less likely.
+    compared: number of samples by which stances are compared.
+    turns: headings that are tried, a quarter turn apart.
+    normals: m of distance, as a share of the stature, that a normal in the opposite direction counts like.
+    farthest: distances are cut off there, as a share of the stature.
+    elbows: share of the bend of the elbows at rest that the arms keep, since people relax their elbows.
+    within, tried: stances with a score within this factor of the best, and at most so many, are fitted.
+    rough, fine: iterations of the first fit of each stance, and of the fit of the best.
+    thinned: each so-many-th sample is used in the first fit.
+    weight: of all samples together, since errors of neighbouring samples are correlated.
+    far: distance of a sample, as a share of the stature, beyond which it counts as far from the body.
+    unlikely: Mahalanobis distance of proportions above which a scan is no person: heavy people have 6, a person
+        squeezed to a pole 10.
+    """
+
+    arms: Mapping[str, tuple[float, float, float]] = field(
+        default_factory=lambda: {
+            "a": (0.75, 0.0, -0.66),
+            "t": (1.0, 0.0, 0.0),
+            "standing": (0.18, 0.0, -1.0),
+            "hands-up": (0.35, 0.0, 1.0),
+        }
+    )
+    up: Mapping[str, float] = field(
+        default_factory=lambda: {"+z": 1.0, "+y": 1.1, "-y": 1.25, "-z": 1.25, "+x": 1.25, "-x": 1.25}
+    )
+    compared: int = 700
+    turns: int = 4
+    normals: float = 1 / 12
+    farthest: float = 0.2
+    elbows: float = -0.7
+    within: float = 1.6
+    tried: int = 4
+    rough: ShapeSettings = ShapeSettings(iterations=(4,), coarse=(4.0,))
+    fine: ShapeSettings = ShapeSettings(iterations=(6, 8, 10), coarse=(2.7, 1.4, 0.8))
+    thinned: int = 3
+    weight: float = 150.0
+    far: float = 0.05
+    unlikely: float = 8.0
+
+
+SCAN = ScanSettings()
+SCAN_POSES = tuple(SCAN.arms)
+"""Poses in which a person may be scanned: A-pose, T-pose, standing with hanging arms, hands up."""
 
 
 @dataclass(frozen=True)
@@ -102,16 +141,18 @@ def scan_pose(body: Body, name: str) -> Array:
 
     Raises: InputError with the list of poses for an unknown name.
     """
-    if name not in _ARMS:
+    if name not in SCAN.arms:
         raise InputError(f"There is no scan pose {name!r}; the poses are auto, {', '.join(SCAN_POSES)}.")
     s, pose = body.skeleton, np.zeros(body.skeleton.dof)
     joints = s.rest_joints
     for side, mirror in (("left", 1.0), ("right", -1.0)):
         shoulder, elbow, wrist = (s.joint(f"{side}_{n}") for n in ("shoulder", "elbow", "wrist"))
         upper, fore = joints[elbow] - joints[shoulder], joints[wrist] - joints[elbow]
-        pose[s.dofs_of(f"{side}_shoulder")] = so3_log(rotation_between(upper, np.array(_ARMS[name]) * (mirror, 1, 1)))
+        pose[s.dofs_of(f"{side}_shoulder")] = so3_log(
+            rotation_between(upper, np.array(SCAN.arms[name]) * (mirror, 1, 1))
+        )
         bend = np.arccos(np.clip(upper @ fore / np.linalg.norm(upper) / np.linalg.norm(fore), -1, 1))
-        pose[s.dofs_of(f"{side}_elbow")] = -0.7 * bend  # people relax their elbows
+        pose[s.dofs_of(f"{side}_elbow")] = SCAN.elbows * bend
     return s.clamp(pose)
 
 
@@ -122,7 +163,7 @@ def find_stances(surface: ScanSamples, template: Body) -> list[ScanPose]:
     template: the body to compare with.
     Returns: all combinations, best first. Any axis may be up; z, then y are preferred where scores are similar.
     """
-    step = max(1, len(surface.points) // 700)
+    step = max(1, len(surface.points) // SCAN.compared)
     points, normals = surface.points[::step], surface.normals[::step]
     models = {}
     for name in SCAN_POSES:
@@ -130,32 +171,22 @@ def find_stances(surface: ScanSamples, template: Body) -> list[ScanPose]:
         n = vertex_normals(v, template.coarse.faces)
         models[name] = (_boxed(v)[0], n)
     out = []
-    for label, axis, _ in _UPS:
-        upright = rotation_between(np.array(axis), np.array([0.0, 0.0, 1.0]))
+    for label in SCAN.up:
+        axis = np.eye(3)["xyz".index(label[1])] * (-1 if label[0] == "-" else 1)
+        upright = rotation_between(axis, np.array([0.0, 0.0, 1.0]))
         flat = (points @ upright.T)[:, :2]
         _, direction = np.linalg.eigh(np.cov((flat - flat.mean(0)).T))
         widest = np.arctan2(direction[1, 1], direction[0, 1])
-        for quarter in range(4):
+        for quarter in range(SCAN.turns):
             turn = so3_exp(np.array([0, 0, -widest + quarter * np.pi / 2])) @ upright
             boxed, _ = _boxed(points @ turn.T)
             facing = normals @ turn.T
             for name, (v, n) in models.items():
-                # normals count like a distance of a twelfth of the stature: front and back differ by little else
-                a, b = np.hstack([boxed, facing / 12]), np.hstack([v, n / 12])
+                # front and back differ by little else than normals
+                a, b = np.hstack([boxed, SCAN.normals * facing]), np.hstack([v, SCAN.normals * n])
                 d = np.concatenate([KDTree(b).query(a)[0], KDTree(a).query(b)[0]])
-                out.append(ScanPose(turn, name, float(np.minimum(d, 0.2).mean()), label))
-    preference = {label: prefer for label, _, prefer in _UPS}
-    return sorted(out, key=lambda s: s.score * preference[s.up])
-
-
-_UPS = (
-    ("+z", (0.0, 0.0, 1.0), 1.0),
-    ("+y", (0.0, 1.0, 0.0), 1.1),
-    ("-y", (0.0, -1.0, 0.0), 1.25),
-    ("-z", (0.0, 0.0, -1.0), 1.25),
-    ("+x", (1.0, 0.0, 0.0), 1.25),
-    ("-x", (-1.0, 0.0, 0.0), 1.25),
-)
+                out.append(ScanPose(turn, name, float(np.minimum(d, SCAN.farthest).mean()), label))
+    return sorted(out, key=lambda s: s.score * SCAN.up[s.up])
 
 
 def _boxed(points: Array) -> tuple[Array, float]:
@@ -175,22 +206,22 @@ def fit_template(surface: ScanSamples, template: Body, stances: list[ScanPose]) 
     """
     light = replace(template, fine=template.coarse)
     trials = []
-    for stance in [s for s in stances if s.score < 1.6 * stances[0].score][:4]:
+    for stance in [s for s in stances if s.score < SCAN.within * stances[0].score][: SCAN.tried]:
         points, normals = surface.points @ stance.upright_from_file.T, surface.normals @ stance.upright_from_file.T
         pose = scan_pose(light, stance.arms)
         v, x = light.skin(pose), prior_mean()
         ratio = np.ptp(points[:, 2]) / np.ptp(v[:, 2])
         x[entity("scale")] = np.log(ratio)
         pose[:3] = 0.5 * (points.min(0) + points.max(0)) - 0.5 * ratio * (v.min(0) + v.max(0))
-        few = _scan_term(points[::3], normals[::3])
-        fit = refine_shape(light, pose[None], [[few]], options=_ROUGH, start=x)
+        few = _scan_term(points[:: SCAN.thinned], normals[:: SCAN.thinned])
+        fit = refine_shape(light, pose[None], [[few]], options=SCAN.rough, start=x)
         trials.append((fit.cost, stance, fit, points, normals))
     _, stance, fit, points, normals = min(trials, key=lambda t: t[0])
-    fit = refine_shape(light, fit.poses, [[_scan_term(points, normals)]], options=_FINE, start=fit.log_factors)
+    fit = refine_shape(light, fit.poses, [[_scan_term(points, normals)]], options=SCAN.fine, start=fit.log_factors)
     v, faces = fit.body.skin(fit.poses[0]), fit.body.coarse.faces
     own = np.concatenate([v, v[faces].mean(1)])
     gaps = np.concatenate([KDTree(points).query(own)[0], KDTree(own).query(points)[0]])
-    far = float((gaps > 0.05 * np.ptp(points[:, 2])).mean())
+    far = float((gaps > SCAN.far * np.ptp(points[:, 2])).mean())
     off = (fit.log_factors - prior_mean())[1:]
     unlikely = float(np.sqrt(off @ np.linalg.solve(prior_covariance()[1:, 1:], off)))
     body = body_of(template, fit.log_factors)
@@ -206,7 +237,7 @@ def _scan_term(points: Array, normals: Array) -> DepthTerm:
     sensor = (normals @ axes.T).argmax(1)
     order = np.argsort(sensor, kind="stable")
     first = np.searchsorted(sensor[order], np.arange(len(axes) + 1))
-    weight = np.full(len(points), _WEIGHT / len(points))
+    weight = np.full(len(points), SCAN.weight / len(points))
     no_maps = np.zeros((6, 1, 1), np.float32), np.ones((6, 2), np.int64), np.zeros((6, 3, 4))
     return DepthTerm(points[order], normals[order], weight, first, 1e3 * axes, *no_maps)
 

@@ -154,7 +154,9 @@ def check_named_pose(named: str, value: float, others: Mapping[str, float], fram
         )
 
 
-def follow(tracker: Tracker, start: Array, frames: Sequence[Frame], tick: Callable[[], None]) -> list[FrameEstimate]:
+def track_frames(
+    tracker: Tracker, start: Array, frames: Sequence[Frame], tick: Callable[[], None]
+) -> list[FrameEstimate]:
     """Track the frames one after the other from a pose (D,) before the first; return their estimates.
 
     tick: called after each frame.

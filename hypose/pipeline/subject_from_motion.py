@@ -27,7 +27,7 @@ from hypose.io.files import write_text
 from hypose.io.motions.results import load_body, save_body
 from hypose.pipeline.left_right import correct_left_right
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.start_choice import best_ways, check_borders, check_person_size, follow, no_two_views
+from hypose.pipeline.start_choice import best_ways, check_borders, check_person_size, no_two_views, track_frames
 from hypose.tracking.frame_evidence import PreparedFrame, mean_overlap, prepare
 from hypose.tracking.recipes import default
 from hypose.tracking.refinement import refine
@@ -232,8 +232,8 @@ def _both_ways(
     """
     recipe = default(body, particles=options.particles, frame_rate=rate)
     tracker = Tracker(body, recipe, TrackerSettings(seed=options.seed, frame_rate=rate))
-    later = follow(tracker, start, frames[at:], tick)
-    earlier = follow(tracker, later[0].pose, frames[at - 1 :: -1], tick) if at else []
+    later = track_frames(tracker, start, frames[at:], tick)
+    earlier = track_frames(tracker, later[0].pose, frames[at - 1 :: -1], tick) if at else []
     tracked, _ = correct_left_right(tracker, [*earlier[::-1], *later], lambda numbers: (frames[t] for t in numbers))
     return np.stack([e.pose for e in tracked]), np.array([1 - e.cost for e in tracked])
 

@@ -371,7 +371,7 @@ class PictureProblem(Problem[Array, tuple[Array, Array]]):
     """Least-squares problem of one hypothesis in one picture: a pose (D,) within the limits.
 
     problem: evidence and priors.
-    ws: scratch memory, prepared by `mono.prepare`.
+    ws: scratch memory, prepared by `mono.prepare_terms`.
     sigma: scale of the edges, px.
     n_flow: number of inner nodes.
     Source: Sminchisescu & Triggs 2001, equation (11): (H + lambda W) step = -g, W the diagonal of H (at least 1), with
@@ -393,7 +393,7 @@ class PictureProblem(Problem[Array, tuple[Array, Array]]):
 
     def propose(self, state: Array, equations: tuple[Array, Array], damping: float) -> tuple[Array, float] | None:
         """Propose the next pose, and its distance in longest steps; None: no step is expected to lower the cost by
-        GAIN.
+        LEAST_GAIN.
         """
         (hessian, gradient), priors, active = equations, self._problem.priors, self._problem.model.active
         rejected = state is self._from
@@ -404,7 +404,7 @@ class PictureProblem(Problem[Array, tuple[Array, Array]]):
             return None
         self._length = max(1e-12, float(np.abs(step / priors.longest).max()))
         step *= min(1.0, self._reach / self._length)
-        if -(gradient @ step) - 0.5 * (step @ hessian @ step) < GAIN:
+        if -(gradient @ step) - 0.5 * (step @ hessian @ step) < LEAST_GAIN:
             return None
         trial = state.copy()
         trial[active] = np.clip(at + step, priors.lower, priors.upper)
@@ -425,7 +425,7 @@ def newton_descent(
     """
     q, edge, priors, active = np.array(start), problem.edges.settings, problem.priors, problem.model.active
     q[active] = np.clip(q[active], priors.lower, priors.upper)
-    n_flow = mono.prepare(plain(before, np.float64), q, problem, ws)
+    n_flow = mono.prepare_terms(plain(before, np.float64), q, problem, ws)
     if coarse:
         wide = edge.sigma_px * edge.coarse_factor
         q = PictureProblem(problem, ws, wide, n_flow).solve(q, coarse, _DAMPING).state
@@ -436,6 +436,6 @@ def newton_descent(
     return MonoSolution(found.state, evidence, gradient, hessian - np.diag(priors.weight[0]), counts)
 
 
-GAIN = 0.02
+LEAST_GAIN = 0.02
 """A descent ends when no step is expected to lower the cost by more."""
 _DAMPING = Rule(1e-2, easier=6.0)
