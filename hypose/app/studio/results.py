@@ -195,7 +195,8 @@ class Results:
                 return None
             return view_bundle(load_view(folder, recording))
         saved = Checkpoint.read(checkpoint)
-        done = {k.removeprefix("done_"): v for k, v in saved.arrays.items() if k.startswith("done_")}
+        first_person = "0_done_"  # a checkpoint holds all people
+        done = {k.removeprefix(first_person): v for k, v in saved.arrays.items() if k.startswith(first_person)}
         if not {"poses", "joint_covariances", "flags"} <= done.keys():
             raise NotFound("What this method has tracked so far cannot be shown; wait for its end.")
         estimates, body = estimates_from_arrays(done), load_body(folder / "body.npz")
