@@ -66,7 +66,7 @@ def learn_online(
     mine: bool = True,
     settings: ForestSettings | None = None,
     passes: int = PASSES,
-    **pixels: int,
+    **pixels: Any,
 ) -> Forest:
     """A forest taught with examples, several passes in random order; pixels: numbers of LearnSettings."""
     learner = Learner.new(np.random.default_rng([81, seed]), settings, LearnSettings(**pixels))

@@ -383,7 +383,7 @@ class Run:
         seq: number of the message.
         """
         a, hub = self._activity, self._topic.hub
-        commands = [cast(Command, r) for r in requests if r in COMMANDS]
+        commands: list[Command] = [cast(Command, r) for r in requests if r in COMMANDS]
         m, density = a.frame(taken, self._controls, commands, fresh)
         if fresh:
             self._history.append([m["time"], m["score"], m["high"], m["low"], m["threshold"], m["phase"]])
