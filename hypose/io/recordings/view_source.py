@@ -74,7 +74,8 @@ class DepthPreparer:
             return depth
         if stored not in self._places:
             self._places[stored] = places_in_stored(self._camera, self._size, self._shift, stored)
-        moved = cv2.remap(depth, self._places[stored], np.zeros(0, np.float32), cv2.INTER_NEAREST, borderValue=0)
+        places = self._places[stored]
+        moved = cv2.remap(depth, places[..., 0], places[..., 1], cv2.INTER_NEAREST, borderValue=0)
         return np.asarray(moved, dtype=np.float32)
 
 
