@@ -323,8 +323,11 @@ def _read_names_as_utf8() -> None:
 
 
 def _fail(sentence: str, debug: bool) -> None:
-    from hypose.app.commands import console
-
     if debug:
         traceback.print_exc()
-    console.error(sentence)
+    try:
+        from hypose.app.commands import console
+    except (ImportError, OSError, MemoryError):  # the memory is full
+        sys.stderr.write(f"error: {sentence}\n")
+    else:
+        console.error(sentence)

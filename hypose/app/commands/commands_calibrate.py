@@ -104,7 +104,8 @@ def _lenses(path: Path) -> CameraRig:
 
 
 def _from_points(path: Path, intrinsics: Path | None) -> CameraRig:
-    result = calibrate_from_points(read_scene_points(path), None if intrinsics is None else _lenses(intrinsics))
+    lenses = None if intrinsics is None else _lenses(intrinsics)
+    result = calibrate_from_points(read_scene_points(path), lenses)
     _show_points(result)
     return result.rig
 
