@@ -327,7 +327,7 @@ def _fail(sentence: str, debug: bool) -> None:
         traceback.print_exc()
     try:
         from hypose.app.commands import console
-    except (ImportError, OSError, MemoryError):  # the memory is full
-        sys.stderr.write(f"error: {sentence}\n")
-    else:
+
         console.error(sentence)
+    except (ImportError, OSError, MemoryError):  # no memory is left for the colours of the terminal
+        sys.stderr.write(f"error: {sentence}\n")
