@@ -99,8 +99,9 @@ def _hinge_axis(name: str, kind: str, axis_name: str, joints: Array) -> Array:
 
 @lru_cache(maxsize=1)
 def human() -> Body:
-    """Load the default body: 36 dof on the template made from MakeHuman's CC0 data
-    (hypose/assets/LICENSE-assets.md).
+    """Load the default body: 36 dof on the template made from MakeHuman's CC0 data (hypose/assets/LICENSE-assets.md).
+
+    Returns: the body in metres; every call returns the same object, so it must not be changed.
     """
     with resources.files("hypose.assets").joinpath("template.npz").open("rb") as file:
         data = dict(np.load(file, allow_pickle=False))

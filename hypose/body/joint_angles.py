@@ -97,7 +97,7 @@ def joint_angles(skeleton: Skeleton, poses: ArrayLike) -> tuple[tuple[str, ...],
     """Compute anatomical joint angles of poses.
 
     skeleton: human skeleton.
-    poses: (T, D).
+    poses: (T, D), rad and m.
     Returns: names (A) and values (T, A), rad, and m for pelvis_t*. Angles are continuous in time (unwrapped, and on one
         branch of the Euler angles); a frame whose pose is not finite is NaN and does not affect the others.
     Raises: InputError where the skeleton lacks one of the human joints.
@@ -221,15 +221,21 @@ def straight_offset(skeleton: Skeleton, name: str) -> float:
 
 
 def _turn_about(r: Array, axis: Array) -> Array:
-    """Compute the turn (T,) rad about an axis (3,) that is nearest to rotations (3, 3, T), in (-pi, pi]."""
+    """Compute the angle of the rotation about a given axis that is nearest to each rotation.
+
+    r: (3, 3, T) rotation matrices.
+    axis: (3,) unit vector.
+    Returns: (T,) rad, -pi to pi.
+    """
     skew = axis[0] * (r[2, 1] - r[1, 2]) + axis[1] * (r[0, 2] - r[2, 0]) + axis[2] * (r[1, 0] - r[0, 1])
     along = sum(axis[i] * axis[k] * r[i, k] for i in range(3) for k in range(3))
     return np.arctan2(skew, r[0, 0] + r[1, 1] + r[2, 2] - along)
 
 
 def hinge_axis(skeleton: Skeleton, name: str) -> Array:
-    """Return the axis (3,) of a joint with one hinge, in the skeleton's rest frame; raises InputError
-    for other joints.
+    """Return the axis (3,) of a hinge joint, in the skeleton's rest frame.
+
+    Raises: InputError where the joint does not have exactly one degree of freedom.
     """
     dofs = skeleton.dofs_of(name)
     if len(dofs) != 1:
@@ -238,8 +244,10 @@ def hinge_axis(skeleton: Skeleton, name: str) -> Array:
 
 
 def _frame(first: Array, second: Array) -> Array:
-    """Make the rotation (3, 3) with columns: direction of `first`, direction of `second` perpendicular to it, their
-    normal.
+    """Make the rotation matrix (3, 3) of two directions (3,).
+
+    Returns: columns: unit vector along `first`; unit vector along the part of `second` perpendicular to it; their cross
+        product.
     """
     a = first / np.linalg.norm(first)
     b = second - (second @ a) * a
@@ -248,11 +256,12 @@ def _frame(first: Array, second: Array) -> Array:
 
 
 def continuous_euler_zxy(rotations: ArrayLike, prior_axis: int = 2) -> Array:
-    """Convert rotations (T, K, 3, 3) into Euler angles (T, K, 3) = (z, x, y) rad with R = Rz(z) Rx(x) Ry(y), continuous
-    in time.
+    """Convert rotations into Euler angles z, x, y with R = Rz(z) Rx(x) Ry(y) that are continuous in time.
 
+    rotations: (T, K, 3, 3).
     prior_axis: angle (1: x, 2: y) with a small cost beyond the range of a body, because near |x| = 90 deg noise alone
         would otherwise choose the branch.
+    Returns: (T, K, 3) z, x, y, rad.
 
     Every rotation has two triples, (z, x, y) and (z + pi, pi - x, y + pi). The sequence of least total change is chosen
     by dynamic programming over the two. At |x| = 90 deg, where only z +- y is defined, y keeps its last value. The
@@ -263,8 +272,11 @@ def continuous_euler_zxy(rotations: ArrayLike, prior_axis: int = 2) -> Array:
 
 
 def _zxy(r: Array) -> tuple[Array, Array, Array]:
-    """Compute z, x, y of rotations (3, 3, ...), |x| <= 90 deg. Where |x| is 90 deg, y is NaN and z is
-    that for y = 0.
+    """Compute the Euler angles z, x, y of rotations R = Rz(z) Rx(x) Ry(y).
+
+    r: (3, 3, ...) rotation matrices.
+    Returns: z, x, y (...), rad, with |x| <= pi/2. In gimbal lock (|x| = pi/2), where only z +- y is defined, y is NaN
+        and z is the angle for y = 0.
     """
     cosine = np.hypot(r[2, 0], r[2, 2])
     x, y = np.arctan2(r[2, 1], cosine), np.arctan2(-r[2, 0], r[2, 2])

@@ -323,10 +323,11 @@ def calibrate_from_boards(
 
 
 def _all_found(views: Sequence[CameraViews], board: Board, all_views: tuple[CameraViews, ...]) -> None:
-    """Raise BoardsNotFound where a camera saw no board; the message says what was seen instead.
+    """Check that every camera saw the board.
 
-    views: results of the search for the rig.
-    all_views: these and the ones for the lenses, for the contact sheet.
+    views: results of the search in the pictures that place the cameras.
+    all_views: these and the results in the lens pictures, for the contact sheet.
+    Raises: BoardsNotFound where a camera saw none; the message says what was found instead.
     """
     missing = [v for v in views if not v.sightings]
     if not missing:

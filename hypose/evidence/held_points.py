@@ -21,11 +21,15 @@ _LEAST_POINTS = 6  # least points of a frame that show whether the others move
 
 
 def without_held(column: Sequence[Array | None], first: int = 0) -> tuple[list[Array | None], int]:
-    """Set held key points of one view to confidence 0.
+    """Set the confidence of held key points of one view to 0.
 
-    column: per frame the people (P, K, M), confidence in column 2; None where there are none.
-    first: of the two columns with the places in px as they were given.
-    Returns: the frames with held points removed; the number of held points.
+    A point is held where its position is exactly the same in three or more frames in succession while most other points
+    of the view move; the first of these frames is a detection and stays.
+    column: per frame the people (P, K, M), with u, v, confidence in the columns 0 to 2; None where there are none.
+    first: index of the first of the two columns with the positions (px) as the file gave them, which are compared; 0
+        where u and v are those, 3 where u and v were undistorted and the given ones follow the confidence.
+    Returns: the frames, copied and with confidence 0 at held points; and the number of held points. Where more than a
+        tenth of all positions are repeated (rounded too much, or too still to decide), nothing changes and it is 0.
     """
     out = [None if people is None else people.copy() for people in column]
     seen = repeated = count = 0

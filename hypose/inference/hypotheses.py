@@ -80,9 +80,10 @@ class Hypotheses:
 
     @staticmethod
     def uniform(values: ArrayLike, origin: ArrayLike = 0) -> Hypotheses:
-        """Make a set of equal weights 1/N from states (*B, N, D) and their origins (*B, N).
+        """Make a set of equal weights 1/N from states.
 
-        values: states; origin: one number per hypothesis, or one for all.
+        values: (*B, N, D) states.
+        origin: (*B, N) number of the sensor, kernel or parent of each hypothesis, or one number for all.
         """
         states = np.asarray(values, dtype=np.float64)
         return Hypotheses(states, _equal_log_weights(states), np.asarray(origin, np.int32))
@@ -130,8 +131,10 @@ class Hypotheses:
         return self._with(role=np.where(chosen, self.role | bit, self.role & ~bit), role_names=names)
 
     def found_by(self, member: int) -> str:
-        """Return the role that names the search by which a hypothesis of one population was found; empty where it has
-        none.
+        """Return the name of the search that found a hypothesis, of a set with one population.
+
+        member: index of the hypothesis.
+        Returns: its first role that begins with FOUND_BY, such as "by limb search"; "" where it has no such role.
         """
         return next((r for r in self.role_names if r.startswith(FOUND_BY) and self.has(r)[member]), "")
 
@@ -147,7 +150,7 @@ class Hypotheses:
 
     @property
     def evidence_lost(self) -> NDArray[np.bool_]:
-        """(*B,) True for populations in which no hypothesis has weight left; their weights are then all equal."""
+        """(*B,) True for populations in which no hypothesis has a weight above 0; `weights` are then all 1/N."""
         return np.logical_not(np.any(_usable(self.log_weights), axis=-1))
 
     @cached_property

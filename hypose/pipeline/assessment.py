@@ -36,7 +36,7 @@ class Assessment:
 
     word: GOOD, LOOK or UNTRUSTED.
     findings: reasons for it, and remarks.
-    frames: frames to review; of a good result those of low confidence.
+    frames: ranges of rows of the motion to review; of a good result those of low confidence.
     """
 
     word: str
@@ -65,7 +65,11 @@ class Assessment:
         return "Good: nothing in the evidence speaks against it."
 
     def document(self) -> dict[str, Any]:
-        """Return the assessment as JSON values."""
+        """Convert the assessment to JSON values, as in assessment.json.
+
+        Returns: table with "assessment" (the word), "because" (sentences), "frames" (pairs: first row, row after the
+            last), "sentence", and "findings" (tables).
+        """
         return {
             "assessment": self.word,
             "because": list(self.because),
@@ -75,7 +79,12 @@ class Assessment:
         }
 
     def with_joints(self, motion: Motion) -> dict[str, Any]:
-        """Return `document` with, for each joint, the frames of low confidence."""
+        """Convert the assessment to JSON values, with the frames of low confidence of each joint.
+
+        motion: the motion that was assessed.
+        Returns: table of `document` with "low_confidence": for each joint that has such frames, pairs (first row, row
+            after the last).
+        """
         joints = motion.low_confidence_joints
         names = motion.skeleton.joint_names
         found = {} if joints is None else {n: runs(joints[:, j]) for j, n in enumerate(names) if joints[:, j].any()}
@@ -83,13 +92,16 @@ class Assessment:
 
     @staticmethod
     def of_document(kept: Mapping[str, Any]) -> Assessment:
-        """Read the assessment from the JSON values of `document`."""
+        """Restore the assessment from the JSON values that `document` returned."""
         frames = tuple(range(int(a), int(b)) for a, b in kept["frames"])
         return Assessment(str(kept["assessment"]), tuple(map(Finding.of_document, kept["findings"])), frames)
 
 
 def not_shown(joints: Sequence[str]) -> Finding:
-    """Make the finding that names the joints without a key point of their own."""
+    """Make the remark that names the joints for which the key-point set has no point.
+
+    joints: names of these joints.
+    """
     which = ", ".join(j.replace("_", " ") for j in joints)
     text = f"Note: the key points have none for {which}; where these are follows from the rest of the body"
     return Finding("not shown", (), text, severity=INFO)
@@ -99,7 +111,7 @@ def other_people_note(more: int, where: str, command: str) -> Finding:
     """Make the finding that counts the other people in the masks or key points.
 
     more: number of other people.
-    where: "masks" or "key points".
+    where: evidence that shows them, "masks" or "key points".
     command: option of the command that tracks all people.
     """
     who = "another person is" if more == 1 else f"{more} other people are"
@@ -115,9 +127,11 @@ def assess(
 ) -> Assessment:
     """Assess a motion as good, to be reviewed, or not to be trusted.
 
-    findings: on the whole motion, of the checks before tracking and of the passes.
-    cure: next step for the user where too many joints are likely wrong.
+    findings: what the checks before tracking and the passes found about the whole motion.
+    cure: next step for the user where too many joints are likely wrong; None: a general one.
     most_lost: share of frames without the person above which the motion is not to be trusted.
+    Returns: UNTRUSTED where the person is lost too often, too many joints or a limb are likely wrong, or a finding is
+        INVALID; LOOK where a finding is to be reviewed or doubtful frames last long enough; GOOD otherwise.
     """
     found, gone = list(findings), motion.lost | motion.extrapolated
     looks = any(f.severity == REVIEW for f in findings)
@@ -144,7 +158,11 @@ def assess(
 
 
 def _worth_a_look(motion: Motion, low_confidence: NDArray[np.bool_] | None, stretch: range) -> bool:
-    """Return whether doubtful frames are worth a review: the expected number of wrong joints reaches LOOK_P."""
+    """Return whether doubtful frames are worth a review: the expected number of wrong joints reaches LOOK_P.
+
+    low_confidence: (T, J); None: not known, then they are worth it.
+    stretch: rows of the doubtful frames.
+    """
     at = np.array(stretch)
     if low_confidence is None or motion.error_probability is None or not low_confidence[at].any(1).all():
         return True
@@ -158,8 +176,9 @@ def _too_doubtful(
 
     low_confidence: (T, J).
     seen: (T,) frames in which the person is seen.
-    least: probability of an error from which a limb counts.
-    cure: as for `assess`.
+    least: mean error probability in its doubtful frames from which a joint counts.
+    cure: next step for the user where too many joints are likely wrong.
+    Returns: one finding or none.
     """
     assert motion.error_probability is not None
     names = motion.skeleton.joint_names
@@ -183,14 +202,21 @@ def _too_doubtful(
 
 
 def _cure(motion: Motion) -> str:
-    """Return the next step where too many joints are likely wrong. A motion without masks has no cost."""
+    """Write the next step for the user where too many joints are likely wrong.
+
+    Why the cost: it is NaN in all frames of a motion that was tracked without masks, for which masks are advised.
+    """
     points = bool(np.isnan(motion.cost).all())
     more, other = ("a background for masks", "key points") if points else ("key points", "masks")
     return f"compare the overlay with the images, and give {more}, --start with the first pose, or other {other}"
 
 
 def _what(motion: Motion, low_confidence: NDArray[np.bool_] | None, stretches: Sequence[range]) -> Finding:
-    """Make the finding that names the joints of low confidence in some frames."""
+    """Make the finding that names the joints of low confidence in some frames.
+
+    low_confidence: (T, J); None: not known, and no joint is named.
+    stretches: rows of these frames.
+    """
     at = np.concatenate([np.arange(r.start, r.stop) for r in stretches])
     often = np.zeros(len(motion.skeleton.joint_names)) if low_confidence is None else low_confidence[at].mean(0)
     which = [motion.skeleton.joint_names[j].replace("_", " ") for j in np.argsort(-often)[:4] if often[j] > 0.2]

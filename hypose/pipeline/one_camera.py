@@ -54,9 +54,10 @@ from hypose.tracking.monocular.settings import MonoSettings
 
 
 def one_view(recording: Recording, camera: str | None) -> Recording:
-    """Limit a recording to the named camera; None: its only one.
+    """Limit a recording to one camera.
 
-    Raises: InputError lists the cameras.
+    camera: name of the camera; None: the only one of the recording.
+    Raises: InputError where this does not name a camera with pictures; it lists the cameras.
     """
     names = [v.name for v in recording.views]
     if camera is None and len(names) > 1:
@@ -82,7 +83,9 @@ def working_side(recording: Recording, person_px: float, picture: tuple[int, int
     """Compute the longer side (px) of the pictures to work on, so that the person is about SETTINGS.picture_target_px
     tall.
 
-    person_px: height of the person in pictures of the size `picture` (width, height).
+    person_px: height of the person, px of pictures of the size `picture`.
+    picture: (width, height), px.
+    Returns: between SETTINGS.picture_smallest_side and the calibrated size.
     """
     longest = max(recording.rig[0].size)
     share = person_px / max(picture)
@@ -105,8 +108,10 @@ def has_masks(recording: Recording) -> bool:
 
 
 def masks_of(recording: Recording, evidence: str) -> SilhouetteSettings | None:
-    """Return how masks of the one camera are made; None without masks.
+    """Select the settings of the one camera's masks.
 
+    evidence: option of the command, one of `tracking.monocular.recipe.PICTURE_CUES`.
+    Returns: the settings; None where the camera has no masks, or the evidence is without them.
     Raises: InputError where the evidence needs masks or key points that the camera does not have.
     """
     view = recording.views[0]
@@ -134,10 +139,11 @@ class FrameSource(Protocol):
 
 
 class PictureFrames:
-    """Frames of a source with the undistorted picture of its one camera, at working size.
+    """Frames of a source with the undistorted picture of its one camera, at working size (`Frame.picture`).
 
-    The mask becomes a part of the picture, or is left out where it shows no person. Frames in memory have their
-    pictures already.
+    The mask of a frame is put into its picture; where it shows no person, the picture has none. The frames of another
+    source than a FrameStream, such as a synthetic scene, have their pictures already and are not changed.
+    source: frames by number.
     """
 
     def __init__(self, source: FrameSource) -> None:
@@ -148,7 +154,10 @@ class PictureFrames:
             self._pictures = ViewSource(source.recording.views[0], source.recording.rig[0], source.rig[0])
 
     def frame(self, index: int, /) -> Frame:
-        """Return frame number index with its picture, without the picture before."""
+        """Read a frame with its picture, without the picture of the frame before.
+
+        index: 0 <= index < length of the source.
+        """
         frame = self._source.frame(index)
         if self._pictures is None or not isinstance(self._source, FrameStream):
             return frame
@@ -159,8 +168,10 @@ class PictureFrames:
         return Frame(frame.time, frame.index, keypoints=frame.keypoints, picture=picture)
 
     def walk(self, indices: range) -> Iterator[Frame]:
-        """Yield the frames one after the other, forwards or backwards, with the picture before each in this direction,
-        also at the first frame.
+        """Yield the frames one after the other, each with its picture and that of the frame before it.
+
+        indices: frames, forwards or backwards; "before" is meant in this direction. The first frame has a picture
+            before it too, unless the source begins (or ends) there.
         """
         behind = indices.start - indices.step
         last = self._read(behind, indices.step) if indices and 0 <= behind < len(self._source) else None
@@ -174,7 +185,12 @@ class PictureFrames:
             last = frame
 
     def _read(self, index: int, step: int) -> Frame:
-        """Read frame number index; walking backwards (step < 0), several frames are read at once, in their order."""
+        """Read a frame with its picture.
+
+        index: number of the frame.
+        step: direction of the walk; below 0 several frames are read at once in their order and kept, so that the video
+            is never decoded backwards.
+        """
         if step > 0:
             return self.frame(index)
         if index not in self._kept:
@@ -221,10 +237,9 @@ def tracked_frames(
     source: frames by number.
     indices: frames, forwards or backwards.
     needs: kinds of evidence that the recipe uses, as in Recipe.
-    subject: the person, whose body and start teach the skin colours.
-
-    The picture of one camera where the recipe needs pictures. Detections by skin colour where it needs detections and
-    the recording has pictures but no key points. Otherwise the frames as they are.
+    subject: the person; its body at the start pose shows where the skin colours are learned.
+    Returns: frames with the picture of the one camera where the recipe needs pictures; frames with detections by skin
+        colour where it needs detections, and the recording has pictures but no key points; unchanged frames otherwise.
     """
     if "picture" in needs:
         with contextlib.closing(PictureFrames(source)) as frames:
@@ -245,10 +260,12 @@ def tracked_frames(
 class ColourDetections:
     """Frames of a recording with the detections of hands and head by skin colour (`Frame.detections`, without names).
 
-    The skin colours are learned from the first frame, whose pose (D,) is known. A frame depends on the recording and
-    that pose alone, not on the order in which frames are read. The pictures are read a second time, in addition to the
+    The skin colours are learned from the first frame, whose pose is known. A frame depends on the recording and that
+    pose alone, not on the order in which frames are read. The pictures are read a second time, in addition to the
     masks.
-    Raises: InputError where the pictures are grey.
+    source: frames of the recording.
+    body, start: the person, and its pose (D,) in the first frame.
+    Raises: InputError where the pictures are grey, or the frames have no masks.
     """
 
     def __init__(self, source: FrameStream, body: Body, start: Array) -> None:
@@ -269,7 +286,7 @@ class ColourDetections:
         return len(self.source)
 
     def frame(self, index: int, /) -> Frame:
-        """Return frame number index with its detections."""
+        """Read a frame with its detections; without them where fewer than two views see the person."""
         frame = self.source.frame(index)
         for silhouettes in frame.of(Silhouettes):
             centre = centre_of(silhouettes)
@@ -286,10 +303,11 @@ class ColourDetections:
             view.close()
 
     def _images(self, index: int, silhouettes: Silhouettes) -> NDArray[np.uint8]:
-        """Read the pictures (C, h, w, 3) at the masks' pixels; black where there is no picture.
+        """Read the undistorted pictures of a frame, in the pixels of its masks.
 
-        index: number of the frame.
-        silhouettes: of the frame.
+        index: frame, counted from the start of recording.frames.
+        silhouettes: masks of the frame.
+        Returns: (C, h, w, 3) BGR; black where a view is not usable.
         """
         out = np.zeros((*silhouettes.masks.shape, 3), np.uint8)
         for c in np.flatnonzero(silhouettes.usable):
@@ -318,9 +336,11 @@ Clicks = Mapping[str, tuple[float, float]]
 
 
 def load_clicks(path: str | Path, recording: Recording) -> Clicks:
-    """Read a file of clicks for the one camera of a recording.
+    """Read a file of joints that were clicked in the first picture of the one camera of a recording.
 
-    Raises: InputError names the cause.
+    path: JSON file with "joints": {name: [u, v]}, px of the stored picture.
+    Returns: (u, v) px by joint name.
+    Raises: InputError where the file is not of this form, belongs to another camera or frame, or has too few joints.
     """
     path = Path(path)
     view = recording.views[0]
@@ -369,7 +389,12 @@ def _click(path: Path, name: str, at: Any, size: tuple[int, int]) -> tuple[float
 
 
 def clicked_pixels(clicks: Clicks, recording: Recording, working: Camera) -> dict[str, tuple[float, float]]:
-    """Convert clicks to undistorted pixels of the working camera."""
+    """Convert clicks to undistorted pixels of the working camera.
+
+    clicks: (u, v) px of the stored picture by joint name.
+    working: pinhole camera of the working size.
+    Returns: (u, v) px by joint name.
+    """
     view, camera = recording.views[0], recording.rig[0]
     with open_video(_source(recording)) as reader:
         stored = np.array(reader.size, dtype=np.float64)
@@ -409,12 +434,12 @@ def _source(recording: Recording) -> Path:
 
 
 def picture_options(recording: Recording, start: str, evidence: str) -> FrameSettings:
-    """Return how the pictures of a recording of one camera are read: as large as its person needs, with masks if they
-    are evidence.
+    """Select the settings with which the pictures of a recording of one camera are read: their size, from the size of
+    the person, and the masks.
 
     recording: of one camera.
     start: one of POINT_STARTS, or a file of clicks.
-    evidence: one of PICTURE_CUES.
+    evidence: one of `tracking.monocular.recipe.PICTURE_CUES`.
     """
     return FrameSettings(
         side_to_work_on(recording, clicks_of(start, recording)), silhouettes=masks_of(recording, evidence)
@@ -451,7 +476,7 @@ def subject_in_picture(
     source: frames by number.
     frame_rate: Hz.
     start: one of POINT_STARTS, or a file of clicks.
-    evidence: used in the notes.
+    evidence: one of `tracking.monocular.recipe.PICTURE_CUES`; only a note to the user depends on it.
     body: the person's own body; None: a body is fitted.
     height: m, where known.
     floor: height of the floor in the world, m; None: not known.
@@ -513,7 +538,7 @@ def _evidence_note(source: FrameSource, evidence: str, keypoints: bool) -> str:
     """Return the sentence that names the camera and the evidence that is used.
 
     source: frames by number.
-    evidence: option of the command, one of PICTURE_CUES.
+    evidence: option of the command, one of `tracking.monocular.recipe.PICTURE_CUES`.
     keypoints: whether any frame has key points.
     """
     name = source.recording.views[0].name if isinstance(source, FrameStream) else "in memory"
@@ -573,12 +598,13 @@ outweigh an arm."""
 
 
 def image_deviation(body: Body, poses: Array, frames: Iterable[Frame]) -> Array:
-    """Compute which share of the key points, or joints over the mask, a pose puts elsewhere than the picture shows.
+    """Compute per frame the share of the limbs' key points that are far from the posed body; in frames without key
+    points, the share of the joints that are far outside the mask.
 
     body: the person's body.
-    frames: T frames.
-    poses: (T, D).
-    Returns: (T,); NaN where the picture shows nothing.
+    poses: (T, D); a pose that is not finite gives NaN.
+    frames: T frames of one camera.
+    Returns: (T,) 0 to 1; NaN where the picture shows too little of the person.
     """
     out = np.full(len(poses), np.nan)
     for t, frame in enumerate(frames):
@@ -591,7 +617,11 @@ def image_deviation(body: Body, poses: Array, frames: Iterable[Frame]) -> Array:
 
 
 def against_the_picture(share: Array) -> tuple[Finding, ...]:
-    """Make the finding that a motion does not fit the picture, from the shares (T,) of `image_deviation`."""
+    """Make the finding that a motion does not fit the picture.
+
+    share: (T,) of `image_deviation`.
+    Returns: one finding; none where the mean share is at most SETTINGS.picture_deviation or all are NaN.
+    """
     if not np.isfinite(share).any() or np.nanmean(share) <= SETTINGS.picture_deviation:
         return ()
     where = in_words(runs(np.nan_to_num(share) > SETTINGS.picture_deviation))
@@ -614,7 +644,13 @@ def doubt_of_depth(modes: Modes) -> Finding:
 
 
 def _far(body: Body, pose: Array, keypoints: Keypoints) -> float:
-    """Compute the share of the key points of the limbs that lie far from a posed body (D,); NaN with too few points."""
+    """Compute the share of the seen key points of the limbs that are farther than SETTINGS.picture_far times the
+    person's size in the picture from those of a posed body.
+
+    pose: (D,).
+    keypoints: of one camera.
+    Returns: 0 to 1; NaN where fewer than four key points of the limbs are seen.
+    """
     points = np.nan_to_num(keypoints.points[0])
     model = keypoint_model(body, keypoints.names)
     limb = np.array([n.startswith(("left_", "right_")) and n.endswith(_LIMBS) for n in keypoints.names])
@@ -627,8 +663,11 @@ def _far(body: Body, pose: Array, keypoints: Keypoints) -> float:
 
 
 def _outside(body: Body, pose: Array, silhouettes: Silhouettes) -> float:
-    """Compute the share of the joints of a posed body (D,) that lie far outside the mask, of those in the picture.
+    """Compute the share of the joints of a posed body that are farther outside the mask than SETTINGS.picture_outside
+    times the longer side of its box; joints outside the picture do not count.
 
+    pose: (D,).
+    silhouettes: of one camera.
     Returns: 0 to 1; NaN without a mask, or with no joint in the picture.
     """
     w, h = silhouettes.rig[0].size

@@ -28,7 +28,10 @@ FEW = 150.0
 
 @dataclass(frozen=True)
 class Appearance:
-    """Colour counts of a person's clothes; counts: (Z, COLOURS) how often each zone showed each colour."""
+    """Colour counts of a person's clothes.
+
+    counts: (Z, COLOURS) number of pixels by zone (ZONES: trunk, legs) and colour.
+    """
 
     counts: NDArray[np.float32]
 
@@ -60,9 +63,11 @@ def no_appearance() -> Appearance:
 
 @dataclass(eq=False)
 class AppearanceModel:
-    """Appearance model of one person.
+    """Appearance model of one person, to find out whether two people were exchanged after they met.
 
-    worn: colours from before other people came near; lately: colours since then; looks: number of frames in lately.
+    worn: colours from before other people came near.
+    lately: colours since then.
+    looks: number of frames in `lately`.
     met: names of the people who came near, with the frame in which they were nearest.
     """
 
@@ -72,28 +77,34 @@ class AppearanceModel:
     met: dict[str, int] = field(default_factory=dict)
 
     def settle(self) -> None:
-        """Accept that the person is still the same: the recent colours are added to the model."""
+        """Accept that the person is still the same: add the colours `lately` to `worn`, and forget the meetings."""
         self.worn, self.lately, self.looks, self.met = self.worn + self.lately, no_appearance(), 0, {}
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Convert the counts to arrays for a checkpoint; see `of_arrays`."""
+        """Convert the colour counts to arrays for a checkpoint, which `of_arrays` reads."""
         return {"worn": self.worn.counts, "lately": self.lately.counts}
 
     @classmethod
     def of_arrays(cls, arrays: Mapping[str, np.ndarray], about: Mapping[str, Any]) -> AppearanceModel:
-        """Restore the model from `arrays` and `about`."""
+        """Restore the model from the values of a checkpoint.
+
+        arrays: as `arrays` returned them.
+        about: as the property `about` returned them.
+        """
         return cls(Appearance(arrays["worn"]), Appearance(arrays["lately"]), int(about["looks"]), dict(about["met"]))
 
     @property
     def about(self) -> dict[str, Any]:
-        """The other values for a checkpoint."""
+        """Values for a checkpoint that are not in `arrays`: `looks` and `met`, as JSON values."""
         return {"looks": self.looks, "met": self.met}
 
 
 def appearance_in(body: Body, pose: Array, frame: Frame) -> Appearance:
-    """Measure the appearance of a person at a pose (D,) in a frame.
+    """Count the colours of a person's clothes in all views of a frame.
 
-    Pixels in the person's mask count where no other person covers them; nothing where the frame has no pictures.
+    pose: (D,) of the person in this frame.
+    Returns: counts of the pixels in the mask that show trunk and legs and that no other person covers; all 0 where the
+        frame has no pictures.
     """
     out = no_appearance()
     for s, colours in zip(frame.of(Silhouettes), frame.of(Colours), strict=False):

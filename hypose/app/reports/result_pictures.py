@@ -55,8 +55,13 @@ def tile_layout(sizes: Sequence[tuple[int, int]]) -> tuple[list[tuple[int, int, 
 
 
 class ViewImages:
-    """Recorded pictures of one view by frame number, read forwards; grey pictures of the masks where there are only
-    masks.
+    """Recorded pictures of one view by frame number, to be read forwards; grey pictures of the masks where the view has
+    only masks.
+
+    view, camera: the view and its calibrated camera.
+
+    Attributes:
+    size: (width, height) of the pictures, px.
     """
 
     def __init__(self, view: ViewSettings, camera: Camera) -> None:
@@ -68,8 +73,10 @@ class ViewImages:
         self._memory: Image | None = None
 
     def read(self, index: int) -> Image | None:
-        """Read frame `index`, valid until the next one is read; None where the view ends before it or the frame is
-        damaged.
+        """Read the picture of a frame, valid until the next one is read.
+
+        index: number of the video's frame.
+        Returns: (h, w, 3) BGR; None where the view has no pictures, ends before the frame, or the frame is damaged.
         """
         if self._reader is None or index >= self._reader.n_frames:
             return None
@@ -90,7 +97,7 @@ class ViewImages:
 
 @contextlib.contextmanager
 def open_images(recording: Recording) -> Iterator[list[ViewImages]]:
-    """Open the pictures of all views inside the context."""
+    """Open the recorded pictures of all views of a recording; they are closed when the `with` block ends."""
     with contextlib.ExitStack() as stack:
         views = zip(recording.views, recording.rig, strict=True)
         yield [stack.enter_context(contextlib.closing(ViewImages(v, c))) for v, c in views]
@@ -109,11 +116,11 @@ def as_shown(view: ViewSettings, camera: Camera, size: tuple[int, int]) -> Camer
 
 
 def mask_outline(camera: Camera, working: Camera, mask: NDArray[np.uint8]) -> list[NDArray[np.int32]]:
-    """Convert the outlines of a mask to polygons in the pixels of a camera at the same place.
+    """Convert the outlines of an undistorted mask to polygons in a picture with lens distortion.
 
     camera: camera of the shown picture, with its lens (`as_shown`).
-    working: undistorted camera of the mask's size.
-    mask: (h, w).
+    working: the same camera without distortion, at the working size; its pixels are those of the mask.
+    mask: (h, w), not 0 inside the person; pixels beyond the size of `working` are not used.
     Returns: (N, 1, 2) polygons in 1/16 px, as OpenCV draws them; empty for an empty mask.
     """
     w, h = working.size
@@ -139,10 +146,10 @@ def _fixed(uv: Array) -> NDArray[np.int32]:
 def draw_body(image: Image, camera: Camera, vertices: Array, mesh: Mesh, colour: tuple[int, int, int] = BODY) -> None:
     """Draw the silhouette of a mesh as a tint with a bright edge; nothing where the body reaches behind the camera.
 
-    image: picture that is changed.
-    camera: its pixels are those of the image.
+    image: (h, w, 3) BGR picture that is changed.
+    camera: camera whose pixels are those of the image (`as_shown`).
     vertices: (V, 3) m, world.
-    mesh: its faces.
+    mesh: mesh with the faces of the vertices.
     colour: BGR.
     """
     directions, depth, _ = projected(vertices, camera.camera_from_world[:3])
@@ -174,11 +181,12 @@ def jpeg(image: Image, width: int, quality: int = 82) -> bytes:
 
 
 def draw_skeleton(image: Image, camera: Camera, body: Body, joints: Array) -> None:
-    """Draw bones between joint centres: the left side orange, the right side blue.
+    """Draw bones between joint centres: the left side orange, the right side blue, the middle white.
 
-    image: picture that is changed.
-    camera: its pixels are those of the image.
-    joints: (J, 3) m, world.
+    image: (h, w, 3) BGR picture that is changed.
+    camera: camera whose pixels are those of the image (`as_shown`).
+    body: body with the names and parents of the joints.
+    joints: (J, 3) m, world; bones to joints that are NaN or behind the camera are left out.
     """
     uv = camera.project(joints)
     width = 2 if max(camera.size) > 480 else 1
@@ -209,11 +217,11 @@ def put_text(image: Image, text: str, x: int, y: int, colour: tuple[int, int, in
 class Drawing:
     """Content of one frame to draw.
 
-    vertices, joints: (V, 3) and (J, 3) m, world, of the body.
-    silhouettes: of the frame, if any.
+    vertices, joints: (V, 3) of the body's fine mesh and (J, 3), m, world; None: not drawn.
+    silhouettes: masks of the frame; None: not drawn.
     title: text of the title bar.
-    alarm: the title bar and the body are red.
-    others: further bodies with vertices and colour (BGR).
+    alarm: whether the title bar and the body are red.
+    others: further bodies, each with vertices (V, 3) m, world, and colour (BGR).
     """
 
     vertices: Array | None
@@ -225,13 +233,14 @@ class Drawing:
 
 
 def draw_view(out: Image, image: Image | None, camera: Camera, index: int, body: Body | None, what: Drawing) -> None:
-    """Draw one view with body, mask and skeleton into a picture.
+    """Draw one view of a frame into a picture: the recorded image, tinted bodies, outline of the mask, skeleton.
 
-    out: picture that is overwritten.
-    image: recorded picture of any size; None: there is none, which is written in grey.
-    camera: its pixels are those of `out` (`as_shown`).
-    index: number of the view, for the masks.
-    body: of `what.vertices` and `what.joints`; None: only the other bodies are drawn.
+    out: (h, w, 3) BGR picture that is overwritten.
+    image: recorded picture (BGR) of any size; None: the view has none, and the text "no image" on grey takes its place.
+    camera: camera whose pixels are those of `out` (`as_shown`).
+    index: index of the view, which selects the mask in `what.silhouettes`.
+    body: body to which the vertices and joints of `what` belong; None: only the other bodies are drawn.
+    what: content of the frame; its title is not used.
     """
     if image is None:
         out[:] = 40
@@ -264,8 +273,10 @@ def _write_labels(shown: Image, view: ViewSettings, index: int, what: Drawing) -
 class Canvas:
     """Memory for a picture of all views under a title bar; a picture is valid until the next one is drawn.
 
-    recording: its views and cameras are drawn.
+    recording: gives the views and cameras.
     images: pictures of the views, whose sizes give the layout (`tile_layout`).
+
+    Attributes:
     size: (width, height) of the picture, px, both even.
     """
 
@@ -278,7 +289,12 @@ class Canvas:
         self._cameras = [as_shown(view, camera, box[2:]) for view, camera, box in about]
 
     def draw(self, images: Sequence[Image | None], body: Body | None, what: Drawing) -> Image:
-        """Draw all views of one frame and return the picture; arguments as for `draw_view`, images by view."""
+        """Draw all views of one frame under the title bar.
+
+        images: recorded pictures by view; None where there is none.
+        body, what: as for `draw_view`.
+        Returns: (h, w, 3) BGR of `size`, valid until the next call.
+        """
         for c, (image, tile, camera) in enumerate(zip(images, self._tiles, self._cameras, strict=True)):
             draw_view(tile, image, camera, c, body, what)
             _write_labels(tile, self._views[c], c, what)
@@ -294,6 +310,7 @@ def draw_close_ups(
 
     images: recorded pictures by view; None where there is none.
     body, what: as for `draw_view`.
+    Returns: (h, w, 3) BGR; the square of a view is grey without a picture, or without vertices in `what`.
     """
     cells = []
     for c, (image, view, camera) in enumerate(zip(images, recording.views, recording.rig, strict=True)):

@@ -1,4 +1,4 @@
-"""Results for the View screen: facts for lists, the block of bytes, pictures, thumbnails, gait."""
+"""Read results for the View screen: facts for lists, the block of bytes to show, pictures, thumbnails and gait."""
 
 from __future__ import annotations
 
@@ -47,11 +47,11 @@ Stamp = tuple[float | None, ...]
 class _Head:
     """Facts of a result for a list.
 
-    stamp: state of the files at that time.
-    facts: for the page.
-    drawn: rows with their joints (J, 3) m for the thumbnail, of which the first that has a picture is shown: the middle
-        frame, and the first one for pictures that end before; empty where the motion cannot be read.
-    skeleton: of the joints.
+    stamp: times of change of its files when they were read (`_stamp`).
+    facts: JSON values for the page.
+    drawn: rows with their joints (J, 3) m, world, for the thumbnail, of which the first that has a picture is shown:
+        the middle frame, and the first one for pictures that end before; empty where the motion cannot be read.
+    skeleton: skeleton of the joints; None where the motion cannot be read.
     """
 
     stamp: Stamp
@@ -61,7 +61,11 @@ class _Head:
 
 
 class Results:
-    """Open results, for several threads."""
+    """Caches of what the View screen shows of results. Several threads may use them.
+
+    A result is read again where its files have changed.
+    catalog: items of the served folder.
+    """
 
     def __init__(self, catalog: Catalog) -> None:
         self._catalog = catalog
@@ -74,7 +78,10 @@ class Results:
         self._one = threading.Lock()  # one thread at a time loads a whole motion, since it is large
 
     def block(self, item: Item) -> bytearray:
-        """Return the block of a result; it is made again when files of the result or its recording have changed."""
+        """Pack a result into the block of bytes that the View screen reads (layout: `view_bundle`).
+
+        Returns: the block, from memory unless files of the result or of its recording have changed.
+        """
 
         def make() -> bytearray:
             with self._one:
@@ -100,11 +107,14 @@ class Results:
         )
 
     def head(self, item: Item) -> dict[str, Any]:
-        """Return the facts of a result for a list."""
+        """Return the facts of a result for the list of results: title, method, frames, rate and quality.
+
+        Returns: JSON values; "frames" is 0 where the motion cannot be read.
+        """
         return self._head(item).facts
 
     def _head(self, item: Item) -> _Head:
-        """Return the kept facts of a result; they are read again where its files have changed."""
+        """Return the facts of a result from memory; read them again where its files have changed."""
         stamp = _stamp(item.path, (*_MOTION, *_JUDGED))
         known = self._heads.get(item.id)  # without waiting for a thread that loads a motion
         if known is not None and known.stamp == stamp:
@@ -115,10 +125,10 @@ class Results:
             return self._heads[item.id]
 
     def _read_head(self, item: Item, stamp: Stamp) -> _Head:
-        """Read the facts of a result; frames is 0 where its motion cannot be read.
+        """Read the facts of a result; "frames" is 0 where its motion cannot be read.
 
         item: the result.
-        stamp: state of its files.
+        stamp: times of change of its files.
         """
         folder = self._catalog.recording_of(item.path)
         recipe, correctable, quality, first, drawn, skeleton = "unknown", False, {}, 0, (), None
@@ -153,12 +163,17 @@ class Results:
         return _Head(stamp, facts, drawn, skeleton)
 
     def thumbnail(self, item: Item) -> bytes:
-        """Return a small JPEG of the middle frame with the skeleton, from the first camera."""
+        """Make a JPEG of 192 x 144 px around the person in the middle frame, with the skeleton.
+
+        Returns: the file's bytes. The picture is that of the first camera that has one; the first frame is shown where
+            no camera has a picture of the middle one.
+        Raises: NotFound where there are no pictures, or the motion cannot be read.
+        """
         with self._thumbnails.use((item.id, _stamp(item.path)), lambda: self._thumbnail(item)) as data:
             return data
 
     def _thumbnail(self, item: Item) -> bytes:
-        """Draw the thumbnail of a result; NotFound where it cannot be read or has no pictures."""
+        """Draw the thumbnail of a result; raise NotFound where its motion cannot be read or it has no pictures."""
         head = self._head(item)
         with self.pictures(item) as opened:
             for row, joints in head.drawn:
@@ -167,7 +182,7 @@ class Results:
         raise NotFound("There are no pictures of this result.")
 
     def gait(self, item: Item) -> bytes:
-        """Return the gait of a result as JSON."""
+        """Compute the gait of a result and return it as the text of a JSON document, with the values of `gait_view`."""
 
         def make() -> bytes:
             with self._one:
@@ -177,13 +192,15 @@ class Results:
             return data
 
     def so_far(self, plan: Plan, began: float | None, recordings: Recordings) -> bytearray | None:
-        """Build the block of what a job has tracked so far, from its checkpoint or the finished result.
+        """Pack the frames that a job has tracked so far into the block of bytes that the View screen reads.
 
-        plan: of the job.
-        began: when the job began, s; older files are not its own.
+        The frames are those of the job's checkpoint; without a checkpoint, those of the finished result.
+        plan: command of the job.
+        began: time at which the job began, s since 1970; a result that is older belongs to another job. None: it has
+            not begun.
         recordings: open recordings of the studio.
-        Returns: None while there is nothing.
-        Raises: NotFound where the job makes no motion that can be shown.
+        Returns: the block (layout: `view_bundle`); None while there are no frames.
+        Raises: NotFound where the job makes no motion, or its method keeps none that can be shown before the end.
         """
         folder = plan.folder
         if folder is None or plan.recording is None:
@@ -207,13 +224,17 @@ class Results:
         return view_bundle(in_recording(recording, tracked, body, first_frame=first, complete=False))
 
     def drop(self) -> None:
-        """Release all values not in use."""
+        """Empty the caches; values in use stay until they are released."""
         for kept in (self._gaits, self._thumbnails, self._pictures, self._blocks):
             kept.drop()
 
 
 def _stamp(folder: Path, files: Sequence[str] = _MOTION) -> Stamp:
-    """Return times of change of a folder's files, to notice changes; of a checkpoint only whether it exists."""
+    """Return the times of change of files of a folder, to notice changes.
+
+    Returns: s since 1970 by file; None where it does not exist. Of a checkpoint, which changes often, 0 stands for the
+        time.
+    """
 
     def written(name: str) -> float | None:
         try:
@@ -230,7 +251,7 @@ def _drawn(image: Image, points: Array, skeleton: Skeleton) -> bytes:
 
     image: (h, w, 3) BGR.
     points: (J, 2) px, joints; NaN where not known.
-    skeleton: of the joints.
+    skeleton: skeleton of the joints.
     """
     h, w = image.shape[:2]
     inside = points[np.isfinite(points).all(1)]
@@ -259,8 +280,12 @@ NO_GAIT: dict[str, Any] = {"events": [], "figures": [], "cycles": []}
 
 
 def gait_view(results: Path) -> dict[str, Any]:
-    """Compute the gait of a results folder for the page: events by time (s), figures, and cycles in degrees at 0 to 100
-    %. All are empty where the person does not walk, or the motion has no poses or body.
+    """Compute the gait of a result for the page.
+
+    results: folder of the result.
+    Returns: table of lists: "events" (time in s, side, kind), "figures" (name, unit, mean, low, high, number), and
+        "cycles" (of each joint angle the mean and standard deviation in degrees, from 0 to 100 % of the cycle). All
+        are empty where the person does not walk, or the motion has no poses or no body.
     """
     try:
         motion, body = load_motion(results / "motion.npz"), load_body(results / "body.npz")

@@ -54,7 +54,9 @@ _OWN = Path(__file__).parent
 
 
 def models_folder() -> Path:
-    """Locate the folder of the models: HYPOSE_MODELS, or hypose/models in the user's data folder."""
+    """Locate the folder of the detector's model files: the one that the environment variable HYPOSE_MODELS names, or
+    hypose/models in the user's data folder. It may not exist yet.
+    """
     if named := os.environ.get(MODELS_VARIABLE):
         return Path(named).expanduser()
     home = Path.home()
@@ -68,14 +70,17 @@ def models_folder() -> Path:
 
 
 def have_models() -> bool:
-    """Test whether both model files exist."""
+    """Test whether the two model files of hypose's own detector, of people and of their joints, are in
+    `models_folder`.
+    """
     return all((models_folder() / name).is_file() for name in _MODELS)
 
 
 def fetch_models() -> Path:
-    """Download the package with pip, unpack the models and return their folder.
+    """Download the package MediaPipe with pip and write its two model files to `models_folder`.
 
-    Raises: InputError where pip, the package or the writing fails.
+    Returns: the folder.
+    Raises: InputError where the download fails, the package is damaged, or the folder cannot be written.
     """
     target = models_folder()
     with tempfile.TemporaryDirectory() as work:
@@ -120,7 +125,11 @@ def fetch_models() -> Path:
 
 
 def _check(name: str, data: bytes, where: str) -> None:
-    """Check that a model is the tested version; InputError otherwise."""
+    """Check by its hash that a model file is the tested version; raise InputError otherwise.
+
+    name, data: name and content of the file.
+    where: its package or folder, for the message.
+    """
     if hashlib.sha256(data).hexdigest() != _MODELS[name][1]:
         raise InputError(f"{name} in {where} is damaged or another version; delete it and fetch the models again.")
 
@@ -128,7 +137,8 @@ def _check(name: str, data: bytes, where: str) -> None:
 def runtime(needed_by: str = "Finding people in pictures") -> Any:  # noqa: ANN401 (a module)
     """Import the module that runs the models.
 
-    needed_by: start of the error message.
+    needed_by: what needs the module, for the error message.
+    Returns: the module `ai_edge_litert.interpreter`.
     Raises: InputError where it is not installed; it names the command that installs it.
     """
     return extra("ai_edge_litert.interpreter", needed_by, "detector", "ai-edge-litert")
@@ -137,7 +147,7 @@ def runtime(needed_by: str = "Finding people in pictures") -> Any:  # noqa: ANN4
 def open_network() -> PoseNetwork:
     """Load the network of hypose's own detector; any number of threads may use it.
 
-    Raises: InputError where the models or the module that runs them are not installed.
+    Raises: InputError where a model file is missing or damaged, or the module that runs them is not installed.
     """
     module = runtime()
     folder, data = models_folder(), dict[str, bytes]()
@@ -160,7 +170,12 @@ def open_network() -> PoseNetwork:
 
 
 class _Model:
-    """A model with one interpreter per thread. A call with a picture returns its outputs by their shapes."""
+    """Model file with one interpreter per thread. A call with a picture returns the outputs by their shapes, without
+    the batch axis.
+
+    runtime: module that runs models (`runtime`).
+    content: bytes of the model file.
+    """
 
     def __init__(self, runtime: Any, content: bytes) -> None:  # noqa: ANN401 (a module)
         self._runtime, self._content, self._own = runtime, content, threading.local()
@@ -204,13 +219,13 @@ _EXAMPLE = (
 
 @dataclass(frozen=True)
 class OwnDetector:
-    """A detector of the user whose results are checked.
+    """Detector of the user whose results are checked.
 
-    detector: the user's object.
+    detector: the user's object, with a method detect(image).
     keypoint_set: name of the set of its key points.
-    identity: program and model, as plain values.
+    identity: program and model, as JSON values.
     where: its name in error messages.
-    gives_masks: it gives masks as well.
+    gives_masks: whether it finds masks as well; False, since `look` returns key points only.
     """
 
     detector: Any
@@ -220,8 +235,10 @@ class OwnDetector:
     gives_masks: bool = False
 
     def look(self, image: NDArray[np.uint8], number: int = 0, before: Sequence[Crop] = (), /) -> list[Sighting]:
-        """Detect people in a picture (h, w, 3) BGR; `number` and `before` are not used.
+        """Detect people in a picture (h, w, 3) BGR, as the interface `PoseDetector` requires.
 
+        number, before: not used.
+        Returns: one per person, with key points and without a mask.
         Raises: InputError as `detect`.
         """
         return [Sighting(person) for person in self.detect(image)]
@@ -230,8 +247,8 @@ class OwnDetector:
         """Detect people in a picture.
 
         image: (h, w, 3) BGR.
-        Returns: (P, K, 3) px, px, score for P people.
-        Raises: InputError where the user's detector returns anything else.
+        Returns: (P, K, 3) px, px, score for P people; a point that is not finite is 0, a negative score too.
+        Raises: InputError where the user's detector returns an array of another shape, or no numbers.
         """
         count = len(keypoint_names(self.keypoint_set))
         try:
@@ -253,10 +270,10 @@ class OwnDetector:
 
 
 def open_own_detector(text: str) -> PoseDetector:
-    """Open the user's detector that FILE.py:NAME or MODULE:NAME names. Its code is executed, so it must be trusted.
+    """Load the user's own detector. Its code is executed, so it must be trusted.
 
-    The name is that of an object, or of a class or function that makes one when called without arguments.
-
+    text: FILE.py:NAME or MODULE:NAME, where NAME is an object, or a class or function that makes one when it is called
+        without arguments.
     Raises: InputError where it cannot be loaded or is not a detector.
     """
     place, colon, name = text.rpartition(":")

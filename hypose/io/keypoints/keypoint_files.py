@@ -128,9 +128,12 @@ def scores_from_variance(points: Array, variance: Array) -> Array:
 
 
 def scored_points(positions: Any, scores: Any, where: str) -> Array:
-    """Combine positions (K, 2 or more) and scores (K,) of one person to (K, 3); without scores all are 1.
+    """Combine the positions and scores of one person's key points.
 
+    positions: (K, 2 to 4); u and v are the first two columns.
+    scores: (K,); None: all are 1.
     where: file and frame, for the error messages.
+    Returns: (K, 3) u, v, score.
     Raises: InputError where they are not numbers of this shape.
     """
     with numbers_of(where):
@@ -147,7 +150,9 @@ def grouped(rows: Sequence[tuple[int, Array]], where: str) -> dict[int, Array]:
     """Group people (K, 3) by frame number.
 
     rows: frame number and points of each person, in any order.
+    where: file, for the error messages.
     Returns: (P, K, 3) by frame number.
+    Raises: InputError where people differ in the number of points.
     """
     counts = {len(points) for _, points in rows}
     if len(counts) > 1:
@@ -181,9 +186,11 @@ def by_individual(columns: Sequence[tuple[str, ...]], where: str) -> dict[str, l
     """Find DeepLabCut's columns of each individual.
 
     columns: individual, body part and coordinate of each column.
-    Returns: per individual, each body part with the indices of x, y, likelihood, and of the variances of x and y where
-        all parts have them.
-    Raises: InputError where a coordinate is missing.
+    where: file, for the error messages.
+    Returns: per individual, each body part with the indices of its columns x, y, likelihood, and of the variances of x
+        and y where all parts have them. Individuals whose body parts are not those of the individual with the most
+        parts are left out (the points that DeepLabCut calls "single").
+    Raises: InputError where x, y or likelihood of a part is missing.
     """
     people: dict[str, dict[str, dict[str, int]]] = {}
     for i, (individual, part, coordinate) in enumerate(columns):
@@ -207,8 +214,9 @@ def deeplabcut_table(
 
     columns: individual, body part and coordinate of each column.
     numbers: T frame numbers.
-    values: (T, columns).
-    Raises: InputError where there are no individuals or no frames.
+    values: (T, columns), px and likelihood; NaN for empty cells.
+    where: file, for the error messages.
+    Raises: InputError where there are no individuals, no frames or too many, or the columns are not understood.
     """
     people = by_individual(columns, where)
     if not people or not 0 < len(numbers) <= MAX_POINT_FRAMES:

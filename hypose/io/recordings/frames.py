@@ -101,7 +101,10 @@ class PendingMasks:
         return [f.result() for f in self._done]
 
     def masks(self) -> tuple[list[MaskRuns | None], list[str]]:
-        """Wait for the masks of all views, and return them with the reasons for absent ones."""
+        """Wait for the masks of all views.
+
+        Returns: by view, the mask (None: there is none) and the reason for its absence.
+        """
         done = self._masks()
         return [d.runs for d in done], [d.reason for d in done]
 
@@ -124,7 +127,10 @@ class PendingMasks:
         return Colours(codes, seen, edges) if seen.any() else None
 
     def begin_outlines(self, lanes: Sequence[Executor]) -> None:
-        """Start the computation of the outlines, each after the mask of its view. lanes: executor of each view."""
+        """Start the computation of the outlines, each after the mask of its view.
+
+        lanes: executor of each view.
+        """
         if not self._outlines:
             self._outlines = [lane.submit(_outline, f) for lane, f in zip(lanes, self._done, strict=True)]
 
@@ -219,11 +225,13 @@ class _Skeletons:
     first: int
 
     def cover(self, view: int, frame: int, camera: Camera) -> Mask | None:
-        """Draw the region of the person as a mask of 0 and 1.
+        """Draw the region of the person, a thick skeleton, as a mask of 0 and 1.
 
+        view: index of the view.
         frame: number of the video's frame.
         camera: camera of the working size.
-        Returns: (h, w) of the camera's size; None where fewer than six key points are seen.
+        Returns: (h, w) of the camera's size; None where fewer than six key points are seen, or the person is less than
+            8 px tall.
         """
         p, height = self.points[frame - self.first, view], self.heights[frame - self.first, view]
         if (p[:, 2] > 0.3).sum() < 6 or height < 8:
@@ -231,9 +239,10 @@ class _Skeletons:
         return thick_skeleton(p, self.names, (camera.size[1], camera.size[0]), _COVER * height)
 
     def band(self, view: int, frame: int, camera: Camera) -> Mask | None:
-        """Draw the region in which a mask is kept: that of the person with a margin.
+        """Draw the region outside which a mask is cleared: the region of the person with a margin around it.
 
-        frame, camera, Returns: as for `cover`.
+        view, frame, camera: as for `cover`.
+        Returns: (h, w) of 0 and 1; None where `cover` is None.
         """
         mask = self.cover(view, frame, camera)
         if mask is None or not mask.any():
@@ -243,10 +252,12 @@ class _Skeletons:
         return np.asarray(cv2.dilate(mask, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))), dtype=np.uint8)
 
     def widened(self, view: int, frame: int, band: Mask, mask: Mask) -> Mask | None:
-        """Widen the band by the limbs that the mask does not confirm; None where it confirms all.
+        """Widen the band by the limbs that the mask does not confirm.
 
+        view: index of the view.
         frame: number of the video's frame.
         band, mask: (h, w) of 0 and 1.
+        Returns: the wider band (h, w); None where the mask confirms all limbs.
         """
         p, height = self.points[frame - self.first, view], float(self.heights[frame - self.first, view])
         return with_doubted_limbs(band, mask, p, self.names, height)
@@ -255,7 +266,7 @@ class _Skeletons:
 def _skeletons(keypoints: Sequence[Keypoints], first: int) -> _Skeletons:
     """Bridge short gaps in the key points, so that skeletons can be drawn.
 
-    keypoints: those of all frames.
+    keypoints: key points of all frames, in px of the working size.
     first: number of the first frame.
     """
     points = np.stack([k.points for k in keypoints])
@@ -337,7 +348,7 @@ def build_backgrounds(
 
 
 class FrameStream:
-    """The frames of a recording as evidence: `len(stream)`, `stream.frame(i)`, iteration, and `with` to close it.
+    """Frames of a recording as evidence: `len(stream)`, `stream.frame(i)`, iteration, and `with` to close it.
 
     A view is not usable in a frame where it has no image, an empty mask, or a mask far from its usual area (the median
     of about the last two seconds at 25 frames/s, or of the first at the start). The reason names camera and frame.
@@ -345,7 +356,7 @@ class FrameStream:
     recording: the recording to read.
     options: settings; by default the usual ones, with the recording's settings for masks.
     backgrounds: one model per view; built where None.
-    progress: as of `build_backgrounds`.
+    progress: as for `build_backgrounds`.
 
     Attributes:
     rig: pinhole cameras of the working size.
@@ -424,9 +435,8 @@ class FrameStream:
 
     @property
     def guessed_rooms(self) -> str:
-        """Warning about views whose background comes from the recording itself although the person's region is unknown.
-
-        It is empty where there are none.
+        """Warning about views whose background comes from the recording itself although the person's region is unknown;
+        "" where there are none.
         """
         views = zip(self.recording.views, self.backgrounds, strict=False)
         guessed = [v.name for v, b in views if b is not None and v.background is None]
@@ -573,8 +583,10 @@ class FrameStream:
         return self._sources[view].mask(frame, band, widened)
 
     def _look(self, index: int) -> tuple[NDArray[np.int64], PendingMasks]:
-        """Get the masks of a frame and the mask areas (C, H) that define the usual area, and start on the next frames.
+        """Get the masks of a frame and the mask areas that define the usual area, and start on the next frames.
 
+        index: frame, counted from the start of recording.frames.
+        Returns: areas (C, H), px, in the last H sampled frames before it, at the start in the first H; its masks.
         Why: the frames of these areas are a fixed choice, so a resumed run gives the same result. At the start they lie
             ahead; the masks up to there are kept, so that no video is read twice.
         """
@@ -615,7 +627,10 @@ class FrameStream:
         return found
 
     def _made(self, view: int, index: int) -> PackedMask:
-        """Make the mask of a view, with colours where they are wanted. index: from the start of recording.frames."""
+        """Make the mask of a view, with colours where they are wanted.
+
+        index: frame, counted from the start of recording.frames.
+        """
         runs, reason = self._mask(view, self.frames[index])
         wanted = self.options.colours and runs is not None and runs.area > 0
         image = self._sources[view].image_of_mask(self.frames[index]) if wanted else None

@@ -39,8 +39,8 @@ class ViewBackground:
     camera: as calibrated.
     small: pinhole camera of the working size.
     shift: px of the calibrated size that are added to image positions.
-    options: how masks are made.
-    background: where it is known already.
+    options: settings of the masks.
+    background: where it is known already; None: `learn` must be called first.
     """
 
     def __init__(
@@ -61,33 +61,39 @@ class ViewBackground:
 
     @property
     def moved(self) -> bool:
-        """Whether something moved while the background was learned: a person has not left."""
+        """Whether something moved while the background was learned, such as a person who has not left; False without a
+        background.
+        """
         room = self.background
         return (
             room is not None and float((room.sd.max(2) > SETTINGS.rooms_moved_grey).mean()) > SETTINGS.rooms_moved_share
         )
 
     def learn(self, images: Sequence[Image]) -> None:
-        """Learn the background from stored pictures (H, W, 3) of the empty room."""
+        """Learn the background from stored pictures (H, W, 3) BGR of the empty room; it replaces the former one."""
         self._take(from_frames([self._prepare(image) for image in images]))
 
     def mask(self, image: Image) -> tuple[Mask, ViewOutline | None]:
-        """Segment a stored picture; the background must be known.
+        """Segment a stored picture (H, W, 3) BGR; the background must be known.
 
-        Returns: mask (h, w), and its outline for tracking (None: the mask is empty).
+        Returns: mask (h, w) of 0 and 1, undistorted and at working size, and its outline for tracking (None: the mask
+            is empty).
         """
         assert self._segment is not None
         runs, _ = mask_in(image, self._prepare, self._segment)
         return mask_runs.draw(runs), outline_of_runs(runs, OUTLINE_POINTS, WORKING_HEIGHT) if runs.area else None
 
     def due(self, time: float) -> bool:
-        """Return whether it is time to update the background."""
+        """Return whether the background is known and its last update is long enough ago at `time`, s."""
         return self.background is not None and time - self._learnt >= SETTINGS.rooms_every_s
 
     def follow(self, image: Image, time: float, person: Mask | None) -> None:
         """Update the background to slow changes of the scene, if an update is due.
 
-        person: (h, w) where the person is; None: not known, then nothing that differs from the background is learned.
+        image: stored picture (H, W, 3) BGR.
+        time: time of the picture, s.
+        person: (h, w) mask of the person, at working size; None: not known, then nothing that differs from the
+            background is learned.
         """
         if not self.due(time):
             return
@@ -121,11 +127,13 @@ def _around(mask: Mask) -> Mask:
 
 
 class NetworkRoom:
-    """Segmentation of one view by a network that finds people; no background is needed. Used by one thread at a time,
-    in place of a `ViewBackground`.
+    """Segmentation of one view by a network that finds people, in place of a `ViewBackground`; it needs no background,
+    and is used by one thread at a time.
 
     camera: as calibrated.
     small: pinhole camera of the working size.
+    shift: px of the calibrated size that are added to image positions.
+    network: finds people and their masks in a picture.
     """
 
     background, moved = "not needed", False
@@ -137,13 +145,17 @@ class NetworkRoom:
         self._places: dict[tuple[int, int], NDArray[np.float32]] = {}
 
     def learn(self, images: Sequence[Image]) -> None:
-        """Forget where people were; a network has no background to learn."""
+        """Forget the people found so far, who guide the search in the next picture.
+
+        images: not used, because the network needs no background.
+        """
         self._before = []
 
     def mask(self, image: Image) -> tuple[Mask, ViewOutline | None]:
-        """Segment the people in a stored picture.
+        """Segment the people in a stored picture (H, W, 3) BGR; call it for the pictures in their order.
 
-        Returns: mask (h, w), and its outline for tracking (None: no person is seen).
+        Returns: mask (h, w) of 0 and 1, undistorted and at working size, and its outline for tracking (None: no person
+            is seen).
         """
         stored = (image.shape[1], image.shape[0])
         if stored not in self._places:
@@ -162,6 +174,7 @@ class DepthViewBackground:
 
     camera: as calibrated.
     small: pinhole camera of the working size.
+    shift: px of the calibrated size that are added to image positions.
     background: where it is known already. It is not updated, since light does not change depth.
     """
 
@@ -175,7 +188,7 @@ class DepthViewBackground:
 
     @property
     def moved(self) -> bool:
-        """Whether something moved while the background was learned."""
+        """Whether something moved while the background was learned; False without a background."""
         room = self.background
         known = None if room is None else room.depth > 0
         if room is None or known is None or not known.any():
@@ -187,9 +200,9 @@ class DepthViewBackground:
         self.background = learn_background([self._prepare(m) for m in maps])
 
     def mask(self, depth: DepthMap) -> tuple[Mask, ViewOutline | None]:
-        """Segment the person in front of the background in a stored map; the background must be known.
+        """Segment the person in front of the background in a stored map (H, W) m; the background must be known.
 
-        Returns: mask (h, w), and its outline for tracking (None: no person).
+        Returns: mask (h, w), undistorted and at working size, and its outline for tracking (None: no person).
         """
         assert self.background is not None
         own = self._prepare(depth)
@@ -202,8 +215,8 @@ class DepthViewBackground:
 class PackedDepth:
     """Depth of the person at one instant, cut out to save memory.
 
-    millimetres: (C, h, w) in a box of the maps, 0 outside the person.
-    corner: (row, column) of the box.
+    millimetres: (C, h, w) depth, mm, in one box of all maps; 0 outside the person.
+    corner: (row, column) of the box's first pixel in the maps.
     usable: (C,) views with depth.
     """
 

@@ -23,13 +23,13 @@ from hypose.pipeline.settings import SETTINGS
 class FeedStatus:
     """Status of one camera.
 
-    received: number of pictures that came.
-    lost: number of pictures that should have come in between.
-    rate: Hz.
-    returns: how often the camera was lost and came back.
-    trouble: why it is absent; "" when it is there.
-    ended: it is a file that is over.
-    loss: share of the recent pictures that was lost.
+    received: number of pictures that arrived.
+    lost: number of pictures that are missing between them.
+    rate: pictures per second, Hz; 0 while not known, or when the camera is absent.
+    returns: number of times that the camera was lost and came back.
+    trouble: reason for which it is absent; "" when it delivers.
+    ended: whether it is a file that has been read to its end.
+    loss: share of the recent pictures that was lost, 0 to 1.
     """
 
     name: str
@@ -43,12 +43,16 @@ class FeedStatus:
 
 
 class CameraFeed:
-    """Pictures of one camera, read by a thread.
+    """Newest pictures of one camera, which a thread reads; it opens the camera again when it was lost.
 
-    opener: opens the camera.
-    arrived: condition that is notified at every picture.
-    offset: delay of what the pictures show relative to the other cameras, s.
-    ahead: largest delay of another camera relative to this one, s.
+    name: name of the camera, for messages.
+    opener: function that opens the camera.
+    arrived: condition that is notified at every picture, and when the camera is lost.
+
+    Attributes, which the user of the class may change:
+    offset: time by which the pictures of this camera are late, s; it is subtracted from their times.
+    ahead: offset of the latest camera minus this camera's own, s; pictures are kept so long, until the other camera has
+        delivered the same instant.
     """
 
     def __init__(self, name: str, opener: Callable[[], CameraSource], arrived: threading.Condition) -> None:
@@ -87,7 +91,9 @@ class CameraFeed:
             self._thread.join(6)
 
     def delivered(self) -> tuple[Delivered, list[CameraImage]]:
-        """Return the newest pictures and their times; call it with `arrived` locked."""
+        """Return the times of the newest pictures, with `offset` subtracted, and the pictures themselves, in the same
+        order; call it with `arrived` locked.
+        """
         times = np.array([t for t, _ in self._shots]) - self.offset
         arrivals = np.array([s.arrival for _, s in self._shots])
         return Delivered(times, arrivals, self._period()), [s for _, s in self._shots]
@@ -139,8 +145,10 @@ class CameraFeed:
                 source.close()
 
     def _when(self, shot: CameraImage) -> float | None:
-        """Return when a picture was taken, on this computer's clock; None: not known. Times of the camera are ignored
-        after too many impossible ones, since some programs send constant times or another unit.
+        """Compute the time at which a picture was taken, s, on this computer's clock; None: not known.
+
+        Why: the camera's own times are ignored after too many impossible ones, since some programs send constant times
+        or another unit.
         """
         if shot.stamp is None or self._nonsense >= SETTINGS.feeds_nonsense:
             return shot.arrival
@@ -174,8 +182,9 @@ def _without_pauses(steps: Array) -> Array:
 
 
 def _usual(steps: Array) -> float:
-    """Compute the usual time (s) between two pictures as the time-weighted median of the steps. Why: pictures that
-    arrive in one burst after a delay do not change it.
+    """Compute the usual time (s) between two pictures: the median of the steps (N,) s, weighted by their length.
+
+    Why weighted: pictures that arrive in one burst after a delay do not change it.
     """
     ordered = np.sort(_without_pauses(steps))
     return float(ordered[np.searchsorted(np.cumsum(ordered), ordered.sum() / 2)])
@@ -183,11 +192,11 @@ def _usual(steps: Array) -> float:
 
 @dataclass(frozen=True)
 class Delivered:
-    """Newest pictures of one camera.
+    """Times of the newest pictures of one camera.
 
-    times: (N,) on the common clock, ascending, s.
-    arrivals: (N,) on this computer's clock, ascending, s.
-    period: time between two, s; NaN while not known.
+    times: (N,) at which they were taken, on the common clock (corrected by the camera's offset), ascending, s.
+    arrivals: (N,) at which they arrived, on this computer's clock, ascending, s.
+    period: usual time between two pictures, s; NaN while not known.
     """
 
     times: Array
@@ -212,7 +221,8 @@ def newest_instant(
 ) -> tuple[_Instant | None, float]:
     """Find the newest instant for which no present camera will send a better picture.
 
-    last: only instants after it, on the common clock, s.
+    cameras: times of the pictures of each camera.
+    last: time of the last instant that was used, on the common clock, s; only later ones are found.
     now: this computer's clock, s.
     least: least number of cameras that must show it.
     Returns: the instant, or None; and the time (this computer's clock) until which it is worth waiting for more
@@ -236,7 +246,10 @@ def newest_instant(
 
 
 def is_there(camera: Delivered, now: float) -> bool:
-    """Return whether a camera still delivers."""
+    """Return whether a camera still delivers: its last picture is recent.
+
+    now: this computer's clock, s.
+    """
     period = camera.period if np.isfinite(camera.period) else 0.0
     return len(camera.arrivals) > 0 and bool(
         now - camera.arrivals[-1] < max(SETTINGS.feeds_gone_s, SETTINGS.feeds_gone_periods * period)
@@ -246,6 +259,8 @@ def is_there(camera: Delivered, now: float) -> bool:
 def _still_to_come(camera: Delivered, period: float, now: float) -> tuple[float, float]:
     """Predict the next picture of a camera.
 
+    period: usual time between pictures of all cameras, s, for a camera whose own is not known.
+    now: this computer's clock, s.
     Returns: time (common clock) from which instants may get a better picture, and time (this computer's clock) by which
         it should arrive.
     """

@@ -23,8 +23,13 @@ _SIDES = ("left", "right")
 
 @dataclass(frozen=True)
 class _Factor:
-    """One proportion; exp(value) multiplies length, girth (along the given axes) or offset of some joints.
+    """One proportion of a body; a person has a value for it, a logarithm, and exp(value) is the factor on the template.
 
+    name: name in PROPORTION_NAMES.
+    kind: part that is multiplied: "scale" (the whole body), "length" (of the bones), "girth", "size" (length and girth)
+        or "offset" (sideways distance of the joints from their parents).
+    joints: names of the joints whose part is multiplied.
+    axes: axes (0: x, 1: y, 2: z of the model) of a girth.
     sd: standard deviation of the logarithm between people of one stature.
     """
 
@@ -73,7 +78,10 @@ INTERVAL = 2.0
 
 @dataclass(frozen=True)
 class Proportions:
-    """Prior of the logarithms of a template's factors: centre (K,) and standard deviations sd (K,)."""
+    """Normal prior of the logarithms of the proportions of a body relative to the template, in the order of FACTORS.
+
+    centre, sd: (K,) means and standard deviations.
+    """
 
     centre: Array
     sd: Array
@@ -109,13 +117,16 @@ def shaped(template: Body, factors: ArrayLike) -> Body:
 
 
 def skeleton_only(body: Body) -> Body:
-    """Copy the body without its meshes, so that it is fast to deform."""
+    """Copy the body with two empty meshes (no vertices), so that it is fast to deform."""
     nothing = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32), np.zeros((0, 4), np.int32), np.zeros((0, 4)))
     return replace(body, coarse=nothing, fine=nothing)
 
 
 def without_display(body: Body) -> Body:
-    """Copy the body without its display mesh, so that it is fast to deform; contours need the coarse mesh only."""
+    """Copy the body with its coarse mesh in place of the fine one, so that it is fast to deform.
+
+    Why: contours need the coarse mesh only.
+    """
     body.coarse.arrays  # noqa: B018 - builds the edges once, before the copies
     return replace(body, fine=body.coarse)
 
