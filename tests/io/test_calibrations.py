@@ -12,29 +12,32 @@ import pytest
 
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import CalibrationError, InputError
-from hypose.geometry import quaternion_from_matrix, se3, se3_inverse, so3_exp
+from hypose.geometry import quaternion_from_matrix, se3_inverse
 from hypose.io.calibrations.calibration_formats import find_calibration, read_any, write_any
 from hypose.io.calibrations.calibration_systems import read_plain_pickle
-from hypose.io.calibrations.calibration_text import parse_xml, parse_yaml, write_calibration
+from hypose.io.calibrations.calibration_text import write_calibration
 from hypose.io.files import toml_value
 from hypose.synthetic.scenes import camera_rig
 from tests.io.recordings import make_camera, make_rig
 
+RIG = camera_rig("humaneva-4", distorted=True)
 POINTS = np.random.default_rng(3).uniform(-0.5, 0.5, (20, 3))
 
 
-def assert_same(a, b, tolerance=1e-9):
-    assert a.names == b.names
-    for x, y in zip(a, b, strict=True):
-        assert x.size == y.size and x.fisheye == y.fisheye
-        assert np.array_equal(x.K, y.K)
-        assert np.allclose(x.project(POINTS), y.project(POINTS), atol=tolerance)
+def assert_same_cameras(found, wanted, tolerance=1e-9):
+    for a, b in zip(found, wanted, strict=True):
+        assert a.size == b.size and a.fisheye == b.fisheye
+        np.testing.assert_allclose(a.K, b.K, rtol=tolerance, atol=tolerance * 1000)
+        np.testing.assert_allclose(a.distortion[:5], b.distortion[:5], atol=tolerance)
+        np.testing.assert_allclose(a.camera_from_world, b.camera_from_world, atol=tolerance)
 
 
 def test_names_and_lenses_come_back(tmp_path):
     rig = CameraRig((make_camera("cam 1.a"), make_camera('ü"\\#', 2.0, fisheye=True), make_camera("3", -1.0)))
     write_calibration(rig, tmp_path / "calibration.toml")
-    assert_same(rig, read_any(tmp_path / "calibration.toml")[0])
+    back, _ = read_any(tmp_path / "calibration.toml")
+    assert_same_cameras(back, rig)
+    assert back.names == rig.names
 
 
 def test_written_file_serves_pose2sim_and_anipose(tmp_path):
@@ -87,28 +90,23 @@ def family(rotation, scale=1.0, keys=None, nested=False, extra=""):
 def test_family_members_give_the_same_rig(tmp_path, text, expected_notes):
     (tmp_path / "c.toml").write_text(text)
     rig, notes = read_any(tmp_path / "c.toml")
-    assert_same(make_rig(), rig, 1e-8)
-    assert len(notes) == expected_notes
+    assert_same_cameras(rig, make_rig(), 1e-8)
+    assert len(notes) == expected_notes and rig.names == make_rig().names
     if expected_notes:
         assert "taken as millimetres" in notes[0] and "set the calibration unit" in notes[0]
 
 
 def test_unit_can_be_forced(tmp_path):
     (tmp_path / "c.toml").write_text(family("vector", 100))
-    assert_same(make_rig(), read_any(tmp_path / "c.toml", "cm")[0], 1e-8)
-    with pytest.raises(CalibrationError, match="unit 'inch' is not known"):
-        read_any(tmp_path / "c.toml", "inch")[0]
+    assert_same_cameras(read_any(tmp_path / "c.toml", "cm")[0], make_rig(), 1e-8)
 
 
 def test_find_calibration(tmp_path):
-    assert find_calibration(tmp_path) is None and find_calibration(tmp_path / "none") is None
     (tmp_path / "Config.toml").write_text("")
-    (tmp_path / "Calib.qca.txt").write_text("")
-    assert find_calibration(tmp_path) == tmp_path / "Calib.qca.txt"
-    (tmp_path / "Calib_qualisys.toml").write_text("")
-    assert find_calibration(tmp_path) == tmp_path / "Calib_qualisys.toml"
-    (tmp_path / "calibration.toml").write_text("")
-    assert find_calibration(tmp_path) == tmp_path / "calibration.toml"
+    assert find_calibration(tmp_path) is None and find_calibration(tmp_path / "none") is None
+    for name in ("Calib.qca.txt", "Calib_qualisys.toml", "calibration.toml"):
+        (tmp_path / name).write_text("")
+        assert find_calibration(tmp_path) == tmp_path / name
 
 
 # ---- files of other programs -------------------------------------------------------------------------------
@@ -140,12 +138,12 @@ def test_caliscope(shared_data):
     found = np.genfromtxt(folder / "calibration/extrinsic/CHARUCO/xy_CHARUCO.csv", delimiter=",", names=True)
     space = np.genfromtxt(folder / "calibration/extrinsic/CHARUCO/xyz_CHARUCO.csv", delimiter=",", names=True)
     corner = {(int(r["sync_index"]), int(r["keypoint_id"])): (r["x_coord"], r["y_coord"], r["z_coord"]) for r in space}
-    errors = []
-    for row in found:
-        point = corner.get((int(row["sync_index"]), int(row["keypoint_id"])))
-        if point is not None:
-            uv = new[int(row["cam_id"])].project(point)
-            errors.append(np.hypot(uv[0] - row["img_loc_x"], uv[1] - row["img_loc_y"]))
+    seen = [(r, corner.get((int(r["sync_index"]), int(r["keypoint_id"])))) for r in found]
+    errors = [
+        np.linalg.norm(new[int(r["cam_id"])].project(point) - [r["img_loc_x"], r["img_loc_y"]])
+        for r, point in seen
+        if point is not None
+    ]
     assert len(errors) > 500 and np.median(errors) < 2.0
 
 
@@ -212,6 +210,10 @@ BAD_TOML = [
     [
         *(("c.toml", *bad) for bad in BAD_TOML),
         ("a.yml", "nonsense: [", "a.yml is no calibration: it is no YAML"),
+        ("a.yml", "a: &b [1]\nc: [*b, *b]", "it "),
+        ("a.yml", "a: " + "[" * 100_000, "it "),
+        ("a.yml", "a: !!python/object:os.system x", "it "),
+        ("a.xml", "<!DOCTYPE a><opencv_storage/>", "it "),
         ("a.yml", "%YAML:1.0\n---\nx: 3\n", "holds no cameras"),
         ("a.xcp", "<Cameras><Camera DEVICEID='1' TYPE='Video'/></Cameras>", "holds no cameras"),
         (
@@ -248,22 +250,17 @@ def test_bad_files_are_refused_in_a_sentence(tmp_path, name, text, message):
     assert "\n" not in str(caught.value)
 
 
-QCA = """<calibration><cameras><camera model="{model}" serial="{serial}" viewrotation="0">
+QCA = """<calibration><cameras><camera model="Miqus Video" serial="7" viewrotation="0">
 <fov_video left="0" top="0" right="63" bottom="47"/>
-<transform x="100" y="-3000" z="{z}" r11="1" r12="0" r13="0" r21="0" r22="0" r23="1" r31="0" r32="{r32}" r33="0"/>
-<intrinsic focalLengthU="4000" focalLengthV="{fv}" centerPointU="2000" centerPointV="1500" radialDistortion1="-0.1"
+<transform x="100" y="-3000" z="1200" r11="1" r12="0" r13="0" r21="0" r22="0" r23="1" r31="0" r32="-1" r33="0"/>
+<intrinsic focalLengthU="4000" focalLengthV="4032" centerPointU="2000" centerPointV="1500" radialDistortion1="-0.1"
  radialDistortion2="0.2" tangentalDistortion1="0.001" tangentalDistortion2="0.002"/>
 </camera></cameras></calibration>"""
 
 
-def qca(tmp_path, **changes):
-    text = QCA.format(**{"model": "Miqus Video", "serial": "7", "z": "1200", "fv": "4032", "r32": "-1"} | changes)
-    (tmp_path / "a.qca.txt").write_text(text)
-    return tmp_path / "a.qca.txt"
-
-
 def test_qualisys_units_and_axes(tmp_path):
-    camera = read_any(qca(tmp_path))[0][0]
+    (tmp_path / "a.qca.txt").write_text(QCA)
+    camera = read_any(tmp_path / "a.qca.txt")[0][0]
     assert camera.name == "7" and camera.size == (64, 48)
     assert np.allclose(camera.K, [[62.5, 0, 31.25], [0, 63, 23.4375], [0, 0, 1]])
     assert np.allclose(camera.distortion, [-0.1, 0.2, 0.001, 0.002, 0])
@@ -277,22 +274,11 @@ def test_qualisys_units_and_axes(tmp_path):
 # Calibrations of other programs: written and read back, read as those programs write them, and bad files refused.
 
 
-def random_rig(rng):
-    cameras = []
-    for i in range(3):
-        k = np.array([[900.0 + i, 0, 630.5], [0, 897.0, 365.25 + i], [0, 0, 1]])
-        lens = np.array([-0.21, 0.07, 1e-3, -5e-4, 0.011])
-        pose = se3(so3_exp(rng.normal(0, 1, 3)), rng.normal(0, 2, 3))
-        cameras.append(Camera(f"cam{i + 1}", k, lens, pose, (1280, 720)))
-    return CameraRig(tuple(cameras))
-
-
-def test_easymocap_as_opencv_writes_it(tmp_path, rng):
-    rig = random_rig(rng)
+def test_easymocap_as_opencv_writes_it(tmp_path):
     for file, entries in (("intri.yml", ("K", "dist")), ("extri.yml", ("R", "T"))):
         storage = cv2.FileStorage(str(tmp_path / file), cv2.FILE_STORAGE_WRITE)
-        storage.write("names", list(rig.names))
-        for c in rig:
+        storage.write("names", list(RIG.names))
+        for c in RIG:
             values = {
                 "K": c.K,
                 "dist": c.distortion[None],
@@ -304,16 +290,9 @@ def test_easymocap_as_opencv_writes_it(tmp_path, rng):
         storage.release()
     back, notes = read_any(tmp_path / "extri.yml")
     assert "twice the principal point" in " ".join(notes)
-    assert back[0].size == (1261, 730) or back[0].size == (1261, 731)
-    for a, b in zip(back, rig, strict=True):
+    assert back[0].size == (639, 479)
+    for a, b in zip(back, RIG, strict=True):
         np.testing.assert_allclose(a.camera_from_world, b.camera_from_world, atol=1e-9)
-
-
-def test_real_single_camera_of_opencv(shared_data):
-    rig = read_any(shared_data("uu4cam/cam1") / "config.xml")[0]
-    assert rig.names == ("cam1",)
-    assert rig[0].K[0, 0] == pytest.approx(486.52, abs=0.01)
-    assert np.linalg.norm(rig[0].position) < 10  # millimetres were recognised
 
 
 def test_vicon_as_vicon_writes_it(tmp_path):
@@ -337,15 +316,14 @@ def test_vicon_as_vicon_writes_it(tmp_path):
     assert straight == pytest.approx(500 * (1 + 6e-9 * 500**2), abs=0.05)
 
 
-def test_opencap_world_is_turned_upright(tmp_path, rng):
-    rig = random_rig(rng)
-    write_any(rig, tmp_path / "cam.pickle")
+def test_opencap_world_is_turned_upright(tmp_path):
+    write_any(RIG, tmp_path / "cam.pickle")
     raw = pickle.loads((tmp_path / "cam1.pickle").read_bytes())  # noqa: S301 - written by ourselves
-    assert raw["imageSize"].ravel().tolist() == [720, 1280]
+    assert raw["imageSize"].ravel().tolist() == [480, 640]
     # the board stands upright, its y axis points down: the world's up is -y
     up = raw["rotation"] @ [0, -1.0, 0]
-    np.testing.assert_allclose(up, rig[0].camera_from_world[:3, 2], atol=1e-12)
-    np.testing.assert_allclose(raw["translation"].ravel() / 1000, rig[0].camera_from_world[:3, 3])
+    np.testing.assert_allclose(up, RIG[0].camera_from_world[:3, 2], atol=1e-12)
+    np.testing.assert_allclose(raw["translation"].ravel() / 1000, RIG[0].camera_from_world[:3, 3])
 
 
 @pytest.mark.parametrize("protocol", range(6))
@@ -396,29 +374,17 @@ def test_anything_else_in_a_pickle_is_refused(content, capsys):
     assert capsys.readouterr().out == ""
 
 
-def test_what_a_format_cannot_hold_is_not_written(tmp_path, rng):
-    rig = random_rig(rng)
-    fisheye = CameraRig((Camera("f", rig[0].K, np.zeros(4), np.eye(4), (640, 480), True),))
+def test_what_a_format_cannot_hold_is_not_written(tmp_path):
+    fisheye = CameraRig((Camera("f", RIG[0].K, np.zeros(4), np.eye(4), (640, 480), True),))
     for name in ("a.yml", "a.pickle", "camera_array.toml"):
         with pytest.raises(CalibrationError, match="write .toml|cannot hold"):
             write_any(fisheye, tmp_path / name)
     with pytest.raises(InputError, match=r"name the calibration \.toml"):
-        write_any(rig, tmp_path / "a.xcp")
+        write_any(RIG, tmp_path / "a.xcp")
 
 
 # ---- test calibration relatives ------------------------------------------------------------------------------------
 # Calibrations of CMU Panoptic, BioCV, OptiTrack, projection matrices, OpenCV's folders: read as they write them.
-
-
-RIG = camera_rig("humaneva-4", distorted=True)
-
-
-def assert_same_cameras(found, wanted, tolerance=1e-9):
-    for a, b in zip(found, wanted, strict=True):
-        assert a.size == b.size
-        np.testing.assert_allclose(a.K, b.K, rtol=tolerance, atol=tolerance * 1000)
-        np.testing.assert_allclose(a.distortion[:5], b.distortion[:5], atol=tolerance)
-        np.testing.assert_allclose(a.camera_from_world, b.camera_from_world, atol=tolerance)
 
 
 def panoptic(c, **more):
@@ -510,36 +476,17 @@ def test_optitrack(tmp_path):
 
 
 @pytest.mark.parametrize("ending", ["xml", "yml"])
-def test_a_folder_of_opencv_lenses(tmp_path, rng, ending):
-    rig = random_rig(rng)
-    for c in rig:
+def test_a_folder_of_opencv_lenses(tmp_path, ending):
+    for c in RIG:
         storage = cv2.FileStorage(str(tmp_path / f"{c.name}.{ending}"), cv2.FILE_STORAGE_WRITE)
-        values = {"image_width": 1280, "image_height": 720, "camera_matrix": c.K, "tvec": c.camera_from_world[:3, 3]}
+        values = {"image_width": 640, "image_height": 480, "camera_matrix": c.K, "tvec": c.camera_from_world[:3, 3]}
         values |= {"distortion_coefficients": c.distortion, "rvec": cv2.Rodrigues(c.camera_from_world[:3, :3])[0]}
         for name, value in values.items():
             storage.write(name, value)
         storage.release()
     found, _ = read_any(tmp_path)
-    assert found.names == rig.names
-    assert_same_cameras(found, rig)
-
-
-@pytest.mark.parametrize(
-    ("parse", "text"),
-    [
-        *((parse_yaml, t) for t in ("", "a: [ 1, 2", "- 1", "a: &b [1]\nc: [*b, *b]", "a: " + "[" * 100_000)),
-        (parse_yaml, "a: !!python/object:os.system x"),
-        *((parse_xml, t) for t in ("<opencv_storage>", "<!DOCTYPE a><opencv_storage/>")),
-    ],
-)
-def test_text_that_is_no_calibration_is_refused(parse, text):
-    with pytest.raises(ValueError, match="it "):
-        parse(text)
-
-
-def test_a_matrix_of_another_size_than_it_says_is_empty():
-    text = "%YAML:1.0\n---\nK: !!opencv-matrix\n   rows: 2\n   cols: 2\n   dt: d\n   data: [ 1., 2., 3. ]\n"
-    assert np.size(parse_yaml(text)["K"]) == 0
+    assert found.names == RIG.names
+    assert_same_cameras(found, RIG)
 
 
 # ---- words about lens, direction and unit ---------------------------------------------------------------------------

@@ -14,12 +14,6 @@ def formats():
     return [t for t in targets().values() if not t.lines and t.name.split("-")[0] not in ("server", "name", "cache")]
 
 
-def test_good_inputs_are_read(good):
-    for target in targets().values():
-        path = good / target.file
-        target.read(path.read_bytes() if target.lines else good / (target.given or target.file))
-
-
 def test_damaged_files_end_in_no_other_error(good):
     for target in formats():
         whole = (good / target.file).read_bytes()

@@ -91,13 +91,10 @@ def test_a_capture_of_record3d(tmp_path, rng, monkeypatch):
     assert len(frames) == 11 and frames[10].time == pytest.approx(1 / 3)
     assert np.array_equal(frames[10].depth, depth[10])  # in the order of their numbers
     assert frames[3].depth[0, 0] == 0
-    for changed in ({"K": [1.0]}, {"w": 0}, {"dw": 1e400}, {"K": None}):
+    for changed in ({"K": [1.0]}, {"w": 0}, {"dw": 1e400}, {"K": None}, {"K": [0.0] * 9}):
         record3d(path, depth, **changed)
-        with pytest.raises(InputError, match="is no Record3D capture that says its lens"):
+        with pytest.raises(InputError, match="is no Record3D capture that says its lens|unusable"):
             open_depth(path)
-    record3d(path, depth, K=[0.0] * 9)
-    with pytest.raises(InputError, match="unusable"):
-        open_depth(path)
     record3d(path, depth[:, :3])
     with pytest.raises(InputError, match="were expected"):
         list(open_depth(path).frames)

@@ -14,7 +14,6 @@ from hypose.io.keypoints.read_keypoints import read_keypoints
 from hypose.io.motions.export import MOTION_FILES, export_motion
 from hypose.io.sensors.skeleton_files import SKELETONS, read_skeletons
 from hypose.pipeline.comparison import read_other
-from scripts.formats_page import formats_page
 from scripts.fuzz_targets import targets
 
 TABLES = {"calibration": CALIBRATIONS, "keypoints": KEYPOINTS, "motion": MOTION_FILES, "skeleton": SKELETONS}
@@ -165,11 +164,6 @@ def test_what_cannot_be_read_is_named_with_what_can(tmp_path, table, name):
         table.read(tmp_path / name)
     if name == "a.unknown":
         assert all(s in str(caught.value) for f in table.formats if f.read for s in f.suffixes if s[:1] == ".")
-
-
-def test_the_documentation_lists_every_format():
-    page = formats_page()
-    assert all(one.name in page for table in TABLES.values() for one in table.formats)
 
 
 @pytest.mark.parametrize("table", [CALIBRATIONS, SKELETONS], ids=["calibration", "skeleton"])

@@ -3,6 +3,7 @@
 import io
 import sys
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,11 +11,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from hypose.body.body import Body, enclosed_volume
+from hypose.body.body import enclosed_volume
 from hypose.body.coarse_mesh import is_closed
 from hypose.body.default_body import JOINT_NAMES, human
 from hypose.body.joint_names import MIXAMO, SMPL_JOINTS, renamed_body
-from hypose.body.motion import Motion, isotropic
 from hypose.errors import InputError
 from hypose.io.motions.gltf import write_glb
 from hypose.io.motions.meshes import PersonMesh, closed_surface, read_person
@@ -94,23 +94,12 @@ def test_faces_that_turn_either_way_are_turned_without_another_package(monkeypat
         closed_surface(PersonMesh(np.random.default_rng(0).normal(size=(6, 3)), strip))
 
 
-def glb_of(path: Path, body: Body) -> Path:
-    poses = np.zeros((2, 36))
-    n, j = 2, len(body.skeleton.joint_names)
-    no, count = np.zeros(n, dtype=bool), np.zeros(n, dtype=np.int64)
-    times = np.array([0.0, 0.04])
-    motion = Motion(
-        body.skeleton, times, body.joints(poses), poses, isotropic(np.zeros((n, j))), no, no, count, np.zeros(n)
-    )
-    write_glb(path, motion, body)
-    return path
-
-
 @pytest.mark.parametrize("names", ["own", "mixamo"])
-def test_a_skinned_glb_keeps_its_joints_and_weights(tmp_path, names):
-    body = human() if names == "own" else renamed_body(human(), MIXAMO)
-    subject = rig_mesh(glb_of(tmp_path / "avatar.glb", body))
+def test_a_skinned_glb_keeps_its_joints_and_weights(tmp_path, small_motion, names):
     own = human()
+    body = own if names == "own" else renamed_body(own, MIXAMO)
+    write_glb(tmp_path / "avatar.glb", replace(small_motion, skeleton=body.skeleton), body)
+    subject = rig_mesh(tmp_path / "avatar.glb")
     np.testing.assert_allclose(subject.body.skeleton.rest_joints, own.skeleton.rest_joints, atol=0.01)
     np.testing.assert_allclose(subject.body.joints(subject.pose), own.skeleton.rest_joints, atol=1e-4)
     # vertices may be in another order

@@ -146,26 +146,22 @@ def test_scaled_images_are_accepted_with_a_note_and_stretched_ones_on_request(tm
     assert f"cam_1.avi is {size[0]} x {size[1]} px, the calibration 64 x 48 px; the images are" in recording.notes[0]
 
 
-def test_a_camera_that_went_out_is_named_with_what_the_others_have(tmp_path):
-    for n, frames in enumerate((18, 10, 20), 1):
-        make_video(tmp_path / f"cam_{n}.avi", frames)
-    cameras = [f"cam_{n}" for n in (1, 2, 3)]
+@pytest.mark.parametrize(
+    ("lengths", "note"),
+    [
+        ((18, 10, 20), " Without cam_2, the others' 18 frames could be tracked."),
+        ((12, 18), "different numbers of frames (cam_1 12, cam_2 18)"),
+        ((12, 14), None),
+    ],
+)
+def test_different_lengths_use_the_common_part_and_a_camera_that_went_out_is_named(tmp_path, lengths, note):
+    cameras = [f"cam_{n}" for n in range(1, len(lengths) + 1)]
+    for name, frames in zip(cameras, lengths, strict=True):
+        make_video(tmp_path / f"{name}.avi", frames)
     views = [{"name": n, "video": f"{n}.avi"} for n in cameras]
     recording = load_recording(make_recording(tmp_path, views, names=cameras))
-    assert recording.n_frames == 10
-    assert recording.notes[0].endswith(" Without cam_2, the others' 18 frames could be tracked.")
-
-
-def test_different_lengths_use_the_common_part(tmp_path):
-    make_video(tmp_path / "cam_1.avi", 12)
-    make_video(tmp_path / "cam_2.avi", 18)
-    views = [{"name": n, "video": f"{n}.avi"} for n in ("cam_1", "cam_2")]
-    recording = load_recording(make_recording(tmp_path, views))
-    assert recording.n_frames == 12
-    assert "different numbers of frames (cam_1 12, cam_2 18)" in recording.notes[0]
-    make_video(tmp_path / "cam_2.avi", 14)
-    recording = load_recording(tmp_path)
-    assert recording.n_frames == 12 and recording.notes == ()
+    assert recording.n_frames == min(lengths)
+    assert [note in n for n in recording.notes] == ([True] if note else [])
 
 
 def test_a_cut_off_video_is_named(tmp_path):
@@ -312,7 +308,6 @@ def test_settings(good, settings, message):
         ({"accept_scaled": 1}, r"view cam_1: accept_scaled must be true or false, got 1"),
         ({"name": "cam_2"}, r"view names must differ, got cam_2, cam_2; rename one"),
         ({"name": 3}, r"view 3: name must be text in quotes, got 3"),
-        ({"camera": "cam_9"}, r"calibration has (2 cameras|no camera cam_9)"),
     ],
 )
 def test_views(good, changes, message):
@@ -332,14 +327,22 @@ def test_bad_calibration(good):
     )
 
 
-def test_number_of_cameras(good):
-    make_recording(good, [VIEWS[0] | {"name": "left"}])
-    refuses(
-        good,
-        r"calibration\.toml has 2 cameras \(cam_1, cam_2\) but there are 1 views \(left\); add the missing ones, or "
-        r"give every view its camera",
-        CalibrationError,
-    )
+@pytest.mark.parametrize(
+    ("views", "message"),
+    [
+        (
+            [VIEWS[0] | {"name": "left"}],
+            r"calibration\.toml has 2 cameras \(cam_1, cam_2\) but there are 1 views \(left\); add the missing ones, "
+            r"or give every view its camera",
+        ),
+        (
+            [VIEWS[0] | {"camera": "cam_9"}, VIEWS[1] | {"camera": "cam_2"}],
+            r"The calibration has no camera cam_9; it has cam_1, cam_2",
+        ),
+    ],
+)
+def test_views_without_a_camera_are_named(good, views, message):
+    refuses(make_recording(good, views), message, CalibrationError)
 
 
 def test_views_named_like_their_cameras_leave_others_out(good):
@@ -347,11 +350,6 @@ def test_views_named_like_their_cameras_leave_others_out(good):
     recording = load_recording(good)
     assert recording.rig.names == ("cam_1",)
     assert any("The cameras cam_2 of calibration.toml have no view and are left out" in n for n in recording.notes)
-
-
-def test_unknown_camera_lists_those_there_are(good):
-    make_recording(good, [VIEWS[0] | {"camera": "cam_9"}, VIEWS[1] | {"camera": "cam_2"}])
-    refuses(good, r"The calibration has no camera cam_9; it has cam_1, cam_2", CalibrationError)
 
 
 def test_size_against_calibration(good):
@@ -364,12 +362,10 @@ def test_size_against_calibration(good):
     assert "accept_scaled = true for this view in recording.toml" in text
     make_video(good / "cam_1.avi", size=(48, 64))
     refuses(good, r"48 x 64 px, .* 64 x 48 px; the images look turned by 90 degrees", CalibrationError)
-
-
-def test_size_of_background_and_masks(good):
     cv2.imwrite(str(good / "plate.png"), frame(1, (96, 48)))
-    refuses(edit(good, background="plate.png"), r"View cam_1: .*plate\.png is 96 x 48 px", CalibrationError)
-    refuses(edit(good, masks="plate.png"), r"View cam_1: .*plate\.png is 96 x 48 px", CalibrationError)
+    make_video(good / "cam_1.avi")
+    for what in ("background", "masks"):
+        refuses(edit(good, **{what: "plate.png"}), r"View cam_1: .*plate\.png is 96 x 48 px", CalibrationError)
 
 
 def test_images_without_frame_rate(good):
@@ -385,35 +381,34 @@ def test_images_without_frame_rate(good):
 # What [[person]] tables may say: names are folders, beside files of everybody's results.
 
 
-def read(*tables):
-    return people_of_tables(Path("here"), "recording.toml", tables)
-
-
 def test_what_is_left_out_is_not_known():
     given = {"name": "J. Smith", "height": 2, "body": "b.npz", "place": [1, 2.5], "time": 3}
-    assert read({}, given) == (
+    assert people_of_tables(Path("here"), "recording.toml", [{}, given]) == (
         PersonSettings("person-1"),
         PersonSettings("J. Smith", 2.0, Path("here/b.npz"), (1.0, 2.5), 3.0),
     )
 
 
-@pytest.mark.parametrize("name", ["", "a/b", "..", "all", "7", "CON", "overlay.mp4", "report.html", "people.json"])
-def test_a_name_that_is_no_folder_of_its_own_is_refused(name):
-    with pytest.raises(InputError, match="names a folder"):
-        read({"name": name})
-
-
-@pytest.mark.parametrize("other", ["Anna B", "anna b", "Anna-B", "Anna.B"])
-def test_names_that_files_cannot_tell_apart_are_refused(other):
-    with pytest.raises(InputError, match="rename one"):
-        read({"name": "Anna B"}, {"name": other})
-    assert len(read({"name": "Anna B"}, {"name": "Anna C"})) == 2
-
-
-@pytest.mark.parametrize("wrong", [{"name": 5}, {"height": "1.7"}, {"height": 17.0}, {"time": -1.0}, {"place": [1.0]}])
-def test_what_cannot_be_is_refused(wrong):
-    with pytest.raises(InputError, match="recording.toml, person"):
-        read({"name": "anna"} | wrong)
+@pytest.mark.parametrize(
+    ("tables", "message"),
+    [
+        *(
+            ([{"name": name}], "names a folder")
+            for name in ("", "a/b", "..", "all", "7", "CON", "overlay.mp4", "report.html", "people.json")
+        ),
+        *(
+            ([{"name": "Anna B"}, {"name": "Anna C"}, {"name": other}], "Anna B.*rename one|rename one.*Anna B")
+            for other in ("Anna B", "anna b", "Anna-B", "Anna.B")
+        ),
+        *(
+            ([{"name": "anna"} | wrong], "recording.toml, person")
+            for wrong in ({"name": 5}, {"height": "1.7"}, {"height": 17.0}, {"time": -1.0}, {"place": [1.0]})
+        ),
+    ],
+)
+def test_people_that_cannot_be_are_refused(tables, message):
+    with pytest.raises(InputError, match=message):
+        people_of_tables(Path("here"), "recording.toml", tables)
 
 
 # ---- test pose2sim -------------------------------------------------------------------------------------------------
@@ -461,8 +456,7 @@ def test_project_of_today(tmp_path):
 def test_a_recording_toml_beside_it_changes_what_it_says(tmp_path):
     """What a check tells the user to set in recording.toml has a place, without saying everything else again."""
     project = make_project(tmp_path / "Demo")
-    plain = load_recording(project)
-    toml = project / "recording.toml"
+    plain, toml = load_recording(project), project / "recording.toml"
     toml.write_text('keypoint_lag = 1\n[[view]]\nname = "cam02"\nimage_shift = [7.3, 0]\n')
     reported = load_recording(project)
     assert (
@@ -473,9 +467,6 @@ def test_a_recording_toml_beside_it_changes_what_it_says(tmp_path):
     assert [v.keypoints for v in reported.views] == [v.keypoints for v in plain.views]
     toml.write_text('[[view]]\nname = "cam9"\n')
     with pytest.raises(InputError, match=r"has no view 'cam9'"):
-        load_recording(project)
-    toml.write_text("keypoint_lagg = 1\n")
-    with pytest.raises(InputError, match="keypoint_lagg"):
         load_recording(project)
     write_calibration(plain.rig, project / "calibration.toml")  # then it is a whole recording of its own
     toml.write_text('[[view]]\nname = "cam_01"\nvideo = "videos/cam01.mp4"\n')
@@ -563,9 +554,6 @@ def test_refused(tmp_path):
     (folder / "calibration").mkdir()
     refuses(folder, r"No calibration .* in .*calibration; run Pose2Sim's calibration step or hypose calibrate first")
 
-    folder = make_project(tmp_path / "b", "[project\n")
-    refuses(folder, r"Config\.toml is not valid TOML: .*; correct it")
-
     folder = make_project(tmp_path / "c")
     (folder / "videos" / "cam02.mp4").unlink()
     refuses(folder, r"has 2 cameras \(cam_01, cam_02\) but there are 1 views \(cam01\)", CalibrationError)
@@ -577,13 +565,6 @@ def test_refused(tmp_path):
 
     folder = make_project(tmp_path / "d", points=40)
     refuses(folder, r"cam01_json: there are 40 points per person, which no set has; known are .*BODY_25B \(25\)")
-
-    folder = make_project(tmp_path / "e")
-    (folder / "pose" / "cam01_json" / "cam01.0000.json").write_text("{")
-    refuses(folder, r"cam01\.0000\.json is not JSON \(.*\); give the path of")
-
-    folder = make_project(tmp_path / "f", "[project]\nframe_range = [10, 300]\n")
-    refuses(folder, r"frame_range = \[10, 300\] lies outside the recording, which has the frames 0 to 11")
 
 
 def test_without_videos(tmp_path):

@@ -93,17 +93,6 @@ def test_damaged_image(tmp_path, data, message):
         read_image(tmp_path / "a.png")
 
 
-def test_truncated_video_is_counted_by_decoding(tmp_path):
-    whole = make_video(tmp_path / "whole.avi", 60)
-    cut = tmp_path / "cut.avi"
-    data = whole.read_bytes()
-    cut.write_bytes(data[: len(data) // 2])
-    reader = open_video(cut)
-    assert reader.stated_frames == 60 and 10 < reader.n_frames < 40
-    assert count_frames(cut) == reader.n_frames
-    assert [frame_number(f) for f in reader] == list(range(reader.n_frames))
-
-
 def test_a_video_whose_end_was_never_written_is_counted_by_decoding(tmp_path, shared_data):
     """A copy program may make room for all and stop half-way; the index lies behind the pictures."""
     data = (shared_data("pose2sim_balancing/videos") / "cam01.mp4").read_bytes()
@@ -141,15 +130,6 @@ def test_not_a_video(tmp_path, name, data, message):
         (tmp_path / name).write_bytes(data)
     with pytest.raises(InputError, match=message):
         open_video(tmp_path / name)
-
-
-def test_an_exception_leaves_the_old_video(tmp_path):
-    path = make_video(tmp_path / "a.avi", 5)
-    old = path.read_bytes()
-    with pytest.raises(KeyboardInterrupt), VideoWriter(path, 25, SIZE) as writer:
-        writer.write(frame(0))
-        raise KeyboardInterrupt
-    assert path.read_bytes() == old and len(list(tmp_path.iterdir())) == 1
 
 
 @pytest.mark.parametrize(
