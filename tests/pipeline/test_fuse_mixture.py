@@ -10,8 +10,9 @@ from hypose.body.default_body import human
 from hypose.body.motion import Motion
 from hypose.cameras.camera import CameraRig
 from hypose.errors import InputError
-from hypose.evidence.frame import SensorJoints
+from hypose.evidence.frame import Frame, SensorJoints
 from hypose.evidence.silhouettes import make_silhouettes
+from hypose.fitting.articulated import fit_pose
 from hypose.fusion import joints as jt
 from hypose.geometry import se3, se3_inverse, so3_exp, transform
 from hypose.io.sensors.skeleton_streams import SensorStream, SkeletonRecording
@@ -19,6 +20,7 @@ from hypose.pipeline.run import track_source
 from hypose.pipeline.sensor_skeletons import fuse_mixture, skeleton_rows, skeletons_at_frames
 from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.track_options import TrackOptions
+from hypose.tracking.refinement import anatomical_prior
 from hypose.tracking.starts import known_pose
 
 FRAMES = 40
@@ -63,6 +65,18 @@ def test_a_sensor_is_placed_by_the_motion_and_its_sides_are_put_right(walked):
     assert np.nanmax(np.linalg.norm(rows.points - motion.joints[:, jt.BODY_JOINT], axis=-1)) < 0.04
     assert (rows.weight > 0).all()
     assert np.linalg.norm(rows.offset, axis=-1).max() < 0.01
+
+
+def test_the_true_pose_costs_least_and_a_solve_on_the_rows_finds_it(walked):
+    motion, skeletons = walked
+    body, frame = human(), Frame(0.2, 5)
+    rows, _ = skeleton_rows(motion, skeletons, range(FRAMES))
+    away = body.skeleton.clamp(motion.poses[5] + 0.1)
+    true, other = rows.energy(body, np.stack([motion.poses[5], away]), frame)
+    assert true < other
+    found = fit_pose(body, away, [rows.rows(body, frame)], priors=(anatomical_prior(body.skeleton),)).pose
+    assert np.linalg.norm(body.joints(found) - motion.joints[5], axis=-1)[jt.BODY_JOINT].mean() < 0.02
+    assert rows.rows(body, Frame(9.0, 900)) is None
 
 
 def test_a_sensor_that_saw_something_else_is_no_evidence(walked, rng):
