@@ -73,23 +73,6 @@ def prepared(keypoint_recording, monkeypatch):
     return keypoint_recording, put
 
 
-@pytest.mark.slow
-def test_detected_key_points_are_tracked(hypose, prepared, tmp_path):
-    recording, put = prepared
-    detector = put()
-    code, out, err = hypose("keypoints", recording, "--detector", "any")
-    assert code == 0, err
-    assert detector.looked == 4 * 30 and "--evidence both" in out
-    loaded = load_recording(recording)
-    assert loaded.keypoint_set == "BLAZEPOSE_33" and any("hypose keypoints wrote" in n for n in loaded.notes)
-    given = ("--evidence", "both", "--out", tmp_path / "r", "--formats", "trc", "--no-overlay")
-    code, _, err = hypose("track", recording, *given)
-    assert code == 0, err
-    motion, truth = load_motion(tmp_path / "r" / "motion.npz"), np.load(recording / "truth.npz")["joints"]
-    at = [motion.skeleton.joint(n) for n in ("left_knee", "right_knee", "left_elbow", "right_wrist", "left_ankle")]
-    assert np.median(np.linalg.norm(motion.joints[:, at] - truth[:, at], axis=-1)) < 0.06
-
-
 def test_an_interrupted_detection_goes_on(hypose, prepared):
     recording, put = prepared
     command = ("keypoints", recording, "--detector", "any")
