@@ -4,11 +4,9 @@ import gzip
 import json
 import re
 import shutil
-import struct
 from base64 import b64decode
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -16,11 +14,9 @@ from scipy.spatial.transform import Rotation
 from hypose.app.reports import report
 from hypose.app.reports.report import drawn_of, report_html
 from hypose.app.studio.view_bundle import load_view, view_bundle
-from hypose.app.studio.view_pictures import OpenRecording
 from hypose.body.joint_angles import ANGLE_NAMES
 from hypose.io.motions.results import load_motion, save_motion
 from hypose.io.recordings.recording import load_recording
-from hypose.io.videos.video import VideoWriter, open_video
 from tests.bundles import read_bundle
 
 
@@ -97,33 +93,6 @@ def test_what_cannot_be_read_is_left_out_and_named(folder):
 
 
 # ---- pictures
-
-
-def decoded(data):
-    """The pictures of `ViewPictures.row`; None where a view has none."""
-    (count,) = struct.unpack_from("<I", data)
-    lengths = np.array(struct.unpack_from(f"<{count}I", data, 4))
-    ends = 4 * (1 + count) + lengths.cumsum()
-    assert ends[-1] == len(data)
-    files = [np.frombuffer(data[end - n : end], np.uint8) for end, n in zip(ends, lengths, strict=True)]
-    return [cv2.imdecode(file, cv2.IMREAD_COLOR) if len(file) else None for file in files]
-
-
-def test_any_frame_is_the_right_one(folder):
-    recording = load_recording(folder.parents[1])
-    path = folder.parents[1] / "videos" / "long.mp4"
-    with VideoWriter(path, 25.0, (64, 48)) as writer:
-        for i in range(80):  # every frame says in its grey value which it is
-            writer.write(np.full((48, 64, 3), (i * 3) % 250, np.uint8))
-    views = tuple(replace(v, video=path) for v in recording.views[:1]) + recording.views[1:]
-    pictures = OpenRecording(replace(recording, views=views), (0, 80))
-    with open_video(path) as reader:
-        true = [float(reader.read().mean()) for _ in range(80)]
-    for row in (79, 3, 40, 41, 12, 70, 0, 55, 2):
-        first, second = decoded(pictures.row(row, 64))[:2]
-        assert first.mean() == pytest.approx(true[row], abs=1.5), row
-        assert (second is None) == (row >= 8)  # the other views end earlier
-    pictures.close()
 
 
 # ---- the report
