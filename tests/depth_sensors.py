@@ -1,13 +1,10 @@
 """A walking stick person, and sensors around it that report its joints with their own clocks."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from hypose.evidence.frame import SensorReport
 from hypose.fusion.joints import COMMON
 from hypose.geometry import se3, so3_exp, transform
-from hypose.synthetic.depth_scenes import DepthScene, SensorFaults
 
 # z up, facing -y, left = +x
 _REST = np.array(
@@ -67,11 +64,3 @@ def reports(rng, seconds, angles=(0, 60, -60), people=1, rate=30.0, noise=0.008,
                 # every sensor numbers persons in its own way
                 out.append(SensorReport(f"s{k}", epoch + t * drift, int(p + 10 * k), COMMON, positions, state, arrival))
     return sorted(out, key=lambda r: r.arrival)
-
-
-NO_FAULTS = SensorFaults(0, 0, 0, 0, 0, 0, 0, 0, 0, 0.1, 20)
-
-
-def without_faults(scene: DepthScene) -> DepthScene:
-    """The same scene before perfect sensors."""
-    return replace(scene, faults=NO_FAULTS)

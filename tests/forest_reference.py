@@ -1,7 +1,7 @@
 """Run a gesture forest in plain numpy: the definition that the compiled kernels are tested against.
 
 model: test (T, N, 5) int16, left (T, N) int16, share (T, N, C) uint16; T trees of N nodes, C classes, class 0 is the
-background; gestures, clip_mm, reach_mm, sigma_px, majority, disc_mm, near_mm, far_mm, thresholds (cm^2 per gesture).
+background; clip_mm.
 
 A pixel with depth d walks down every tree from node 0. At a node with test (uy, ux, vy, vx, t) it goes to node `left`
 when c(u) - c(v) < t and to `left` + 1 otherwise; left = -1 is a leaf, whose share / 10000 are the class probabilities.
@@ -47,44 +47,3 @@ def shares(
             node = np.where(left[node] >= 0, left[node] + right, node)
         total += share[node]
     return total / (10000.0 * len(model["left"]))
-
-
-def find(
-    model: dict[str, Any], depth: NDArray[np.uint16], focal_px: float, stride: int = 0
-) -> list[tuple[float, float, float]]:
-    """(x, y, score) of the best place of each gesture; score in cm^2 of surface that votes within the disc (eq. 3.5).
-
-    stride: every how many pixels to look; 0: 4 at a focal length of 575.8 px, in proportion at others.
-    """
-    h, w = depth.shape
-    stride = stride or max(1, round(4 * focal_px / 575.8))
-    rows, columns = (g.ravel() for g in np.mgrid[stride // 2 : h : stride, stride // 2 : w : stride])
-    d = depth[rows, columns]
-    seen = (d >= model["near_mm"]) & (d <= model["far_mm"])
-    p = np.zeros((len(rows), model["share"].shape[2]))
-    p[seen] = shares(model, depth, rows[seen], columns[seen], focal_px)
-    out = []
-    for k in range(1, p.shape[1]):
-        wins = p[:, 1] > model["majority"] if p.shape[1] == 2 else p.argmax(1) == k
-        vote = np.where(wins & seen, p[:, k] ** 3, 0) * (d * 0.001 * stride / focal_px) ** 2
-        density = _blurred(
-            vote.reshape(-(-(h - stride // 2) // stride), -1), model["sigma_px"] * focal_px / 575.8 / stride
-        )
-        i, j = np.unravel_index(int(density.argmax()), density.shape)
-        x, y = j * stride + stride // 2, i * stride + stride // 2
-        window = depth[max(0, y - 6) : y + 7, max(0, x - 6) : x + 7]
-        near = window[window >= 400]
-        z = float(np.percentile(near, 30)) if len(near) >= 5 else 2000.0
-        a, b = np.mgrid[: density.shape[0], : density.shape[1]]
-        inside = (a - i) ** 2 + (b - j) ** 2 <= (model["disc_mm"] * focal_px / z / stride) ** 2
-        out.append((float(x), float(y), 1e4 * float(density[inside].sum())))
-    return out
-
-
-def _blurred(image: NDArray, sigma: float) -> NDArray:
-    r = int(3 * sigma + 0.5)
-    kernel = np.exp(-0.5 * (np.arange(-r, r + 1) / sigma) ** 2)
-    kernel /= kernel.sum()
-    for axis in (0, 1):
-        image = np.apply_along_axis(lambda line: np.convolve(line, kernel)[r : r + len(line)], axis, image)
-    return image

@@ -9,9 +9,7 @@ from hypose.gestures.depth_pictures import DepthLens, millimetres
 from hypose.gestures.forest import ForestSettings
 from hypose.gestures.localise import LocaliseSettings, localise
 from hypose.gestures.online import Learner
-from tests import forest_reference as runtime
 
-from .test_forest import exported
 from .toys import LENS, grown, toy
 
 THOROUGH = ScanPlan(first=0, coarse=0)
@@ -50,22 +48,6 @@ def test_early_rejection_changes_no_detection(forest):
         depth, _, _ = toy(rng, int(rng.integers(900, 1600)))
         f, g = localise(depth, LENS, [forest], thorough)[0], localise(depth, LENS, [forest], quick)[0]
         assert np.hypot(f.x - g.x, f.y - g.y) < 1.5 and abs(f.score - g.score) < 0.1 * f.score
-
-
-def test_the_numpy_runtime_finds_the_same(forest):
-    settings = LocaliseSettings(THOROUGH)
-    model = exported(forest) | {
-        "majority": settings.majority,
-        "sigma_px": settings.sigma_px,
-        "disc_mm": settings.disc_mm,
-        "near_mm": settings.plan.near_mm,
-        "far_mm": settings.plan.far_mm,
-    }
-    depth, _, _ = toy(np.random.default_rng(6))
-    x, y, score = runtime.find(model, depth, LENS.fx)[0]
-    found = localise(depth, LENS, [forest], settings)[0]
-    assert abs(x - found.x) <= 2 and abs(y - found.y) <= 2  # its grid, without the parabola
-    assert score == pytest.approx(found.score, rel=0.05)
 
 
 def test_metres_are_recognised():
@@ -108,7 +90,3 @@ def test_one_forest_of_several_gestures_finds_each():
         hits += np.hypot(disc.x - x, disc.y - y) < 8
         hits += np.hypot(square.x - b - side / 2, square.y - a - side / 2) < 8 or a + side >= 150 or b + side >= 200
     assert hits >= 13
-    with pytest.raises(InputError, match="used alone"):
-        localise(depth, LENS, [several, several])
-    with pytest.raises(InputError, match="1 to 2"):
-        learner.show(depth, LENS, 3, 5.0, 5.0)

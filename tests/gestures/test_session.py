@@ -3,7 +3,7 @@
 import pytest
 
 from hypose.errors import InputError
-from hypose.gestures.trainer import Session, SessionSettings, advance, update_maximum
+from hypose.gestures.trainer import Session, SessionSettings, advance
 
 SETTINGS = SessionSettings(do_gesture_s=1, positive_s=2, release_s=1, negative_s=3, rounds=2)
 
@@ -42,17 +42,6 @@ def test_undo_takes_the_last_segment_back_once():
     session, seen = drive({35: ["undo", "undo"]}, until=4)  # in "release", after the positive segment
     assert [i.restart for i in seen].count(True) == 1
     assert session.undone == (1,)
-
-
-def test_undo_restores_the_threshold():
-    s = Session()
-    s, _ = advance(s, SETTINGS, 0.0, ["next"])
-    s = update_maximum(s, SETTINGS, 50.0)
-    s, _ = advance(s, SETTINGS, 0.1, ["next", "next"])
-    s = update_maximum(s, SETTINGS, 10.0)
-    assert s.threshold(SETTINGS) == pytest.approx(0.8 * 50 + 0.2 * 10)
-    s, i = advance(s, SETTINGS, 0.2, ["undo"])
-    assert i.restart and s.low is None and s.high == 50.0
 
 
 def test_pause_stops_the_clock_and_the_learning():

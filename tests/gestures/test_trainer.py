@@ -6,7 +6,7 @@ import pytest
 from benchmarks.depth_gestures.gesture_data import teach
 from hypose.gestures.forest import ForestSettings
 from hypose.gestures.localise import localise
-from hypose.gestures.online import Learner, LearnSettings
+from hypose.gestures.online import Learner
 from hypose.gestures.trainer import SessionSettings, Trainer, balanced
 
 from .test_model import toy_examples
@@ -46,20 +46,7 @@ def test_a_session_teaches_and_finds_a_threshold():
     assert accepted[shown].mean() >= 0.7 and accepted[~shown].mean() <= 0.2
 
 
-def test_undo_brings_the_forest_back_to_where_the_segment_began():
-    trainer = new_trainer()
-    drive(trainer, 10)  # within the first positive segment
-    before = [a.copy() for a in trainer._before[0][0].arrays]  # type: ignore[index]
-    assert trainer.learner.forest.arrays.seen.sum() > 0
-    e = toy_examples(1, 0)[0]
-    feedback = trainer.frame(1.0, e.depth, LENS, (e.x, e.y), ["undo"])
-    assert feedback.instruction.restart
-    for a, b in zip(before, trainer.learner.forest.arrays, strict=True):
-        np.testing.assert_array_equal(a, b)
-    assert trainer.session.undone == (1,)
-
-
-def test_what_was_taken_back_has_no_say_in_the_threshold():
+def test_what_was_taken_back_has_no_say_in_the_forest_and_the_threshold():
     examples = toy_examples(40, 6)
     whole, without = new_trainer(), new_trainer()
     for k, e in enumerate(examples):
@@ -70,11 +57,13 @@ def test_what_was_taken_back_has_no_say_in_the_threshold():
         whole.frame(1 + 0.01 * k, e.depth, LENS, (e.x, e.y), ["next"] if k in (0, 20) else [])  # negative, do_gesture
         if k < 20:
             without.learn("negative", e.depth, LENS, (0, 0))
-    before = whole.final_threshold()
+    before, forest = whole.final_threshold(), [a.copy() for a in whole.learner.forest.arrays]
     for k, e in enumerate(examples):  # another positive segment, taken back at its end
         command = {0: ["next"], 39: ["undo"]}.get(k, [])
         whole.frame(2 + 0.01 * k, e.depth, LENS, (e.x, e.y), command)  # type: ignore[arg-type]
     assert whole.session.undone == (3,)
+    for a, b in zip(forest, whole.learner.forest.arrays, strict=True):
+        np.testing.assert_array_equal(a, b)
     assert whole.final_threshold() == before == without.final_threshold()
 
 
@@ -109,15 +98,3 @@ def test_hard_negatives_are_taken_at_the_maximum_and_in_proportion_to_it():
     expected = int(np.ceil(settings.hard * min(1.0, found.score / strength)))
     assert strong.learned[0] <= expected + settings.few
     assert strong.learned[0] >= 0.8 * expected
-
-
-def test_pixels_around_the_place_are_learned_as_background():
-    depth = np.full((150, 200), 1000, np.uint16)
-    learned = {}
-    for around in (0, 10):
-        settings = LearnSettings(positives=5, around=around, random=0, hard=0, rim_mm=20, clear_mm=45)
-        learner = Learner.new(np.random.default_rng(0), None, settings)
-        taught = learner.show(depth, LENS, 1, 100.0, 75.0)
-        assert taught is not None
-        learned[around] = taught.learned
-    assert learned == {0: (0, 5), 10: (10, 5)}

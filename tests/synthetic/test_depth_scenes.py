@@ -13,7 +13,6 @@ from hypose.synthetic.depth_scenes import depth_rig, depth_scene
 from hypose.synthetic.motions import act
 from hypose.synthetic.subjects import load_subjects
 from hypose.synthetic.write_recording import walking_scene, write_depth_scene
-from tests.depth_sensors import without_faults
 
 
 @pytest.fixture(scope="module")
@@ -31,20 +30,7 @@ def test_the_same_seed_gives_the_same_maps_in_any_order(scene):
     assert not np.array_equal(other.depth_map(1, 5), scene.depth_map(1, 5))
 
 
-def test_noise_is_as_large_as_it_is_said_to_be(scene):
-    clean, person = without_faults(scene).clean_map(0, 3)
-    measured = np.stack([scene.empty_map(0, k) for k in range(40)])
-    room = scene._rooms[0]
-    floor = (room > 2.2) & (room < 2.6) & np.isfinite(measured).all(0) & (measured > 0).all(0)
-    assert floor.sum() > 300
-    sd = np.median(measured[:, floor].std(0))
-    least = scene.faults.constant_m + scene.faults.square * 2.2**2
-    assert least < sd < 6 * least  # the floor is seen at a grazing angle
-    assert person.sum() > 2000 and clean.shape == (288, 320)
-
-
 def test_sensors_by_name():
-    assert len(depth_rig("depth-3")) == 3
     front, side = (c.position for c in depth_rig("depth-2"))
     assert abs(front[:2] @ side[:2]) < 1e-9 and front[1] < 0
     for name in ("depth-0", "depth-9", "kinect"):
@@ -68,9 +54,8 @@ def test_a_recording_is_read_back_as_depth(tmp_path):
         assert np.array_equal(frame.depth.maps[0], made.depth_map(0, 2))
         assert frame.silhouettes.masks[0].sum() == pytest.approx(made.clean_map(0, 2)[1].sum(), rel=0.1)
         assert frames.image(0, 2).shape == (288, 320, 3)
-        later, earlier = frames.frame(4).depth, frames.frame(0).depth
-        assert np.array_equal(later.maps[0], made.depth_map(0, 4))
-        assert np.array_equal(earlier.maps[0], made.depth_map(0, 0))
+        for k in (4, 0):
+            assert np.array_equal(frames.frame(k).depth.maps[0], made.depth_map(0, k))
     assert np.allclose(loaded.rig[0].camera_from_world, made.rig[0].camera_from_world, atol=1e-6)
     assert se3_inverse(loaded.rig[0].camera_from_world)[2, 3] == pytest.approx(1.2, abs=1e-6)
 

@@ -13,7 +13,7 @@ from hypose.synthetic.gesture_poses import GESTURES
 LENS = (KINECT.fx, KINECT.fy, KINECT.cx, KINECT.cy)
 
 
-def wall(depth, step=None):
+def wall(depth):
     points = np.array([[-5, -5, depth], [5, -5, depth], [5, 5, depth], [-5, 5, depth]], float)
     inverse = np.zeros((480, 640), np.float32)
     depth_sensor.draw(points, np.array([[0, 1, 2], [0, 2, 3]], np.int32), LENS, inverse)
@@ -39,21 +39,7 @@ def test_the_sensor_is_right_on_average_and_coarser_far_away():
         assert abs(measured.mean() - 1000 * z) < 6 * z
         assert 0.9 < (d > 0).mean() < 1
         spread.append(measured.std())
-        # steps of an eighth of a pixel of disparity
-        values = np.unique(measured)
-        steps = np.diff(KINECT.fx * 75 / values[::-1])
-        assert np.round(steps * 8).min() >= 1
     assert spread[0] < spread[1] < spread[2]
-
-
-def test_the_projector_throws_a_shadow_on_one_side():
-    inverse = wall(2.5)
-    inverse[100:300, 250:350] = 1 / 1.2
-    d = depth_sensor.sense(inverse, KINECT.fx, np.random.default_rng(0))
-    shadow = round(KINECT.fx * 0.075 * (1 / 1.2 - 1 / 2.5))
-    right, left = d[150:250, 355 : 350 + shadow - 5], d[150:250, 245 - shadow : 245]
-    assert (right > 0).mean() < 0.1 and (left > 0).mean() > 0.9
-    assert (d[150:250, 260:340] > 0).mean() > 0.9  # the near thing itself is seen
 
 
 @pytest.mark.parametrize("name", GESTURES)

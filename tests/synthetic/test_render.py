@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 
 from hypose.compute.zbuffer import interpolate, rasterize
-from hypose.synthetic.render_rgb import blend_shaded
 from hypose.synthetic.scenes import camera_rig
 from tests import reference
 
@@ -31,20 +30,3 @@ def test_the_nearest_faces_are_those_of_the_definition(cull, rng):
     np.testing.assert_array_equal(face, number)
     np.testing.assert_allclose(1 / depth, nearest, atol=1e-5)
     assert (number >= 0).mean() > 0.5
-
-
-def test_shading_blends_by_coverage():
-    v = np.array([[-1, -1], [-1, 9], [5.49, -1], [5.49, 9]], float)
-    f = np.array([[0, 1, 2], [2, 1, 3]], np.int32)
-    s = 2
-    _, face, bary = rasterize((v + 0.5) * s - 0.5, np.ones(4), f, (8 * s, 8 * s))
-    picture = np.full((8, 8, 3), 100, np.float32)
-    values = np.column_stack([np.full((4, 3), 200.0), np.ones(4), np.zeros(4)])
-    blend_shaded(picture, face, bary, f, values, s, (0.25, 0.5, 0.1))
-    assert np.allclose(picture[3, 3], 150) and np.allclose(picture[3, 7], 100)
-    half = v.copy()
-    half[2:, 0] = 5.0
-    _, face, bary = rasterize((half + 0.5) * s - 0.5, np.ones(4), f, (8 * s, 8 * s))
-    picture[:] = 100
-    blend_shaded(picture, face, bary, f, values, s, (0.25, 0.5, 0.1))
-    assert np.allclose(picture[3, 5], 125)

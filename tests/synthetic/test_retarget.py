@@ -24,9 +24,6 @@ def test_captured_walk_and_run(mocap, person, clip, speed, flies):
     assert low.min() > -0.01 and np.median(low) < 0.02
     assert (low.max() > 0.03) == flies
     assert (p.joints[:, 4, 2] > p.joints[:, 0, 2] + 0.4).all()  # head up
-    knees = p.joints[:, [14, 17]] - (p.joints[:, [13, 16]] + p.joints[:, [15, 18]]) / 2
-    forward = p.rotations[:, :1] @ np.array([0.0, -1.0, 0.0])
-    assert (knees * forward).sum(-1).min() > -0.03  # knees bend forwards
 
 
 def test_sigma_0_is_the_motion_of_captured_people(mocap, person):

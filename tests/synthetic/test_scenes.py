@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from benchmarks.synthetic.noisy_masks import noisy
-from hypose.body.default_body import JOINT_NAMES
 from hypose.errors import InputError
 from hypose.synthetic.motions import act
 from hypose.synthetic.render_rgb import Sensor, shadow_mask
@@ -31,33 +30,16 @@ def test_rigs_see_the_whole_body(person, name):
 
 def test_rigs_are_upright_distinct_and_optionally_distorted():
     plain, bent = camera_rig("humaneva-7"), camera_rig("humaneva-7", distorted=True)
-    assert len(plain) == 7
-    for camera in plain:
-        up = camera.project([[0, 0, 0.5], [0, 0, 1.5]])
-        assert up[1, 1] < up[0, 1]  # image y points down
+    heights = [camera.project([[0, 0, 0.5], [0, 0, 1.5]])[:, 1] for camera in plain]
+    assert len(heights) == 7 and all(high < low for low, high in heights)  # image y points down
     corner = plain[0].rays(np.array([2.0, 2.0]))
     point = corner[0] + 3 * corner[1]
     assert np.linalg.norm(bent[0].project(point) - plain[0].project(point)) > 8
-    assert len(camera_rig("ring-3")) == 3
     for bad in ("ring-0", "ring-99", "mars"):
         with pytest.raises(InputError, match="humaneva-4"):
             camera_rig(bad)
     with pytest.raises(InputError, match="subjects are"):
         make_scene("walk", "nobody", "humaneva-4")
-
-
-@pytest.mark.parametrize("name", RIGS)
-def test_true_joints_lie_inside_the_clean_silhouettes(person, name):
-    s = make_scene("walk", person, name, seconds=1.0, seed=1, clothing_m=0.02)
-    inner = [
-        JOINT_NAMES.index(n)
-        for n in ("pelvis", "chest", "head", "left_knee", "right_knee", "left_elbow", "right_elbow")
-    ]
-    for t in (0, 9, 20):
-        for c, camera in enumerate(s.rig.pinhole()):
-            mask = s.clean_mask(c, t)
-            uv = np.round(camera.project(s.joints[t, inner])).astype(int)
-            assert mask[uv[:, 1], uv[:, 0]].all(), (name, t, c)
 
 
 def test_same_seed_same_scene_in_any_order(person):
@@ -70,17 +52,6 @@ def test_same_seed_same_scene_in_any_order(person):
     assert np.array_equal(a.background_frames(2, 3)[2], b.background_frames(2, 3)[2])
     other = make_scene("walk", person, "humaneva-4", seconds=1.0, seed=4)
     assert not np.array_equal(other.joints, a.joints)
-
-
-def test_mask_frames_carry_what_trackers_need(person):
-    s = scene(person)
-    frames = list(s.mask_frames(0.5))
-    assert len(frames) == 25 and frames[3].index == 3 and frames[3].time == pytest.approx(3 / 25)
-    sil = frames[3].silhouettes
-    assert sil.masks.shape == (4, 240, 320) and sil.masks.dtype == np.uint8 and sil.usable.all()
-    assert sil.rig[0].size == (320, 240) and not sil.rig[0].distortion.any()
-    full = s.clean_mask(2, 3)
-    assert sil.areas[2] == pytest.approx(full.sum() / 4, rel=0.02)
 
 
 def test_dead_camera_is_flagged_and_black(person):
