@@ -1,6 +1,6 @@
 # Needs only Python 3.11+ and pip (or uv, or python3-venv): everything goes into this folder, see scripts/bootstrap.py.
 #   make demo                        a synthetic four-camera recording, tracked and compared with the truth, in demo/
-#   make test [ARGS="-k camera"]     the fast test suite;  ARGS="-m slow": the slow one;  ARGS="--order 3": another order;
+#   make test [ARGS="-k camera"]     the fast test suite;  ARGS="-m slow": the slow one;
 #                                    ARGS="-m long": what takes minutes each, which no check runs
 #   make lint                        format, lint, types, import contracts, ceilings of size
 #   make bench [ARGS=table-2.3]      the benchmarks

@@ -1,9 +1,8 @@
 """What all tests share: real recordings when they are there, a seeded source of randomness, and the rules of a run:
-nothing is left behind, the order does not matter, and what was not tested is said at the end."""
+nothing is left behind, and what was not tested is said at the end."""
 
 import contextlib
 import os
-import random
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -104,34 +103,6 @@ def nothing_is_left_behind(home: Path | None) -> Iterator[None]:
     assert not moved, "the tests of this module have changed the working folder"
     new = sorted(look() - before)
     assert not new, f"the tests of this module have left {', '.join(new[:10])}"
-
-
-# ---- any order ----
-
-
-def pytest_addoption(parser: pytest.Parser) -> None:
-    """--order SEED."""
-    parser.addoption("--order", type=int, metavar="SEED", help="run the modules, and the tests of each, in an order")
-
-
-def shuffled(items: list[pytest.Item], seed: int) -> list[pytest.Item]:
-    """The modules in an order drawn by the seed, and in each its tests: what a module shares is made once all the
-    same."""
-    draw = random.Random(seed)
-    modules: dict[Path, list[pytest.Item]] = {}
-    for item in items:
-        modules.setdefault(item.path, []).append(item)
-    groups = list(modules.values())
-    draw.shuffle(groups)
-    for group in groups:
-        draw.shuffle(group)
-    return [item for group in groups for item in group]
-
-
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """The order that was asked for."""
-    if (seed := config.getoption("--order")) is not None:
-        items[:] = shuffled(items, seed)
 
 
 # ---- what ran last, should the process be ended ----

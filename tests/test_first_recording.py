@@ -19,12 +19,6 @@ def blocks(kind):
     return re.findall(rf"```{kind}\n(.*?)```", PAGE, re.DOTALL)
 
 
-def test_the_page_is_complete():
-    commands = [shlex.split(b)[:2] for b in blocks("sh")]
-    assert commands == [["hypose", c] for c in ("synth", "calibrate", "check", "track")]
-    assert len(blocks("toml")) == 1 and blocks("toml")[0].count("[[view]]") == 4
-
-
 @pytest.mark.long
 def test_from_four_videos_and_a_board_to_opensim(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)

@@ -8,12 +8,10 @@ from hypose.geometry import (
     procrustes,
     rotation_between,
     se3,
-    se3_inverse,
     skew,
     so3_exp,
     so3_left_jacobian,
     so3_log,
-    transform,
 )
 
 
@@ -66,14 +64,6 @@ def test_nearest_branch_is_the_same_rotation_and_nearest(rng):
     b = nearest_branch(r, reference)
     np.testing.assert_allclose(so3_exp(b), so3_exp(r), atol=1e-12)
     assert (np.linalg.norm(b - reference, axis=1) <= np.linalg.norm(r - reference, axis=1) + 1e-12).all()
-
-
-def test_rigid_motions_round_trip(rng):
-    x = rng.normal(size=(50, 6))
-    m = se3(so3_exp(x[:, :3]), x[:, 3:])
-    np.testing.assert_allclose(m @ se3_inverse(m), np.broadcast_to(np.eye(4), m.shape), atol=1e-13)
-    p = rng.normal(size=(50, 7, 3))
-    np.testing.assert_allclose(transform(se3_inverse(m), transform(m, p)), p, atol=1e-12)
 
 
 def test_rotation_between(rng):

@@ -31,9 +31,6 @@ PACKAGE = ROOT / "hypose"
 SOURCES = sorted(PACKAGE.rglob("*.py"))
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
 
-# Files over 1 MiB that are meant to be in the repository, each with the reason. None so far.
-LARGE_FILES: dict[str, str] = {}
-
 
 def _load_bootstrap():
     spec = importlib.util.spec_from_file_location("bootstrap", ROOT / "scripts" / "bootstrap.py")
@@ -142,18 +139,9 @@ def test_bootstrap_is_readable_by_an_old_python_and_needs_no_package():
     assert top_level <= set(sys.stdlib_module_names) - {"__future__", "dataclasses", "tomllib"}
 
 
-def test_unknown_commands_go_to_hypose_and_test_to_pytest(monkeypatch):
-    monkeypatch.setattr(bootstrap.os, "sched_getaffinity", lambda process: set(range(16)), raising=False)
-    several = ["-n", "4", "--dist", "loadfile"]
-    assert bootstrap.commands_of("test", ["-k", "x"], "/e", "/e/bin/python") == [
-        ["/e/bin/python", "-m", "pytest", *several, "-k", "x"]
-    ]
+def test_unknown_commands_go_to_hypose_and_test_to_pytest():
     assert bootstrap.commands_of("test", ["-n0"], "/e", "p") == [["p", "-m", "pytest", "-n0"]]
-    assert bootstrap.commands_of("test", ["--pdb"], "/e", "p") == [["p", "-m", "pytest", "--pdb"]]
-    monkeypatch.setattr(bootstrap.os, "sched_getaffinity", lambda process: {3}, raising=False)
-    assert bootstrap.commands_of("test", [], "/e", "p") == [["p", "-m", "pytest"]]
     assert [command[1:] for command in bootstrap.commands_of("track", ["rec"], "/e", "p")] == [["track", "rec"]]
-    assert len(bootstrap.commands_of("lint", [], "/e", "p")) == 6
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Ctrl-C reaches processes differently on Windows")
@@ -213,22 +201,6 @@ def test_every_option_is_declared_once():
             if isinstance(node, ast.Call) and ast.unparse(node.func) == "Option":
                 helps[ast.unparse(node.args[0])] += 1
     assert not [text for text, n in helps.items() if n > 1], "share the declaration, in hypose/options.py"
-
-
-SERVERS = {"StudioOptions", "FusionServerOptions"}
-"""Classes of servers, which tests and pages start without a command."""
-
-
-def test_no_class_of_app_declares_the_options_of_a_command_again():
-    options = {(name, o.name): o.default for name, declares in _commands(app) for o in declared(declares)}
-    for path in (PACKAGE / "app").rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
-            if not isinstance(node, ast.ClassDef) or path.name == "options.py" or node.name in SERVERS:
-                continue
-            own = {f.target.id: f.value for f in node.body if isinstance(f, ast.AnnAssign) and f.value is not None}
-            for command in {name for name, _ in options}:
-                same = [n for n, v in own.items() if repr(options.get((command, n), ...)) == ast.unparse(v)]
-                assert len(same) < 3, f"{path.name}: {node.name} declares {', '.join(same)} of hypose {command} again"
 
 
 def test_pages_and_tables_offer_options_that_commands_have():
@@ -324,44 +296,23 @@ def test_no_large_file_is_tracked():
     except (OSError, subprocess.CalledProcessError):
         missing.skip("which files are tracked", "run the tests in a git checkout")
     files = [ROOT / name for name in listed.stdout.split("\0") if name]
-    large = [p.relative_to(ROOT).as_posix() for p in files if p.is_file() and p.stat().st_size > 2**20]
-    assert sorted(large) == sorted(LARGE_FILES)
+    assert [p.relative_to(ROOT).as_posix() for p in files if p.is_file() and p.stat().st_size > 2**20] == []
 
 
-def _unsafe_uses(source):
-    """(line, what) of everything that runs code found in data: pickle and its kin, eval, exec."""
-    for node in ast.walk(ast.parse(source)):
-        if isinstance(node, ast.Import | ast.ImportFrom):
-            for name in _imported(node):
-                if name.split(".")[0] in {
-                    "pickle",
-                    "cPickle",
-                    "dill",
-                    "cloudpickle",
-                    "marshal",
-                    "shelve",
-                    "joblib",
-                }:
-                    yield node.lineno, f"imports {name}"
-        elif isinstance(node, ast.Call):
-            if isinstance(node.func, ast.Name) and node.func.id in {"eval", "exec"}:
-                yield node.lineno, f"calls {node.func.id}"
-            for keyword in node.keywords:
-                if keyword.arg == "allow_pickle" and not (
-                    isinstance(keyword.value, ast.Constant) and keyword.value.value is False
-                ):
-                    yield node.lineno, "allows pickle"
+UNSAFE = r"""(?mx) ^\s*(?:import|from)\s+(?:pickle|cPickle|dill|cloudpickle|marshal|shelve|joblib)\b
+    | (?<![.\w])(?:eval|exec)\( | allow_pickle\s*=\s*(?!False\b)"""
+"""What runs code that is found in data: pickle and its kin, eval, exec."""
 
 
 def test_no_data_is_executed():
     found = [
-        f"{path.relative_to(PACKAGE).as_posix()} {what}"
+        f"{path.relative_to(PACKAGE).as_posix()} {what.strip()}"
         for path in SOURCES
-        for _, what in _unsafe_uses(path.read_text("utf-8"))
+        for what in re.findall(UNSAFE, path.read_text("utf-8"))
     ]
     # compiled kernels, which numba keeps in no other form: hypose's own files, checked before they are loaded; and
     # OpenCap's calibrations, of which an unpickler makes arrays of numbers and nothing else
     assert sorted(found) == [
-        "compute/compiled.py imports pickle",
-        "io/calibrations/calibration_systems.py imports pickle",
+        "compute/compiled.py from pickle",
+        "io/calibrations/calibration_systems.py import pickle",
     ]

@@ -235,6 +235,12 @@ def keep_subject(subject: TrackedSubject, results: ResultsFolder, identity: Mapp
     Checkpoint(0, arrays, meta, identity).save(results.file(SUBJECT))
 
 
+def forget_run(results: ResultsFolder) -> None:
+    """Delete what only a run that is resumed needs: the checkpoint and the subject file."""
+    for left in (results.file(SUBJECT), results.checkpoint):
+        left.unlink(missing_ok=True)
+
+
 def kept_subject(results: ResultsFolder, identity: Mapping[str, Any]) -> TrackedSubject | None:
     """Load the subject that `keep_subject` wrote in the same run; None where there is none, or body.npz is missing or
     changed.

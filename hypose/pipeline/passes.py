@@ -32,7 +32,7 @@ from hypose.io.recordings.frames import FrameStream
 from hypose.pipeline import backward_pass as backwards
 from hypose.pipeline import input_checks, left_right
 from hypose.pipeline.assessment import not_shown, other_people_note
-from hypose.pipeline.first_frame import SUBJECT, SubjectOptions, TrackedSubject, keep_subject, kept_subject
+from hypose.pipeline.first_frame import SubjectOptions, TrackedSubject, keep_subject, kept_subject
 from hypose.pipeline.first_frame import find_subject as subject_in_frames
 from hypose.pipeline.frame_anomalies import against_the_clip, with_anomalies, with_repeated_points
 from hypose.pipeline.moved_sensors import PlacedSource, Places, moved_sensors
@@ -319,7 +319,9 @@ def _track(clip: ClipState, checkpoint: Path | None = None) -> ClipState:
     last = source.frame(rest.start - 1) if rest and rest.start else None
     with contextlib.closing(look_ahead(tracked_frames(source, rest, tracker.recipe.needs, subject))) as frames:
         error = session.track(frames, last, len(source), clip.progress)
-    clip = replace(clip, tracked=Tracked(one.estimates, one.member.state, session.done == len(source)))
+    clip = replace(
+        clip, tracked=Tracked(one.estimates, one.member.state, session.done == len(source) and not session.stopped)
+    )
     if error is not None and clip.results is not None:
         with contextlib.suppress(HyposeError):  # the first error is the one to report
             keep_motion(to_motion(clip))
@@ -586,18 +588,13 @@ def keypoints_in_memory(source: FrameSource) -> Sequence[Keypoints | None] | Non
 
 
 def keep_motion(clip: ClipState) -> ClipState:
-    """Put the trace into the motion, and write it where there is a results folder; delete checkpoint and subject file
-    of the run when the motion is complete.
-    """
+    """Put the trace into the motion, and write it where there is a results folder."""
     assert clip.motion is not None
     clip = replace(clip, motion=with_trace(clip.motion, clip.trace))
     if clip.results is not None and clip.motion is not None:
         save_motion(clip.motion, clip.results.motion)
         if clip.modes is not None:
             save_modes(clip.modes, clip.results.file(MODES))
-        if clip.complete:
-            for left in (clip.results.file(SUBJECT), clip.results.checkpoint):
-                left.unlink(missing_ok=True)
     return clip
 
 

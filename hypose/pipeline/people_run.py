@@ -24,7 +24,14 @@ from hypose.evidence.hull import common_view_bounds
 from hypose.evidence.hull_people import HullPerson, views_to_find
 from hypose.geometry import Array
 from hypose.io.motions.results import ResultsFolder, provenance_identity, save_motion
-from hypose.pipeline.first_frame import SubjectOptions, TrackedSubject, find_subject, keep_subject, kept_subject
+from hypose.pipeline.first_frame import (
+    SubjectOptions,
+    TrackedSubject,
+    find_subject,
+    forget_run,
+    keep_subject,
+    kept_subject,
+)
 from hypose.pipeline.frame_anomalies import in_words, looked_at
 from hypose.pipeline.input_checks import check_depth_inputs, sentences
 from hypose.pipeline.passes import ClipState, Tracked, tracker_of
@@ -111,14 +118,17 @@ class PeopleRun:
         total, first = len(self.source), session.done
         frames = (self.source.frame(t) for t in range(first, total))
         error = session.track(frames, self.source.frame(first - 1) if first else None, total, self.progress)
-        people, complete = session.people, session.done == total
-        asked = [p for p in people if p.asked_for]
-        done = [self._finished(p, people, complete) for p in asked]
+        people, complete = session.people, session.done == total and not session.stopped
+        asked, done = [p for p in people if p.asked_for], list[TrackedPerson]()
+        for p in asked:  # after an interruption the motions of the others are kept as they were tracked
+            done.append(self._finished(p, people, complete))
+            complete = done[-1].result.complete
         if error is not None and self.results is not None:
             kept = f"The {session.done} frames before are kept in {self.results.path}; see --resume."
             raise type(error)(f"{error} {kept}") from error
         if complete and self.results is not None:
-            self.results.checkpoint.unlink(missing_ok=True)
+            for folder in (self.results, *(p.results for p in people if p.results is not None)):
+                forget_run(folder)
         absent = [w.not_found for w in self.wanted if all(w.name != p.name for p in people)]
         said = (*said_of(done, self.frame_rate), *unfollowed(session.coming), *absent)
         said += said_of_places(self.wanted, len(people))
@@ -312,31 +322,27 @@ class PeopleRun:
         alone: no other person is there.
         """
         known = self._known(name)
-        o, key, results = self.options, provenance_identity(self.record), self._results_of(name)
-        subject = kept_subject(results, key) if self.resume and results is not None else None
-        if subject is None:
-            own = {
-                t: frame_of_person(self.source.frame(t), t, who, paths, rough) for t in numbers if t in paths[who].found
-            }
-            seen = least_hidden(own)
+        o = self.options
+        own = {t: frame_of_person(self.source.frame(t), t, who, paths, rough) for t in numbers if t in paths[who].found}
+        seen = least_hidden(own)
 
-            def frame_at(k: int) -> Frame:
-                t = seen[k]
-                points = None if self._points is None else self._points.at(t, paths[who].axis(t), ())
-                return replace(own[t], keypoints=None if points is None else points[1])
+        def frame_at(k: int) -> Frame:
+            t = seen[k]
+            points = None if self._points is None else self._points.at(t, paths[who].axis(t), ())
+            return replace(own[t], keypoints=None if points is None else points[1])
 
-            rate, mine = self._rate_of(numbers), None if rough is None else rough[who]
-            tried = () if mine is None else mine.starts(seen)
-            start = "hull" if self._points is None else "keypoints"
-            height = known.height or (o.height if alone else None)
-            given = known.body is not None
-            wanted = SubjectOptions(start, height, o.girths, known.body, rate, o.seed, given, not alone, tried)
-            subject = find_subject(frame_at, len(seen), wanted)
-            earlier = [own[t] for t in sorted(own, reverse=True) if t < seen[0]]
-            if earlier:  # the fitted start is in the first frame that shows the person well
-                tracker = self._tracker(replace(subject, keypoints=None))
-                *_, (state, _) = tracker.follow(tracker.start(subject.start), earlier)
-                subject = replace(subject, start=state.pose)
+        rate, mine = self._rate_of(numbers), None if rough is None else rough[who]
+        tried = () if mine is None else mine.starts(seen)
+        start = "hull" if self._points is None else "keypoints"
+        height = known.height or (o.height if alone else None)
+        given = known.body is not None
+        wanted = SubjectOptions(start, height, o.girths, known.body, rate, o.seed, given, not alone, tried)
+        subject = find_subject(frame_at, len(seen), wanted)
+        earlier = [own[t] for t in sorted(own, reverse=True) if t < seen[0]]
+        if earlier:  # the fitted start is in the first frame that shows the person well
+            tracker = self._tracker(replace(subject, keypoints=None))
+            *_, (state, _) = tracker.follow(tracker.start(subject.start), earlier)
+            subject = replace(subject, start=state.pose)
         return self._placed(name, subject)
 
     def _placed(self, name: str, subject: TrackedSubject, asked_for: bool = True) -> Followed:

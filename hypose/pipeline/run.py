@@ -21,7 +21,7 @@ from hypose.inference.layer import Recipe
 from hypose.io.files import read_json
 from hypose.io.motions.results import ResultsFolder, load_result_body, save_body, save_motion
 from hypose.pipeline.assessment import ASSESSMENT_FILE, Assessment, assess
-from hypose.pipeline.first_frame import TrackedSubject
+from hypose.pipeline.first_frame import TrackedSubject, forget_run
 from hypose.pipeline.moved_sensors import Places
 from hypose.pipeline.passes import AFTER_TRACKING, PASSES, ClipState, Pass, keep_motion, run_pass, to_motion
 from hypose.pipeline.track_loop import FrameSource, StageProgress
@@ -175,7 +175,10 @@ def track_source(
         subject=subject,
         given=subject is not None,
     )
-    return run_passes(clip, PASSES)
+    out = run_passes(clip, PASSES)
+    if out.complete and results is not None:
+        forget_run(results)
+    return out
 
 
 def finish(clip: ClipState) -> TrackResult:

@@ -117,6 +117,11 @@ class Followed:
                 return estimate.pose, since
         return None
 
+    def snapshot(self) -> dict[str, Any]:
+        """Copy the values of all fields, for `vars(self).update`; later changes of this person do not reach them."""
+        values = {n: list(v) if isinstance(v, list) else v for n, v in vars(self).items()}
+        return values | {"appearance": replace(self.appearance, met=dict(self.appearance.met))}
+
     def was_not(self, since: int, reported: str) -> None:
         """Mark that from frame `since` on another person was tracked instead; reported: how that is known."""
         last = len(self.estimates)
@@ -151,6 +156,7 @@ class TrackingSession:
     manage: called after each frame as manage(frame, seen), seen: the frame as each person's tracker saw it; it may
         add, exchange and end people (`settle` first).
     coming: (4,) per possible new person of the last look: place (2,) m, failed fits, frame of the next fit.
+    stopped: the user stopped `track`.
     """
 
     people: list[Followed]
@@ -162,6 +168,7 @@ class TrackingSession:
     keypoints: Callable[[int], Sequence[Keypoints | None]] | None = None
     manage: Callable[[Frame, Sequence[Frame]], None] = _ignore
     coming: list[Array] = field(default_factory=list)
+    stopped: bool = False
     _judging: list[Future[list[FrameEstimate]]] = field(default_factory=list)
 
     @property
@@ -190,7 +197,8 @@ class TrackingSession:
                 for t in range(saved, total):
                     progress("track", t, total)
                     frame = next(frames)
-                    self.step(frame, last, pool)
+                    with self._all_or_nothing():
+                        self.step(frame, last, pool)
                     last = frame
                     # each checkpoint holds all frames, so it is written ever less often: the total work stays linear
                     if self.checkpoint is not None and t + 1 - saved >= max(self.every, saved // 20) and t + 1 < total:
@@ -200,6 +208,7 @@ class TrackingSession:
             except KeyboardInterrupt:
                 if not self.done:
                     raise
+                self.stopped = True
             except HyposeError as problem:
                 if not self.done or self.checkpoint is None:
                     raise
@@ -209,6 +218,19 @@ class TrackingSession:
             with contextlib.suppress(*(() if error is None else (HyposeError,))):  # the first error counts
                 self.save(self.checkpoint)
         return error
+
+    @contextlib.contextmanager
+    def _all_or_nothing(self) -> Iterator[None]:
+        """Take back a frame that an error or a KeyboardInterrupt ended half way, so a resumed run does it whole."""
+        people, coming, judging = list(self.people), self.coming, list(self._judging)
+        before = [p.snapshot() for p in people]
+        try:
+            yield
+        except BaseException:
+            self.people[:], self.coming, self._judging = people, coming, judging
+            for p, values in zip(people, before, strict=True):
+                vars(p).update(values)
+            raise
 
     def step(self, frame: Frame, last: Frame | None, pool: ThreadPoolExecutor) -> None:
         """Track the next frame; its statistics are computed in `pool`.
@@ -261,11 +283,12 @@ class TrackingSession:
     def settle(self) -> None:
         """Wait for the statistics of the last frame; call it before the estimates are changed or read whole."""
         while self._judging:
-            for p, e in zip(self.people, self._judging.pop().result(), strict=True):
+            for p, e in zip(self.people, self._judging[-1].result(), strict=True):
                 p.estimates[-1] = e
                 _LOG.debug(
                     "frame %d %s: cost %.3f, %d views%s", self.done - 1, p.name, e.cost, e.n_views, " lost" * e.lost
                 )
+            self._judging.pop()
 
     def save(self, path: Path) -> None:
         """Write the state of all people as a checkpoint."""

@@ -1,7 +1,6 @@
 """`hypose batch`: tables read and refused, tasks that know what is finished, workers that are killed."""
 
 import csv
-import json
 import os
 import shutil
 import signal
@@ -16,7 +15,7 @@ import pytest
 
 from benchmarks.robustness.programs import workers_of
 from benchmarks.robustness.small_recordings import small_scene, write_masks
-from hypose.app.batch import COLUMNS, finished_metrics, ordered_tasks, read_table, run_batch, run_task, write_table
+from hypose.app.batch import COLUMNS, ordered_tasks, read_table, run_batch, run_task, write_table
 from hypose.app.options import TrackCommand
 from hypose.errors import InputError
 from hypose.io.motions.results import load_motion
@@ -122,23 +121,6 @@ def test_the_table_has_every_task_and_no_formula(tmp_path):
 
 
 # ---- running ---------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_a_task_is_stopped_in_order_and_goes_on(study, tmp_path):
-    task, stop = tasks_of(table(study, tmp_path), tmp_path / "out")[0], tmp_path / "stop"
-
-    def stop_soon(done):
-        if done > 0:
-            stop.touch()
-
-    assert "frames are kept" in run_task(task, stop, stop_soon)["message"]
-    assert finished_metrics(task) is None
-    assert run_task(task, stop, stop_soon)["state"] == "stopped"
-    stop.unlink()
-    done = run_task(task, stop, lambda done: None)
-    assert done["state"] == "done" and done["frames"] == 60
-    assert finished_metrics(task) == json.loads((task.results / "task.json").read_text()) == done
 
 
 @pytest.mark.slow

@@ -10,6 +10,7 @@ from hypose.app.jobs.correct import read_correction
 from hypose.errors import InputError
 from hypose.io.motions.results import load_body, load_motion
 from hypose.pipeline.comparison import compare_with_truth
+from tests.app.conftest import fails
 
 FRAME = 3
 
@@ -72,18 +73,17 @@ def test_a_correction_reaches_back_as_far_as_it_says(result, recording, hypose):
 def test_what_cannot_be_corrected_is_said(result, recording, hypose, tmp_path):
     results, motion = result
 
-    def said(*arguments):
-        code, _, err = hypose("correct", *arguments)
-        assert code == 2
-        return " ".join(err.split())
-
-    assert "not part of this result" in said(results, clicks(recording, 8, motion.poses[0]))
-    assert "not part of this result" in said(results, clicks(recording, 3, motion.poses[0]), "--until", 3)
-    assert "not part of this result" in said(results, clicks(recording, 3, motion.poses[0], since=4))
-    assert "whole numbers" in said(results, clicks(recording, 3, motion.poses[0], until="end"))
-    assert "another body" in said(results, clicks(recording, 3, motion.poses[0][:-1]))
-    assert "folder of its own" in said(results, clicks(recording, 3, motion.poses[0]), "--out", results)
-    assert "lies in no recording" in said(shutil.copytree(results, tmp_path / "alone"), clicks(recording, 3, [0.0]))
+    pose, alone = motion.poses[0], shutil.copytree(results, tmp_path / "alone")
+    for wrong, folder, frame, clicked, about, more in (
+        ("not part of this result", results, 8, pose, {}, ()),
+        ("not part of this result", results, 3, pose, {}, ("--until", 3)),
+        ("not part of this result", results, 3, pose, {"since": 4}, ()),
+        ("whole numbers", results, 3, pose, {"until": "end"}, ()),
+        ("another body", results, 3, pose[:-1], {}, ()),
+        ("folder of its own", results, 3, pose, {}, ("--out", results)),
+        ("lies in no recording", alone, 3, [0.0], {}, ()),
+    ):
+        fails(hypose("correct", folder, clicks(recording, frame, clicked, **about), *more), wrong)
     for text in ("", "{}", "[1]", '{"format": "hypose-clicks", "frame": 1, "pose": ["x"]}'):
         (tmp_path / "bad.json").write_text(text)
         with pytest.raises(InputError, match=r"clicked pose|empty"):

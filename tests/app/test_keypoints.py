@@ -73,23 +73,6 @@ def prepared(keypoint_recording, monkeypatch):
     return keypoint_recording, put
 
 
-@pytest.mark.slow
-def test_detected_key_points_are_tracked(hypose, prepared, tmp_path):
-    recording, put = prepared
-    detector = put()
-    code, out, err = hypose("keypoints", recording, "--detector", "any")
-    assert code == 0, err
-    assert detector.looked == 4 * 30 and "--evidence both" in out
-    loaded = load_recording(recording)
-    assert loaded.keypoint_set == "BLAZEPOSE_33" and any("hypose keypoints wrote" in n for n in loaded.notes)
-    given = ("--evidence", "both", "--out", tmp_path / "r", "--formats", "trc", "--no-overlay")
-    code, _, err = hypose("track", recording, *given)
-    assert code == 0, err
-    motion, truth = load_motion(tmp_path / "r" / "motion.npz"), np.load(recording / "truth.npz")["joints"]
-    at = [motion.skeleton.joint(n) for n in ("left_knee", "right_knee", "left_elbow", "right_wrist", "left_ankle")]
-    assert np.median(np.linalg.norm(motion.joints[:, at] - truth[:, at], axis=-1)) < 0.06
-
-
 def test_an_interrupted_detection_goes_on(hypose, prepared):
     recording, put = prepared
     command = ("keypoints", recording, "--detector", "any")
@@ -101,13 +84,9 @@ def test_an_interrupted_detection_goes_on(hypose, prepared):
     assert loaded.keypoint_set is None and any("not complete" in n for n in loaded.notes)
     put(identity={"model": "another"})
     fails(hypose(*command, "--resume"), "another model, version or setting")
-    again, made = put(skip=40), []
-    for more in (["--resume"], []):
-        code, _, err = hypose(*command, *more)
-        assert code == 0 and again.looked == (80 if more else 120), err
-        made.append(load_keypoints(load_recording(recording)))
-        again = put()
-    assert all((a.points == b.points).all() for a, b in zip(*made, strict=True))
+    again = put(skip=40)
+    assert hypose(*command, "--resume")[0] == 0 and again.looked == 80
+    assert load_recording(recording).keypoint_set == "BLAZEPOSE_33"
 
 
 def test_scaled_and_shifted_pictures_give_points_of_the_calibration(hypose, prepared):

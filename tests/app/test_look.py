@@ -69,12 +69,6 @@ def test_synth_writes_what_was_asked_for(hypose, tmp_path):
         assert truth["joints"].shape == (6, 19, 3)
 
 
-def test_help_and_version(hypose):
-    code, out, _ = hypose("--help")
-    assert code == 0 and all(c in out for c in ("demo", "check", "silhouettes", "track", "export", "synth"))
-    assert re.match(r"hypose \S+", hypose("--version")[1])
-
-
 # ---- report
 
 

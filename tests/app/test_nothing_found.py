@@ -116,21 +116,6 @@ def test_one_camera_is_named_and_what_can_be_done_with_it(hypose, masks, tmp_pat
     assert code == 0 and "There is one camera" in out and "visual hull" not in out + err
 
 
-def test_of_labelled_things_the_person_is_found(hypose, masks, spoilt, tmp_path):
-    """Label 2 is something in a corner of every picture: not a part of the person, and no reason to stop."""
-
-    def labelled(mask):
-        mask[:20, :20] = 2
-        return mask
-
-    code, _, err = hypose("silhouettes", spoilt(labelled), "--out", tmp_path / "out")
-    assert code == 0, err
-    for name in ("cam1/000000.png", "cam4/000002.png"):
-        was = cv2.imread(str(masks / name.replace("/0", "/")), 0) > 0
-        was[:20, :20] = False
-        assert ((cv2.imread(str(tmp_path / "out" / name), 0) > 0) == was).all()
-
-
 @pytest.fixture
 def without_room(recording):
     """A recording without backgrounds, too short for the person to leave their place."""

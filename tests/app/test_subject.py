@@ -8,6 +8,7 @@ import pytest
 
 from benchmarks.synthetic.scans import scan_of
 from hypose.io.motions.results import load_body, load_motion
+from hypose.pipeline.assessment import EXIT_UNTRUSTED
 from hypose.synthetic.subjects import load_subjects
 
 
@@ -33,8 +34,10 @@ def test_a_scan_is_rigged_and_tracked(hypose, tiny, tmp_path):
     body = load_body(tmp_path / "anna" / "body.npz")
     assert body.stature == pytest.approx(subject.stature, abs=0.02)
     code, _, err = hypose(*("track", tiny, "--subject", tmp_path / "anna", "--out", tmp_path / "out", "--no-overlay"))
-    assert code == 0, err
+    assert code in (0, EXIT_UNTRUSTED), err  # arms of a few pixels may be right and not trusted
     motion = load_motion(tmp_path / "out" / "motion.npz")
+    away = np.linalg.norm(motion.joints - np.load(tiny / "truth.npz")["joints"], axis=-1)
+    assert away.mean() < 0.08
     # the tracked body is the scan, not the template
     np.testing.assert_allclose(motion.skeleton.rest_offsets, body.skeleton.rest_offsets)
     assert len(motion.times) == 8 and float(np.nanmean(motion.cost)) < 0.35

@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 
 import hypose
-from hypose.compute import warming
 from hypose.io.keypoints import detectors
 from hypose.io.videos import video
 from tests.app.studio.conftest import serving
@@ -113,10 +112,8 @@ def test_every_process_of_the_package_has_a_safe_path_and_a_folder_of_ours(evil,
     with pytest.raises(Began):
         detectors.fetch_models()
     with pytest.raises(Began):
-        warming._in_another_process("solver", [])
-    with pytest.raises(Began):
         video.read_sound(Path("clip.mp4"))
-    assert len(began) == 3
+    assert len(began) == 2
     for command, place in began:
         assert {"-P", "-I"} & set(command) or command[0] == "ffmpeg" and str(evil / "clip.mp4") in command
         assert place.is_relative_to(Path(hypose.__path__[0]))

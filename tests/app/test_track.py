@@ -21,7 +21,7 @@ from hypose.io.motions.results import load_body, load_motion
 from hypose.io.videos.video import open_video
 from hypose.pipeline.assessment import UNTRUSTED, Assessment
 from hypose.synthetic.metrics import joint_errors
-from tests.app.conftest import fails, write_tiny
+from tests.app.conftest import write_tiny
 from tests.conftest import HANG_S
 
 LIGHT = ("--no-overlay", "--formats", "trc")
@@ -83,13 +83,6 @@ def test_ctrl_c_after_tracking_keeps_the_motion_and_resume_writes_the_rest(
     assert code == 0 and "Track:" not in err  # it was not tracked again
     assert (tmp_path / "out" / "motion.npz").read_bytes() == (tracked / "motion.npz").read_bytes()
     assert {p.name for p in (tmp_path / "out").iterdir()} == set(DESCRIPTIONS) - {"modes.npz"}  # of one camera only
-
-
-def test_resume_with_other_settings_is_refused(hypose, interrupted, tiny, tmp_path):
-    arguments = ("track", tiny, "--out", tmp_path / "out", "--frames", ":2", *LIGHT)
-    assert interrupted("track", 1, *arguments)[0] == 130
-    refused = hypose(*arguments, "--resume", "--seed", "7")
-    fails(refused, "belongs to another run: seed", "run again without --resume")
 
 
 @pytest.mark.slow

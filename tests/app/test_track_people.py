@@ -9,11 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from hypose.evidence.depth_people import people_seen
-from hypose.io.recordings.recording import load_recording
 from hypose.io.sensors.depth import read_depth_png, write_depth_png
-from hypose.pipeline.one_of_several import frames_to_examine, people_frames
-from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.depth_scenes import depth_scene
 from hypose.synthetic.motions import act
 from hypose.synthetic.scenes import camera_rig, make_scene
@@ -73,18 +69,6 @@ def test_one_person_is_asked_for_by_name(hypose, two, tmp_path):
     assert people_in(tmp_path) == ["Bert"] and np.linalg.norm(where(tmp_path / "Bert") - PLACES["Bert"]) < 0.1
 
 
-@pytest.mark.slow
-def test_of_who_is_not_at_their_place_it_is_said(hypose, two, tmp_path):
-    recording = shutil.copytree(two, tmp_path / "two")
-    toml = (recording / "recording.toml").read_text(encoding="utf-8")
-    (recording / "recording.toml").write_text(
-        toml.replace("place = [0.8, 0.2]", "place = [9.0, 9.0]"), encoding="utf-8"
-    )
-    code, out, err = hypose("track", recording, "--people", "Anna", "--out", tmp_path / "out", *LIGHT)
-    assert code == 3 and "nobody was found who is Anna at [9, 9] m" in out + err
-    assert "Bert" in people_in(tmp_path / "out")
-
-
 @pytest.mark.parametrize("who", ["Carl", "0", "two"])
 def test_who_is_nobody_is_refused_with_the_names_there_are(hypose, two, who):
     fails(hypose("track", two, "--people", who), "Anna, Bert")
@@ -125,16 +109,6 @@ def test_one_of_several_is_tracked_and_the_others_are_told(hypose, unknown_room,
     assert code == 0, err
     assert "another person is in the masks and left out" in out + err
     assert np.linalg.norm(where(tmp_path / "out") - PLACES["Anna"]) < 0.1
-
-
-@pytest.mark.parametrize("folder", ["two_in_depth", "unknown_room"])
-def test_people_are_seen_with_and_without_the_empty_room(request, folder):
-    recording = load_recording(request.getfixturevalue(folder))
-    frames, several = frames_to_examine(recording)
-    with frames, people_frames(recording, TrackOptions()) as all_people:
-        assert several and len(people_seen(frames.frame(2))) == 2
-        found = [person.axis for person in people_seen(all_people.frame(2))]
-    assert all(min(np.linalg.norm(axis - place) for axis in found) < 0.2 for place in PLACES.values())
 
 
 def test_key_points_do_not_tell_people_before_depth_cameras_apart(hypose, two_in_depth):

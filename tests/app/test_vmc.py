@@ -9,7 +9,6 @@ from hypose.app.live.osc import osc_bundles
 from hypose.app.live.vmc import VMC_BONES
 from hypose.body.default_body import human
 from hypose.body.motion import Motion, isotropic
-from hypose.errors import InputError
 from hypose.fusion.fuse import points_motion
 from hypose.fusion.joints import COMMON
 from hypose.io.motions.results import save_body, save_motion
@@ -115,12 +114,6 @@ def test_frames_come_at_their_pace_and_late_ones_are_left_out(moving):
     with pytest.raises(KeyboardInterrupt):
         play_motion(*moving, slow, loop=True, wait=time.wait, clock=lambda: time.now)
     assert np.ptp(np.diff(sent)) < 0.04 and sent[-1] == pytest.approx(39 * 0.05, abs=0.05)
-
-
-def test_a_motion_without_poses_is_refused(moving):
-    motion, body = moving
-    with pytest.raises(InputError, match="no poses"):
-        play_motion(Motion(**{**motion.__dict__, "poses": None}), body, lambda m: None)
 
 
 def test_the_command_plays_results(moving, tmp_path, hypose):

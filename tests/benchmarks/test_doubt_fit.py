@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.multiview.doubt_fit import Rows, auroc, ece, in_clip, said
+from benchmarks.multiview.doubt_fit import Rows, ece, in_clip, said
 from benchmarks.multiview.spread_fit import UNSEEN, covered, fit_joint, level_error, squares
 from hypose.synthetic.metrics import EVALUATED
 from hypose.tracking.error_features import FEATURES
@@ -15,13 +15,6 @@ from hypose.tracking.error_model import (
     ErrorModel,
 )
 from tests.tailed import tailed
-
-
-def test_area_under_the_curve():
-    assert auroc([0.1, 0.2, 0.9, 0.8], [0, 0, 1, 1]) == 1.0
-    assert auroc([0.9, 0.8, 0.1, 0.2], [0, 0, 1, 1]) == 0.0
-    assert auroc([0.5] * 4, [0, 1, 0, 1]) == 0.5
-    assert np.isnan(auroc([0.1, 0.2], [0, 0]))
 
 
 def test_what_joints_are_worth_in_a_doubtful_clip_is_found():

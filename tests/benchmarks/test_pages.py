@@ -6,11 +6,8 @@ import re
 import pytest
 
 from benchmarks import pages
-from benchmarks.bench_list import benchmarks, find_benchmark, kept_name, run_benchmark
-from benchmarks.bench_origin import ROOT, YARDSTICK
-from benchmarks.bench_report import BenchReport, Row
+from benchmarks.bench_list import benchmarks, find_benchmark, kept_name
 from benchmarks.targets import TARGETS, Figure
-from hypose.errors import InputError
 
 KEPT = pages.documents()
 
@@ -22,16 +19,6 @@ def test_every_benchmark_is_on_the_page_and_every_shown_figure_is_kept():
         if benchmark.name in KEPT:
             rows = pages.rows_of(KEPT[benchmark.name])
             assert [f for f in benchmark.figures if (f.metric, f.case) not in rows] == []
-
-
-def test_the_accuracy_page_takes_its_numbers_from_kept_documents(tmp_path, monkeypatch):
-    kept = {"a": {"results": [{"metric": "error_mm", "case": "all", "value": 0.1234}]}}
-    monkeypatch.setattr(pages, "TEMPLATE", tmp_path / "accuracy.md")
-    pages.TEMPLATE.write_text("{a | error_mm | all} m, {a | error_mm | all | *100} cm")
-    assert pages.accuracy_page(kept) == "0.12 m, 12.3 cm"
-    pages.TEMPLATE.write_text("{a | error_mm | one}")
-    with pytest.raises(InputError, match="error_mm"):
-        pages.accuracy_page(kept)
 
 
 @pytest.mark.parametrize("name", KEPT)
@@ -69,32 +56,3 @@ ROWS = {
 )
 def test_a_target_is_met_or_missed(figure, met):
     assert figure.met(ROWS) is met
-
-
-def test_a_document_says_what_was_called_and_compares_speeds(monkeypatch):
-    from benchmarks import bench_list
-
-    rows = (
-        Row("ms_per_frame", "a", 2.0, "ms"),
-        Row("recovery_s", "a", float("inf"), "s"),
-        Row("frames_per_second", "a", 10.0, "1/s"),
-    )
-    made = bench_list.Benchmark(lambda options: BenchReport(rows, {"x": 1}), "seeds", "data")
-    monkeypatch.setattr(bench_list, "benchmarks", lambda: {"a": {"": made}})
-    monkeypatch.setattr(bench_list, "yardstick", lambda: 500.0)
-    document = run_benchmark("a", seeds=2, data=ROOT)
-    assert document["command"] == "./run bench a --seeds 2 --data DATA" and document["settings"] == {
-        "x": 1,
-        "quick": False,
-    }
-    assert [r["ratio"] for r in document["results"]] == [4.0, None, 0.005]
-    assert [r["baseline"] for r in document["results"]] == [YARDSTICK, None, YARDSTICK]
-    assert [r["value"] for r in document["results"]] == [2.0, None, 10.0]
-
-
-def test_quick_figures_and_figures_of_unknown_code_are_not_kept(monkeypatch):
-    with pytest.raises(InputError, match="without --quick"):
-        pages.check_keep(True)
-    monkeypatch.setattr(pages, "commit", lambda: None)
-    with pytest.raises(InputError, match="git checkout"):
-        pages.check_keep(False)

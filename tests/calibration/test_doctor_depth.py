@@ -73,15 +73,6 @@ def test_cameras_that_see_past_the_person_are_reported_once(depths):
         assert found.fault and found.kind == "places" and found.views == ("depth1", "depth2")
 
 
-def test_the_check_reports_the_maps_and_not_the_masks_made_of_them():
-    frames = frames_of(count=8)
-    wrong = [mirrored(f.depth, [0, 1]) for f in frames]
-    masks = [replace(f.silhouettes, masks=f.silhouettes.masks[:, :, ::-1].copy()) for f in frames]
-    report = examine(Observed(frames[0].depth.rig, silhouettes=masks, depths=wrong))[0]
-    assert [f.kind for f in report.findings] == ["places"]
-    assert "mirrored" not in [f.kind for f in examine(_of(frames))[0].findings]
-
-
 def test_one_camera_is_examined_by_its_floor():
     frames = frames_of("depth-1", count=2)
     rig = frames[0].depth.rig

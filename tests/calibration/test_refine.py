@@ -20,7 +20,7 @@ from hypose.compute.parts import covered
 from hypose.errors import EvidenceError
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.evidence.terms import contour_term
-from hypose.geometry import se3, so3_exp, transform
+from hypose.geometry import se3, so3_exp
 from hypose.synthetic.scenes import camera_rig as named_rig
 from hypose.tracking.starts import known_pose
 
@@ -31,18 +31,6 @@ def turned(rig, c, degrees, move):
     r = so3_exp(np.radians(degrees)) @ camera.camera_from_world[:3, :3]
     cameras[c] = replace(camera, camera_from_world=se3(r, -r @ (camera.position + move)))
     return CameraRig(tuple(cameras))
-
-
-def test_gauge_lets_the_one_camera_go_that_moved(rng):
-    rig = named_rig("ring-5").pinhole()
-    points = rng.normal(0, 0.4, (50, 3)) + [0, 0, 1]
-    world = se3(so3_exp([0.05, -0.02, 0.1]), [0.2, -0.1, 0.05])
-    moved = transform_rig(turned(rig, 2, [0, 3, 0], [0.1, 0, 0]), world)
-    back = transform_rig(moved, gauge(moved, rig, transform(world, points)))
-    found = changes(rig, back, points)
-    others = [f for k, f in enumerate(found) if k != 2]
-    assert found[2].turn_deg == pytest.approx(3, abs=0.15) and max(f.turn_deg for f in others) < 0.15
-    assert max(f.move_m for f in others) < 0.01
 
 
 def noisy_points(rig, rng, n=400, sd=1.0):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hypose.body.default_body import human
-from hypose.compute.depth_costs import SeenDepth, depth_energy, limb_depth_energy, limb_shown, standing_depth
+from hypose.compute.depth_costs import SeenDepth, depth_energy, limb_depth_energy, standing_depth
 from hypose.tracking.starts import known_pose
 from tests.depth_pictures import drawn, sensors
 
@@ -77,32 +77,3 @@ def test_a_limb_that_moves_alone_costs_as_the_whole_body(case, rng):
     found = limb_energy(poses, seen, moving, threads=2)
     assert np.abs(found - energy(poses, seen)).max() < 1e-5
     assert np.array_equal(found, limb_energy(poses, seen, moving, threads=1))
-
-
-def test_a_rough_look_ranks_limbs_as_a_close_one_does(case, rng):
-    pose, _, seen = case
-    moving = limb("left_shoulder", "left_elbow")
-    poses = np.stack([BODY.skeleton.clamp(pose + 0.5 * rng.normal(size=len(pose))) for _ in range(80)])
-    poses = np.where(moving[BODY.skeleton.tree.joint_of_dof], poses, pose)
-    rough, close = (limb_energy(poses, seen, moving, rough=r).sum(1) for r in (True, False))
-    assert np.corrcoef(rough.argsort().argsort(), close.argsort().argsort())[0, 1] > 0.8
-
-
-def shown(pose, seen, moving):
-    given = BODY.skeleton.tree, BODY.coarse.arrays, seen
-    standing = standing_depth(pose, *given, MOST, moving)
-    shoulder = pose[:3] + standing.centres[BODY.skeleton.joint("left_shoulder")]
-    return limb_shown(*given, standing, shoulder, 0.75, 0.08)
-
-
-def test_an_arm_is_shown_where_it_is_and_beside_it_where_it_is_not(case):
-    pose, _, seen = case
-    moving = limb("left_shoulder", "left_elbow")
-    found = shown(pose, seen, moving)
-    in_sight, agreed, beside = found.T
-    assert found.shape == (len(seen.maps), 3) and in_sight[0] == pytest.approx(0.055, abs=0.03)
-    assert (agreed > 0.9 * in_sight).all() and (beside < 0.01).all()
-    other = pose.copy()
-    other[BODY.skeleton.dofs_of("left_shoulder")] -= (0, 1.2, 0)
-    in_sight, agreed, beside = shown(other, seen, moving).T
-    assert agreed[0] < 0.7 * in_sight[0] and beside[0] > 0.02

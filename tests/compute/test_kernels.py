@@ -84,16 +84,6 @@ def test_a_damaged_file_is_compiled_again_and_said_once(place, caplog, damage):
     ]
 
 
-def test_a_place_that_cannot_be_written_costs_time_only(place, caplog, monkeypatch):
-    blocked = place / "file"
-    blocked.write_text("")
-    monkeypatch.setattr(compiled, "cache_folder", lambda: blocked)
-    assert compiled_anew() == (5.0, True)
-    assert compiled_anew() == (5.0, True)
-    messages = [r.message for r in caplog.records]
-    assert len(messages) == len(set(messages)) <= 2 and any("compiles it again" in m for m in messages)
-
-
 def test_a_full_disk_leaves_no_half_file(place, caplog, monkeypatch):
     def full(self, data):
         with open(self, "wb") as file:

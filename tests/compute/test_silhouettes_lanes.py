@@ -5,7 +5,6 @@ import pytest
 
 from hypose.compute.arrays import MeshArrays, prepare_masks
 from hypose.compute.scorer import silhouette_xor
-from hypose.errors import InputError
 from tests import reference
 from tests.capsule_person import random_pose, ring
 from tests.compute.conftest import prepared_masks
@@ -57,17 +56,6 @@ def test_a_pose_counts_the_same_alone_and_in_any_place_of_a_block(body, scene, o
     np.testing.assert_array_equal(together, alone)
     np.testing.assert_array_equal(score(body, poses[::-1], prepared, threads=3, **options)[::-1], together)
     assert score(body, poses[:0], prepared, **options).shape == (0, 3, 3)
-
-
-def test_no_faces_and_all_faces(body, scene):
-    poses, prepared = scene
-    f = len(body.coarse.faces)
-    none = score(body, poses, prepared, faces=np.zeros(f, bool))
-    np.testing.assert_array_equal(none[..., 1:], 0)
-    np.testing.assert_array_equal(none[..., 0], np.broadcast_to(prepared.areas, none.shape[:2]))
-    np.testing.assert_array_equal(score(body, poses, prepared, faces=np.ones(f, bool)), score(body, poses, prepared))
-    with pytest.raises(InputError, match="truth value per face"):
-        score(body, poses, prepared, faces=[True])
 
 
 def test_kept_plans_do_not_keep_vertices(body, scene):

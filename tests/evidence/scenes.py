@@ -6,6 +6,7 @@ import numpy as np
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.evidence.frame import Silhouettes
 from hypose.geometry import se3
+from hypose.tracking.starts import known_pose
 
 
 def ring(count=4, radius=3.5, height=1.2, size=(320, 240), focal=260.0, target=(0.0, 0.0, 0.9), start=0.3):
@@ -43,6 +44,24 @@ def solid_masks(rig, inside_points):
     return Silhouettes(np.stack(masks), rig, np.ones(len(rig), bool), ("",) * len(rig))
 
 
+def on_floor(body, place):
+    """The pose (D,) of a body that stands on the floor at a place (2,) m."""
+    pose = known_pose(body, "standing")
+    pose[:3] = *place, 0.0
+    pose[2] -= body.skin(pose)[:, 2].min()
+    return pose
+
+
+def masks_of(shapes, rig):
+    """The union of the masks of bodies."""
+    size = rig.sizes.max(0)
+    masks = np.zeros((len(rig), size[1], size[0]), np.uint8)
+    for shape in shapes:
+        for c, (y0, y1, x0, x1) in enumerate(shape.boxes):
+            masks[c, y0:y1, x0:x1] |= shape.drawn(c)
+    return Silhouettes(masks, rig, np.ones(len(rig), bool), ("",) * len(rig))
+
+
 def room(rng, shape=(240, 320), grey=False):
     """A textured picture."""
     low = rng.integers(70, 200, (shape[0] // 20, shape[1] // 20, 1 if grey else 3)).astype(np.float32)
@@ -75,4 +94,5 @@ def picture(rng, background, mask, shadow=0.65, grey=False, noise=3.0):
 
 
 def iou(a, b):
-    return (a & b).sum() / (a | b).sum()
+    """Intersection over union of two masks, which are where they are not 0."""
+    return ((a > 0) & (b > 0)).sum() / ((a > 0) | (b > 0)).sum()

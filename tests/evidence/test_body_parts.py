@@ -1,4 +1,4 @@
-"""Parts of the body on the hull's surface: normals, visibility, probability, clusters, assignment; and skin colour."""
+"""Parts of the body on the hull's surface: normals, visibility, probability, clusters; and skin colour."""
 
 from types import SimpleNamespace
 
@@ -8,7 +8,6 @@ import pytest
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.body_parts import (
     ClusterSettings,
-    assign_ends,
     detect_ends,
     likely_clusters,
     surface_probability,
@@ -93,18 +92,6 @@ def test_clusters_are_told_apart_and_sized():
     assert np.abs(centres - spots[:2]).max() < 0.02
     assert score == pytest.approx([0.8, 0.8])
     assert len(likely_clusters(surface, 0.1 * probability)[0]) == 0
-
-
-def test_assignment_takes_as_many_as_possible_then_the_nearest():
-    """Alcoverro 2014, eq. 2.19: by hand."""
-    ends = np.array([[0.0, 0, 0], [0.3, 0, 0], [0, 0, 1.0]])
-    limits = np.array([0.35, 0.35, 0.25])
-    # greedy would give the first point to end 1 (0.05 m) and leave the second without one
-    points = np.array([[0.25, 0, 0], [0.6, 0, 0]])
-    assert assign_ends(points, ends, limits).tolist() == [0, 1]
-    assert assign_ends([[0, 0, 1.3]], ends, limits).tolist() == [-1]
-    assert assign_ends([[0, 0, 1.2], [0.02, 0, 0], [0.31, 0, 0]], ends, limits).tolist() == [2, 0, 1]
-    assert assign_ends(np.zeros((0, 3)), ends, limits).tolist() == []
 
 
 def test_ends_are_found_from_maps_and_masks(ring):

@@ -25,6 +25,7 @@ from hypose.synthetic.scenes import look_at
 from hypose.synthetic.subjects import load_subjects
 from hypose.tracking.starts import known_pose
 from tests.depth_pictures import frame_of, seen_in_room, sensors
+from tests.evidence.scenes import iou
 
 
 def standing(place=(0.0, 0.0, 0.95)):
@@ -68,22 +69,18 @@ def scene():
     return depth_scene(p, subject, "depth-2", seed=3)
 
 
-def overlap(a, b):
-    return ((a > 0) & (b > 0)).sum() / ((a > 0) | (b > 0)).sum()
-
-
 def test_the_person_before_a_room_that_was_learnt(scene):
     rooms = empty_rooms(scene, 8)
     for view in (0, 1):
         found = person_before(scene.depth_map(view, 4), rooms[view])
-        assert overlap(found, scene.clean_map(view, 4)[1]) > 0.9
+        assert iou(found, scene.clean_map(view, 4)[1]) > 0.9
         assert person_before(scene.empty_map(view, 99), rooms[view]).sum() < 60
 
 
 def test_the_person_on_the_floor_where_the_room_is_not_known(scene):
     for view in (0, 1):
         found = person_on_floor(scene.depth_map(view, 4), scene.rig[view])
-        assert overlap(found, scene.clean_map(view, 4)[1]) > 0.85
+        assert iou(found, scene.clean_map(view, 4)[1]) > 0.85
     assert person_on_floor(np.zeros((288, 320), np.float32), scene.rig[0]).sum() == 0
     floor = np.where(scene.empty_map(0, 5) < 2.6, scene.empty_map(0, 5), 0).astype(np.float32)
     assert person_on_floor(floor, scene.rig[0]).sum() == 0
@@ -115,8 +112,8 @@ def test_things_that_were_not_in_the_empty_room_are_told_by_who_walks_about():
         furnished, area = with_still_things(room, [chair.depth_map(view, k) for k in at], camera)
         assert 0.2 < area < 0.6
         truth = chair.clean_map(view, 25)[1]
-        assert overlap(person_before(chair.depth_map(view, 25), furnished, camera.K[0, 0]), truth) > 0.85
-        assert overlap(person_before(chair.depth_map(view, 25), room, camera.K[0, 0]), truth) < 0.75
+        assert iou(person_before(chair.depth_map(view, 25), furnished, camera.K[0, 0]), truth) > 0.85
+        assert iou(person_before(chair.depth_map(view, 25), room, camera.K[0, 0]), truth) < 0.75
     root = walk.root * [0, 0, 1]
     stays = replace(chair, performance=assemble("stays", subject, walk.times, walk.rotations, root))
     room = empty_rooms(empty, 8)[0]  # who stays beside a thing cannot be told from it

@@ -10,13 +10,10 @@ from hypose.synthetic.depth_scenes import depth_scene
 from hypose.synthetic.motions import act
 from hypose.synthetic.performance import assemble
 from hypose.synthetic.subjects import load_subjects
+from tests.evidence.scenes import iou
 from tests.standing_people import standing_at
 
 FRAMES = 20
-
-
-def overlap(a, b):
-    return ((a > 0) & (b > 0)).sum() / ((a > 0) | (b > 0)).sum()
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +34,7 @@ def test_everybody_is_found_where_the_room_is_not_known(company, view):
     stands = whole < replace(company, others=()).clean_map(view, 8)[0] - 0.01
     room = unlike_people(maps, camera)
     people = (walks > 0) | stands
-    assert overlap(people_on_floor(maps[4], camera, room), people) > 0.85
+    assert iou(people_on_floor(maps[4], camera, room), people) > 0.85
     # who does not move is no part of the room; walls are
     assert stands.sum() > 1500 and (room[stands] > 0).mean() < 0.1
     walls = ((maps[4] > 0) & ~people)[: camera.size[1] // 4]

@@ -11,30 +11,28 @@ from hypose.evidence.depth_people import own_frame, people_seen
 from hypose.evidence.frame import Frame
 from hypose.evidence.shared_masks import BodyShape, Other
 from hypose.evidence.silhouettes import make_silhouettes
-from hypose.tracking.starts import known_pose
 from tests.depth_pictures import WALL_M, drawn, sensors
+from tests.evidence.scenes import on_floor
 
 PLACES = ((-0.5, 0.0), (0.45, 0.3))
 
 
-def standing(body, place):
-    pose = known_pose(body, "standing")
-    pose[:3] = *place, 0.0
-    pose[2] -= body.skin(pose)[:, 2].min()
-    return pose
+def both_before(body, rig, places):
+    """Poses of people at places; what each sensor measures of each alone (2, C, h, w) m; the frame of both."""
+    poses = [on_floor(body, p) for p in places]
+    alone = np.stack([drawn(body, q, rig)[0] for q in poses])
+    maps = alone.min(0)
+    silhouettes = make_silhouettes(list((maps < WALL_M).astype(np.uint8)), rig)
+    depth = Depth(maps, silhouettes.masks, rig, np.ones(len(rig), bool))
+    return poses, alone, Frame(0.0, 0, silhouettes, depth=depth)
 
 
 @pytest.fixture(scope="module", params=[1, 2], ids=["one sensor", "two sensors"])
 def scene(request):
     """Two people, poses; rig; the frame of both; each one's own pixels (2, C, h, w)."""
     body, rig = human(), sensors(request.param)
-    poses = [standing(body, p) for p in PLACES]
-    alone = [drawn(body, q, rig)[0] for q in poses]
-    maps = np.minimum(*alone)
-    owners = np.stack([(a < WALL_M) & (a == maps) for a in alone])
-    silhouettes = make_silhouettes(list((maps < WALL_M).astype(np.uint8)), rig)
-    depth = Depth(maps, silhouettes.masks, rig, np.ones(len(rig), bool))
-    return body, poses, rig, Frame(0.0, 0, silhouettes, depth=depth), owners
+    poses, alone, frame = both_before(body, rig, PLACES)
+    return body, poses, rig, frame, (alone < WALL_M) & (alone == frame.depth.maps)
 
 
 def test_two_people_are_two_clusters_where_they_stand(scene):
@@ -64,11 +62,7 @@ def test_pixels_belong_to_whose_body_is_nearest(scene, who):
 def test_others_before_a_person_say_nothing_of_them_and_others_behind_do():
     """One behind the other, 0.9 m apart: who stands in front is seen as if alone."""
     body, rig = human(), sensors(1)
-    poses = [standing(body, (0.0, -0.45)), standing(body, (0.2, 0.45))]
-    alone = [drawn(body, q, rig)[0] for q in poses]
-    maps = np.minimum(*alone)
-    silhouettes = make_silhouettes(list((maps < WALL_M).astype(np.uint8)), rig)
-    frame = Frame(0.0, 0, silhouettes, depth=Depth(maps, silhouettes.masks, rig, np.ones(1, bool)))
+    poses, alone, frame = both_before(body, rig, ((0.0, -0.45), (0.2, 0.45)))
     shapes = [BodyShape(body.skin(q), body.coarse.faces, rig) for q in poses]
     front = own_frame(frame, shapes[0], [Other(shapes[1])]).silhouettes
     assert front.ignored is None or front.ignored[0].mean() < 0.002
@@ -81,19 +75,15 @@ def test_others_before_a_person_say_nothing_of_them_and_others_behind_do():
 def test_a_colour_camera_beside_shows_what_the_other_body_leaves(who):
     """The second view has a mask of both and no map."""
     body, rig = human(), sensors(2)
-    poses = [standing(body, p) for p in ((-0.5, -0.2), (0.45, 0.2))]
-    alone = np.stack([drawn(body, q, rig)[0] for q in poses])
-    maps, owners = alone.min(0), alone < WALL_M
-    silhouettes = make_silhouettes(list((maps < WALL_M).astype(np.uint8)), rig)
-    maps[1] = 0
-    depth = Depth(maps, silhouettes.masks * np.array([1, 0], np.uint8)[:, None, None], rig, np.array([True, False]))
-    frame = Frame(0.0, 0, silhouettes, depth=depth)
+    poses, alone, frame = both_before(body, rig, ((-0.5, -0.2), (0.45, 0.2)))
+    owners, first, there = alone < WALL_M, np.array([1, 0], np.uint8)[:, None, None], np.array([True, False])
+    frame = replace(frame, depth=Depth(frame.depth.maps * first, frame.depth.person * first, rig, there))
     shapes = [BodyShape(body.skin(q), body.coarse.faces, rig) for q in poses]
     own = own_frame(frame, shapes[who], [Other(shapes[1 - who])])
     told, mine, theirs = own.silhouettes.informative[1] > 0, owners[who, 1], owners[1 - who, 1]
     assert own.silhouettes.usable.all() and own.depth.usable.tolist() == [True, False]
     assert told[mine & ~theirs].mean() > 0.8 and told[theirs].sum() == 0
-    blind = replace(frame, silhouettes=replace(silhouettes, usable=depth.usable))
+    blind = replace(frame, silhouettes=replace(frame.silhouettes, usable=there))
     without_colour = own_frame(blind, shapes[who], [Other(shapes[1 - who])]).silhouettes
     assert np.array_equal(own.silhouettes.informative[0], without_colour.informative[0])
     # whoever is only known by what depth cameras measure is not looked for in pictures

@@ -11,12 +11,6 @@ from tests.evidence.scenes import far_ring, ring, solid_masks
 CORNERS = np.stack(np.meshgrid(*[(-0.5, 0.5)] * 3, indexing="ij"), -1).reshape(-1, 3)
 
 
-def sphere(centre, radius, n=2000):
-    rng = np.random.default_rng(0)
-    p = rng.normal(size=(n, 3))
-    return centre + radius * p / np.linalg.norm(p, axis=1, keepdims=True)
-
-
 def test_box_seen_from_many_sides_has_its_volume_height_and_place():
     size, centre = np.array([0.4, 0.3, 1.5]), np.array([0.1, -0.2, 0.93])
     s = solid_masks(far_ring(8), CORNERS * size + centre)
@@ -25,16 +19,6 @@ def test_box_seen_from_many_sides_has_its_volume_height_and_place():
     assert hull.height == pytest.approx(1.5, abs=0.021)
     assert np.allclose(hull.centroid, centre, atol=0.01)
     assert (hull_iou(hull, s) > 0.88).all()
-
-
-def test_sphere_and_its_normals():
-    centre = np.array([0.2, 0.1, 1.0])
-    hull = visual_hull(solid_masks(ring(10, height=2.2, target=(0.2, 0.1, 1.0)), sphere(centre, 0.4)), voxel=0.02)
-    assert hull.volume == pytest.approx(4 / 3 * np.pi * 0.4**3, rel=0.15)
-    outward = hull.surface_points - centre
-    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
-    assert np.allclose(np.linalg.norm(hull.normals, axis=1), 1)
-    assert np.median((hull.normals * outward).sum(1)) > 0.95
 
 
 def test_coarse_to_fine_keeps_every_voxel_of_the_plain_search():

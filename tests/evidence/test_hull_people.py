@@ -11,26 +11,14 @@ from hypose.evidence.shared_masks import BodyShape
 from hypose.pipeline.person_paths import follow_places
 from hypose.synthetic.scenes import make_scene
 from hypose.tracking.several import shape_of
-from hypose.tracking.starts import known_pose
 from hypose.tracking.subject import scaled_to_height
+from tests.evidence.scenes import masks_of, on_floor
 
 
 def standing(places, rig, body=None):
-    body, shapes = body or human(), []
-    for x, y in places:
-        pose = known_pose(body, "standing")
-        pose[:3] += (x, y, -body.skin(pose)[:, 2].min())
-        shapes.append(shape_of(body, pose, rig))
-    return seen(shapes, rig), shapes
-
-
-def seen(shapes, rig):
-    size = rig.sizes.max(0)
-    masks = np.zeros((len(rig), size[1], size[0]), np.uint8)
-    for shape in shapes:
-        for c, (y0, y1, x0, x1) in enumerate(shape.boxes):
-            masks[c, y0:y1, x0:x1] |= shape.drawn(c)
-    return Silhouettes(masks, rig, np.ones(len(rig), bool), ("",) * len(rig))
+    body = body or human()
+    shapes = [shape_of(body, on_floor(body, place), rig) for place in places]
+    return masks_of(shapes, rig), shapes
 
 
 def boxes(*corners):
@@ -75,15 +63,15 @@ def test_a_child_is_found_alone_and_beside_a_grown_up(rig, height):
     found = people_in_hull(alone)
     assert len(found) == 1 and np.linalg.norm(found[0].axis - (0.5, 0.1)) < 0.12
     _, grown = standing([(-0.4, -0.2)], rig)
-    both = people_in_hull(seen([*shapes, *grown], rig))
+    both = people_in_hull(masks_of([*shapes, *grown], rig))
     assert sorted(p.hull.height > 1.3 for p in both) == [False, True]
-    paths = follow_places(lambda t: Frame(t / 25, t, seen([*shapes, *grown], rig)), range(3), 25.0)
+    paths = follow_places(lambda t: Frame(t / 25, t, masks_of([*shapes, *grown], rig)), range(3), 25.0)
     assert [len(p.found) for p in paths] == [3, 3]
 
 
 @pytest.mark.parametrize("thing", [CHAIR, DOG, BIN], ids=["chair", "dog", "bin"])
 def test_a_thing_as_low_as_a_child_is_nobody(rig, thing):
-    assert people_in_hull(seen([BodyShape(thing[0] + (0.3, 0.1, 0.0), thing[1], rig)], rig)) == []
+    assert people_in_hull(masks_of([BodyShape(thing[0] + (0.3, 0.1, 0.0), thing[1], rig)], rig)) == []
 
 
 def test_what_floats_or_is_seen_by_two_views_alone_is_nobody(rig):

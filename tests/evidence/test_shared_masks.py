@@ -9,16 +9,14 @@ from hypose.body.default_body import human
 from hypose.compute.arrays import NOT_KNOWN
 from hypose.compute.scorer import silhouette_xor
 from hypose.errors import EvidenceError
-from hypose.evidence.frame import Silhouettes
 from hypose.evidence.hull import visual_hull
 from hypose.evidence.outlines import WORKING_HEIGHT
 from hypose.evidence.prefetch import outlines, prepared_masks
 from hypose.evidence.shared_masks import Other, own_silhouettes, without
 from hypose.synthetic.scenes import make_scene
 from hypose.tracking.several import shape_of
-from hypose.tracking.starts import known_pose
 from tests import reference
-from tests.evidence.scenes import ring, solid_masks
+from tests.evidence.scenes import masks_of, on_floor, ring, solid_masks
 
 
 @pytest.fixture(scope="module")
@@ -28,20 +26,11 @@ def body():
 
 @pytest.fixture(scope="module")
 def pair(body):
-    """Two bodies in one rig: poses, and the union of their masks."""
+    """Two bodies in one rig: poses, shapes, and the union of their masks."""
     rig = make_scene("walk", rig="humaneva-4", seconds=0.1).rig.pinhole().scaled(0.5)
-    poses = []
-    for x in (-0.3, 0.3):
-        pose = known_pose(body, "standing")
-        pose[:3] += (x, 0, -body.skin(pose)[:, 2].min())
-        poses.append(pose)
+    poses = [on_floor(body, (x, 0)) for x in (-0.3, 0.3)]
     shapes = [shape_of(body, q, rig) for q in poses]
-    size = rig.sizes.max(0)
-    masks = np.zeros((len(rig), size[1], size[0]), np.uint8)
-    for shape in shapes:
-        for c, (y0, y1, x0, x1) in enumerate(shape.boxes):
-            masks[c, y0:y1, x0:x1] |= shape.drawn(c)
-    return poses, shapes, Silhouettes(masks, rig, np.ones(len(rig), bool), ("",) * len(rig))
+    return poses, shapes, masks_of(shapes, rig)
 
 
 def test_the_scorer_counts_nothing_where_pixels_are_ignored(body, pair):

@@ -6,8 +6,6 @@ from hypose.evidence.background import BackgroundModel, from_frames
 from hypose.evidence.silhouettes import (
     SilhouetteSettings,
     as_mask,
-    biggest_parts,
-    clean_mask,
     flag_collapsed,
     make_segmenter,
     make_silhouettes,
@@ -73,18 +71,6 @@ def test_rim_refinement_mends_the_outline_and_never_empties_a_mask():
     assert not refine_rim(flat, np.zeros(SHAPE, np.uint8)).any()
     whole = np.ones(SHAPE, np.uint8)  # no background left to learn
     assert np.array_equal(refine_rim(flat, whole, 4), whole)
-
-
-def test_clean_up_fills_small_holes_and_drops_far_parts():
-    mask = np.zeros((120, 160), np.uint8)
-    mask[20:100, 40:70] = 1
-    mask[50:54, 50:54] = 0
-    mask[80:84, 120:124] = 1  # a speck far away
-    mask[60:80, 73:80] = 1  # a hand cut off by three pixels
-    out = clean_mask(mask, SilhouetteSettings(close_px=0))
-    assert out[52, 52] and not out[82, 122] and out[70, 76]
-    assert not clean_mask(np.zeros((20, 20), np.uint8)).any()
-    assert biggest_parts(mask, 1.0)[70, 76] == 0
 
 
 @pytest.mark.parametrize(

@@ -87,25 +87,6 @@ def test_gradient_of_point_rows_by_finite_differences(cue, rig, rng):
     assert np.abs(analytic - numeric).max() < 1e-6 * np.abs(numeric).max()
 
 
-def test_matrix_of_point_rows_is_the_rows_own_product(rng):
-    """The sums per joint, folded up the tree, are J^T W J of rows formed one by one."""
-    truth = random_pose(BODY, rng, 0.3)
-    term = points_of(truth, rng)
-    pose = start_near(truth, rng)
-    out = evaluate(pose, term)
-    r, p = SKELETON.forward(pose)
-    expected, pull = np.zeros((SKELETON.dof, SKELETON.dof)), np.zeros(SKELETON.dof)
-    for m in range(JOINTS):
-        x = p[m] + r[m] @ term.offset[m]
-        jac = SKELETON.jacobian(pose, m, x[None])[0]
-        e = (x - term.points_world[m]) / term.scale_m
-        w = 1 / (1 + e @ e / 4) / term.scale_m**2
-        expected += w * jac.T @ jac
-        pull += w * jac.T @ (e * term.scale_m)
-    np.testing.assert_allclose(out.hessian, expected, rtol=1e-9, atol=1e-7)
-    np.testing.assert_allclose(out.gradient, pull, rtol=1e-9, atol=1e-7)
-
-
 @pytest.mark.parametrize(("direction", "agreement"), [("reverse", 0.95), ("both", 0.85)])
 def test_contour_gradient_follows_the_cost(direction, agreement, scene, rng):
     """Outline points come and go as the body moves, which no gradient knows and which makes the cost jitter: the two

@@ -74,23 +74,13 @@ def test_clocks_of_recordings_are_brought_together_by_the_movement(rng):
 # ---- output at a steady rate ----
 
 
-def test_three_sensors_give_every_frame_in_time(rng):
-    fuser, frames, latency = run(rng, 6)
-    assert [f.index for f in frames] == list(range(len(frames)))
-    assert len(frames) >= 178
-    assert np.diff([f.time for f in frames]) == pytest.approx(1 / 30)
-    assert latency.max() <= fuser.settings.align.wait + 1e-6
-    assert all(len(f.people) == 1 for f in frames[15:])
-    assert errors(fuser, frames[30:]).mean() < 0.03
-    assert {s for p in frames[-1].people for s in p.sensors} == {"s0", "s1", "s2"}
-
-
 def test_a_sensor_killed_and_restarted_costs_no_frame(rng):
     # its clock starts anew at zero, as that of a restarted program does
     epochs = {1: [(0.0, 777.0), (4.0, -4.0)]}
     fuser, frames, latency = run(rng, 8, silent=[(1, 2.0, 4.0)], epochs=epochs)
     assert [f.index for f in frames] == list(range(len(frames)))
-    assert len(frames) >= 238
+    assert len(frames) >= 238 and np.diff([f.time for f in frames]) == pytest.approx(1 / 30)
+    assert latency.max() <= fuser.settings.align.wait + 1e-6
     assert all(len(f.people) == 1 and f.people[0].id == 1 for f in frames[15:])
     carried = {f.index for f in frames for p in f.people if "s1" in p.sensors}
     assert not carried & set(range(80, 118))
@@ -230,18 +220,6 @@ def push(aligner, time=0.0, names=COMMON, positions=None, state=None, sensor="a"
     joints = transform(camera(0), walker(time)) if positions is None else positions
     level = np.full(len(joints), 2, dtype=np.uint8) if state is None else state
     return aligner.push(SensorReport(sensor, time, person, tuple(names), joints, level, now))
-
-
-@pytest.mark.parametrize("mark", [np.nan, -9999.0, np.inf])
-def test_missing_joints_are_missing_however_they_are_written(mark):
-    aligner = Aligner()
-    for n in range(10):
-        joints = transform(camera(0), walker(n / 30))
-        joints[4] = mark
-        push(aligner, n / 30, positions=joints)
-    body = aligner.poll(0.2)[-1].sensors[0].bodies[0]
-    assert np.isnan(body.positions[4]).all() and body.state[4] == 0
-    assert np.isfinite(np.delete(body.positions, 4, 0)).all()
 
 
 @pytest.mark.parametrize(

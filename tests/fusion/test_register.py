@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
 
-from benchmarks.depth_sensors.sensor_choice import register_per_frame
 from hypose.errors import InputError
 from hypose.evidence.frame import SensorJoints
 from hypose.fusion import joints as jt
@@ -20,20 +19,6 @@ def test_a_window_registers_exactly_without_noise(rng):
     assert np.abs(world - in_reference(truth, poses)[:, None]).max() < 1e-9
     assert found.registered.all() and found.residual.max() < 1e-9
     assert np.linalg.det(found.common_from_sensor[:, :3, :3]) == pytest.approx(np.ones(4))
-
-
-def test_the_published_mode_registers_every_frame_and_jitters_more(rng):
-    truth, poses = moving_person(120), sensor_poses(rng, 2)
-    positions, state = stacked(seen(truth, poses, rng, noise=0.01))
-    per_frame, window = register_per_frame(positions), register(positions, state).apply(positions)
-
-    def jitter(x):
-        return np.linalg.norm(x[2:] - 2 * x[1:-1] + x[:-2], axis=-1).mean()
-
-    target = in_reference(truth, poses)
-    assert np.linalg.norm(window[:, 1] - target, axis=-1).mean() < 0.02
-    assert np.linalg.norm(per_frame[:, 1] - target, axis=-1).mean() < 0.08
-    assert jitter(per_frame[:, 1]) > 1.5 * jitter(window[:, 1])
 
 
 def test_a_third_of_wrong_joints_does_not_move_the_robust_registration(rng):

@@ -4,13 +4,10 @@ import numpy as np
 import pytest
 
 from hypose.inference.annealing import (
-    FixedAnnealingRate,
-    SmoothedWeight,
     SurvivalRate,
     solve_annealing_rate,
     survival_rate,
 )
-from hypose.inference.hypotheses import Hypotheses
 
 
 @pytest.mark.parametrize("target", [0.01, 0.15, 0.3, 0.9, 0.999])
@@ -30,14 +27,6 @@ def test_out_of_reach():
     np.testing.assert_allclose(survival_rate(few, solve_annealing_rate(few, 0.05)), 0.05, rtol=1e-8)
     assert solve_annealing_rate(np.full(7, 2.5), 0.2) == 1
     assert survival_rate(np.full(7, np.nan), 1.0) == 0
-
-
-def test_fixed_exponent_is_the_power_of_the_weight():
-    energies = np.array([0.2, 0.9, 1.4])
-    h = Hypotheses.uniform(np.zeros((3, 1)))
-    weights = h.reweighted(SmoothedWeight(lambda h, z: energies, FixedAnnealingRate(0.3))(h, None)).weights
-    expected = np.exp(-energies) ** 0.3
-    np.testing.assert_allclose(weights, expected / expected.sum(), rtol=1e-14)
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,6 @@ from hypose.inference.kernels import (
     GaussianDiffusion,
     RejectionSampling,
     reflect,
-    semidefinite_cholesky,
 )
 
 INF = np.inf
@@ -48,17 +47,6 @@ def test_adaptive_diffusion_follows_the_covariance_of_the_set():
     step = AdaptiveDiffusion(0.5)(h, None, rng).values - h.values
     np.testing.assert_allclose(np.cov(step.T), 0.25 * shape @ shape.T, atol=0.03)
     np.testing.assert_array_equal(step[:, 2], 0)  # a collapsed coordinate stays so
-
-
-def test_semidefinite_cholesky():
-    rng = np.random.default_rng(0)
-    root = rng.normal(size=(4, 6, 3))
-    singular = np.einsum("bik,bjk->bij", root, root)
-    factor = semidefinite_cholesky(singular)
-    np.testing.assert_allclose(factor @ np.swapaxes(factor, -1, -2), singular, atol=1e-9)
-    np.testing.assert_array_equal(np.triu(factor, 1), 0)
-    full = singular + np.eye(6)
-    np.testing.assert_allclose(semidefinite_cholesky(full), np.linalg.cholesky(full), atol=1e-12)
 
 
 def test_rejection_refuses_what_the_prior_dislikes():

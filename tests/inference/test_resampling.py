@@ -2,10 +2,7 @@
 
 import numpy as np
 
-from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.resampling import (
-    LayeredResampling,
-    systematic,
     systematic_indices,
 )
 
@@ -40,15 +37,3 @@ def test_weight_zero_is_never_drawn():
     w = np.array([0.0, 0.5, 0.0, 0.0, 0.5, 0.0])
     for u in (0.0, 1e-17, 0.3, np.nextafter(1, 0)):
         assert set(systematic_indices(w, u).tolist()) <= {1, 4}
-
-
-def test_layered_copies_only_filtered_coordinates():
-    rng = np.random.default_rng(4)
-    h = Hypotheses(rng.normal(size=(30, 3)), 3 * rng.normal(size=30), np.arange(30, dtype=np.int32))
-    all_of_it = systematic(h, np.random.default_rng(9))
-    some = LayeredResampling(np.array([True, False, True]))(h, np.random.default_rng(9))
-    np.testing.assert_array_equal(some.values[:, [0, 2]], all_of_it.values[:, [0, 2]])
-    np.testing.assert_array_equal(some.values[:, 1], h.values[:, 1])
-    np.testing.assert_array_equal(some.origin, all_of_it.origin)
-    full = LayeredResampling(np.ones(3, bool))(h, np.random.default_rng(9))
-    np.testing.assert_array_equal(full.values, all_of_it.values)

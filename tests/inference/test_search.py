@@ -4,7 +4,7 @@ from functools import partial
 
 import numpy as np
 
-from hypose.inference.annealing import FixedAnnealingRate, SmoothedWeight, SurvivalRate
+from hypose.inference.annealing import FixedAnnealingRate, SmoothedWeight
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.kernels import (
     Compose,
@@ -158,20 +158,6 @@ def test_same_seed_is_bit_identical_and_a_resumed_run_too():
     for t in range(3, FRAMES):
         resumed = search(resumed, recipe, TRUTH[t], partial(stream, 3, t)).resampled
     assert resumed.values.tobytes() == h.values.tobytes()
-
-
-def test_batched_populations_run_side_by_side():
-    shifted = np.stack([START, START + 1.0])
-    layer = Layer(
-        GaussianDiffusion(SIGMA),
-        SmoothedWeight(lambda h, z: np.square(h.values - z[:, None, :]).sum(-1), SurvivalRate(0.2)),
-        systematic,
-    )
-    z = np.stack([np.zeros(D), np.ones(D)])
-    result = search(Hypotheses.uniform(shifted), Recipe("two", (layer,)), z, partial(stream, 0, 0))
-    assert result.estimate.shape == (2, D)
-    np.testing.assert_allclose(result.weighted.ess / N, 0.2, rtol=1e-9)
-    assert np.abs(result.estimate - z).max() < 0.25
 
 
 # ------------------------------------------------------------------ a model whose answer is known

@@ -1,9 +1,7 @@
 """Poses and proportions together from points: derivatives, and what more than one picture is worth."""
 
 import numpy as np
-import pytest
 
-from hypose.body.body import Shape, deform
 from hypose.body.default_body import human
 from hypose.synthetic.scenes import look_at
 from hypose.tracking.contacts import soles_of
@@ -11,10 +9,8 @@ from hypose.tracking.monocular.points import clicked_joints
 from hypose.tracking.monocular.points_fit import fit_proportions
 from hypose.tracking.monocular.problem import floor_arrays
 from hypose.tracking.monocular.proportions import (
-    FACTORS,
     PROPORTION_NAMES,
     proportions,
-    shape_from_factors,
     shaped,
 )
 from hypose.tracking.monocular.settings import MonoSettings, body_dofs
@@ -87,18 +83,3 @@ def test_who_stands_on_a_known_floor_is_measured_better() -> None:
         for f in (None, soles)
     ]
     assert errors[1].mean() < 0.75 * errors[0].mean()
-
-
-def test_factors_are_shapes():
-    body = human()
-    assert shape_from_factors(np.zeros(len(FACTORS))).scale == 1.0
-    same = deform(body, shape_from_factors(np.zeros(len(FACTORS))))
-    np.testing.assert_allclose(same.fine.vertices, body.fine.vertices, atol=1e-12)
-    index = {f.name: k for k, f in enumerate(FACTORS)}
-    x = np.zeros(len(FACTORS))
-    x[index["scale"]], x[index["thigh"]], x[index["chest width"]] = np.log([1.1, 1.2, 1.3])
-    shape = shape_from_factors(x)
-    assert isinstance(shape, Shape)
-    longer = deform(body, shape).segment_lengths()["left_thigh"]
-    assert longer == pytest.approx(body.segment_lengths()["left_thigh"] * 1.1 * 1.2)
-    assert shape.girth["chest"] == pytest.approx((1.3, 1.0, 1.0))

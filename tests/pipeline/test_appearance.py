@@ -1,6 +1,7 @@
-"""Who is who by the clothes: after a meeting, after having been away, and where pictures say nothing."""
+"""Who is who: by the clothes after a meeting, and where somebody came whom another one may have been drawn to."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,12 +9,13 @@ import pytest
 from hypose.body.default_body import human
 from hypose.evidence.colours import COLOURS
 from hypose.evidence.frame import Colours, Frame, Silhouettes
+from hypose.pipeline import track_management
 from hypose.pipeline.first_frame import TrackedSubject
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.track_management import swap_identities, update_appearance
+from hypose.pipeline.track_management import back_again, identity_switches, swap_identities, update_appearance
 from hypose.pipeline.tracked_people import Followed
 from hypose.synthetic.scenes import camera_rig as named_rig
-from hypose.tracking.appearance import Appearance, AppearanceModel, appearance_in, no_appearance
+from hypose.tracking.appearance import Appearance, appearance_in, no_appearance
 from hypose.tracking.recipes import recipe
 from hypose.tracking.several import Member, shape_of
 from hypose.tracking.starts import known_pose
@@ -45,14 +47,14 @@ def frame_of(people):
     return Frame(0.0, 0, Silhouettes(masks, RIG, seen, ("",) * len(RIG)), colours=Colours(codes, seen))
 
 
-def followed(name, places):
-    """Somebody who was at these x, m, in one frame after the other."""
+def followed(name, places, frames=None):
+    """Somebody who was at these x, m, in one frame after the other, and is there in the first `frames` of them."""
     tracker = Tracker(BODY, recipe("default", BODY, frame_rate=25.0), TrackerSettings(frame_rate=25.0))
     state = tracker.start(standing(places[-1]))
     _, estimate = tracker.step(state, frame_of([]).unseen())
     out = Followed(name, TrackedSubject(BODY, None, standing(places[0]), ()), Member(tracker, state))
     out.estimates = [replace(estimate, pose=standing(x)) for x in places]
-    out.present, out.hidden = [True] * len(places), [False] * len(places)
+    out.present, out.hidden = [frames is None or t < frames for t in range(len(places))], [False] * len(places)
     return out
 
 
@@ -98,8 +100,35 @@ def test_two_who_wear_their_own_or_the_same_clothes_stay_who_they_are():
         assert not anna.appearance.met and anna.appearance.worn.known.all()
 
 
-def test_a_wardrobe_is_kept_with_a_run_that_is_interrupted():
-    w = AppearanceModel(RED, BLUE, 2, {"bert": 7})
-    again = AppearanceModel.of_arrays(w.arrays(), w.about)
-    assert again.worn.likeness(RED) > 0.99 and again.lately.likeness(BLUE) > 0.99
-    assert (again.looks, again.met) == (2, {"bert": 7})
+RATE, FRAMES, SINCE = 25.0, 40, 34
+
+
+def found_at(x):
+    """Somebody in the hull, as far as it is asked here."""
+    return SimpleNamespace(axis=np.array([x, 0.0]))
+
+
+@pytest.fixture
+def drawn_away():
+    """Stands at 0 and is tracked 1.2 m beside it within a few frames."""
+    return followed("anna", [*np.zeros(SINCE), *np.linspace(0.7, 1.2, FRAMES - SINCE)])
+
+
+def test_who_moves_faster_than_anybody_from_where_somebody_is_found_was_drawn_away(drawn_away):
+    bert = followed("bert", np.full(FRAMES, 2.0), frames=10)  # went away at 2 m
+    assert identity_switches(found_at(0.05), [bert, drawn_away], RATE) == (drawn_away, SINCE)
+    assert identity_switches(found_at(1.2), [bert, drawn_away], RATE) is None  # the one who came beside them
+    walks = followed("carl", np.linspace(-1.0, 0.8, FRAMES))
+    assert identity_switches(found_at(0.4), [walks], RATE) is None  # 1.2 m/s: came past there
+
+
+def test_who_was_drawn_to_somebody_new_goes_on_where_they_had_stood(drawn_away, monkeypatch):
+    anna, again = drawn_away, standing(0.0)
+    monkeypatch.setattr(track_management, "returned", lambda *_: None)
+    monkeypatch.setattr(track_management, "found_again", lambda *_: (None, again))
+    back = back_again(found_at(0.05), frame_of([]), [anna], RATE)
+    assert back is not None and back[0] is anna and back[1] is again
+    assert all(e.lost for e in anna.estimates[SINCE:]) and not any(e.lost for e in anna.estimates[:SINCE])
+    assert all(anna.present) and all(anna.hidden[SINCE:]) and not any(anna.hidden[:SINCE])
+    assert "another person was taken for them from frame 34 to 39" in anna.said[0]
+    assert back_again(found_at(-2.0), frame_of([]), [anna], RATE) is None

@@ -1,6 +1,7 @@
 """The assessment in words: good, look at frames, not to be trusted, and what is kept of it."""
 
 import numpy as np
+import pytest
 
 from hypose.body.default_body import human
 from hypose.body.motion import Motion, isotropic
@@ -29,44 +30,29 @@ def probabilities(joints=(), rows=slice(None), value=0.6):
     return p
 
 
-def kinds(found):
-    return [f.kind for f in found.findings]
+BODY_WRONG = [n for n in BODY.skeleton.joint_names if n.endswith(("knee", "ankle", "wrist", "elbow", "hip"))]
+APART = (Finding("views disagree", (), "the views contradict each other by 11 mm", severity=REVIEW),)
 
 
-def test_nothing_against_it_is_good():
-    found = assess(motion(probabilities()))
-    assert found.word == GOOD and found.frames == () and found.sentence.startswith("Good")
-
-
-def test_some_frames_are_to_be_looked_at_and_the_joint_is_named():
-    found = assess(motion(probabilities(["right_wrist"], slice(10, 20))))
-    assert found.word == LOOK and found.frames == (range(10, 20),)
-    assert "frames 10-19" in found.sentence and "right wrist" in found.sentence
-
-
-def test_a_body_that_the_evidence_speaks_against_is_not_to_be_trusted():
-    whole = [n for n in BODY.skeleton.joint_names if n.endswith(("knee", "ankle", "wrist", "elbow", "hip"))]
-    found = assess(motion(probabilities(whole)))
-    assert found.word == UNTRUSTED and kinds(found) == ["wrong joints"] and "knee" in found.sentence
-
-
-def test_one_limb_that_is_never_known_and_a_person_who_is_never_there():
-    found = assess(motion(probabilities(["left_wrist"])))
-    assert found.word == UNTRUSTED and kinds(found) == ["wrong limb"] and "left wrist" in found.sentence
-    found = assess(motion(probabilities(["head"])))
-    assert found.word == LOOK and kinds(found) == ["low confidence"] and "head may be wrong" in found.sentence
-    found = assess(motion(probabilities(), lost=25))
-    assert found.word == UNTRUSTED and kinds(found) == ["lost"] and "not found in 50 %" in found.sentence
-
-
-def test_a_limb_doubtful_all_along_in_a_clip_worth_a_look_is_not_to_be_trusted():
-    looks = (Finding("views disagree", (), "the views contradict each other by 11 mm", severity=REVIEW),)
-    limb = motion(probabilities(["left_wrist"], slice(0, 40), 0.25))
-    assert assess(limb).word == assess(motion(probabilities()), looks).word == LOOK
-    found = assess(limb, looks)
-    assert found.word == UNTRUSTED and "left wrist" in found.sentence and "11 mm" in found.sentence
-    few = motion(probabilities(["left_wrist"], slice(0, 20), 0.25))
-    assert assess(few, looks).word == LOOK
+@pytest.mark.parametrize(
+    ("p", "lost", "before", "word", "kinds", "named"),
+    [
+        (probabilities(), 0, (), GOOD, [], "Good"),
+        (probabilities(["right_wrist"], slice(10, 20)), 0, (), LOOK, ["low confidence"], "right wrist"),
+        (probabilities(["head"]), 0, (), LOOK, ["low confidence"], "head"),
+        (probabilities(BODY_WRONG), 0, (), UNTRUSTED, ["wrong joints"], "knee"),
+        (probabilities(["left_wrist"]), 0, (), UNTRUSTED, ["wrong limb"], "left wrist"),
+        (probabilities(), 25, (), UNTRUSTED, ["lost"], "not found in 50 %"),
+        (probabilities(), 0, APART, LOOK, ["views disagree"], "11 mm"),
+        (probabilities(["left_wrist"], slice(0, 40), 0.25), 0, APART, UNTRUSTED, None, "left wrist"),
+        (probabilities(["left_wrist"], slice(0, 40), 0.25), 0, (), LOOK, None, ""),
+        (probabilities(["left_wrist"], slice(0, 20), 0.25), 0, APART, LOOK, None, ""),
+    ],
+)
+def test_a_clip_is_good_or_worth_a_look_or_not_to_be_trusted(p, lost, before, word, kinds, named):
+    found = assess(motion(p, lost), before)
+    assert found.word == word and named in found.sentence
+    assert kinds is None or [f.kind for f in found.findings] == kinds
 
 
 def test_what_was_found_before_tracking_decides():
@@ -78,5 +64,6 @@ def test_what_was_found_before_tracking_decides():
 def test_a_verdict_comes_back_from_its_document():
     m = motion(probabilities(["right_wrist"], slice(10, 20)))
     found = assess(m)
+    assert found.frames == (range(10, 20),) and "frames 10-19" in found.sentence
     assert Assessment.of_document(found.document()) == found
     assert found.with_joints(m)["low_confidence"] == {"right_wrist": [[10, 20]]}

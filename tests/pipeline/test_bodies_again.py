@@ -8,7 +8,6 @@ import pytest
 from hypose.body.anthropometry import SHAPE_FACTORS, body_of, entity
 from hypose.body.default_body import human
 from hypose.evidence.frame import Frame, Silhouettes
-from hypose.pipeline import rough_bodies
 from hypose.pipeline.first_frame import TrackedSubject
 from hypose.pipeline.passes import tracker_of
 from hypose.pipeline.rough_bodies import AGAIN, fitted_again
@@ -16,7 +15,7 @@ from hypose.pipeline.track_management import without_doubles
 from hypose.pipeline.track_options import TrackOptions
 from hypose.pipeline.tracked_people import Followed, Wanted
 from hypose.synthetic.scenes import make_scene
-from hypose.tracking.several import Member, shape_of, step_together
+from hypose.tracking.several import Member, shape_of
 from hypose.tracking.starts import known_pose
 
 RATE, FRAMES = 12.5, 14
@@ -75,29 +74,6 @@ def test_arms_that_were_fitted_too_long_are_put_right(passing):
         assert subject.notes == ("fitted once", AGAIN)
     again = [replace(p, subject=found[k]) for k, p in enumerate(people)]
     assert not fitted_again(again, frames.__getitem__, range(FRAMES), Wanted)
-
-
-@pytest.mark.slow
-def test_a_limb_that_the_start_got_wrong_is_taken_from_the_way_back(passing, monkeypatch):
-    people, frames = passing
-    went = list[int]()
-
-    def bent_at_first(members, frame):
-        members, estimates, seen = step_together(members, frame)
-        went.append(frame.index)
-        if len(went) < FRAMES:  # a leg is lost from the start on, and found at the end
-            estimates = [replace(e, pose=e.pose + 0.7 * left_leg, cost=e.cost + 0.1) for e in estimates]
-        return members, estimates, seen
-
-    s = human().skeleton
-    legs = [s.joint(f"{side}_{name}") for side in ("left", "right") for name in ("hip", "knee", "ankle")]
-    left_leg = np.isin(s.joint_of_dof, legs[:2]).astype(float)
-    monkeypatch.setattr(rough_bodies, "step_together", bent_at_first)
-    found = fitted_again(people, frames.__getitem__, range(FRAMES), Wanted)
-    assert went == [*range(FRAMES), *reversed(range(FRAMES))]
-    for k, subject in found.items():
-        joints = [p.body.joints(p.start) for p in (subject, replace(people[k].subject, body=human()))]
-        assert np.linalg.norm(joints[0] - joints[1], axis=-1)[legs].max() < 0.04
 
 
 def test_a_given_body_and_who_is_alone_stay_as_they_are(passing):

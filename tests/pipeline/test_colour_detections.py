@@ -10,7 +10,7 @@ from hypose.errors import InputError
 from hypose.evidence.body_parts import UNNAMED
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import load_recording
-from hypose.pipeline.one_camera import ColourDetections, centre_of, tracked_frames
+from hypose.pipeline.one_camera import ColourDetections, tracked_frames
 from hypose.pipeline.run import track_source
 from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.scenes import camera_rig, make_scene
@@ -55,16 +55,6 @@ def test_hands_and_head_are_found_in_videos(scene, silent):
     # a frame does not depend on those asked for before
     assert frames[-1].detections is not None and last.detections is not None
     np.testing.assert_array_equal(frames[-1].detections.points, last.detections.points)
-
-
-def test_the_masks_tell_where_the_person_is(scene, silent):
-    with FrameStream(silent) as stream:
-        silhouettes = stream.frame(0).silhouettes
-    assert silhouettes is not None
-    centre = centre_of(silhouettes)
-    assert centre is not None and np.linalg.norm(centre - scene.joints[0][0]) < 0.3
-    one = dataclasses.replace(silhouettes, usable=np.array([True, False, False, False]))
-    assert centre_of(one) is None
 
 
 def test_grey_videos_are_refused(scene, silent, monkeypatch):

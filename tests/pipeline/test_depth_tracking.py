@@ -15,7 +15,6 @@ from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.geometry import se3, se3_inverse, so3_exp, transform
 from hypose.pipeline.assessment import UNTRUSTED
-from hypose.pipeline.first_frame import TrackedSubject
 from hypose.pipeline.import_depth import register_depth
 from hypose.pipeline.input_checks import check_inputs
 from hypose.pipeline.people_run import PeopleRun
@@ -26,6 +25,7 @@ from hypose.synthetic.depth_scenes import depth_scene, to_profile, turning
 from hypose.synthetic.metrics import EVALUATED, population_offsets, with_offsets
 from hypose.synthetic.motions import act
 from hypose.synthetic.subjects import load_subjects
+from hypose.tracking.recipes import recipe
 from hypose.tracking.starts import known_pose
 from hypose.tracking.tracker import Tracker, TrackerSettings
 from tests.depth_pictures import frame_of, sensors
@@ -53,51 +53,6 @@ def test_one_depth_camera_gives_a_motion_without_a_given_start_or_body():
     assert found.audit is not None and found.motion.error_probability is not None
 
 
-@pytest.mark.slow
-def test_depth_finds_what_one_outline_leaves_open():
-    """An arm that points to the camera: its outline says next to nothing of it."""
-    body = human()
-    rig = sensors(1)
-    s = body.skeleton
-    pose = known_pose(body, "standing")
-    pose[:3] = 0, 0, 0.95
-    forward = pose.copy()
-    forward[s.dofs_of("left_elbow")] = s.upper[s.dofs_of("left_elbow")] * 0.0 - 1.2
-    forward = s.clamp(forward)
-    frame = frame_of(body, forward, rig)
-    given = TrackedSubject(body, None, pose, ())
-    wrist = s.joint("left_wrist")
-    away = {}
-    for name, own in (("outline", replace(frame, depth=None)), ("depth", frame)):
-        tracker = Tracker(body, _solved_only(body), TrackerSettings())
-        state = tracker.start(given.start)
-        _, estimate = tracker.step(state, own)
-        away[name] = np.linalg.norm(body.joints(estimate.pose)[wrist] - body.joints(forward)[wrist])
-    assert away["depth"] < 0.05 and away["depth"] < 0.7 * away["outline"]
-
-
-def _solved_only(body):
-    from hypose.tracking.recipes import recipe
-
-    return recipe("default", body, particles=48)
-
-
-@pytest.mark.slow
-def test_the_same_seed_gives_the_same_motion_for_any_number_of_threads(monkeypatch):
-    scene = scene_of("box", "depth-1", 0.2)
-    frames = list(depth_frames(scene))
-    body = human()
-    pose = known_pose(body, "standing")
-    pose[:3] = scene.joints[0, 0]
-    poses = []
-    for threads in (1, 2):
-        monkeypatch.setenv("NUMBA_NUM_THREADS", str(threads))
-        again = [replace(f, depth=replace(f.depth)) for f in frames]
-        tracker = Tracker(body, _solved_only(body), TrackerSettings(seed=3))
-        poses.append(np.stack([e.pose for _, e in tracker.follow(tracker.start(pose), again)]))
-    assert np.array_equal(poses[0], poses[1])
-
-
 def test_a_colour_camera_and_a_depth_camera_are_one_solve():
     body = human()
     rig = sensors(2)
@@ -107,10 +62,16 @@ def test_a_colour_camera_and_a_depth_camera_are_one_solve():
     half = Depth(both.depth.maps, both.depth.person, rig, np.array([True, False]))
     start = pose.copy()
     start[:2] += 0.06, -0.05
-    tracker = Tracker(body, _solved_only(body), TrackerSettings())
+    tracker = Tracker(body, recipe("default", body, particles=48), TrackerSettings())
     _, estimate = tracker.step(tracker.start(start), replace(both, depth=half))
     assert np.linalg.norm(body.joints(estimate.pose) - body.joints(pose), axis=-1).mean() < 0.012
     assert estimate.n_views == 2
+
+
+def hung_lower(rig, metres):
+    """The cameras as told to hang so much lower than they do."""
+    down = se3(np.eye(3), np.array([0, 0, metres]))
+    return CameraRig(tuple(replace(c, camera_from_world=c.camera_from_world @ down) for c in rig))
 
 
 @pytest.mark.parametrize(
@@ -119,12 +80,8 @@ def test_a_colour_camera_and_a_depth_camera_are_one_solve():
 def test_maps_of_another_scale_and_moved_cameras_are_told_by_the_floor(scale, lower, fault):
     scene = scene_of("walk", "depth-1", 0.2)
     maps = [scene.depth_map(0, 0) * np.float32(scale)]
-    rig = scene.rig
-    if lower:
-        moved = rig[0].camera_from_world @ se3(np.eye(3), np.array([0, 0, lower]))
-        rig = CameraRig((replace(rig[0], camera_from_world=moved),))
     rooms = [replace(r, depth=r.depth * np.float32(scale)) for r in empty_rooms(scene, 3)]
-    found = check_inputs(FrameList([seen_before(rooms, maps, rig, 0.0, 0)]), "silhouettes")
+    found = check_inputs(FrameList([seen_before(rooms, maps, hung_lower(scene.rig, lower), 0.0, 0)]), "silhouettes")
     assert [f.fault for f in found if f.kind == "floor"] == ([] if fault is None else [fault])
     assert all("sees the floor" in f.sentence and "depth-import" in f.sentence for f in found)
 
@@ -132,24 +89,17 @@ def test_maps_of_another_scale_and_moved_cameras_are_told_by_the_floor(scale, lo
 def test_a_camera_that_is_lowered_while_it_records_is_told_by_the_floor_of_the_end():
     scene = scene_of("walk", "depth-1", 0.2)
     maps, rooms = [scene.depth_map(0, 0)], empty_rooms(scene, 3)
-    down = se3(np.eye(3), np.array([0, 0, 0.2]))
-    lowered = CameraRig((replace(scene.rig[0], camera_from_world=scene.rig[0].camera_from_world @ down),))
-    frames = [seen_before(rooms, maps, rig, k / 25, k) for k, rig in enumerate((scene.rig, scene.rig, lowered))]
-    found = check_inputs(FrameList(frames), "silhouettes")
+    rigs = scene.rig, scene.rig, hung_lower(scene.rig, 0.2)
+    found = check_inputs(FrameList([seen_before(rooms, maps, r, k / 25, k) for k, r in enumerate(rigs)]), "silhouettes")
     assert [f.kind for f in found] == ["floor"] and "sees the floor at the end" in found[0].sentence
 
 
 def lowered(scene, lower, nobody=False):
     """Frames with everybody in them, before cameras that are told to hang so many m lower than they do."""
-    down = se3(np.eye(3), np.array([0, 0, lower]))
-    rig = CameraRig(tuple(replace(c, camera_from_world=c.camera_from_world @ down) for c in scene.rig))
+    rig, kept = hung_lower(scene.rig, lower), 0 if nobody else 1
     for f in depth_frames(scene, people=True):
-        person = f.depth.person * (0 if nobody else 1)
-        yield replace(
-            f,
-            depth=replace(f.depth, rig=rig, person=person),
-            silhouettes=replace(f.silhouettes, rig=rig, masks=f.silhouettes.masks * (0 if nobody else 1)),
-        )
+        depth = replace(f.depth, rig=rig, person=f.depth.person * kept)
+        yield replace(f, depth=depth, silhouettes=replace(f.silhouettes, rig=rig, masks=f.silhouettes.masks * kept))
 
 
 @pytest.mark.slow

@@ -65,24 +65,6 @@ def test_strike_is_where_the_heel_is_farthest_in_front():
             assert abs(int(np.argmax(around)) - min(12, k)) <= 1
 
 
-def test_an_event_at_the_ends_of_a_clip_is_found():
-    """The foot's way before it is seen in part only."""
-    motion, body = walking()
-    second = [e for e in gait_of(motion, body).events if e.time > 0.5][0]
-    first = round(second.time * RATE) - 8
-    rows = slice(first, first + 100)
-    cut = Motion(
-        motion.skeleton,
-        motion.times[rows],
-        *(v[rows] for v in (motion.joints, motion.poses, motion.joint_covariance, motion.lost, motion.extrapolated)),
-        motion.n_views[rows],
-        motion.cost[rows],
-    )
-    found = gait_of(cut, body).events[0]
-    assert (found.side, found.kind) == (second.side, second.kind)
-    assert found.time == pytest.approx(second.time, abs=0.5 / RATE)
-
-
 def test_cycles_lay_strides_over_each_other():
     """A hip swings as a sine whose cycle is the stride: the mean of the strides is that sine, and they are alike."""
     motion, body = walking(seconds=6.0)
@@ -102,19 +84,22 @@ def test_cycles_lay_strides_over_each_other():
 
 
 def test_nobody_walks():
-    gait = gait_of(*walking(still=True))
-    assert gait.events == () and gait.steps == () and gait.figures == ()
+    still = walking(still=True)
+    gait = gait_of(*still)
+    assert gait.events == () and gait.steps == () and gait.figures == () and gait_section(*still) == ""
+
+
+def test_without_poses_there_is_no_gait():
     motion, body = walking()
+    without = Motion(**{**motion.__dict__, "poses": None})
     with pytest.raises(InputError, match="gait needs poses"):
-        gait_of(Motion(**{**motion.__dict__, "poses": None}), body)
+        gait_of(without, body)
+    assert gait_section(motion, None) == "" == gait_section(without, body)
 
 
 def test_a_report_has_the_gait_of_who_walks():
     shown = gait_section(*walking(seconds=6.0))
-    assert "<h2>Gait</h2>" in shown and "cadence" in shown and "steps/min" in shown and "gait cycle (%)" in shown
-    assert gait_section(*walking(still=True)) == ""
-    motion, body = walking()
-    assert gait_section(motion, None) == "" == gait_section(Motion(**{**motion.__dict__, "poses": None}), body)
+    assert all(words in shown for words in ("<h2>Gait</h2>", "cadence", "steps/min", "gait cycle (%)"))
 
 
 def test_the_command_and_its_files(tmp_path, capsys):

@@ -22,8 +22,12 @@ BALANCING = Path(__file__).parents[3] / "shared" / "data" / "pose2sim_balancing"
 
 
 @pytest.fixture(scope="module")
-def frames():
-    scene = noisy_scene("walk", rig="humaneva-4", seconds=1.0, seed=40)
+def scene():
+    return noisy_scene("walk", rig="humaneva-4", seconds=1.0, seed=40)
+
+
+@pytest.fixture(scope="module")
+def frames(scene):
     return list(scene.mask_frames(0.5, keypoints=True))
 
 
@@ -48,6 +52,15 @@ def with_rig(frames, change):
             )
         )
     return out
+
+
+UPRIGHT = np.eye(3)
+
+
+def in_world(camera, turn=UPRIGHT, unit=1.0):
+    """The camera in a world that is turned and whose unit is another one."""
+    place = camera.camera_from_world
+    return replace(camera, camera_from_world=se3(place[:3, :3] @ turn, unit * place[:3, 3]))
 
 
 def alone(frame, points):
@@ -112,30 +125,19 @@ def test_exchanged_names_are_found_by_the_face_where_there_are_no_feet(frames):
 
 
 @pytest.mark.parametrize("evidence", ["silhouettes", "keypoints", "both"])
-def test_a_world_upside_down_is_told(frames, evidence):
-    def over(camera):
-        turn = se3(np.diag([1.0, -1.0, -1.0]), np.zeros(3))
-        return replace(camera, camera_from_world=camera.camera_from_world @ turn)
-
-    assert kinds(with_rig(frames, over), evidence) == ["up"]
-
-
-def test_another_axis_up_is_told(frames):
-    turn = se3(np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]]), np.zeros(3))
-    turned = with_rig(frames, lambda c: replace(c, camera_from_world=c.camera_from_world @ turn))
-    for evidence in ("silhouettes", "keypoints"):
-        (found,) = check_inputs(FrameList(turned), evidence)
-        assert found.kind == "up" and " y points up" in found.cure, found.sentence
-
-
-@pytest.mark.parametrize("evidence", ["silhouettes", "keypoints"])
-def test_a_wrong_unit_is_told(frames, evidence):
-    def in_mm(camera):
-        pose = camera.camera_from_world.copy()
-        pose[:3, 3] *= 1000
-        return replace(camera, camera_from_world=pose)
-
-    assert kinds(with_rig(frames, in_mm), evidence) == ["unit"]
+@pytest.mark.parametrize(
+    ("turn", "unit", "kind", "cure"),
+    [
+        (np.diag([1.0, -1.0, -1.0]), 1.0, "up", ""),
+        (np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]]), 1.0, "up", " y points up"),
+        (UPRIGHT, 1000.0, "unit", ""),
+    ],
+    ids=["upside down", "y up", "mm"],
+)
+def test_another_axis_up_and_a_wrong_unit_are_told(frames, evidence, turn, unit, kind, cure):
+    wrong = FrameList(with_rig(frames, lambda c: in_world(c, turn, unit)))
+    (found,) = (f for f in check_inputs(wrong, evidence) if f.fault)
+    assert found.kind == kind and cure in found.cure, found.sentence
 
 
 def test_scatter_and_another_calibration_are_told(frames):
@@ -189,23 +191,13 @@ def test_a_wrong_focal_length_of_two_views_cannot_be_told(frames):
     assert found.sd == float("inf") and not list(focal_findings(found))
 
 
-def test_a_height_that_is_known_tells_what_the_views_do_not():
-    scene = noisy_scene("walk", rig="humaneva-4", seconds=1.0, seed=40)
+def test_a_height_that_is_known_tells_what_the_views_do_not(scene, frames):
     tall = float(np.ptp(scene.subject.vertices[:, 2]))
-    right = [replace(f, silhouettes=None) for f in scene.mask_frames(0.5, keypoints=True)]
-    assert check_inputs(FrameList(right), "keypoints", tall) == ()
-    large = [replace(f, keypoints=replace(f.keypoints, rig=moved_away(f.keypoints.rig, 1.1))) for f in right]
-    found = check_inputs(FrameList(large), "keypoints", tall)
-    assert [(f.kind, f.fault) for f in found] == [("unit", False)] and "is known" in found[0].text
-    huge = [replace(f, keypoints=replace(f.keypoints, rig=moved_away(f.keypoints.rig, 2.15 / tall))) for f in right]
-    found = check_inputs(FrameList(huge), "keypoints")
-    assert [(f.kind, f.fault) for f in found] == [("unit", False)] and "if it is right" in found[0].cure
-
-
-def moved_away(rig, factor):
-    """The same cameras in a world whose unit is another one."""
-    places = [se3(c.camera_from_world[:3, :3], factor * c.camera_from_world[:3, 3]) for c in rig]
-    return CameraRig(tuple(replace(c, camera_from_world=p) for c, p in zip(rig, places, strict=True)))
+    for unit, height, told in ((1.0, tall, []), (1.1, tall, ["is known"]), (2.15 / tall, None, ["if it is right"])):
+        large = with_rig(frames, lambda c, unit=unit: in_world(c, unit=unit))
+        found = check_inputs(FrameList(large), "keypoints", height)
+        assert [(f.kind, f.fault) for f in found] == [("unit", False)] * len(told)
+        assert all(words in f.sentence for words, f in zip(told, found, strict=True))
 
 
 def test_two_cameras_that_stand_side_by_side_or_face_each_other(frames):

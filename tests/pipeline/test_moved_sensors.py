@@ -46,28 +46,18 @@ def test_nothing_is_said_of_cameras_that_stand_where_they_should():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("change", [14])
-def test_a_camera_that_stands_elsewhere_is_found_and_put_right(change):
+def test_a_camera_that_stands_elsewhere_is_found_and_put_right():
+    change = 14
     source, poses = recording(change)
     places, said = moved_sensors(source, BODY, poses, np.full(24, 0.9), RATE)
     assert [abs(p.since - change) <= 1 for p in places] == [True]
     degrees, metres = place_error(places[0].camera_from_world[1], elsewhere()[1].camera_from_world, HERE)
     assert degrees < 0.5 and metres < SETTINGS.moved_off_m / 2
     assert np.array_equal(places[0].camera_from_world[0], RIG[0].camera_from_world)
-    assert len(said) == 1 and said[0].text.startswith("d1 stood") and ("from frame" in said[0].text) == (change > 0)
+    assert len(said) == 1 and said[0].text.startswith("d1 stood") and "from frame" in said[0].text
     right = PlacedSource(source, places)
     last = right.frame(23)
     assert last.depth is not None and last.silhouettes is not None
     assert last.depth.rig[1].camera_from_world == pytest.approx(places[0].camera_from_world[1])
     assert last.silhouettes.rig is last.depth.rig and len(right) == 24
-    assert (right.frame(0) is source.frame(0)) == (change > 0)
-
-
-def test_one_depth_camera_alone_and_few_frames_tell_nothing():
-    source, poses = recording(0, 4)
-    assert moved_sensors(source, BODY, poses, np.full(4, 0.9), RATE) == ((), ())
-    alone = []
-    for frame in recording(0)[0].frames:
-        assert frame.depth is not None
-        alone.append(replace(frame, depth=replace(frame.depth, usable=np.array([True, False]))))
-    assert moved_sensors(FrameList(alone, RATE), BODY, recording(0)[1], np.full(24, 0.9), RATE) == ((), ())
+    assert right.frame(0) is source.frame(0)

@@ -1,5 +1,7 @@
 """One result of several people: whose it is, and what is said when it is somebody else's."""
 
+from unittest.mock import Mock
+
 import numpy as np
 import pytest
 
@@ -8,19 +10,9 @@ from hypose.pipeline import one_of_several
 from hypose.pipeline.one_of_several import track_one_of
 from hypose.pipeline.run import TrackResult
 from hypose.pipeline.track_options import TrackOptions
-from hypose.pipeline.tracked_people import Followed, PeopleResult, TrackedPerson, Wanted, makes_room
+from hypose.pipeline.tracked_people import PeopleResult, TrackedPerson, Wanted
 
-ANNA, BERT = Wanted("Anna", place=(1.0, 2.5), time=0.5), Wanted("Bert")
-
-
-class Run:
-    """What is asked of a `PeopleRun`."""
-
-    def __init__(self, result, looked):
-        self.result, self.looked = result, looked
-
-    def __call__(self):
-        return self.result
+ANNA = Wanted("Anna", place=(1.0, 2.5), time=0.5)
 
 
 def found(name, monkeypatch, wanted, looked=()):
@@ -28,7 +20,8 @@ def found(name, monkeypatch, wanted, looked=()):
     one = TrackedPerson(
         name, TrackResult(None, None, True, (), findings=(Finding("fault", (), "a fault"),)), there, ~there
     )  # type: ignore[arg-type]
-    monkeypatch.setattr(one_of_several, "PeopleRun", lambda *_, **__: Run(PeopleResult((one,), True, (), 1), looked))
+    run = Mock(return_value=PeopleResult((one,), True, (), 1), looked=looked)
+    monkeypatch.setattr(one_of_several, "PeopleRun", Mock(return_value=run))
     return track_one_of(None, 25.0, TrackOptions(), wanted=wanted)  # type: ignore[arg-type]
 
 
@@ -46,14 +39,3 @@ def test_nobody_else_is_told_where_cameras_make_one_person_two(monkeypatch, kind
         "person-1", monkeypatch, [], (Finding(kind, (), "wrong", "correct it", 1.0, INVALID if fault else REVIEW),)
     )
     assert any(f.kind == "other people" for f in out.findings) == reported
-
-
-def followed(*names):
-    return [Followed(name, None, None) for name in names]  # type: ignore[arg-type]
-
-
-def test_who_is_wanted_and_comes_later_takes_the_place_of_one_who_is_not():
-    people = followed("Bert", "person-1")
-    assert makes_room(2, "Anna", people, [ANNA, BERT])
-    assert [p.asked_for for p in people] == [True, False]
-    assert not makes_room(2, "Anna", people, [ANNA, BERT])  # all are wanted

@@ -7,11 +7,10 @@ import pytest
 
 import hypose
 from hypose.app.jobs.explain import explain_joint
-from hypose.io.motions.results import ResultsFolder, load_motion, save_body
+from hypose.io.motions.results import ResultsFolder, save_body
 from hypose.pipeline import passes
 from hypose.pipeline.first_frame import SubjectOptions, find_subject
-from hypose.pipeline.run import finish, track_source
-from hypose.pipeline.trace import Change, later, list_changes, trace_of, with_trace
+from hypose.pipeline.run import track_source
 from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.scenes import camera_rig, make_scene
@@ -85,56 +84,6 @@ def test_a_fault_planted_in_the_search_of_a_frame_is_named(frames, subject, tmp_
     monkeypatch.setattr("hypose.pipeline.run.PASSES", planned)
     lines = explained(frames, subject, tmp_path)
     assert any(line.startswith("  track_clip: up to 400 mm in frames 5 to 7: the limb search") for line in lines)
-
-
-def test_searches_are_traced_of_clips_that_others_have_tracked_too(frames, subject):
-    """Several people are tracked together, and only then run through the passes, each alone."""
-    options = TrackOptions(start="keypoints", evidence="silhouettes")
-    tracker = passes.tracker_of(subject, options, 25.0)
-    followed = list(tracker.follow(tracker.start(subject.start), frames))
-    there = [replace(e, moved=np.full_like(e.moved, 0.3), origin="by arm table") for _, e in followed]
-    clip = passes.ClipState(FrameList(frames), 25.0, options, subject=subject, tracker=tracker)
-    out = finish(replace(clip, tracked=passes.Tracked(there, followed[-1][0])))
-    found = [c for c in trace_of(out.motion) if c.stage == "track_clip" and c.joint == JOINT]
-    assert [(c.frames, c.reason) for c in found] == [(range(len(frames)), passes.SEARCHES["by arm table"])]
-
-
-def test_a_person_who_is_not_there_was_found_by_no_search(frames, subject):
-    tracker = passes.tracker_of(subject, TrackOptions(evidence="silhouettes"), 25.0)
-    *_, (state, _) = tracker.follow(tracker.start(subject.start), frames[:4])
-    s = frames[4].silhouettes
-    elsewhere = replace(s, masks=np.roll(s.masks, s.masks.shape[-1] // 2, axis=-1))
-    state = replace(state, hypotheses=state.hypotheses.marked("by arm table", np.arange(state.hypotheses.count)))
-    estimate = tracker.step(state, replace(frames[4], silhouettes=elsewhere, keypoints=None))[1]
-    assert estimate.lost and estimate.origin == ""
-
-
-def test_what_no_pass_moved_is_said_to_be_so(frames, subject, tmp_path):
-    lines = explained(frames, subject, tmp_path)
-    text = "\n".join(lines)
-    assert lines[0].startswith(f"{JOINT} in frame 6 (0.24 s): at (")
-    assert "Evidence: unknown, 4 views; the body overlaps the masks by 0." in text
-    kept = [c for c in trace_of(load_motion(tmp_path / "motion.npz")) if c.joint == JOINT and 6 in c.frames]
-    assert ("No pass moved it" in text) == (not kept)
-
-
-def test_changes_are_stretches_of_frames_with_the_largest_displacement():
-    moved = np.zeros((10, 2))
-    moved[[3, 5], 0], moved[8, 1] = (0.1, 0.3), 0.05
-    found = list_changes("smooth", ("hip", "knee"), moved, "why")
-    assert found == (
-        Change("smooth", "hip", range(3, 6), 0.3, "why"),
-        Change("smooth", "knee", range(8, 9), 0.05, "why"),
-    )
-    assert later(found, 4)[0].frames == range(7, 10)
-    only = list_changes("smooth", ("hip", "knee"), moved, "why", np.arange(10) > 4)
-    assert [c.frames for c in only] == [range(5, 6), range(8, 9)]
-
-
-def test_a_trace_is_kept_with_its_motion(frames, subject, tmp_path):
-    motion = track_source(FrameList(frames), 25.0, TrackOptions(start="keypoints"), subject=subject).motion
-    trace = list_changes("smooth", ("hip",), np.full((3, 1), 0.1), "why")
-    assert trace_of(with_trace(motion, trace)) == trace
 
 
 def test_a_result_is_saved_loaded_and_read_as_a_table(frames, subject, tmp_path):

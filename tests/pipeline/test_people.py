@@ -11,6 +11,7 @@ from hypose.errors import InputError
 from hypose.evidence.association import PersonTrack
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.io.motions.results import ResultsFolder
+from hypose.pipeline import people_run
 from hypose.pipeline.people_run import PeopleRun
 from hypose.pipeline.person_paths import KeypointPeople, count_people
 from hypose.pipeline.track_loop import FrameList
@@ -114,6 +115,54 @@ def test_an_interrupted_run_goes_on_to_the_same_bytes(rig, tmp_path):
         np.testing.assert_array_equal(a.result.motion.poses, b.result.motion.poses)
         np.testing.assert_array_equal(a.result.motion.joint_covariance, b.result.motion.joint_covariance)
     assert (tmp_path / "anna" / "motion.npz").exists() and (tmp_path / "bert" / "motion.npz").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("nth", [1, 2])
+def test_an_interruption_while_a_person_is_finished_is_one_of_the_run(rig, tmp_path, nth):
+    frames, _ = two_people(rig, 6)
+    whole = replace(both(frames), options=TrackOptions())()
+    results, times, at = ResultsFolder(tmp_path), [], []
+
+    def stop(stage, done, total):
+        at.append((stage, done))
+        times.extend([1] * (stage == "smooth" and done == 0))
+        if stage == "smooth" and done == 0 and len(times) == nth:
+            raise KeyboardInterrupt
+
+    half = replace(both(frames, results=results, progress=stop), options=TrackOptions())()
+    assert not half.complete and results.checkpoint.exists() and len(half.people) == 2
+    assert at[-1] == ("smooth", 0)  # nothing is smoothed after it
+    at.clear()
+    rest = replace(both(frames, results=results, resume=True, progress=stop), options=TrackOptions())()
+    assert rest.complete and at[0] == ("track", 6)  # nobody is searched or tracked again
+    for a, b in zip(whole.people, rest.people, strict=True):
+        np.testing.assert_array_equal(a.result.motion.poses, b.result.motion.poses)
+        np.testing.assert_array_equal(a.result.motion.joint_covariance, b.result.motion.joint_covariance)
+    left = [p.name for p in tmp_path.rglob("*") if p.is_file()]
+    assert not {"checkpoint.npz", "subject.npz"} & set(left)
+
+
+@pytest.mark.slow
+def test_a_frame_that_is_interrupted_half_way_is_taken_back(rig, tmp_path, monkeypatch):
+    frames, _ = two_people(rig, 8)
+    whole, results = both(frames)(), ResultsFolder(tmp_path)
+    parted = people_run.part_doubles
+
+    def ctrl_c(people, together):
+        parted(people, together)
+        if len(people[0].estimates) == 5:
+            people[0].present[-1] = False
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(people_run, "part_doubles", ctrl_c)
+        half = both(frames, results=results)()
+    assert [len(p.result.motion) for p in half.people] == [4, 4]
+    rest = both(frames, results=results, resume=True)()
+    for a, b in zip(whole.people, rest.people, strict=True):
+        np.testing.assert_array_equal(a.result.motion.poses, b.result.motion.poses)
+        np.testing.assert_array_equal(a.present, b.present)
 
 
 @pytest.mark.slow

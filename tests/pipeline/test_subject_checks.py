@@ -11,7 +11,7 @@ from hypose.compute.parts import covered
 from hypose.errors import EvidenceError
 from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import make_silhouettes
-from hypose.pipeline.start_choice import apparent_height, check_borders, check_start, cut_edges
+from hypose.pipeline.start_choice import check_borders, check_start, cut_edges
 from hypose.pipeline.subject_from_motion import AnthropometryOptions, estimate_subject
 from hypose.synthetic.scenes import camera_rig
 from hypose.tracking.starts import known_pose
@@ -54,12 +54,6 @@ def estimate(frame, **options):
     return estimate_subject(lambda i: frame, 2, 25.0, human(), AnthropometryOptions(frames=1, rate=25.0, **options))
 
 
-def test_height_is_seen_without_a_hull(views):
-    assert apparent_height(seen(views).silhouettes) == pytest.approx(human().stature, rel=0.12)
-    one = seen(views).silhouettes
-    assert apparent_height(replace(one, usable=np.array([True, False, False, False]))) is None
-
-
 @pytest.mark.parametrize(("factor", "unit"), [(100, "cm"), (1000, "mm")])
 def test_a_giant_is_a_wrong_unit(views, factor, unit):
     with pytest.raises(EvidenceError, match=rf'Frame 0: .* m tall; calibration_unit = "{unit}"') as caught:
@@ -84,17 +78,14 @@ def test_one_view_that_cuts_is_named(views):
     notes = check_borders([Frame(0.0, 0, silhouettes=replace(whole, masks=masks))], None)
     assert len(notes) == 1 and notes[0].startswith(whole.rig.names[1]) and "1 of 1 frames" in notes[0]
     assert check_borders([Frame(0.0, 0, silhouettes=whole)], None) == ()
-    speck = whole.masks.copy()
-    speck[0, 0, :2] = 1
-    assert cut_edges(replace(whole, masks=speck), 0) == ()
-
-
-def test_a_pose_that_is_not_held_is_named(views):
-    with pytest.raises(EvidenceError, match=r"Frame 0 does not show the pose 'hands-up'.*--start hull"):
-        estimate(seen(views), poses=("hands-up",))
 
 
 def test_a_start_that_explains_nothing():
     check_start(0.6, 7)
     with pytest.raises(EvidenceError, match="Frame 7: no body in a known pose"):
         check_start(0.2, 7)
+
+
+def test_a_pose_that_is_not_held_is_named(views):
+    with pytest.raises(EvidenceError, match=r"Frame 0 does not show the pose 'hands-up'.*--start hull"):
+        estimate(seen(views), poses=("hands-up",))

@@ -2,17 +2,14 @@
 prior of Table 2.1."""
 
 import tomllib
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from benchmarks.papers.layered_anthropometry import (
     K,
-    SizePrior,
     powell_start,
     shape_energy,
-    sizes_2_1,
 )
 from hypose.body.anthropometry import SHAPE_FACTORS, body_of, entity, sizes_of
 from hypose.errors import EvidenceError, InputError
@@ -122,26 +119,7 @@ def test_a_single_view_is_refused(body, standing, frame_of):
         estimate_subject(lambda i: frame, 3, 25.0, body)
 
 
-@pytest.mark.parametrize(("name", "value"), [("height", 170.0), ("mass", 7000.0)])
-def test_wrong_units_are_refused(name, value):
-    with pytest.raises(InputError, match=name):
-        AnthropometryOptions(**{name: value})
-
-
 # --- the thesis' filter -------------------------------------------------------------------------------------------
-
-
-def test_size_prior_agrees_with_the_mesh(body, rng):
-    light = replace(body, fine=body.coarse)
-    x = np.zeros(K + body.skeleton.dof)
-    prior = SizePrior(light)
-    for name, size in prior.sizes(x).items():
-        assert size == pytest.approx(sizes_2_1(light)[name], abs=1e-9)
-    x[[entity("thigh length"), entity("upper arm length"), entity("torso length")]] = 0.05, -0.04, 0.03
-    wanted = sizes_2_1(body_of(light, x[:K]))
-    for name, size in prior.sizes(x).items():
-        assert size == pytest.approx(wanted[name], abs=0.8), name
-    assert prior(np.zeros((2, 3, len(x)))).shape == (2, 3)
 
 
 def test_powell_lowers_the_energy(body, standing, frame_of):

@@ -1,18 +1,14 @@
-"""Arms that were lost are looked up, solved before they are compared, and carried along until frames have decided."""
-
-from dataclasses import replace
+"""Arms that were lost are looked up and carried along until frames have decided."""
 
 import numpy as np
 import pytest
 
-from hypose.inference.hypotheses import BEFORE, Hypotheses
-from hypose.tracking.arm_hypotheses import RefineRivals
-from hypose.tracking.arm_workspace import arm_reach, ends
+from hypose.inference.hypotheses import Hypotheses
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.pose_covariance import uncertainty_of_pose
 from hypose.tracking.published_recipes import LIMB_LAYERS
 from hypose.tracking.recipes import default
-from hypose.tracking.refinement import COMPOSITE, RIVAL, SOLVED
+from hypose.tracking.refinement import RIVAL, SOLVED
 from hypose.tracking.tracker import (
     Tracker,
     TrackerSettings,
@@ -28,16 +24,6 @@ LEFT, RIGHT = dict(LIMB_LAYERS)["left_arm"], dict(LIMB_LAYERS)["right_arm"]
 
 
 @pytest.fixture(scope="module")
-def arms(body):
-    """The tables of both arms over half of each joint's range."""
-    s = body.skeleton
-    return {
-        side: arm_reach(body, joints, 0.5 * s.lower, 0.5 * s.upper)
-        for side, joints in zip("lr", (LEFT, RIGHT), strict=True)
-    }
-
-
-@pytest.fixture(scope="module")
 def raised(body, standing):
     """The left arm held out to the side and bent, in plain sight."""
     pose = standing.copy()
@@ -50,36 +36,6 @@ def raised(body, standing):
 def wrist_error(body, pose, truth, side="left"):
     k = body.skeleton.joint(f"{side}_wrist")
     return float(np.linalg.norm(body.joints(pose)[k] - body.joints(truth)[k]))
-
-
-def off_guard(body, pose):
-    """Hypotheses all at one pose, as the search of limbs begins."""
-    return Hypotheses.uniform(np.repeat(pose[None], 4, 0)).marked(SOLVED, [0]).marked(COMPOSITE, [1])
-
-
-def test_the_table_has_an_arm_near_every_arm(body, arms, rng):
-    s, arm = body.skeleton, arms["l"]
-    poses = np.zeros((200, s.dof))
-    poses[:, arm.own] = rng.uniform(0.5 * s.lower[arm.own], 0.5 * s.upper[arm.own], (200, len(arm.own)))
-    apart = np.linalg.norm(ends(arm.here(poses))[:, None] - ends(arm.points)[None], axis=-1).max(-1).min(1)
-    assert np.median(apart) < 0.06 and apart.max() < 0.13
-
-
-def test_a_found_arm_stands_still_and_the_body_goes_on(body, arms, standing, raised, frame_of, rng):
-    """The estimate of the next frame is expected by its parent's step, but for the arm that lay elsewhere."""
-    before = standing.copy()
-    before[:2] -= 0.03
-    rivals = Hypotheses(standing[None], np.zeros(1), columns={BEFORE: before[None]})
-    frame = replace(prepare(frame_of(body, raised), body, standing), rivals=rivals)
-    refine = RefineRivals(((arms["l"], lambda h, frame: True), (arms["r"], lambda h, frame: True)))
-    out = refine(off_guard(body, standing), frame, rng)
-    best = int(out.relative_log_weights.argmax())
-    assert wrist_error(body, out.values[best], raised) < 0.05
-    assert out.has(SOLVED)[best] and out.has(RIVAL).sum() == out.count - 1
-    own = arms["l"].own
-    np.testing.assert_allclose(out.columns[BEFORE][best, own], out.values[best, own], atol=1e-6)
-    np.testing.assert_array_equal(np.delete(out.columns[BEFORE][best], own), np.delete(before, own))
-    assert (out.origin == 0).all()
 
 
 def follow(tracker, state, poses, frame_of, dead=()):

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from hypose.inference.hypotheses import Hypotheses
-from hypose.tracking.frame_evidence import SilhouetteXor, prepare, view_count
+from hypose.tracking.frame_evidence import prepare, view_count
 
 
 def test_energy_is_the_printed_sum_over_views(body, standing, frame_of):
@@ -26,10 +25,3 @@ def test_an_empty_view_is_left_out_not_divided_by_zero(body, standing, frame_of)
     assert view_count(without) == 3
     assert np.isfinite(without.silhouettes.energy(body, moved[None])).all()
     assert without.silhouettes.energy(body, moved[None])[0] < whole.silhouettes.energy(body, moved[None])[0]
-
-
-def test_no_usable_view_costs_the_same_for_all(body, standing, frame_of):
-    blind = prepare(frame_of(body, standing, dead=(0, 1, 2, 3)), body, standing)
-    assert not blind.usable
-    h = Hypotheses.uniform(np.stack([standing, standing + 0.1]))
-    assert (SilhouetteXor()(h, blind) == 0).all()

@@ -59,12 +59,6 @@ def test_unnamed_detections_go_to_the_nearest_ends_within_limits(body, standing,
     assert np.allclose(found[0], points[1]) and np.allclose(found[1], points[0])
 
 
-def test_named_detections_are_taken_as_they_are(body, standing, frame_of):
-    ends = ends_of(body)
-    named = with_detections(frame_of, body, standing, [[5.0, 5, 5]], ("right_ankle",))
-    assert set(found_ends(body, ends, prepare(named, body, standing))) == {ANKLE}
-
-
 def driven(body, end, **settings):
     own = np.zeros(body.skeleton.dof)
     own[:12] = body.skeleton.step_sigma(25.0)[:12]

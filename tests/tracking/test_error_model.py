@@ -8,7 +8,6 @@ import pytest
 from hypose.body.default_body import human
 from hypose.body.joint_angles import ANGLE_NAMES
 from hypose.body.motion import Motion, isotropic
-from hypose.tracking.error_features import FEATURES, clip_features
 from hypose.tracking.error_model import (
     ELSEWHERE_M,
     as_mixture,
@@ -67,13 +66,6 @@ def test_a_clean_clip_is_not_doubted_and_an_arm_that_disagrees_is(masks, points,
     assert again[15, wrist] > 5 * p[15, wrist]
     # detectors err alone so often that a key point far from a joint says little when nothing else does
     assert flagged[15, wrist] or not masks
-    # a second later nothing tells of the arm at a leg, but what kind of clip it is in
-    own = [k for k, n in enumerate(FEATURES) if not n.endswith("_of_clip")]
-    knee = NAMES.index("left_knee")
-    before, after = clip_features(motion, joints, audit), clip_features(motion, jumped, bad)
-    np.testing.assert_allclose(after[28, knee, own], before[28, knee, own], atol=1e-6)
-    if points:
-        assert again[28, knee] == pytest.approx(p[28, knee], abs=1e-6)
 
 
 def test_what_one_view_alone_shows_is_doubted_unless_a_second_one_is_near_in_time():
@@ -83,24 +75,11 @@ def test_what_one_view_alone_shows_is_doubted_unless_a_second_one_is_near_in_tim
     p, low_confidence = judged(motion, joints, audit)
     assert low_confidence[:, ankle].all() and p[:, ankle].min() >= 0.4 - 1e-6
     assert not np.delete(low_confidence, ankle, 1).any()
-    audit[::6, ankle, views] = 2
-    p, low_confidence = judged(motion, joints, audit)
-    assert low_confidence[:, ankle].all() and np.allclose(p[:, ankle], 0.3)  # one of the two may have guessed it
-    cut = audit.copy()
-    cut[..., views] = np.minimum(cut[..., views], 2)  # two cameras see nobody's limbs more than twice
-    assert not judged(motion, joints, cut)[1].any()
     audit[::6, ankle, views] = 3  # a limb is where it was a tenth of a second ago
     assert not judged(motion, joints, audit)[1].any()
     both = clip(points=True)
     both[2][:, ankle, views] = 1
     assert not judged(*both)[1].any()  # masks show it as well
-
-
-def test_features_are_finite_whatever_is_missing():
-    motion, joints, audit = clip(frames=2)
-    audit[0] = np.nan
-    found = clip_features(motion, joints, audit)
-    assert found.shape == (2, len(NAMES), len(FEATURES)) and np.isfinite(found).all()
 
 
 def test_a_frame_is_worth_a_look_where_wrong_joints_are_to_be_expected():

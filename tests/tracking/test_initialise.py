@@ -3,16 +3,11 @@
 import numpy as np
 import pytest
 
-from hypose.errors import EvidenceError, InputError
+from hypose.errors import EvidenceError
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.start_search import start_from_hull
-from hypose.tracking.starts import known_pose, recover, start_from_keypoints
+from hypose.tracking.starts import recover, start_from_keypoints
 from tests.tracking.measures import joint_error
-
-
-def test_unknown_pose_lists_the_known_ones(body):
-    with pytest.raises(InputError, match="hands-up"):
-        known_pose(body, "handstand")
 
 
 @pytest.mark.parametrize("heading", [0.0, 1.5, 3.1, -2.4])

@@ -61,8 +61,6 @@ def test_exchanged_legs_are_put_right(body, model, standing, small_rig, parts):
     # hips lie nearer together than the threshold: the outer parts decide
     right = check_sides_and_views(wrong.points, expected, model.names, size)
     ankles = [BODY_25B.index(f"{side}_{part}") for part in ("knee", "ankle") for side in ("left", "right")]
-    spread = np.linalg.norm(given.points[1, ankles[0], :2] - given.points[1, ankles[1], :2]) / size[1]
-    assert spread > 0.15
     np.testing.assert_allclose(right[1, ankles], given.points[1, ankles])
     np.testing.assert_allclose(right[[0, 2, 3]], given.points[[0, 2, 3]])
 

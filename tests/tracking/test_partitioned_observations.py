@@ -1,16 +1,11 @@
-"""Partitions of the observations: boxes around limbs, the cost inside them, and the presets built on it."""
+"""Partitions of the observations: boxes around limbs and the preset built on them."""
 
 import numpy as np
-import pytest
 
-from hypose.inference.hypotheses import Hypotheses
-from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.partitioned_observations import (
-    PartitionedXor,
     boxes_in_views,
-    partitioned_energy,
 )
-from hypose.tracking.published_recipes import HPF_LAYERS, hpf_apo, layer_regions
+from hypose.tracking.published_recipes import hpf_apo
 from hypose.tracking.tracker import Tracker, TrackerSettings
 from tests.tracking.measures import joint_error
 
@@ -25,36 +20,6 @@ def test_the_box_encloses_the_projected_corners(small_rig):
         assert (inside >= [x0, y0]).all() and (inside < [x1, y1]).all()
         # and not much more than that
         assert x1 - x0 <= np.ptp(uv[:, 0]) + 3 and y1 - y0 <= np.ptp(uv[:, 1]) + 3
-
-
-def test_parts_of_later_layers_are_not_drawn(body, standing, frame_of):
-    regions = layer_regions(body)
-    assert len(regions) == len(HPF_LAYERS) + 1
-    counts = [int(faces.sum()) for _, faces in regions]
-    assert all(a < b for a, b in zip(counts[:-2], counts[1:-1], strict=True))
-    assert counts[-1] == len(body.coarse.faces)
-    frame = prepare(frame_of(body, standing), body, standing)
-    h = Hypotheses.uniform(np.repeat(standing[None], 3, 0))
-    bent = h.values.copy()
-    bent[1, body.skeleton.dofs_of("right_elbow")] += 0.6  # not drawn while the upper arm is searched
-    region, faces = regions[4]
-    drawn = PartitionedXor(body, region)(Hypotheses.uniform(bent), frame)
-    upper_arm = PartitionedXor(body, region, faces)(Hypotheses.uniform(bent), frame)
-    # what is left is the skin about the elbow, which follows both bones
-    assert abs(upper_arm[1] - upper_arm[0]) < 0.35 * abs(drawn[1] - drawn[0])
-
-
-def test_the_whole_box_gives_the_plain_cost_on_another_scale(body, standing, frame_of):
-    """Eq. 2.15 with Omega = everything is eq. 2.14 with the image's pixels in place of the silhouette's."""
-    frame = prepare(frame_of(body, standing), body, standing)
-    assert frame.frame.silhouettes is not None
-    sizes = frame.frame.silhouettes.rig.sizes
-    boxes = np.stack([0 * sizes[:, 0], sizes[:, 0], 0 * sizes[:, 1], sizes[:, 1]], 1)
-    moved = standing[None].copy()
-    moved[0, 0] += 0.05
-    per_view = partitioned_energy(body, moved, frame, boxes)[0] * sizes.prod(1).mean()
-    plain = frame.silhouettes.energy(body, moved)[0] * frame.silhouettes.masks.areas.mean()
-    assert per_view == pytest.approx(plain, rel=0.1)
 
 
 def test_a_moving_arm_is_followed(body, standing, frame_of):

@@ -13,28 +13,13 @@ from hypose.inference.layer import Layer, Recipe
 from hypose.inference.resampling import systematic
 from hypose.tracking import refinement
 from hypose.tracking.frame_evidence import SilhouetteXor
-from hypose.tracking.recipes import RECIPES, citation_of, recipe
+from hypose.tracking.recipes import recipe
 from hypose.tracking.refinement import pose_mean
 from hypose.tracking.tracker import Tracker, TrackerSettings
 from tests.tracking.measures import joint_error
 
 PUBLISHED = ("sir", "apf", "partitioned", "hpf", "hpf-apo", "dd-hpf", "dd-hpf+", "dd-hpf+5")
 SOLVING = ("default", "hpf+", "dd-hpf+rivals")
-
-
-def test_every_preset_is_published_or_solves():
-    assert {*PUBLISHED, *SOLVING, "monocular"} == set(RECIPES)
-
-
-def test_options_of_one_method_are_the_parameters_of_its_preset(body):
-    assert recipe("monocular", body, particles=3, floor=0.0).particles == 3
-    with pytest.raises(InputError, match="'hpf' has no option 'floor'"):
-        RECIPES["hpf"].check("hpf", "silhouettes", {"floor": 0.0})
-    with pytest.raises(InputError, match="'hpf' has no option 'tail'"):
-        RECIPES["hpf"].check("hpf", "silhouettes", {"tail": 1})
-    with pytest.raises(InputError, match="'hpf' has no evidence 'edges'"):
-        RECIPES["hpf"].check("hpf", "edges", ())
-    RECIPES["monocular"].check("monocular", "edges", {"floor": 0.0})
 
 
 @pytest.mark.parametrize("name", PUBLISHED)
@@ -63,15 +48,6 @@ def test_what_solves_mends_a_start_that_is_off(body, standing, frame_of, name):
     _, estimate = tracker.step(tracker.start(off), frame_of(body, standing))
     assert joint_error(body, estimate.pose, standing) < 0.012
     assert made.recover is not None and made.smooth is not None and made.predict(np.ones(2), 1).tolist() == [0.8**2] * 2
-
-
-def test_refinement_is_added_once_and_cited(body):
-    assert (
-        recipe("hpf", body, refine=True).name == "hpf+refine" and recipe("default", body, refine=True).name == "default"
-    )
-    assert len(recipe("hpf+", body, refine=True).layers) == len(recipe("hpf", body).layers) + 1
-    assert citation_of("hpf", True) == citation_of("hpf+") != citation_of("hpf")
-    assert citation_of("magic") == ""
 
 
 def test_a_recipe_is_refused_the_evidence_that_it_needs(body):

@@ -9,11 +9,11 @@ from hypose.body.motion import Motion, isotropic
 from hypose.errors import EvidenceError
 from hypose.evidence.keypoints import BODY_25B
 from hypose.evidence.terms import PointTerm
-from hypose.tracking.keypoint_clip import solve_keypoint_clip, track_keypoint_clip
+from hypose.tracking.keypoint_clip import track_keypoint_clip
 from hypose.tracking.keypoint_evidence import keypoint_model
 from hypose.tracking.pose_covariance import packed
 from hypose.tracking.smoothing import ClipSettings, smooth_motion, smooth_poses
-from tests.tracking.test_keypoint_evidence import exchanged, seen_by
+from tests.tracking.test_keypoint_evidence import seen_by
 
 RATE = 25.0
 
@@ -99,17 +99,6 @@ def test_feet_are_held(body, swing, rng):
     assert found.feet.contacts > 0.8
     assert found.feet.sliding < 0.3 * found.feet_before.sliding
     assert any("slide" in note for note in found.notes)
-
-
-def test_key_point_clip_with_exchanged_sides_and_a_gap(body, swing, small_rig, rng):
-    model = keypoint_model(body, BODY_25B)
-    seen = [seen_by(small_rig, model, body, q, rng, 0.5) for q in swing]
-    for t in range(10, 14):
-        seen[t] = exchanged(seen[t], 1, ("shoulder", "elbow", "wrist"))
-    seen[20:23] = [None] * 3
-    poses, terms = solve_keypoint_clip(body, model, seen, swing[0], RATE)
-    assert distances(body, poses, swing).mean() < 0.015
-    assert [t for t, term in enumerate(terms) if term is None] == [20, 21, 22]
 
 
 def test_other_evidence_counts_in_a_clip_of_key_points(body, swing, small_rig, rng):

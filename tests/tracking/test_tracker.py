@@ -5,16 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hypose.errors import InputError
 from hypose.geometry import so3_exp, so3_log
-from hypose.tracking.recipes import RECIPES, recipe
+from hypose.tracking.recipes import recipe
 from hypose.tracking.tracker import (
     FOUND,
     Tracker,
     TrackerSettings,
-    TrackerState,
-    estimates_from_arrays,
-    estimates_to_arrays,
 )
 from tests.tracking.measures import joint_error
 
@@ -100,32 +96,3 @@ def test_a_body_that_is_wrong_from_the_start_is_looked_for_whatever_is_usual(bod
     found = [e.exchanged for e in estimates if e.exchanged > FOUND]
     assert len(found) == 1  # it is said, so that the frames before can be tracked again
     assert not any(e.lost for e in estimates)
-
-
-def test_saved_state_goes_on_with_the_same_bytes(body, standing, frame_of):
-    poses = moving(body, standing, 6)
-    tracker = small(body, "hpf", 40)
-    _, whole = run(tracker, poses, frame_of)
-    state, first = tracker.start(poses[0]), []
-    for t in range(3):
-        state, estimate = tracker.step(state, frame_of(body, poses[t], t))
-        first.append(estimate)
-    state = TrackerState.from_arrays({k: np.copy(v) for k, v in state.to_arrays().items()})
-    resumed = estimates_from_arrays(estimates_to_arrays(first))
-    for t in range(3, 6):
-        state, estimate = tracker.step(state, frame_of(body, poses[t], t))
-        resumed.append(estimate)
-    for a, b in zip(whole, resumed, strict=True):
-        assert a.pose.tobytes() == b.pose.tobytes()
-        assert a.joint_sd.tobytes() == b.joint_sd.tobytes()
-
-
-def test_unknown_recipe_lists_the_presets(body):
-    with pytest.raises(InputError, match="hpf"):
-        recipe("magic", body)
-
-
-@pytest.mark.parametrize("name", list(RECIPES))
-def test_every_preset_cites_its_source(body, name):
-    made = recipe(name, body)
-    assert made.name == name and made.citation

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from hypose.tracking.joint_features import apart, shift_of_mask
+from hypose.tracking.joint_features import shift_of_mask
 
 METRE = 80.0  # px
 
@@ -34,8 +34,3 @@ def test_what_is_lost_or_not_of_the_body_moves_nothing(rng):
     ignored = np.zeros_like(mask)
     ignored[78:153, 38:78] = 1
     assert shift_of_mask(spoilt, body, METRE, ignored) * METRE == pytest.approx((2, 0), abs=0.5)
-
-
-def test_views_are_apart_by_their_root_mean_square():
-    assert np.isnan(apart(np.array([[0.03, 0.0], [np.nan, np.nan]])))
-    assert apart(np.array([[0.03, 0.0], [0.0, 0.04], [np.nan, np.nan]])) == pytest.approx(np.sqrt(0.0025 / 2))

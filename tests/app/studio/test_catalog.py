@@ -43,19 +43,6 @@ def test_a_recording_is_found_whatever_it_is_called(tmp_path):
     assert {catalog.shown(i.path) for i in catalog.items("recording")} == {"a", "depth", "videos"}
 
 
-def test_what_is_new_is_found_and_what_is_gone_is_not(tmp_path):
-    catalog = make(tmp_path)
-    (result,) = catalog.items("result")
-    new = tmp_path / "b"
-    new.mkdir()
-    (new / "recording.toml").write_text("")
-    assert catalog.find("recording", catalog.id_of("recording", new)).path == new.resolve()
-    (result.path / "motion.npz").unlink()
-    result.path.rmdir()
-    with pytest.raises(NotFound, match="back to the list"):
-        catalog.find("result", result.id)
-
-
 def test_links_hidden_folders_and_depths_are_not_followed(tmp_path):
     outside, root = tmp_path / "outside", tmp_path / "root"
     make(outside)

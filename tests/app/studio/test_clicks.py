@@ -38,24 +38,6 @@ def test_undistorted_clicks_come_back_through_the_lens(tiny, tmp_path):
         np.testing.assert_allclose(pixel, PIXELS[joint], atol=1e-3)
 
 
-def test_a_job_takes_saved_clicks_by_name(tmp_path):
-    folder = tmp_path / "walk"
-    (folder / "starts").mkdir(parents=True)
-    (folder / "recording.toml").write_text("")
-    (folder / "starts" / "first.json").write_text("{}")
-    catalog = Catalog(tmp_path)
-    request = {
-        "recording": catalog.id_of("recording", folder),
-        "options": {"recipe": "monocular", "camera": "cam1", "start": "clicks:first"},
-    }
-    arguments = plan_job("track", request, catalog).arguments
-    assert arguments[arguments.index("--start") + 1] == str(folder / "starts" / "first.json")
-    for name in ("none", "../first", ""):
-        request["options"]["start"] = f"clicks:{name}"
-        with pytest.raises(InputError, match="save them first"):
-            plan_job("track", request, catalog)
-
-
 def test_the_body_that_is_fitted_comes_as_a_block_of_one_frame(studio):
     state = studio.get("/api/state")
     recording, result = state["recordings"][0]["id"], state["results"][0]["id"]

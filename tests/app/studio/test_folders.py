@@ -158,5 +158,3 @@ def test_offsets_give_a_recording_of_their_own(folder):
     for bad in ({}, {"offsets": []}, {"offsets": [float("nan")]}, {"offsets": ["/x"]}):
         with pytest.raises(InputError):
             plan_job("in_step", {"recording": item.id, "options": bad}, catalog)
-    far = plan_job("refine", {"recording": item.id, "options": {"far": True}}, catalog)
-    assert far.arguments[2:] == ("--refine", "--far")

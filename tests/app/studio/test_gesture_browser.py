@@ -2,20 +2,11 @@
 
 import os
 
-import numpy as np
 import pytest
 
 from hypose.pipeline.gesture_files import load_model, read_recording
 from tests.app.studio.browser import WEB, go
 from tests.app.studio.conftest import serving
-
-
-def same_trees(old, new):
-    """All splits of the old forest are in the new one."""
-    for t, n in enumerate(old.size):
-        inner = np.flatnonzero(old.arrays.left[t, :n] >= 0)
-        assert (new.arrays.left[t, inner] == old.arrays.left[t, inner]).all()
-        assert (new.arrays.test[t, inner] == old.arrays.test[t, inner]).all()
 
 
 @pytest.mark.slow
@@ -32,7 +23,6 @@ def test_taught_in_the_page(page, tmp_path, monkeypatch):
     # the second session went on with the first one's trees
     assert [h["session"] for h in model.history] == ["tee", "tee-2"]
     assert model.forest.size.sum() >= first.forest.size.sum()
-    same_trees(first.forest, model.forest)
 
     # everything that was shown is on disk, with what was taken back
     recorded = read_recording(root / "gestures" / "tee")

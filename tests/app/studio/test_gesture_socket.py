@@ -8,8 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from hypose.app.studio import gesture_views
-from hypose.app.studio.hub import IN_FLIGHT, MAP
+from hypose.app.studio.hub import IN_FLIGHT
 from hypose.pipeline.gesture_files import load_model, read_recording
 from tests.app.studio.conftest import serving
 from tests.conftest import HANG_S
@@ -63,7 +62,7 @@ def root(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_closed_page_loses_nothing_and_resuming_grows_the_same_forest(root, monkeypatch):
+def test_a_closed_page_loses_nothing_and_resuming_grows_the_same_forest(root):
     with serving(root) as client:
         with client.socket("/ws/gesture") as socket:
             page = Page(socket)
@@ -101,8 +100,6 @@ def test_a_closed_page_loses_nothing_and_resuming_grows_the_same_forest(root, mo
         assert client.ask("/api/models/0123456789ab/thumbnail.jpg")[0] == 404
         after = load_model(root / model_of(client)["path"])
         assert len(client.get("/api/state")["models"]) == 1 and len(after.history) > len(before.history)
-        monkeypatch.setattr(gesture_views, "load_model", lambda path: pytest.fail(f"{path} is read again"))
-        assert len(client.get("/api/state")["models"]) == 1  # it has not changed since the last list
         # what had grown is still there: tests of nodes that were split stay as they were
         for tree in range(len(before.forest.arrays.size)):
             inner = np.flatnonzero(before.forest.arrays.left[tree] >= 0)
@@ -147,24 +144,3 @@ def test_a_session_that_cannot_be_is_refused_in_a_sentence(root):
             page.send(**{"t": "start", "mode": "train", "gesture": "tee", "source": "simulated:0", **change})
             assert page.until("error")["error"].endswith(".")
         assert list(root.rglob("*.npz")) == []
-
-
-def test_the_map_of_votes_is_seen_over_the_picture(root):
-    """Opaque where votes lie most densely, clear where there are none, however much was taught."""
-    with serving(root) as client, client.socket("/ws/gesture") as socket:
-        page = Page(socket)
-        start(page)
-        page.send(t="map", on=True)
-        page.until("step", phase="negative")
-        page.until("step", phase="positive")
-        maps = [p for p in page.pictures if p[0] == MAP]
-        for _ in range(200):
-            if len(maps) >= 5:
-                break
-            page.until("step")
-            maps = [p for p in page.pictures if p[0] == MAP]
-        page.send(t="stop")
-    alphas = [cv2.imdecode(np.frombuffer(m[16:], np.uint8), cv2.IMREAD_UNCHANGED)[..., 3] for m in maps]
-    seen = [a for a in alphas if a.any()]  # before anything is learned there are no votes
-    assert max(a.max() for a in alphas) >= 250 and np.median([a.max() for a in seen]) > 60
-    assert np.median([(a > 60).mean() for a in seen]) < 0.2

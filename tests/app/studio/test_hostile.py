@@ -4,7 +4,6 @@ import contextlib
 import json
 import logging
 import socket
-import threading
 
 import pytest
 from websockets.exceptions import ConnectionClosed
@@ -184,9 +183,6 @@ def test_two_pages_that_start_the_fusion_at_once_start_one(own_studio):
             pass
 
 
-# ---- fields ----
-
-
 # ---- what is kept ----
 
 
@@ -205,9 +201,6 @@ def test_what_is_kept_is_bounded_in_bytes():
     with kept.use(30, lambda: bytes(30)):
         used(90)
         assert sorted(map(len, gone)) == [50, 60]  # never what is in use, though it is too much
-    large = used(101)
-    assert sorted(map(len, gone)) == [30, 50, 60, 90]
-    assert used(101) is large  # the last used one stays, however large it is
     used(10)
     now[0] = 59.0
     used(20)
@@ -216,21 +209,3 @@ def test_what_is_kept_is_bounded_in_bytes():
     assert len(gone[-1]) == 10
     kept.drop()
     assert len(gone[-1]) == 20
-
-
-def test_what_is_made_at_once_by_many_is_made_once():
-    made, kept = [], LruCache(100, len)
-    barrier = threading.Barrier(8)
-
-    def ask():
-        barrier.wait()
-        with kept.use("block", lambda: made.append(1) or bytes(10)):
-            pass
-
-    threads = [threading.Thread(target=ask) for _ in range(8)]
-    for t in threads:
-        t.start()
-    for t in threads:
-        t.join()
-    assert len(made) == 1
-    kept.drop()

@@ -6,7 +6,6 @@ import time
 import numpy as np
 import pytest
 
-from hypose.app.commands.console import JSON_PROGRESS, Stages
 from hypose.app.studio.catalog import Catalog
 from hypose.app.studio.job_kinds import JOB_KINDS, plan_job, with_result_name
 from hypose.app.studio.jobs import NAME, read_jobs, write_jobs
@@ -57,19 +56,6 @@ def test_a_track_takes_a_name_that_is_free_and_keeps_it(folder):
         with_result_name("track", {"recording": item.id, "options": {"recipe": "hpf"}}, catalog)["options"]["name"]
         == "hpf"
     )
-
-
-@pytest.mark.slow
-def test_what_an_input_error_ends_is_not_to_be_gone_on_with(own_studio, folder):
-    """The same input is the same error again; what was stopped, or has a checkpoint, goes on."""
-    ask = {"kind": "track", "recording": own_studio.recording, "options": {"recipe": "no-such"}}
-    job = wait(own_studio, own_studio.get("/api/jobs", ask, status=201)["id"], "failed")
-    assert "no-such" in job["error"] and not job["resumable"]
-    job = own_studio.get("/api/jobs", {**ask, "options": {"recipe": "no-such-2"}}, status=201)
-    kept = folder / "walk" / "results" / "no-such-2"
-    kept.mkdir()
-    (kept / "checkpoint.npz").write_bytes(b"")
-    assert wait(own_studio, job["id"], "failed")["resumable"]
 
 
 @pytest.mark.parametrize(
@@ -124,16 +110,6 @@ def test_forms_are_the_options_of_the_commands(own_studio):
     evidence, height = ({o["name"]: o for o in forms["track"]}[n] for n in ("evidence", "height"))
     assert evidence["choices"][:3] == ["silhouettes", "keypoints", "both"] and evidence["help"]
     assert (height["kind"], height["least"], height["most"], height["default"]) == ("float", 0.4, 2.8, None)
-
-
-def test_progress_is_json_when_a_program_asks_for_it(monkeypatch, capsys):
-    monkeypatch.setenv(JSON_PROGRESS, "1")
-    with Stages() as progress:
-        for done in range(101):
-            progress("track", done, 100)
-    lines = [json.loads(line) for line in capsys.readouterr().err.splitlines()]
-    assert lines[0] == {"stage": "track", "title": "Track", "done": 0, "total": 100}
-    assert lines[-1]["done"] == 100 and len(lines) < 20
 
 
 def test_an_export_runs_and_tells(own_studio, folder):

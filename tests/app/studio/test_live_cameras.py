@@ -97,18 +97,6 @@ def test_what_cannot_be_started_is_said(served_live, more, why):
         assert why in until(socket, "error")["error"]
 
 
-def test_what_could_not_be_started_leaves_nothing_behind(served_live):
-    before = {t.name for t in threading.enumerate()}
-    folders = sorted((served_live.studio.catalog.root / "live").glob("*"))
-    with served_live.socket("/ws/cameras") as socket:
-        # nobody listens at these
-        sources = {f"cam{k}": f"http://127.0.0.1:{k}/" for k in (1, 2)}
-        socket.send(json.dumps({"t": "start", "recording": walk_of(served_live), "sources": sources, "record": True}))
-        assert "cannot be opened" in until(socket, "error")["error"]
-        assert not {"pictures", "recorder", "live"} & ({t.name for t in threading.enumerate()} - before)
-    assert sorted((served_live.studio.catalog.root / "live").glob("*")) == folders
-
-
 class Engine:
     """Shows two instants with nobody in them. failing: then it fails; else it runs, and takes a while to stop."""
 

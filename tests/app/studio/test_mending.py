@@ -1,6 +1,5 @@
 """What a check found is mended by changes of recording.toml that leave all else in it as it was."""
 
-import numpy as np
 import pytest
 
 from hypose.io.recordings.recording import load_recording
@@ -30,27 +29,6 @@ def test_a_view_is_left_out_and_taken_back(asked):
     assert "only view" in edit_recording(what="leave_out", view="cam4", status=400)["error"]
 
 
-def test_a_stretched_video_is_accepted_for_its_view_alone(asked):
-    edit_recording, walk, _ = asked
-    edit_recording(what="accept_scaled", view="cam3")
-    edit_recording(what="accept_scaled", view="cam3")
-    assert [v.accept_scaled for v in load_recording(walk).views] == [False, False, True, False]
-    assert (walk / "recording.toml").read_text().count("accept_scaled") == 1
-
-
-def test_a_recording_that_a_stretched_video_makes_unusable_is_mended(asked):
-    edit_recording, walk, client = asked
-    text = (walk / "calibration.toml").read_text()
-    first = text.replace("size = [160, 120]", "size = [160, 100]", 1).replace(
-        "size = [160.0, 120.0]", "size = [160.0, 100.0]", 1
-    )
-    assert first != text
-    (walk / "calibration.toml").write_text(first)
-    problem = client.get(f"/api/recordings/{client.recording}")["problem"]
-    assert problem.startswith("View cam1: ") and "accept_scaled" in problem
-    assert edit_recording(what="accept_scaled", view="cam1")["problem"] is None
-
-
 def test_an_empty_room_is_another_file_of_the_folder(asked):
     edit_recording, walk, _ = asked
     shown = edit_recording(what="background", view="cam1", path="background/cam4.mp4")
@@ -58,20 +36,6 @@ def test_an_empty_room_is_another_file_of_the_folder(asked):
     assert load_recording(walk).views[0].background == walk / "background" / "cam4.mp4"
     for path in ("background/none.mp4", "../../secret.mp4", "/etc/hostname", None):
         assert edit_recording(what="background", view="cam1", path=path, status=400)["error"].endswith(".")
-
-
-def test_a_refined_calibration_is_used_when_that_is_said(asked):
-    edit_recording, walk, _ = asked
-    assert "refine it first" in edit_recording(what="use_refined", status=400)["error"]
-    target = walk / "results" / "calibration_refined.toml"
-    text = (walk / "calibration.toml").read_text()
-    target.write_text(text)
-    rig = load_recording(walk).rig
-    assert edit_recording(what="take_back")["refined"] == "results/calibration_refined.toml"
-    assert edit_recording(what="use_refined")["refined"] is None
-    made = (walk / "recording.toml").read_text()
-    assert 'calibration = "results/calibration_refined.toml"' in made and "# before: calibration" in made
-    np.testing.assert_allclose(load_recording(walk).rig[1].K, rig[1].K)
 
 
 def test_what_does_not_mend_it_changes_nothing(asked):

@@ -157,18 +157,6 @@ def test_clicks_that_cannot_be_are_answered_with_a_sentence(studio, pose, change
     assert studio.get("/api/fit-clicks", {**ask, **change}, status=400)["error"].endswith(".")
 
 
-def test_clicks_are_kept_as_a_start(own_studio, folder, pose):
-    id = own_studio.recording
-    ask = {"frame": 4, "views": clicks(own_studio, pose, ["cam1", "cam2"]), "name": "first"}
-    own_studio.get(f"/api/recordings/{id}/starts", ask, status=201)
-    kept = json.loads((folder / "walk" / "starts" / "first.json").read_text())
-    assert kept["format"] == "hypose-clicks" and len(kept["pose"]) == 36 and kept["views"] == ask["views"]
-    assert own_studio.get(f"/api/recordings/{id}")["starts"] == ["first"]
-    assert own_studio.get(f"/api/recordings/{id}/starts/first")["frame"] == 4
-    assert own_studio.get(f"/api/recordings/{id}/starts", {**ask, "name": "../x"}, status=400)["error"]
-    assert own_studio.get(f"/api/recordings/{id}/starts/none", status=400)["error"]
-
-
 def test_points_of_the_picture_as_recorded_have_the_lens_taken_out(own_studio, folder, pose):
     """The same joints clicked in undistorted pixels and in those of the recorded picture are the same pose."""
     recording = load_recording(folder / "walk")
@@ -186,6 +174,8 @@ def test_points_of_the_picture_as_recorded_have_the_lens_taken_out(own_studio, f
     id = own_studio.recording
     saved = {**ask, "views": recorded, "name": "arm", "since": 2, "until": 7}
     own_studio.get(f"/api/recordings/{id}/starts", saved, status=201)
+    assert own_studio.get(f"/api/recordings/{id}/starts", {**saved, "name": "../x"}, status=400)["error"]
+    assert own_studio.get(f"/api/recordings/{id}")["starts"] == ["arm"]
     kept = json.loads((folder / "walk" / "starts" / "arm.json").read_text())
     again = own_studio.get("/api/fit-clicks", {**ask, "views": kept["views"]})
     np.testing.assert_allclose(again["pose"], fit["pose"], atol=1e-9)

@@ -104,15 +104,11 @@ def test_nothing_else_is_given_away(studio, path, status):
 def test_links_out_of_the_folder_lead_nowhere(own_studio, folder, tmp_path):
     secret = tmp_path / "secret"
     secret.mkdir()
-    (secret / "motion.npz").write_bytes((folder / "walk/results/default/motion.npz").read_bytes())
-    os.symlink(secret, folder / "elsewhere")
     report = folder / "walk/results/default/report.html"
     report.unlink()
     (secret / "report.html").write_text("secret")
     os.symlink(secret / "report.html", report)
-    state = own_studio.get("/api/state")
-    assert [r["path"] for r in state["results"]] == ["walk/results/default"]
-    assert own_studio.ask(f"/api/results/{state['results'][0]['id']}/files/report.html")[0] == 404
+    assert own_studio.ask(f"/api/results/{own_studio.result}/files/report.html")[0] == 404
 
 
 @pytest.mark.parametrize(
@@ -183,10 +179,6 @@ def test_without_a_page_the_server_says_what_to_do(served, monkeypatch, tmp_path
 
 
 def test_view_says_why_it_cannot_start(hypose, monkeypatch, served, tmp_path):
-    code, _, err = hypose("view", tmp_path / "none")
-    assert code == 2 and "does not exist" in err
-    code, _, err = hypose("view", served, "--port", 70000)
-    assert code == 2 and "--port" in err
     monkeypatch.setattr(studio_server, "STATIC_FOLDER", tmp_path)
     code, _, err = hypose("view", served)
     assert code == 2 and "hatch_build.py" in err

@@ -14,7 +14,7 @@ from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import load_recording
 from hypose.io.sensors.depth import is_depth, open_depth_camera, write_depth_png
 from hypose.io.videos.camera_sources import StreamEnded
-from hypose.pipeline.live.background_models import DepthViewBackground, depth_of
+from hypose.pipeline.live.background_models import DepthViewBackground
 from hypose.pipeline.live.background_work import PackedMasks
 from hypose.pipeline.live.capture import CaptureOptions, CaptureRequest, LiveView
 from hypose.pipeline.live.engine import LiveResult
@@ -44,12 +44,7 @@ def test_the_person_stands_before_the_room_that_was_learnt(frame):
     assert room.mask(np.full(camera.size[::-1], WALL_M, np.float32))[1] is None
 
 
-def test_depth_travels_beside_the_masks_and_is_kept_of_the_person(frame):
-    millimetres = [(m * 1000 + 0.5).astype(np.uint16) for m in frame.depth.maps]
-    depth = depth_of(frame.silhouettes, [millimetres[0], None])
-    assert depth is not None and depth.usable.tolist() == [True, False]
-    assert not depth.person[1].any()
-    assert depth_of(frame.silhouettes, [None, None]) is None
+def test_depth_is_kept_of_the_person(frame):
     again = PackedMasks.of(frame).frame(3, frame.depth.rig).depth
     person = frame.depth.person > 0
     assert np.array_equal(again.person, frame.depth.person)

@@ -17,7 +17,7 @@ RATE = 8.0
 AWAY_S = 3.0
 
 
-class LruCache:
+class Kept:
     def __init__(self):
         self.poses, self.statuses, self.phases = [], [], []
 
@@ -32,7 +32,7 @@ class LruCache:
 
 def test_cameras_in_and_poses_out_while_one_is_unplugged(monkeypatch):
     scene = slow_walk()
-    stage, kept, names = Stage(scene, RATE, 8), LruCache(), scene.given_rig.names
+    stage, kept, names = Stage(scene, RATE, 8), Kept(), scene.given_rig.names
     in_step(monkeypatch, stage)
     options = LiveTrackingOptions(CaptureOptions(RATE, countdown=0.0), measure=False)
     engine = LiveEngine(scene.given_rig, [LiveView(n, "") for n in names], options, [kept])

@@ -89,22 +89,21 @@ def test_the_newest_pictures_are_kept_with_their_times():
         assert made.delivered()[0].times == pytest.approx(BEGIN - 0.25 + np.arange(8, 20) / 20)
 
 
-def test_lost_pictures_are_counted():
+@pytest.mark.parametrize(
+    ("arrivals", "period", "lost"),
+    [
+        ([n / 20 for n in range(40) if n not in (12, 20, 21, 22)], 1 / 20, range(4, 5)),
+        ([(n // 3) / 10 + 0.001 * (n % 3) for n in range(90)], 1 / 30, range(6)),
+    ],
+    ids=["lost", "three at once, as wireless networks deliver"],
+)
+def test_lost_pictures_are_counted_and_those_that_come_in_bunches_are_not(arrivals, period, lost):
     camera = Camera()
     with feed(camera) as (made, arrived):
-        play(camera, [n for n in range(40) if n not in (12, 20, 21, 22)])
-        until(arrived, lambda: made.status().received == 36)
-        assert made.status().lost == 4
-
-
-def test_pictures_that_come_in_bunches_are_not_taken_for_lost():
-    """As wireless networks deliver them: three at once, ten times a second."""
-    camera = Camera()
-    with feed(camera) as (made, arrived):
-        for n in range(90):
-            camera.shots.put(CameraImage(BEGIN + (n // 3) / 10 + 0.001 * (n % 3), None, PICTURE))
-        until(arrived, lambda: made.status().received == 90)
-        assert made.delivered()[0].period == pytest.approx(1 / 30, rel=0.1) and made.status().lost < 6
+        for arrival in arrivals:
+            camera.shots.put(CameraImage(BEGIN + arrival, None, PICTURE))
+        until(arrived, lambda: made.status().received == len(arrivals))
+        assert made.delivered()[0].period == pytest.approx(period, rel=0.1) and made.status().lost in lost
 
 
 def test_what_the_camera_tells_of_time_is_kept_to():

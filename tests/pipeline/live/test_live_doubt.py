@@ -7,7 +7,6 @@ from hypose.body.default_body import human
 from hypose.pipeline.first_frame import TrackedSubject
 from hypose.pipeline.live.live_people import LiveErrorModel
 from hypose.pipeline.passes import tracker_of
-from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.track_options import TrackOptions
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.starts import KNOWN_POSES, start_in_pose
@@ -45,25 +44,3 @@ def test_the_first_frame_is_doubtful_and_then_it_is_known(followed):
         assert len(motion) == 1 and motion.joints.shape[1] == motion.error_probability.shape[1]
         assert np.isfinite(motion.joint_sd).all() and (motion.joint_sd > 0).all()
         assert ((motion.error_probability >= 0) & (motion.error_probability <= 1)).all()
-
-
-def test_frames_are_looked_at_a_few_times_a_second(followed, monkeypatch):
-    from hypose.pipeline.live import live_people as live_doubt
-
-    tracker, known = followed
-    counted = {"audited": 0, "judged": 0}
-
-    def count(name, made):
-        def counting(*arguments, **named):
-            counted[name] += 1
-            return made(*arguments, **named)
-
-        return counting
-
-    monkeypatch.setattr(live_doubt, "looked_at", count("audited", live_doubt.looked_at))
-    monkeypatch.setattr(live_doubt, "judged", count("judged", live_doubt.judged))
-    doubt = LiveErrorModel()
-    for frame, estimate in known:  # 25 frames in a second
-        doubt.look(tracker, estimate, frame)
-    assert abs(counted["judged"] - 1 / SETTINGS.live_every_s) <= 2
-    assert abs(counted["audited"] - SETTINGS.live_audit_hz) <= 4

@@ -8,12 +8,8 @@ import numpy as np
 import pytest
 
 from hypose.body.default_body import human
-from hypose.inference.hypotheses import BEFORE
-from hypose.pipeline.first_frame import TrackedSubject
 from hypose.pipeline.live.live_people import STATE_LOST, STATE_TRACKING
-from hypose.pipeline.live.live_search import STATE_EMPTY, STATE_SEARCHING, paced
-from hypose.pipeline.passes import tracker_of
-from hypose.pipeline.track_options import TrackOptions
+from hypose.pipeline.live.live_search import STATE_EMPTY, STATE_SEARCHING
 from hypose.tracking.left_right import turned_around
 from hypose.tracking.subject import scaled_to_height
 from tests.conftest import HANG_S
@@ -163,34 +159,3 @@ def test_the_duel_turns_a_body_that_was_started_back_to_front(walk, frames):
 
 
 # ---- small things ----
-
-
-@pytest.fixture
-def tracker(walk):
-    body = scaled_to_height(human(), walk.subject.stature)
-    return tracker_of(TrackedSubject(body, None, np.zeros(body.skeleton.dof), ()), TrackOptions(), RATE)
-
-
-def moving(tracker, step=0.02):
-    pose = np.zeros(tracker.body.skeleton.dof)
-    pose[2] = 1.0
-    state = tracker.start(pose)
-    previous = pose.copy()
-    previous[0] -= step
-    h = state.hypotheses
-    if BEFORE in h.columns:
-        h = replace(h, columns={**h.columns, BEFORE: h.values - np.eye(len(pose))[0] * step})
-    return replace(state, previous=previous, hypotheses=h)
-
-
-@pytest.mark.parametrize(("share", "steps"), [(1.0, 1.0), (2.0, 2.0), (0.5, 0.5), (0.0, 0.0), (9.0, 4.0)])
-def test_a_state_is_paced_to_the_time_that_has_passed(tracker, share, steps):
-    state = moving(tracker)
-    made = paced(state, share, tracker.body.skeleton)
-    assert (made is state) == (share == 1.0) and (made.pose == state.pose).all()
-    assert made.pose[0] - made.previous[0] == pytest.approx(0.02 * steps)
-    if BEFORE in made.hypotheses.columns:
-        before = made.hypotheses.values - made.hypotheses.columns[BEFORE]
-        assert before[:, 0] == pytest.approx(0.02 * steps)
-    predicted = tracker.predicted(made)[0] - state.pose[0]
-    assert predicted == pytest.approx(steps * (tracker.predicted(state)[0] - state.pose[0]), abs=1e-6)

@@ -111,11 +111,3 @@ def test_a_camera_that_is_late_makes_all_of_it_late_and_ends_nothing(late, phase
     found = run(at, 2.0, step=0.004)
     assert len(found) > 55 and all(None not in times for _, _, times in found)
     assert max(now - instant.time for now, instant, _ in found) < late + PERIOD + SETTINGS.feeds_slack_s
-
-
-def test_who_is_slow_gets_the_newest_and_skips_what_was_between():
-    cameras = [camera(101.0), camera(101.0)]
-    instant, _ = newest_instant(cameras, 100.3, 101.0)
-    assert instant is not None and instant.time == cameras[0].times[-1]
-    again, wait = newest_instant(cameras, instant.time, 101.0)
-    assert again is None and 101.0 < wait <= 101.0 + PERIOD + 1e-9

@@ -4,8 +4,6 @@ import json
 from dataclasses import replace
 from time import sleep
 
-import cv2
-import numpy as np
 import pytest
 
 from hypose.errors import InputError
@@ -41,16 +39,17 @@ def masks_of(recording):
 def test_what_is_recorded_is_loaded_with_the_masks_that_were_seen(tmp_path, walk, frames, poses):
     made = recorder(tmp_path / "live", walk)
     by_frame = {p.frame: p for p in poses}
-    for frame in frames[:20]:
-        made.seen(seen(frame, by_frame.get(frame.index)))
+    sent = [seen(frame, by_frame.get(frame.index)) for frame in frames[:20]]
+    for one in sent:
+        made.seen(one)
     assert made.close() and made.written == 20 and made.left_out == 0
     recording = load_recording(tmp_path / "live")
     assert recording.n_frames == 20 and recording.frame_rate == pytest.approx(25.0)
     assert recording.rig.names == walk.given_rig.names and recording.subject_height == 1.8
     for kept, frame in zip(masks_of(recording), frames, strict=False):
         assert (kept.masks == frame.silhouettes.masks).all() and kept.usable.all()
-    with open_video(recording.views[0].source) as reader:
-        assert [round(float(p.mean())) for p in reader] == [90] * 20
+    written = [p.read_bytes() for p in sorted(recording.views[1].source.glob("*.jpg"))]
+    assert written == [one.sight.jpegs[1] for one in sent]  # byte for byte what the camera sent
     rows = [json.loads(line) for line in (tmp_path / "live" / "poses.jsonl").read_text().splitlines()]
     assert [r["n"] for r in rows] == list(range(20))
     assert [r["time"] for r in rows] == pytest.approx([f.time for f in frames[:20]])
@@ -157,14 +156,3 @@ def test_a_disk_that_is_too_slow_costs_instants_and_nobody_waits(tmp_path, walk,
         made.seen(replace(one, frame=replace(frames[0], time=k / 25)))
     go.set()
     assert made.close() and made.left_out in (29, 30) and made.written + made.left_out == 120
-
-
-def test_a_picture_is_what_the_camera_sent_byte_for_byte(tmp_path, walk, frames):
-    made = recorder(tmp_path / "live", walk)
-    sent = [seen(f, None, grey=30 + k) for k, f in enumerate(frames[:3])]
-    for one in sent:
-        made.seen(one)
-    assert made.close()
-    folder = load_recording(tmp_path / "live").views[1].source
-    assert [p.read_bytes() for p in sorted(folder.glob("*.jpg"))] == [one.sight.jpegs[1] for one in sent]
-    assert cv2.imdecode(np.frombuffer(sent[0].sight.jpegs[1], np.uint8), 1).shape == (120, 160, 3)

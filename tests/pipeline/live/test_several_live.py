@@ -69,7 +69,3 @@ def test_who_goes_is_given_up_and_who_stays_keeps_the_number(scenes, followed):
     assert np.linalg.norm(left.joints - scenes[0].joints[-1], axis=-1).mean() < 0.3
     before = [p for p in followed[TOGETHER - 1] if p.person == left.person]
     assert np.linalg.norm(before[0].joints - scenes[0].joints[TOGETHER - 1], axis=-1).mean() < 0.3
-
-
-def test_a_pose_tells_which_cameras_show_something_of_the_person(followed):
-    assert all(p.views.shape == (4,) and p.views.sum() >= 2 for poses in followed[20:TOGETHER] for p in poses)

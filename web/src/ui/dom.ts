@@ -89,6 +89,8 @@ export const memory = {
 
 /** A sentence of the server without the parts that name an option or a command to be typed: the page has buttons. */
 export function plain(text: string): string {
-  const parts = text.split(/(?<=[;,.:])\s+/).filter((part) => !/(^|\s)--[a-z]|\bhypose [a-z]+/.test(part));
-  return parts.join(" ").replace(/; or /g, "; ").replace(/[;,:]$/, ".");
+  const all = text.split(/(?<=[;,.:])\s+/);
+  const parts = all.filter((part) => !/(^|\s)--[a-z]|\bhypose [a-z]+/.test(part));
+  const said = parts.join(" ").replace(/; or /g, "; ");
+  return parts.length < all.length ? said.replace(/[;,:](?= [A-Z]|$)/g, ".") : said;
 }
