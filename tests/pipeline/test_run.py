@@ -116,6 +116,16 @@ def test_interrupted_and_resumed_gives_the_same_bytes(frames, subject, tmp_path)
     assert not broken.checkpoint.exists()
 
 
+def test_an_interrupted_run_of_masks_and_key_points_is_judged_by_its_own_frames(frames, subject, tmp_path):
+    def stop(stage: str, done: int, total: int) -> None:
+        if stage == "track" and done == 3:
+            raise KeyboardInterrupt
+
+    options, results = TrackOptions(evidence="both"), ResultsFolder(tmp_path)
+    part = track_source(FrameList(frames), 25.0, options, subject=subject, results=results, progress=stop)
+    assert not part.complete and len(part.motion) == 3 and part.motion.systematic_covariance is not None
+
+
 def test_resume_of_another_run_is_refused(frames, subject, tmp_path):
     results = ResultsFolder(tmp_path / "r")
 
