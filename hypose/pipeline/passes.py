@@ -537,7 +537,7 @@ def judge_joints(clip: ClipState) -> ClipState:
         )
         depth = clip.source.frame(0).depth is not None
         points = None if clip.options.looks_at == "silhouettes" else keypoints_in_memory(clip.source)
-        points = None if points is None else points[: len(clip.motion)]  # of an interrupted run, those of its frames
+        points = None if points is None else points[: len(estimates)]  # of an interrupted run, those of its frames
     else:
         depth, points = False, [clip.source.frame(i).keypoints for i in range(len(clip.source))]
     assert clip.audit is not None
