@@ -106,3 +106,13 @@ MAKERS: dict[str, Callable[[Path], None]] = {
     "pose2sim_balancing/pose2sim_0.10.49_output": pose2sim_output,
 }
 """Folder or file of shared/data -> what makes the like of it in an empty folder."""
+
+
+def stop_at(stage, frame):
+    """A progress function that interrupts a run at a frame of a stage."""
+
+    def progress(now, done, total):
+        if (now, done) == (stage, frame):
+            raise KeyboardInterrupt
+
+    return progress

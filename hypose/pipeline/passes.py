@@ -537,11 +537,11 @@ def judge_joints(clip: ClipState) -> ClipState:
         )
         depth = clip.source.frame(0).depth is not None
         points = None if clip.options.looks_at == "silhouettes" else keypoints_in_memory(clip.source)
-        points = None if points is None else points[: len(estimates)]  # of an interrupted run, those of its frames
     else:
         depth, points = False, [clip.source.frame(i).keypoints for i in range(len(clip.source))]
     assert clip.audit is not None
-    motion = _with_errors(clip, "depth" if depth else None, points)
+    # of an interrupted run, the key points of its frames
+    motion = _with_errors(clip, "depth" if depth else None, points and points[: len(clip.audit)])
     found = against_the_clip(clip.audit, motion.n_views, evidence_of(clip.audit))
     return replace(clip, motion=motion).with_findings(*found)
 

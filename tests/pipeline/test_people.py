@@ -26,6 +26,7 @@ from hypose.pipeline.tracked_people import (
 from hypose.synthetic.scenes import make_scene
 from hypose.tracking.several import shape_of
 from hypose.tracking.starts import known_pose
+from tests.stand_ins import stop_at
 
 RATE = 25.0
 
@@ -102,11 +103,7 @@ def test_an_interrupted_run_goes_on_to_the_same_bytes(rig, tmp_path):
     whole = both(frames)()
     results = ResultsFolder(tmp_path)
 
-    def stop(stage, done, total):
-        if stage == "track" and done == 6:
-            raise KeyboardInterrupt
-
-    half = both(frames, results=results, progress=stop)()
+    half = both(frames, results=results, progress=stop_at("track", 6))()
     assert not half.complete and results.checkpoint.exists()
     assert all(len(p.result.motion) == 6 for p in half.people)
     rest = both(frames, results=results, resume=True)()

@@ -15,6 +15,7 @@ from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.scenes import camera_rig, make_scene
 from hypose.tracking.recipes import recipe
+from tests.stand_ins import stop_at
 
 
 class Frames:
@@ -103,12 +104,8 @@ def test_interrupted_and_resumed_gives_the_same_bytes(frames, subject, tmp_path)
     whole, broken = ResultsFolder(tmp_path / "whole"), ResultsFolder(tmp_path / "broken")
     track_source(Frames(frames), 25.0, options, subject=subject, results=whole, record={"seed": 0})
 
-    def stop(stage: str, done: int, total: int) -> None:
-        if stage == "track" and done == 7:
-            raise KeyboardInterrupt
-
     part = track_source(
-        Frames(frames), 25.0, options, subject=subject, results=broken, record={"seed": 0}, progress=stop
+        Frames(frames), 25.0, options, subject=subject, results=broken, record={"seed": 0}, progress=stop_at("track", 7)
     )
     assert not part.complete and len(load_motion(broken.motion)) == 7 and broken.checkpoint.exists()
     track_source(Frames(frames), 25.0, options, subject=subject, results=broken, record={"seed": 0}, resume=True)
@@ -117,24 +114,24 @@ def test_interrupted_and_resumed_gives_the_same_bytes(frames, subject, tmp_path)
 
 
 def test_an_interrupted_run_of_masks_and_key_points_is_judged_by_its_own_frames(frames, subject, tmp_path):
-    def stop(stage: str, done: int, total: int) -> None:
-        if stage == "track" and done == 3:
-            raise KeyboardInterrupt
-
     options, results = TrackOptions(evidence="both"), ResultsFolder(tmp_path)
-    part = track_source(FrameList(frames), 25.0, options, subject=subject, results=results, progress=stop)
+    part = track_source(
+        FrameList(frames), 25.0, options, subject=subject, results=results, progress=stop_at("track", 3)
+    )
     assert not part.complete and len(part.motion) == 3 and part.motion.systematic_covariance is not None
 
 
 def test_resume_of_another_run_is_refused(frames, subject, tmp_path):
     results = ResultsFolder(tmp_path / "r")
 
-    def stop(stage: str, done: int, total: int) -> None:
-        if stage == "track" and done == 4:
-            raise KeyboardInterrupt
-
     track_source(
-        Frames(frames), 25.0, TrackOptions(), subject=subject, results=results, record={"seed": 0}, progress=stop
+        Frames(frames),
+        25.0,
+        TrackOptions(),
+        subject=subject,
+        results=results,
+        record={"seed": 0},
+        progress=stop_at("track", 4),
     )
     with pytest.raises(InputError, match="another run"):
         track_source(
