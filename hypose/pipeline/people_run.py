@@ -358,7 +358,7 @@ class PeopleRun:
         """Make the session that tracks all people; the people are added to it when they are known."""
         kept = None if self.results is None else self.results.checkpoint
         about = {"identity": provenance_identity(self.record), "every": self.options.checkpoint_every}
-        session = TrackingSession([], False, self.frame_rate, kept, **about)
+        session = TrackingSession([], False, self.frame_rate, kept, held=Deferred(self.progress), **about)
         if self._points is not None:
             session.keypoints = lambda t: [self._points_of(p, session.people, t) for p in session.people]
         session.manage = lambda frame, seen: self._manage(session, frame, seen)
@@ -398,9 +398,7 @@ class PeopleRun:
                 swap_identities(p, q, since)
         part_doubles(people, max(2, round(SETTINGS.people_together_s * self.frame_rate)))
         if look:
-            reported = Deferred(self.progress)
-            session.coming = self._look(people, frame, t, session.coming, reported)
-            reported.settle()
+            session.coming = self._look(people, frame, t, session.coming, session.held)
 
     @property
     def _look_every(self) -> int:

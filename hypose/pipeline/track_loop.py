@@ -155,6 +155,7 @@ class TrackingSession:
         of the frame.
     manage: called after each frame as manage(frame, seen), seen: the frame as each person's tracker saw it; it may
         add, exchange and end people (`settle` first).
+    held: progress of what `manage` does; an interruption in it counts after the frame.
     coming: (4,) per possible new person of the last look: place (2,) m, failed fits, frame of the next fit.
     stopped: the user stopped `track`.
     """
@@ -167,6 +168,7 @@ class TrackingSession:
     every: int = 25
     keypoints: Callable[[int], Sequence[Keypoints | None]] | None = None
     manage: Callable[[Frame, Sequence[Frame]], None] = _ignore
+    held: Deferred = field(default_factory=lambda: Deferred(lambda stage, done, total: None))
     coming: list[Array] = field(default_factory=list)
     stopped: bool = False
     _judging: list[Future[list[FrameEstimate]]] = field(default_factory=list)
@@ -199,6 +201,7 @@ class TrackingSession:
                     frame = next(frames)
                     with self._all_or_nothing():
                         self.step(frame, last, pool)
+                    self.held.settle()
                     last = frame
                     # each checkpoint holds all frames, so it is written ever less often: the total work stays linear
                     if self.checkpoint is not None and t + 1 - saved >= max(self.every, saved // 20) and t + 1 < total:
