@@ -30,6 +30,7 @@ const SHOWS: readonly Role[] = ["video", "masks", "keypoints"];
 export class NewRecordingForm {
   readonly element: HTMLElement;
   private folder: FolderEntry | null = null;
+  private asked = 0;
   private files: Ready[] = [];
   /** Cameras whose video was stretched, as the user has said. */
   private readonly stretched = new Set<string>();
@@ -73,13 +74,19 @@ export class NewRecordingForm {
     void this.open("", false);
   }
 
+  /** Shows a folder. An answer that comes after another folder was asked for is dropped, and leaves what was typed meanwhile. */
   private async open(path: string, within = true): Promise<void> {
+    const asked = ++this.asked;
+    const typed = this.path.value;
+    let folder: FolderEntry;
     try {
-      this.folder = await get<FolderEntry>(`/api/folder?path=${encodeURIComponent(path)}${within ? "&within" : ""}`);
+      folder = await get<FolderEntry>(`/api/folder?path=${encodeURIComponent(path)}${within ? "&within" : ""}`);
     } catch (error) {
       return toast((error as Error).message, "error");
     }
-    this.path.value = within ? this.folder.path : "";
+    if (asked !== this.asked) return;
+    this.folder = folder;
+    if (this.path.value === typed) this.path.value = within ? folder.path : "";
     this.name.value = this.folder.name.replace(/[^A-Za-z0-9_.-]+/g, "-");
     this.stretched.clear();
     this.files = this.folder.files.map((f) => ({ ...f, role: "none", camera: "", said: { role: false, camera: false } }));
