@@ -19,7 +19,7 @@ from scipy.stats import chi2
 
 from benchmarks.bench_report import BenchOptions
 from benchmarks.depth_sensors.depth_tracking import RATE, SENSORS, aligned, scene_of
-from benchmarks.multiview.doubt_scenes import angles_of, as_curved, true_angles
+from benchmarks.multiview.error_scenes import angles_of, as_curved, true_angles
 from benchmarks.multiview.spread_fit import ASSET, TILTED, fit_angle, fit_joint, pelvis_floor, squares
 from benchmarks.synthetic.depth_frames import depth_frames
 from hypose.body.default_body import JOINT_NAMES

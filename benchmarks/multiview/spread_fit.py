@@ -14,7 +14,7 @@ from scipy.stats import chi2
 from scipy.stats import f as fisher
 
 from benchmarks.bench_report import Row
-from benchmarks.multiview.doubt_scenes import CAMERAS, EVIDENCE, Tracked
+from benchmarks.multiview.error_scenes import CAMERAS, EVIDENCE, Tracked
 from hypose.body.default_body import JOINT_NAMES
 from hypose.body.joint_angles import ANGLE_NAMES
 from hypose.body.motion import TAILS, Motion, region_reach

@@ -3,7 +3,7 @@ features.
 
 A Gaussian covariance describes the uncertainty around the estimated pose; it cannot describe an arm that is at another
 place. So this probability is kept apart from the covariance. The weights were fitted to scenes
-(scripts/train_doubt.py), one set per kind of evidence and group of joints.
+(scripts/train_error_model.py), one set per kind of evidence and group of joints.
 """
 
 from __future__ import annotations
@@ -144,9 +144,9 @@ def doubt_of_clip(odds: Array, names: tuple[str, ...]) -> float:
 def error_models() -> Mapping[str, ErrorModel]:
     """Load the fitted models by evidence; the one of "depth" is the mask model to which `DepthErrorModel` was
     fitted."""
-    kept = json.loads(files("hypose.assets").joinpath("doubt.json").read_text(encoding="utf-8"))
+    kept = json.loads(files("hypose.assets").joinpath("error_model.json").read_text(encoding="utf-8"))
     if kept["features"] != list(FEATURES) or kept["groups"] != list(GROUPS):
-        raise ValueError("assets/doubt.json was fitted to other features; run scripts/train_doubt.py")
+        raise ValueError("assets/error_model.json was fitted to other features; run scripts/train_error_model.py")
     return {
         evidence: ErrorModel(*(np.array(m[k]) for k in (f.name for f in fields(ErrorModel))))
         for evidence, m in kept["models"].items()

@@ -1,10 +1,10 @@
 """Train what tells wrong joints: scenes are tracked, audited, and compared with their truth; a logistic fit is printed.
 
-    python scripts/train_doubt.py collect FOLDER --seeds 600:606      tracks, keeps what was found in FOLDER
-    python scripts/train_doubt.py fit FOLDER                          fits, judges on other seeds, writes the weights
+    python scripts/train_error_model.py collect FOLDER --seeds 600:606      tracks, keeps what was found in FOLDER
+    python scripts/train_error_model.py fit FOLDER                          fits, judges on other seeds, writes the weights
                                                                       of P(wrong), and of the covariances
 
-Seeds below `doubt_scenes.JUDGES` are trained on, the others judge. FOLDER also serves the benchmark `error-model`.
+Seeds below `error_scenes.JUDGES` are trained on, the others judge. FOLDER also serves the benchmark `error-model`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from benchmarks.multiview.doubt_scenes import cases_of, collect, load_all
+from benchmarks.multiview.error_scenes import cases_of, collect, load_all
 
 
 def main() -> None:
@@ -30,7 +30,7 @@ def main() -> None:
             for case in given.cases.split(",") if given.cases else cases_of(seed):
                 collect(given.folder, case, seed, given.evidence.split(","))
         return
-    from benchmarks.multiview.doubt_fit import report_fit
+    from benchmarks.multiview.error_fit import report_fit
     from benchmarks.multiview.spread_fit import judged_by_seed, write_spread
 
     clips = load_all(given.folder)

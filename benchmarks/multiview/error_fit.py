@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import minimize
 from scipy.stats import rankdata
 
-from benchmarks.multiview.doubt_scenes import ALL, EVIDENCE, JUDGES, Tracked
+from benchmarks.multiview.error_scenes import ALL, EVIDENCE, JUDGES, Tracked
 from hypose.body.default_body import JOINT_NAMES
 from hypose.body.motion import Motion
 from hypose.geometry import Array
@@ -36,7 +36,7 @@ from hypose.tracking.error_model import (
     within_clip,
 )
 
-ASSET = Path(__file__).parents[2] / "hypose" / "assets" / "doubt.json"
+ASSET = Path(__file__).parents[2] / "hypose" / "assets" / "error_model.json"
 _NAMES = tuple(JOINT_NAMES[j] for j in EVALUATED)
 _GROUP = groups_of(_NAMES)
 _ARMS = np.isin(_GROUP, [GROUPS.index("elbows"), GROUPS.index("wrists")])
