@@ -281,7 +281,7 @@ def write_good(folder: Path) -> None:
         ("POST", f"/api/recordings/{recording}/starts", {**fit, "name": "first", "camera": "cam1"}),
         ("POST", "/api/jobs", {"kind": "track", "recording": recording, "options": {"seed": 1}}),
         ("POST", "/api/recordings", new),
-        ("POST", f"/api/results/{result}/export", {"formats": ["trc"]}),
+        ("POST", "/api/jobs", {"kind": "export", "result": result, "options": {"formats": ["trc"]}}),
         ("POST", f"/api/recordings/{recording}/mask-settings", {"close_px": 3, "shadow_range": [0.4, 0.9]}),
     ]
     text = "".join(f"GET {path} HTTP/1.1\r\n{_HOST}\r\n" for path in gets)

@@ -300,37 +300,18 @@ def board_files(folder: Path) -> list[Path]:
     return []
 
 
-def with_result_name(kind: str, request: Mapping[str, Any], catalog: Catalog) -> Mapping[str, Any]:
-    """Complete a request so that it means the same when it is planned again: a new track gets a free name, so that it
-    does not overwrite an older result.
+def _track(item: Item, given: Mapping[str, Any], title: str, catalog: Catalog) -> Plan:
+    """Plan `hypose track` of a recording, into a new folder, so that no older result is overwritten.
 
-    kind: of the job; requests of others than "track" are returned as they are.
-    request: of the page.
-    catalog: of the served folder.
+    item: the recording.
+    given: options of the page; its name, or that of its recipe, is the folder's, with a number where that exists; its
+        start may be the name of saved clicks, its subject is True or False.
+    title: for the page.
     """
-    given = request.get("options") or {}
-    if kind != "track" or not isinstance(given, dict):
-        return request
-    folder = catalog.find("recording", _id(request, "recording")).path / "results"
-    return {**request, "options": {**given, "name": free_folder(folder, _result_name(given)).name}}
-
-
-def _result_name(given: Mapping[str, Any]) -> str:
-    """Return the name for a track's result: the given name, else the recipe, else "default"."""
     name = given.get("name") or given.get("recipe") or "default"
     if not isinstance(name, str) or not is_name(name):
         raise InputError(f"{str(name)[:40]!r} is no name for a result; use letters, digits, -, _ and dots between.")
-    return name
-
-
-def _track(item: Item, given: Mapping[str, Any], title: str, catalog: Catalog) -> Plan:
-    """Plan `hypose track` of a recording.
-
-    item: the recording.
-    given: options of the page; its start may be the name of saved clicks, its subject is True or False.
-    title: for the page.
-    """
-    out = _inside(catalog, item, item.path / "results" / _result_name(given))
+    out = _inside(catalog, item, free_folder(item.path / "results", name))
     paths = ["--out", str(out)]
     if isinstance(start := given.get("start"), str) and start.startswith(_CLICKS):
         paths += ["--start", str(_clicked(item.path, start))]

@@ -133,18 +133,14 @@ class Studio:
         yield
         await self.fusion.stop()
         await self.cameras.stop()
-        await run_in_threadpool(self.close)
+        await self.jobs.close()
+        await run_in_threadpool(self.gestures.close)
+        self.let_go()
 
     def let_go(self) -> None:
         """Close open files of results and recordings, since some systems cannot move open files."""
         self.results.drop()
         self.recordings.drop()
-
-    def close(self) -> None:
-        """Stop jobs and sessions, keep their work, and close all files."""
-        self.gestures.close()
-        self.jobs.close()
-        self.let_go()
 
 
 def _warm() -> None:
@@ -331,8 +327,14 @@ def _of_jobs(studio: Studio) -> list[Route]:
     """Build the routes that list, start, stop, resume and show jobs."""
     jobs = studio.jobs
 
-    def start(request: Request, body: _Body) -> Any:
-        return jobs.start(text(body.get("kind"), "kind of job", 40, "say which is to be started"), body).shown()
+    async def start(request: Request, body: _Body) -> Any:
+        return (await jobs.start(text(body.get("kind"), "kind of job", 40, "say which is to be started"), body)).shown()
+
+    async def cancel(request: Request, _: _Body) -> Any:
+        return jobs.cancel(request.path_params["id"]).shown()
+
+    async def resume(request: Request, _: _Body) -> Any:
+        return jobs.resume(request.path_params["id"]).shown()
 
     def view(request: Request) -> Response:
         job = jobs.find(request.path_params["id"])
@@ -343,8 +345,8 @@ def _of_jobs(studio: Studio) -> list[Route]:
         route("/api/jobs", start, "POST", 201),
         route("/api/job-forms", lambda request: forms()),
         route("/api/jobs/{id}", lambda request: jobs.find(request.path_params["id"]).shown()),
-        route("/api/jobs/{id}/cancel", lambda r, _: jobs.cancel(r.path_params["id"]).shown(), "POST"),
-        route("/api/jobs/{id}/resume", lambda r, _: jobs.resume(r.path_params["id"]).shown(), "POST", 201),
+        route("/api/jobs/{id}/cancel", cancel, "POST"),
+        route("/api/jobs/{id}/resume", resume, "POST", 201),
         route("/api/jobs/{id}/view", view),
     ]
 
@@ -462,10 +464,6 @@ def _of_results(studio: Studio, item_of: ItemOf) -> list[Route]:
     def file(request: Request) -> Response:
         return _file(item_of("result", request).path, request.path_params["name"], DESCRIPTIONS, catalog)
 
-    def export(request: Request, body: _Body) -> Any:
-        item = item_of("result", request)
-        return studio.jobs.start("export", {"result": item.id, "options": {"formats": body.get("formats")}}).shown()
-
     return [
         route("/api/results", lambda request: [results.head(i) for i in catalog.items("result")]),
         route("/api/results/{id}/view", view),
@@ -475,7 +473,6 @@ def _of_results(studio: Studio, item_of: ItemOf) -> list[Route]:
         route("/api/results/{id}/files/{name}", file),
         route("/api/results/{id}/opensim.zip", opensim),
         route("/api/results/{id}/gait", gait),
-        route("/api/results/{id}/export", export, "POST", 201),
     ]
 
 
