@@ -7,8 +7,8 @@ from __future__ import annotations
 import contextlib
 import json
 import re
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager
+import threading
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, cast
@@ -21,7 +21,6 @@ from hypose.app.studio.catalog import Catalog, Item, NotFound
 from hypose.app.studio.http import request_choice, text, whole
 from hypose.app.studio.http import request_number as number_of
 from hypose.app.studio.job_kinds import CALIBRATION, board_files, found_offsets, next_step, read_found, uncalibrated
-from hypose.app.studio.lru_cache import LruCache
 from hypose.app.studio.view_pictures import OpenRecording
 from hypose.calibration.views import find_sources
 from hypose.errors import HyposeError, InputError
@@ -211,7 +210,7 @@ def _with_calibration(whole: str, name: str | None) -> str:
 
 
 _OPEN, _QUALITY = 128 << 20, 85
-"""Most bytes of all open recordings; JPEG quality."""
+"""Most bytes of all open recordings, beyond which only the last used one stays open; JPEG quality."""
 _EDGE = (70, 60, 255)  # BGR; the same pink as in the report
 
 
@@ -219,16 +218,15 @@ class Recordings:
     """Open recordings, for several threads."""
 
     def __init__(self, catalog: Catalog) -> None:
-        self._catalog = catalog
-        # the last used one stays, however large it is, since backgrounds take seconds to make
-        self._open: LruCache[OpenRecording] = LruCache(_OPEN, lambda o: o.held, OpenRecording.close)
+        self._catalog, self._lock = catalog, threading.Lock()
+        self._open: dict[Hashable, OpenRecording] = {}  # the last used one is last
 
     def load(self, item: Item) -> Recording:
         """Load the recording of an item.
 
         Raises: InputError names the cause.
         """
-        with self._opened(item) as opened:
+        with self.opened(item.path) as opened:
             return opened.recording
 
     def shown(self, item: Item, results: Sequence[str]) -> dict[str, Any]:
@@ -304,7 +302,7 @@ class Recordings:
         settings: of the mask, texts by their names.
         Raises: NotFound or InputError where there is no such picture.
         """
-        with self._opened(item) as opened:
+        with self.opened(item.path) as opened:
             r = opened.recording
             if camera not in r.rig.names:
                 raise NotFound(f"{r.name} has no camera {camera[:40]!r}; it has {', '.join(r.rig.names)}.")
@@ -331,15 +329,35 @@ class Recordings:
         write_text(path, "\n".join([text, *silhouette_lines(options)]) + "\n")
         return asdict(options)
 
-    def drop(self) -> None:
-        """Release the files that are not in use."""
-        self._open.drop()
+    @contextlib.contextmanager
+    def opened(self, folder: Path, frames: tuple[int, int] | None = None) -> Iterator[OpenRecording]:
+        """Open a recording, or return the open one; it stays open while the block runs, and then as long as there is
+        memory for it.
 
-    def _opened(self, item: Item) -> AbstractContextManager[OpenRecording]:
-        return self._open.use(
-            (item.id, _stamp(item.path)),
-            lambda: OpenRecording(load_recording(item.path, uncalibrated=uncalibrated(item.path))),
-        )
+        folder: of the recording.
+        frames: first frame and end of the rows; None: all frames.
+        """
+        key = folder, frames, _stamp(folder)
+        with self._lock:
+            opened = self._open.pop(key, None)
+            if opened is None:
+                opened = OpenRecording(load_recording(folder, uncalibrated=uncalibrated(folder)), frames)
+            self._open[key] = opened
+            opened.users += 1
+        try:
+            yield opened
+        finally:
+            with self._lock:
+                opened.users -= 1
+                for unused in [k for k, o in self._open.items() if not o.users][:-1]:
+                    if sum(o.held for o in self._open.values()) > _OPEN:
+                        self._open.pop(unused).close()
+
+    def drop(self) -> None:
+        """Close the recordings that are not in use, since some systems cannot move open files."""
+        with self._lock:
+            for unused in [k for k, o in self._open.items() if not o.users]:
+                self._open.pop(unused).close()
 
 
 def _draw_mask(image: Image, mask: Mask, shown: str) -> Image:

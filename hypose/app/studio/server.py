@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import io
 import shutil
@@ -13,7 +12,7 @@ from collections.abc import AsyncIterator, Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 from urllib.parse import quote
 
 import numpy as np
@@ -83,7 +82,8 @@ class Studio:
         self.catalog = Catalog(options.root)
         self.hub = Hub()
         self.jobs = Jobs(self.catalog, self.hub)
-        self.results, self.recordings = Results(self.catalog), Recordings(self.catalog)
+        self.recordings = Recordings(self.catalog)
+        self.results = Results(self.catalog, self.recordings)
         self.gestures = GestureTopic(self.hub, self.catalog)
         self.fusion, self.cameras = FuseTopic(self.hub, self.catalog), CameraTopic(self.hub, self.catalog)
         for topic in (self.jobs, self.gestures, self.fusion, self.cameras):
@@ -135,11 +135,6 @@ class Studio:
         await self.cameras.stop()
         await self.jobs.close()
         await run_in_threadpool(self.gestures.close)
-        self.let_go()
-
-    def let_go(self) -> None:
-        """Close open files of results and recordings, since some systems cannot move open files."""
-        self.results.drop()
         self.recordings.drop()
 
 
@@ -249,7 +244,6 @@ _UNTRUSTED = (
 """Content security policy of pages from the served folder: they can show themselves, but reach neither the server nor
 anything else.
 """
-_T = TypeVar("_T")
 _Body = dict[str, Any]
 
 
@@ -290,7 +284,7 @@ def _of_folders(studio: Studio, item_of: ItemOf) -> list[Route]:
             raise InputError(f"{item.path.name} is the folder that is served; change it from outside.")
         if any(studio.jobs.needs(i.id) for i in catalog.every() if i.path.is_relative_to(item.path)):
             raise NotNow(f"A job is at work on {item.path.name}; stop it first.")
-        studio.let_go()
+        studio.recordings.drop()
         try:
             yield
         except OSError as error:
@@ -338,7 +332,7 @@ def _of_jobs(studio: Studio) -> list[Route]:
 
     def view(request: Request) -> Response:
         job = jobs.find(request.path_params["id"])
-        return block_answer(studio.results.so_far(job.plan, job.began, studio.recordings))
+        return block_answer(studio.results.so_far(job.plan, job.began))
 
     return [
         route("/api/jobs", lambda request: [j.shown() for j in jobs.every()]),
@@ -420,20 +414,6 @@ def _of_recordings(studio: Studio, item_of: ItemOf) -> list[Route]:
 def _of_results(studio: Studio, item_of: ItemOf) -> list[Route]:
     """Build the routes of results; item_of as in `_of_folders`."""
     catalog, results = studio.catalog, studio.results
-    blocks, gaits = asyncio.Lock(), asyncio.Lock()  # slow answers are made one at a time
-
-    async def in_turn(turn: asyncio.Lock, request: Request, make: Callable[[Item], _T]) -> _T | None:
-        """Make an answer when it is its turn; return None where the client has disconnected meanwhile."""
-        item = item_of("result", request)
-        async with turn:
-            return None if await request.is_disconnected() else await run_in_threadpool(make, item)
-
-    async def view(request: Request) -> Response:
-        return block_answer(await in_turn(blocks, request, results.block))
-
-    async def gait(request: Request) -> Response:
-        data = await in_turn(gaits, request, results.gait)
-        return Response(data or b"null", media_type="application/json", headers={"Cache-Control": "no-store"})
 
     def row_of(request: Request) -> int:
         return digits(request.path_params["row"], "The row")
@@ -466,13 +446,13 @@ def _of_results(studio: Studio, item_of: ItemOf) -> list[Route]:
 
     return [
         route("/api/results", lambda request: [results.head(i) for i in catalog.items("result")]),
-        route("/api/results/{id}/view", view),
+        route("/api/results/{id}/view", lambda r: block_answer(results.block(item_of("result", r)))),
         route("/api/results/{id}/pictures/{row}", pictures),
         route("/api/results/{id}/outlines/{row}", outlines),
         route("/api/results/{id}/thumbnail.jpg", small),
         route("/api/results/{id}/files/{name}", file),
         route("/api/results/{id}/opensim.zip", opensim),
-        route("/api/results/{id}/gait", gait),
+        route("/api/results/{id}/gait", lambda r: results.gait(item_of("result", r))),
     ]
 
 

@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from hypose.app.studio.recordings import without_table
+from hypose.app.studio.catalog import Catalog
+from hypose.app.studio.recordings import Recordings, without_table
 from hypose.app.studio.view_pictures import OpenRecording
 from hypose.io.motions.results import load_body, load_motion
 from hypose.io.recordings.recording import load_recording
@@ -186,3 +187,19 @@ def test_points_of_the_picture_as_recorded_have_the_lens_taken_out(own_studio, f
     second = own_studio.get(f"/api/recordings/{id}/starts", {**saved, "until": 6}, status=201)
     assert second["name"] == "arm-2" and (folder / "walk" / "starts" / "arm.json").read_text() == before
     assert json.loads((folder / "walk" / "starts" / "arm-2.json").read_text())["until"] == 6
+
+
+def test_open_recordings_are_bounded_in_bytes(folder, monkeypatch):
+    recordings = Recordings(Catalog(folder))
+    with recordings.opened(folder / "walk") as first, recordings.opened(folder / "walk") as again:
+        assert again is first
+    with recordings.opened(folder / "walk") as kept:
+        assert kept is first
+    monkeypatch.setattr("hypose.app.studio.recordings._OPEN", -1)
+    with recordings.opened(folder / "walk", (0, 4)) as part, recordings.opened(folder / "walk", (2, 4)) as other:
+        assert part is not first and other is not part
+    with recordings.opened(folder / "walk", (2, 4)) as last:
+        assert last is other  # the last used one stays, the others went
+    with recordings.opened(folder / "walk") as opened:
+        assert opened is not first
+    recordings.drop()
