@@ -8,9 +8,8 @@ import shutil
 import socket
 import threading
 import zipfile
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -46,7 +45,7 @@ from hypose.app.studio.http import (
     token_for,
 )
 from hypose.app.studio.hub import MAX_MESSAGE, Hub
-from hypose.app.studio.job_kinds import forms, fused_in, is_name
+from hypose.app.studio.job_kinds import forms, fused_in
 from hypose.app.studio.jobs import Jobs
 from hypose.app.studio.live_topics import CameraTopic, FuseTopic
 from hypose.app.studio.recordings import Recordings, edit_recording, tick_findings
@@ -259,7 +258,6 @@ def routes(studio: Studio) -> list[Route]:
         *_of_jobs(studio),
         *_of_recordings(studio, item_of),
         *_of_results(studio, item_of),
-        *_of_folders(studio, item_of),
         route(
             "/api/models/{id}/thumbnail.jpg", lambda r: jpeg_answer(gesture_thumbnail(item_of("model", r).path), 600)
         ),
@@ -268,53 +266,6 @@ def routes(studio: Studio) -> list[Route]:
 
 
 ItemOf = Callable[[Kind, Request], Item]
-
-
-def _of_folders(studio: Studio, item_of: ItemOf) -> list[Route]:
-    """Build the routes that rename recordings and results, and delete results.
-
-    item_of: finds the item of a kind that a request's address names.
-    """
-    catalog = studio.catalog
-
-    @contextlib.contextmanager
-    def changing(item: Item, what: str) -> Iterator[None]:
-        """Prepare the change of an item's folder: refuse it while a job uses the item, and close all open files."""
-        if item.path == catalog.root:
-            raise InputError(f"{item.path.name} is the folder that is served; change it from outside.")
-        if any(studio.jobs.needs(i.id) for i in catalog.every() if i.path.is_relative_to(item.path)):
-            raise NotNow(f"A job is at work on {item.path.name}; stop it first.")
-        studio.recordings.drop()
-        try:
-            yield
-        except OSError as error:
-            raise InputError(f"{item.path.name} cannot be {what} ({(error.strerror or str(error)).lower()}).") from None
-        catalog.items(item.kind, fresh=True)
-
-    def delete(request: Request) -> Any:
-        item = item_of("result", request)
-        if any(i.path != item.path and i.path.is_relative_to(item.path) for i in catalog.every()):
-            raise InputError(f"Other recordings or results lie in {item.path.name}; delete it from outside.")
-        with changing(item, "deleted"):
-            shutil.rmtree(item.path)  # links in it are removed, not followed
-        return {"name": item.path.name}
-
-    def rename(kind: Kind, request: Request, body: _Body) -> Any:
-        item, name = item_of(kind, request), body.get("name")
-        if not isinstance(name, str) or not is_name(name):
-            raise InputError(f"{str(name)[:40]!r} is no name; use letters, digits, -, _ and dots between.")
-        place = item.path.with_name(name)
-        if place != item.path and place.exists():
-            raise NotNow(f"There is {name} already; choose another name.")
-        with changing(item, "renamed"):
-            item.path.rename(place)
-        return {"id": catalog.id_of(kind, place), "kind": kind, "name": name, "path": catalog.shown(place)}
-
-    return [
-        route("/api/recordings/{id}/name", partial(rename, "recording"), "POST"),
-        route("/api/results/{id}/name", partial(rename, "result"), "POST"),
-        route("/api/results/{id}", delete, "DELETE"),
-    ]
 
 
 def _of_jobs(studio: Studio) -> list[Route]:
@@ -346,7 +297,10 @@ def _of_jobs(studio: Studio) -> list[Route]:
 
 
 def _of_recordings(studio: Studio, item_of: ItemOf) -> list[Route]:
-    """Build the routes of recordings and folders; item_of as in `_of_folders`."""
+    """Build the routes of recordings and folders.
+
+    item_of: finds the item of a kind that a request's address names.
+    """
     catalog, recordings = studio.catalog, studio.recordings
 
     def one(request: Request) -> Any:
@@ -412,7 +366,7 @@ def _of_recordings(studio: Studio, item_of: ItemOf) -> list[Route]:
 
 
 def _of_results(studio: Studio, item_of: ItemOf) -> list[Route]:
-    """Build the routes of results; item_of as in `_of_folders`."""
+    """Build the routes of results; item_of as in `_of_recordings`."""
     catalog, results = studio.catalog, studio.results
 
     def row_of(request: Request) -> int:
@@ -438,6 +392,23 @@ def _of_results(studio: Studio, item_of: ItemOf) -> list[Route]:
         headers = {"Content-Disposition": 'attachment; filename="opensim.zip"'}
         return Response(packed.getvalue(), media_type="application/zip", headers=headers)
 
+    def delete(request: Request) -> Any:
+        item = item_of("result", request)
+        inside = [i for i in catalog.every() if i.path != item.path and i.path.is_relative_to(item.path)]
+        if inside or item.path == catalog.root:
+            raise InputError(f"{item.path.name} is served itself, or others lie in it; delete it from outside.")
+        if studio.jobs.needs(item.id):
+            raise NotNow(f"A job is at work on {item.path.name}; stop it first.")
+        studio.recordings.drop()  # some systems cannot delete open files
+        try:
+            shutil.rmtree(item.path)  # links in it are removed, not followed
+        except OSError as error:
+            raise InputError(
+                f"{item.path.name} cannot be deleted ({(error.strerror or str(error)).lower()})."
+            ) from None
+        catalog.items("result", fresh=True)
+        return {"name": item.path.name}
+
     def small(request: Request) -> Response:
         return jpeg_answer(results.thumbnail(item_of("result", request)), 600)
 
@@ -446,6 +417,7 @@ def _of_results(studio: Studio, item_of: ItemOf) -> list[Route]:
 
     return [
         route("/api/results", lambda request: [results.head(i) for i in catalog.items("result")]),
+        route("/api/results/{id}", delete, "DELETE"),
         route("/api/results/{id}/view", lambda r: block_answer(results.block(item_of("result", r)))),
         route("/api/results/{id}/pictures/{row}", pictures),
         route("/api/results/{id}/outlines/{row}", outlines),
@@ -457,7 +429,7 @@ def _of_results(studio: Studio, item_of: ItemOf) -> list[Route]:
 
 
 def _of_clicks(studio: Studio, item_of: ItemOf) -> list[Route]:
-    """Build the routes of clicked joints; item_of as in `_of_folders`."""
+    """Build the routes of clicked joints; item_of as in `_of_recordings`."""
     catalog, recordings = studio.catalog, studio.recordings
 
     def body(request: Request) -> Response:

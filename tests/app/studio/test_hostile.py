@@ -161,12 +161,6 @@ def test_answers_to_a_page_that_has_broken_the_rules_go_nowhere(studio, log, pat
     assert log == []
 
 
-def test_a_body_that_does_not_come_is_not_waited_for(studio, monkeypatch):
-    monkeypatch.setattr("hypose.app.studio.http._BODY_S", 0.05)
-    head = f"POST /api/jobs HTTP/1.1\r\nHost: 127.0.0.1:{studio.port}\r\nContent-Length: 100\r\n\r\n{{".encode()
-    assert raw(studio.port, head).startswith(b"HTTP/1.1 408")
-
-
 def test_two_pages_that_start_the_fusion_at_once_start_one(own_studio):
     with own_studio.socket("/ws/fuse") as one, own_studio.socket("/ws/fuse") as other:
         for ws in (one, other):
