@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hypose.app.studio.catalog import Catalog
-from hypose.app.studio.recordings import Recordings, without_table
+from hypose.app.studio.recordings import Recordings
 from hypose.app.studio.view_pictures import OpenRecording
 from hypose.io.motions.results import load_body, load_motion
 from hypose.io.recordings.recording import load_recording
@@ -80,11 +80,6 @@ def test_mask_settings_are_kept_in_the_recording_and_used(own_studio, folder):
     assert (folder / "walk" / "recording.toml").read_text() == before
     for bad in ({"threshold": -1}, {"treshold": 4}, {"shadow": 1}, {"shadow_range": [0.5]}):
         assert "settings" in own_studio.get(f"/api/recordings/{id}/mask-settings", bad, status=400)["error"]
-
-
-def test_a_table_is_taken_out_of_a_text_and_nothing_else():
-    text = "a = 1\n[silhouettes]\nb = 2\n\n[[view]]\nc = 3\n[silhouettes] # again\nd = 4\n"
-    assert without_table(text, "silhouettes") == "a = 1\n[[view]]\nc = 3\n"
 
 
 @pytest.fixture(scope="module")
