@@ -43,12 +43,12 @@ class _Servers:
     def __init__(self) -> None:
         from hypose.app.live.live_server import FusionServerOptions, LiveServer
         from hypose.app.studio.http import NotNow
-        from hypose.app.studio.server import Studio, StudioOptions, make_server, open_port
+        from hypose.app.studio.server import Studio, make_server, open_port
 
         self._folder = tempfile.TemporaryDirectory()  # lives as long as the process
         root = Path(self._folder.name)
         _recording(root)
-        studio = Studio(StudioOptions(root))
+        studio = Studio(root)
 
         def no_jobs(*_: Any) -> None:
             raise NotNow("Nothing is started here.")

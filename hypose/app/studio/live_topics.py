@@ -7,9 +7,9 @@ import base64
 import contextlib
 import json
 import shutil
-import threading
 import time
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -300,11 +300,9 @@ class _Pictures:
         self._hub, self._topic = hub, topic
         self._cameras = tuple(v.name for v in cameras.views)
         self._places = [np.linalg.inv(c.camera_from_world).round(4).tolist() for c in cameras.rig]
-        self._newest: LiveResult | None = None
         self._drawn = -np.inf
-        self._wake, self._ended = threading.Event(), False
-        self._thread = threading.Thread(target=self._draw, name="pictures", daemon=True)
-        self._thread.start()
+        self._drawing, self._pool = Future[None](), ThreadPoolExecutor(1, "pictures")
+        self._drawing.set_result(None)
 
     def seen(self, seen: LiveResult) -> None:
         """Send the poses of an instant, and let pictures be drawn where they are due."""
@@ -315,9 +313,8 @@ class _Pictures:
         if people:
             first = {k: people[0][k] for k in ("n", "time", "latency_ms")}
             self._hub.post(self._topic, {"t": "frame", **first, "people": people}, key="frame")
-        if now - self._drawn >= PICTURES_S:
-            self._drawn, self._newest = now, seen
-            self._wake.set()
+        if now - self._drawn >= PICTURES_S and self._drawing.done() and self._hub.listens(self._topic):
+            self._drawn, self._drawing = now, self._pool.submit(self._draw, seen)
 
     def status(self, status: LiveStatus) -> None:
         """Send the state of the run."""
@@ -331,19 +328,13 @@ class _Pictures:
 
     def close(self) -> None:
         """Stop drawing pictures."""
-        self._ended = True
-        self._wake.set()
-        self._thread.join(5)
+        self._pool.shutdown()
 
-    def _draw(self) -> None:
-        """Send pictures of the newest instant whenever they are due; the work of the thread."""
-        while not self._ended:
-            self._wake.wait()
-            self._wake.clear()
-            if (seen := self._newest) is not None and self._hub.listens(self._topic):
-                views = zip(self._cameras, seen.sight.jpegs, seen.sight.views, strict=True)
-                pictures = [{"name": n, "jpeg": _picture(j, None if v is None else v[0])} for n, j, v in views]
-                self._hub.post(self._topic, {"t": "pictures", "cameras": pictures}, key="pictures")
+    def _draw(self, seen: LiveResult) -> None:
+        """Send pictures of an instant."""
+        views = zip(self._cameras, seen.sight.jpegs, seen.sight.views, strict=True)
+        pictures = [{"name": n, "jpeg": _picture(j, None if v is None else v[0])} for n, j, v in views]
+        self._hub.post(self._topic, {"t": "pictures", "cameras": pictures}, key="pictures")
 
 
 def _picture(jpeg: bytes | None, bits: np.ndarray | None) -> str | None:

@@ -38,8 +38,8 @@ from hypose.io.recordings.recording import (
 from hypose.json_text import parse_json
 
 # ---- edits ---------------------------------------------------------------------------------------------------------
-# Correct faults that a check has found by a change of recording.toml; its other lines stay unchanged. The text is a list
-# of tables: the lines of the recording itself, then of each [table] with its header.
+# Correct faults that a check has found by a change of recording.toml; its other lines stay unchanged. The text is split
+# into tables: the lines of the recording itself, then of each [table] with its header.
 
 
 _KINDS = (

@@ -7,17 +7,15 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
+from hypose.app.reports.result_pictures import close_up, draw_skeleton, jpeg
 from hypose.app.studio.catalog import Catalog, Item, NotFound
 from hypose.app.studio.job_kinds import Plan
 from hypose.app.studio.recordings import Recordings
 from hypose.app.studio.view_bundle import first_frame, in_recording, load_view, quality_of, view_bundle
 from hypose.app.studio.view_pictures import OpenRecording
-from hypose.body.skeleton import Skeleton
 from hypose.errors import HyposeError
-from hypose.geometry import Array, Image
 from hypose.io.motions.results import Checkpoint, load_body, load_motion
 from hypose.pipeline.gait import angle_cycles, gait_of
 from hypose.tracking.tracker import estimates_from_arrays, motion_of
@@ -26,10 +24,6 @@ _READ = ("motion.npz", "body.npz", "assessment.json", "modes.npz", "checkpoint.n
 """Files of a result that its facts are read from."""
 _SIZE = (192, 144)
 """Width and height of a thumbnail, px."""
-_ROOM = 1.35
-"""Height of the thumbnail relative to that of the joints in it."""
-_QUALITY = 82
-_LEFT, _RIGHT, _MIDDLE = (74, 160, 245), (245, 178, 91), (247, 245, 242)  # BGR; as in View
 Stamp = tuple[float | None, ...]
 
 
@@ -115,8 +109,10 @@ class Results:
         seen = np.flatnonzero(np.isfinite(motion.joints).all((1, 2))).tolist()
         with self.pictures(item) as opened:
             for row in seen and [seen[len(seen) // 2], seen[0]]:
-                if (found := opened.seen(row, motion.joints[row])) is not None:
-                    return _drawn(*found, motion.skeleton)
+                if (found := opened.first_picture(row)) is not None:
+                    small, camera = close_up(*found, motion.joints[row], _SIZE)
+                    draw_skeleton(small, camera, motion.skeleton, motion.joints[row])
+                    return jpeg(small, _SIZE[0])
         raise NotFound("There are no pictures of this result.")
 
     def gait(self, item: Item) -> dict[str, Any]:
@@ -171,36 +167,6 @@ def _stamp(folder: Path) -> Stamp:
         return 0.0 if name == "checkpoint.npz" else at
 
     return tuple(written(n) for n in _READ)
-
-
-def _drawn(image: Image, points: Array, skeleton: Skeleton) -> bytes:
-    """Cut the person out of a picture, draw the skeleton, and encode it as a JPEG of _SIZE.
-
-    image: (h, w, 3) BGR.
-    points: (J, 2) px, joints; NaN where not known.
-    skeleton: skeleton of the joints.
-    """
-    h, w = image.shape[:2]
-    inside = points[np.isfinite(points).all(1)]
-    low, high = (inside.min(0), inside.max(0)) if len(inside) else (np.zeros(2), np.array([w, h], dtype=float))
-    across, up = (_ROOM * (high - low)).tolist()
-    tall = min(float(h), max(24.0, up, across * _SIZE[1] / _SIZE[0]))
-    wide = min(float(w), tall * _SIZE[0] / _SIZE[1])
-    tall = wide * _SIZE[1] / _SIZE[0]
-    corner = np.clip((low + high) / 2 - (wide / 2, tall / 2), 0, np.maximum((w - wide, h - tall), 0))
-    scale = _SIZE[0] / wide
-    cut = np.array([[scale, 0, -scale * corner[0]], [0, scale, -scale * corner[1]]])
-    small = cv2.warpAffine(image, cut, _SIZE, flags=cv2.INTER_AREA)
-    at = scale * (points - corner)
-    names = skeleton.joint_names
-    for joint, parent in enumerate(skeleton.parents):
-        if parent < 0 or not np.isfinite(at[[joint, parent]]).all():
-            continue
-        a, b = ((round(float(x)), round(float(y))) for x, y in at[[parent, joint]])
-        colour = _LEFT if names[joint].startswith("left") else _RIGHT if names[joint].startswith("right") else _MIDDLE
-        cv2.line(small, a, b, (20, 20, 20), 4, cv2.LINE_AA)
-        cv2.line(small, a, b, colour, 2, cv2.LINE_AA)
-    return cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()
 
 
 NO_GAIT: dict[str, Any] = {"events": [], "figures": [], "cycles": []}

@@ -9,7 +9,6 @@ import socket
 import threading
 import zipfile
 from collections.abc import AsyncIterator, Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -58,27 +57,17 @@ STATIC_FOLDER = Path(__file__).parent / "static"
 MOST_CONNECTIONS = 256
 
 
-@dataclass(frozen=True)
-class StudioOptions:
-    """Options of the studio.
+class Studio:
+    """State of a server: the catalog, jobs, topics and open files; `app` is the ASGI application.
 
     root: folder that is served.
-    host, port: address; port 0: any free one.
-    token: None: one is made where other computers can connect.
+    host: address of this computer on which it is served.
+    token: that pages must show; None: one is made where other computers can connect.
     """
 
-    root: Path
-    host: str = "127.0.0.1"
-    port: int = 8765
-    token: str | None = None
-
-
-class Studio:
-    """State of a server: the catalog, jobs, topics and open files; `app` is the ASGI application."""
-
-    def __init__(self, options: StudioOptions) -> None:
-        self.token = token_for(options.host, options.token)
-        self.catalog = Catalog(options.root)
+    def __init__(self, root: Path, host: str = "127.0.0.1", token: str | None = None) -> None:
+        self.token = token_for(host, token)
+        self.catalog = Catalog(root)
         self.hub = Hub()
         self.jobs = Jobs(self.catalog, self.hub)
         self.recordings = Recordings(self.catalog)
@@ -220,16 +209,18 @@ def open_port(host: str, port: int) -> socket.socket:
     return opened
 
 
-def run_server(options: StudioOptions, ready: Callable[[str], None]) -> None:
+def run_server(root: Path, host: str, port: int, token: str | None, ready: Callable[[str], None]) -> None:
     """Serve until Ctrl-C or SIGTERM; ready(address) is called when the page can be opened.
 
+    root, host, token: as for `Studio`.
+    port: 0: any free one.
     Raises: InputError where the port cannot be used.
     """
-    opened = open_port(options.host, options.port)
-    studio = Studio(options)
-    token = f"?token={quote(studio.token)}" if studio.token else ""
-    host = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}.get(options.host, options.host)
-    ready(f"http://{host}:{opened.getsockname()[1]}/{token}")
+    opened = open_port(host, port)
+    studio = Studio(root, host, token)
+    query = f"?token={quote(studio.token)}" if studio.token else ""
+    host = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}.get(host, host)
+    ready(f"http://{host}:{opened.getsockname()[1]}/{query}")
     with contextlib.suppress(KeyboardInterrupt):
         make_server(studio).run(sockets=[opened])
 
@@ -310,7 +301,7 @@ def _of_recordings(studio: Studio, item_of: ItemOf) -> list[Route]:
 
     def picture(request: Request) -> Response:
         query = {k: v for k, v in request.query_params.items() if k != "token"}
-        frame, width = digits(request.path_params["frame"], "The frame"), digits(query.pop("width", "640"), "The width")
+        frame, width = request.path_params["frame"], digits(query.pop("width", "640"), "The width")
         mask = request_choice(query.pop("mask", "none"), "way to show a mask", _MASKS)
         item = item_of("recording", request)
         return jpeg_answer(recordings.picture(item, request.path_params["camera"], frame, width, mask, query), 60)
@@ -359,7 +350,7 @@ def _of_recordings(studio: Studio, item_of: ItemOf) -> list[Route]:
         route("/api/recordings", make, "POST", 201),
         route("/api/recordings/{id}", one),
         route("/api/recordings/{id}/repair", edited, "POST"),
-        route("/api/recordings/{id}/image/{camera}/{frame}.jpg", picture),
+        route("/api/recordings/{id}/image/{camera}/{frame:int}.jpg", picture),
         route("/api/recordings/{id}/file/{name:path}", file),
         route("/api/recordings/{id}/mask-settings", settings, "POST"),
     ]
@@ -369,19 +360,16 @@ def _of_results(studio: Studio, item_of: ItemOf) -> list[Route]:
     """Build the routes of results; item_of as in `_of_recordings`."""
     catalog, results = studio.catalog, studio.results
 
-    def row_of(request: Request) -> int:
-        return digits(request.path_params["row"], "The row")
-
     def pictures(request: Request) -> Response:
         width = digits(request.query_params.get("width", "640"), "The width")
         with results.pictures(item_of("result", request)) as opened:
-            data = opened.row(row_of(request), width)
+            data = opened.row(request.path_params["row"], width)
         # a row of a result does not change while a page is open
         return Response(data, media_type="application/octet-stream", headers={"Cache-Control": "private, max-age=60"})
 
     def outlines(request: Request) -> Any:
         with results.pictures(item_of("result", request)) as opened:
-            return {"views": opened.outlines(row_of(request))}
+            return {"views": opened.outlines(request.path_params["row"])}
 
     def opensim(request: Request) -> Response:
         item, packed = item_of("result", request), io.BytesIO()
@@ -419,8 +407,8 @@ def _of_results(studio: Studio, item_of: ItemOf) -> list[Route]:
         route("/api/results", lambda request: [results.head(i) for i in catalog.items("result")]),
         route("/api/results/{id}", delete, "DELETE"),
         route("/api/results/{id}/view", lambda r: block_answer(results.block(item_of("result", r)))),
-        route("/api/results/{id}/pictures/{row}", pictures),
-        route("/api/results/{id}/outlines/{row}", outlines),
+        route("/api/results/{id}/pictures/{row:int}", pictures),
+        route("/api/results/{id}/outlines/{row:int}", outlines),
         route("/api/results/{id}/thumbnail.jpg", small),
         route("/api/results/{id}/files/{name}", file),
         route("/api/results/{id}/opensim.zip", opensim),

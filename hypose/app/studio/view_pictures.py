@@ -22,7 +22,7 @@ from hypose.cameras.camera import Camera
 from hypose.errors import InputError
 from hypose.evidence.frame import Silhouettes
 from hypose.evidence.silhouettes import SilhouetteSettings
-from hypose.geometry import Array, Image, Mask
+from hypose.geometry import Image, Mask
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.object_masks import ObjectMasks
 from hypose.io.recordings.recording import Recording, ViewSettings
@@ -187,14 +187,14 @@ class OpenRecording:
             image = (image // 3 + 40).astype(np.uint8)
         return jpeg(image, width)
 
-    def seen(self, row: int, points: Array) -> tuple[Image, Array] | None:
-        """Return the picture (BGR) of the first view that has one in `row`, and the pixels (N, 2) of points (N, 3) m,
-        world, in it; None where no view has one.
+    def first_picture(self, row: int) -> tuple[Image, Camera] | None:
+        """Return the picture (BGR) of the first view that has one in `row`, and the camera whose pixels are those of
+        it; None where no view has one.
         """
         with self._lock:
             for k, (view, camera) in enumerate(zip(self.recording.views, self.recording.rig, strict=True)):
                 if (image := self.read(k, row)) is not None:
-                    return image, as_shown(view, camera, (image.shape[1], image.shape[0])).project(points)
+                    return image, as_shown(view, camera, image.shape[1::-1])
         return None
 
     def outlines(self, row: int) -> list[list[list[float]]]:
