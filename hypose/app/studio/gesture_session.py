@@ -134,7 +134,7 @@ class GestureTopic(Topic):
     def _watching(self, message: Message, where: str, seed: int) -> tuple[str, _Make]:
         """Read a request to watch for the gestures of models; arguments and result as of `_training`."""
         ids = message.get("models")
-        if not isinstance(ids, list) or not 1 <= len(ids) <= 16 or not all(isinstance(m, str) for m in ids):
+        if not isinstance(ids, list) or not 1 <= len(ids) <= 16:
             raise InputError("Choose 1 to 16 gestures to watch for; teach one first if there is none.")
         models = [load_model(self.catalog.find("model", m).path) for m in ids]
         return models[0].names[0], partial(Watching, models=models)
@@ -155,10 +155,8 @@ class GestureTopic(Topic):
         if not isinstance(seconds, dict):
             raise InputError("Every phase must be given a number of seconds.")
         given = {f"{p}_s": request_number(seconds[p], f"the seconds of {p}", 0, 600) for p in PHASES if p in seconds}
-        old = None
-        if message.get("resume") is not None:
-            resumed = text(message["resume"], "gesture to go on with", 64, "choose it from the list")
-            old = self.catalog.find("model", resumed).path
+        resumed = message.get("resume")
+        old = None if resumed is None else self.catalog.find("model", resumed).path
 
         def make(source: GestureSource) -> Training:
             folder = recording_folder(self.catalog, _FOLDER, gesture)

@@ -219,7 +219,7 @@ class CameraTopic(LiveTopic):
         people: most people that are tracked.
         record, osc, vmc: as for the fusion.
         """
-        recording = self._catalog.find("recording", text(message.get("recording"), "recording", 200, "choose one"))
+        recording = self._catalog.find("recording", message.get("recording"))
         sources = _sources(message.get("sources") or {})
         countdown = request_number(message.get("countdown", 5), "the countdown", 0, 600)
         rate = request_number(message["rate"], "the rate", 1, 240) if message.get("rate") else None
