@@ -110,6 +110,6 @@ def teach(learner: Learner, examples: Sequence[Example], *, mine: bool = True, s
     for k in order.tolist():
         e = examples[k]
         if e.gesture:
-            learner.show(e.depth, e.lens, e.gesture, e.x, e.y, mine=mine)
+            learner.show(e.depth, e.lens, e.x, e.y, mine=mine)
         else:
             learner.reject(e.depth, e.lens, mine=mine)

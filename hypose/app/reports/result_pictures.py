@@ -214,32 +214,42 @@ def put_text(image: Image, text: str, x: int, y: int, colour: tuple[int, int, in
 
 
 @dataclass(frozen=True)
+class DrawnBody:
+    """Body of one person in one frame.
+
+    vertices, joints: (V, 3) of the body's fine mesh and (J, 3), m, world.
+    colour: BGR.
+    """
+
+    body: Body
+    vertices: Array
+    joints: Array
+    colour: tuple[int, int, int] = BODY
+
+
+@dataclass(frozen=True)
 class Drawing:
     """Content of one frame to draw.
 
-    vertices, joints: (V, 3) of the body's fine mesh and (J, 3), m, world; None: not drawn.
     silhouettes: masks of the frame; None: not drawn.
     title: text of the title bar.
-    alarm: whether the title bar and the body are red.
-    others: further bodies, each with vertices (V, 3) m, world, and colour (BGR).
+    people: bodies to draw.
+    alarm: whether the title bar is red.
     """
 
-    vertices: Array | None
-    joints: Array | None
     silhouettes: Silhouettes | None
     title: str
+    people: tuple[DrawnBody, ...] = ()
     alarm: bool = False
-    others: tuple[tuple[Body, Array, tuple[int, int, int]], ...] = ()
 
 
-def draw_view(out: Image, image: Image | None, camera: Camera, index: int, body: Body | None, what: Drawing) -> None:
-    """Draw one view of a frame into a picture: the recorded image, tinted bodies, outline of the mask, skeleton.
+def draw_view(out: Image, image: Image | None, camera: Camera, index: int, what: Drawing) -> None:
+    """Draw one view of a frame into a picture: the recorded image, tinted bodies, outline of the mask, skeletons.
 
     out: (h, w, 3) BGR picture that is overwritten.
     image: recorded picture (BGR) of any size; None: the view has none, and the text "no image" on grey takes its place.
     camera: camera whose pixels are those of `out` (`as_shown`).
     index: index of the view, which selects the mask in `what.silhouettes`.
-    body: body to which the vertices and joints of `what` belong; None: only the other bodies are drawn.
     what: content of the frame; its title is not used.
     """
     if image is None:
@@ -250,16 +260,14 @@ def draw_view(out: Image, image: Image | None, camera: Camera, index: int, body:
         cv2.resize(image, camera.size, out, interpolation=how)
     else:
         out[:] = image
-    if body is not None and what.vertices is not None:
-        draw_body(out, camera, what.vertices, body.fine, ALARM if what.alarm else BODY)
-    for other, vertices, colour in what.others:
-        draw_body(out, camera, vertices, other.fine, colour)
+    for person in what.people:
+        draw_body(out, camera, person.vertices, person.body.fine, person.colour)
     s = what.silhouettes
     if s is not None:
         outlines = mask_outline(camera, s.rig[index], s.masks[index])
         cv2.polylines(out, outlines, True, _MASK, 1, cv2.LINE_AA, _SHIFT)
-    if body is not None and what.joints is not None:
-        draw_skeleton(out, camera, body, what.joints)
+    for person in what.people:
+        draw_skeleton(out, camera, person.body, person.joints)
 
 
 def _write_labels(shown: Image, view: ViewSettings, index: int, what: Drawing) -> None:
@@ -288,48 +296,47 @@ class Canvas:
         about = zip(recording.views, recording.rig, boxes, strict=True)
         self._cameras = [as_shown(view, camera, box[2:]) for view, camera, box in about]
 
-    def draw(self, images: Sequence[Image | None], body: Body | None, what: Drawing) -> Image:
+    def draw(self, images: Sequence[Image | None], what: Drawing) -> Image:
         """Draw all views of one frame under the title bar.
 
         images: recorded pictures by view; None where there is none.
-        body, what: as for `draw_view`.
+        what: content of the frame.
         Returns: (h, w, 3) BGR of `size`, valid until the next call.
         """
         for c, (image, tile, camera) in enumerate(zip(images, self._tiles, self._cameras, strict=True)):
-            draw_view(tile, image, camera, c, body, what)
+            draw_view(tile, image, camera, c, what)
             _write_labels(tile, self._views[c], c, what)
         self._whole[:_BAR] = (30, 30, 150) if what.alarm else _GREY
         put_text(self._whole, what.title, 8, 18)
         return self._whole[: self.size[1], : self.size[0]]
 
 
-def draw_close_ups(
-    images: Sequence[Image | None], recording: Recording, body: Body, what: Drawing, side: int = 300, columns: int = 4
-) -> Image:
-    """Draw every view of one frame, cut to a square of `side` px around the body, in rows of `columns` squares.
+def draw_close_ups(images: Sequence[Image | None], recording: Recording, what: Drawing) -> Image:
+    """Draw every view of one frame, cut to a square of 300 px around the first person, in rows of four squares.
 
     images: recorded pictures by view; None where there is none.
-    body, what: as for `draw_view`.
-    Returns: (h, w, 3) BGR; the square of a view is grey without a picture, or without vertices in `what`.
+    what: content of the frame.
+    Returns: (h, w, 3) BGR; the square of a view is grey without a picture, or without a person in `what`.
     """
+    side = 300
     cells = []
     for c, (image, view, camera) in enumerate(zip(images, recording.views, recording.rig, strict=True)):
         cell = np.full((side, side, 3), 40, np.uint8)
-        if image is not None and what.vertices is not None:
+        if image is not None and what.people:
             full = image.shape[1], image.shape[0]
-            uv = as_shown(view, camera, full).project(what.vertices)
+            uv = as_shown(view, camera, full).project(what.people[0].vertices)
             uv = uv[np.isfinite(uv).all(1)]
             low, high = (uv.min(0), uv.max(0)) if len(uv) else (np.zeros(2), np.array(full, dtype=float))
             scale = float(np.clip(side / max(1.2 * float((high - low).max()), 1.0), 0.1, 2.5))
             w, h = (max(2, round(n * scale)) for n in full)
             shown = np.empty((h, w, 3), np.uint8)
-            draw_view(shown, image, as_shown(view, camera, (w, h)), c, body, what)
+            draw_view(shown, image, as_shown(view, camera, (w, h)), c, what)
             x, y = np.rint(scale * 0.5 * (low + high) - side / 2).astype(int).tolist()
             x0, y0, x1, y1 = max(x, 0), max(y, 0), min(x + side, w), min(y + side, h)
             if x0 < x1 and y0 < y1:
                 cell[y0 - y : y1 - y, x0 - x : x1 - x] = shown[y0:y1, x0:x1]
         _write_labels(cell, view, c, what)
         cells.append(cell)
-    columns = min(columns, len(cells))
+    columns = min(4, len(cells))
     cells += [np.full_like(cells[0], 255)] * (-len(cells) % columns)
     return np.concatenate([np.concatenate(cells[i : i + columns], 1) for i in range(0, len(cells), columns)])

@@ -198,7 +198,7 @@ class GestureTopic(Topic):
                 raise InputError("A session is running already; stop it first.")
             models = [load_model(self.catalog.find("model", m).path) for m in start.models]
             old = None if start.resume is None else self.catalog.find("model", start.resume).path
-            gesture = start.gesture or models[0].names[0]
+            gesture = start.gesture or models[0].name
             source = open_feed(start, gesture, self.catalog)
             try:
                 if start.mode == "run":
