@@ -242,8 +242,7 @@ def _chosen(
         left = choice.joints[jt.LEFT_SHOULDER] - choice.joints[jt.RIGHT_SHOULDER]
         systematic, wrong = remaining_uncertainty(points, state, at, left, lengths, choice.joints, variance)
         lost = bool(not reported.any() and time - seen.max() > FitSettings.lost_after_s)
-        swapped = np.zeros(len(points), dtype=np.bool_)
-        yield FitEstimate(choice.joints, variance, systematic, wrong, choice.shares, swapped, lost)
+        yield FitEstimate(choice.joints, variance, systematic, wrong, choice.shares, lost)
 
 
 def _with_rest(
