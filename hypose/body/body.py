@@ -223,8 +223,8 @@ class Body:
     def segment_lengths(self) -> dict[str, float]:
         """Measure the segments at rest, from joint to joint.
 
-        Returns: m by name: torso, neck, shoulder_width, hip_width, and left_ and right_ of upper_arm, forearm, thigh and
-            shank.
+        Returns: m by name: torso, neck, shoulder_width, hip_width; upper_arm, forearm, thigh and shank, each with the
+            prefix left_ and right_.
         """
         j, s = self.skeleton.rest_joints, self.skeleton
         return {k: float(np.linalg.norm(j[s.joint(a)] - j[s.joint(b)])) for k, (a, b) in _SEGMENTS.items()}

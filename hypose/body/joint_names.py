@@ -88,7 +88,7 @@ def renamed_motion(motion: Motion, names: Mapping[str, str]) -> Motion:
 
 
 def renamed_body(body: Body, names: Mapping[str, str]) -> Body:
-    """Rename the joints of a body, for export with a motion that was renamed by `renamed_motion` with the same names."""
+    """Rename the joints of a body, for export with a motion that `renamed_motion` renamed by the same names."""
     return replace(body, skeleton=renamed_skeleton(body.skeleton, names))
 
 

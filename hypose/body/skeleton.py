@@ -260,7 +260,7 @@ class Skeleton:
         return np.minimum(np.maximum(on_grid, self.lower), self.upper)  # np.clip takes twice as long for one pose
 
     def on_branch(self, poses: ArrayLike, reference: ArrayLike) -> Array:
-        """Replace the root's rotation vector in poses by the equal rotation that is nearest to that of a reference pose.
+        """Replace the root's rotation vector in poses by the equal rotation nearest to that of a reference pose.
 
         poses: (..., D).
         reference: (D,), or (..., D) for each pose.

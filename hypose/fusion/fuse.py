@@ -319,7 +319,7 @@ def _motion(
     skeleton = _point_skeleton([names[j] for j in order], [place.get(parents[j], -1) for j in order], bones)
     wrong = known["wrong"]
     p = np.nan_to_num(np.where(lost[:, None], np.fmax(wrong, 0.5), wrong)[:, order]).astype(np.float32)
-    low_confidence = p > DOUBTFUL_P
+    low_confidence = np.asarray(p > DOUBTFUL_P)
     return Motion(
         skeleton,
         times,

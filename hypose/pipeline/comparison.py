@@ -458,7 +458,7 @@ def _joints(ours: Motion, names: list[str], index: list[int], mine: Array, moved
     constant = np.einsum("tjab,jb->tja", axes, offsets)
     covered = np.stack(_covered(ours, index, mine, moved - constant), 1)
     found = [
-        _agreement(n, "mm", *(1000 * a[:, j] for a in (mine, moved, constant)), tuple(covered[j].tolist()))
+        _agreement(n, "mm", 1e3 * mine[:, j], 1e3 * moved[:, j], 1e3 * constant[:, j], tuple(covered[j].tolist()))
         for j, n in enumerate(names)
     ]
     return tuple(a for a in found if a is not None), 1000 * np.linalg.norm(difference - constant, axis=-1)

@@ -76,7 +76,7 @@ def apparent_height(silhouettes: Silhouettes) -> float | None:
     """
     rig, usable = silhouettes.rig, silhouettes.usable
     middles, extents = np.zeros((len(rig), 2)), np.zeros(len(rig))
-    for c in np.flatnonzero(usable):
+    for c in np.flatnonzero(usable).tolist():
         v, u = np.nonzero(silhouettes.informative[c])
         middles[c] = 0.5 * (u.min() + u.max()), 0.5 * (v.min() + v.max())
         extents[c] = max(np.ptp(u) / rig[c].K[0, 0], np.ptp(v) / rig[c].K[1, 1])
@@ -180,8 +180,9 @@ def way_of(
     found: dict[int, FrameEstimate] = {}
     for k, estimate in both_ways(tracker, start.pose, at, frames):
         found[k] = estimate
-        enough = best is not None and len(found) >= SETTINGS.choice_enough
-        if enough and _mean_more(found, best) > SETTINGS.choice_hopeless:
+        if best is None or len(found) < SETTINGS.choice_enough:
+            continue
+        if _mean_more(found, best) > SETTINGS.choice_hopeless:
             return None
     costs = np.array([found[k].cost for k in range(len(frames))])
     return StartTrial(start, at, np.stack([found[k].pose for k in range(len(frames))]), costs)
