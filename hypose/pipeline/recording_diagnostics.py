@@ -126,7 +126,7 @@ def observe_recording(recording: Recording, most: int = 100, progress: _Progress
                 None if s is None else _near(s, k) for s, k in zip(silhouettes, person.keypoints, strict=False)
             ]
     clips = tuple(replace(_clip(v), accepted=v.accept_scaled) for v in recording.views)
-    notes = () if person is None else person.one.notes
+    notes = () if person is None else (*person.one.notes, *person.held)
     if together and person is None:
         notes = ("several people stand in the masks, and are looked at together",)
     about = recording.frame_rate, recording.subject_height, notes
