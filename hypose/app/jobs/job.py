@@ -39,12 +39,13 @@ from hypose.io.recordings.recording import Recording, load_recording
 from hypose.io.sensors.skeleton_streams import SkeletonRecording
 from hypose.pipeline.assessment import ASSESSMENT_FILE, Assessment
 from hypose.pipeline.first_frame import SubjectOptions
-from hypose.pipeline.one_camera import POINT_STARTS, clicks_of, depth_note, one_view
+from hypose.pipeline.one_camera import POINT_STARTS, clicks_of, depth_note
 from hypose.pipeline.passes import MODES
+from hypose.pipeline.recorded_frames import check_views, frames_wanted, one_view
 from hypose.pipeline.run import TrackResult
 from hypose.pipeline.subject_from_motion import load_subject, subject_file
 from hypose.pipeline.track import track_person
-from hypose.pipeline.track_options import TrackOptions, check_views, frames_wanted
+from hypose.pipeline.track_options import TrackOptions
 from hypose.tracking.recipes import citation_of
 
 if TYPE_CHECKING:

@@ -36,10 +36,10 @@ from hypose.io.motions.results import ResultsFolder, load_motion, save_body
 from hypose.io.recordings.frames import FrameStream
 from hypose.pipeline.assessment import EXIT_UNTRUSTED, UNTRUSTED, Assessment
 from hypose.pipeline.frame_anomalies import in_words
-from hypose.pipeline.one_of_several import chosen_people, keypoint_people, people_frames, wanted_of
-from hypose.pipeline.people_run import PeopleRun
-from hypose.pipeline.track_options import check_views
-from hypose.pipeline.tracked_people import TrackedPerson, Wanted, said_of_places
+from hypose.pipeline.person_paths import Wanted, said_of_places
+from hypose.pipeline.recorded_frames import check_views, people_frames
+from hypose.pipeline.run import TrackResult, track_people
+from hypose.pipeline.track import chosen_people, keypoint_people, wanted_of
 from hypose.tracking.contacts import runs
 
 PEOPLE = "people.json"
@@ -68,7 +68,12 @@ def _kept(job: TrackJob) -> str:
     motions = sorted(results.path.glob("*/motion.npz")) if several else [results.motion]
     motions, where = [m for m in motions if m.exists()], results.path if several else results.motion
     if results.checkpoint.exists():
-        done = f"{len(load_motion(motions[0]))} of {total} frames" if motions else "tracked frames"
+        if not motions:
+            return (
+                "Stopped before the first frame was tracked. Kept: body and start of the person, in "
+                f"{results.checkpoint}. Go on with: {command}"
+            )
+        done = f"{len(load_motion(motions[0]))} of {total} frames"
         return f"Stopped. Kept: {done} in {where}, and the state of the tracker. Go on with: {command}"
     if several and motions:
         return f"Stopped. The motions that were complete are in {where}. Go on with: {command}"
@@ -136,18 +141,11 @@ def run_people(job: TrackJob, people: str, progress: ProgressCall = ignore) -> O
     record = {**record, "settings": {**record["settings"], "people": people}}
     compile_before(progress)
     with people_frames(recording, options, progress) as source:
-        found = PeopleRun(
-            source,
-            recording.frame_rate,
-            options,
-            count,
-            wanted,
-            results,
-            record,
-            job.command.resume,
-            progress,
-            keypoint_people(recording, source.rig) if options.looks_at != "silhouettes" else None,
-        )()
+        points = keypoint_people(recording, source.rig) if options.looks_at != "silhouettes" else None
+        about = {"count": count, "wanted": wanted, "points": points, "results": results, "record": record}
+        found = track_people(
+            source, recording.frame_rate, options, resume=job.command.resume, progress=progress, **about
+        )
         shown = [p for p in found.people if only is None or p.name == only]
         absent = "" if shown else _no_such_person(str(only), wanted, found.people)
         for why in said_of_places([w for w in wanted if w.name == only], len(found.people) + found.others):
@@ -166,11 +164,11 @@ def run_people(job: TrackJob, people: str, progress: ProgressCall = ignore) -> O
     first = shown[0]
     assessment = Assessment(UNTRUSTED, (Finding("absent", (), absent),)) if absent else worst_assessment(shown)
     results.write_json(ASSESSMENT_FILE, assessment.document())
-    said = (*notes, *(f"{p.name}: {n}" for p in shown for n in p.result.notes))
-    return Outcome(first.result.motion, first.result.body, found.complete, tuple(files), said, None, assessment)
+    said = (*notes, *(f"{p.name}: {n}" for p in shown for n in p.notes))
+    return Outcome(first.motion, first.body, found.complete, tuple(files), said, None, assessment)
 
 
-def _no_such_person(name: str, wanted: Sequence[Wanted], people: Sequence[TrackedPerson]) -> str:
+def _no_such_person(name: str, wanted: Sequence[Wanted], people: Sequence[TrackResult]) -> str:
     """Return the sentence that the requested person was not found, and who was.
 
     name: of the requested person, one of `wanted`.
@@ -183,7 +181,7 @@ def _no_such_person(name: str, wanted: Sequence[Wanted], people: Sequence[Tracke
     )
 
 
-def worst_assessment(people: Sequence[TrackedPerson]) -> Assessment:
+def worst_assessment(people: Sequence[TrackResult]) -> Assessment:
     """Combine the assessments of several people: the worst word, with the sentences and frames of those who have it."""
     assessments = {p.name: p.assessment for p in people}
     order = ("good", "look", UNTRUSTED)
@@ -197,25 +195,25 @@ def worst_assessment(people: Sequence[TrackedPerson]) -> Assessment:
     return Assessment(word, tuple(found), () if word == UNTRUSTED else frames)
 
 
-def _written(one: TrackedPerson, results: ResultsFolder) -> list[Path]:
+def _written(one: TrackResult, results: ResultsFolder) -> list[Path]:
     """Write body, provenance and assessment of one person; the motion is there already.
 
     results: folder of the person.
     Returns: paths of these files and of the motion.
     """
-    save_body(one.result.body, results.file("body.npz"))
-    results.write_json("provenance.json", one.result.motion.provenance)
-    results.write_json(ASSESSMENT_FILE, {**one.assessment.with_joints(one.result.motion), "there": _there(one)})
+    save_body(one.body, results.file("body.npz"))
+    results.write_json("provenance.json", one.motion.provenance)
+    results.write_json(ASSESSMENT_FILE, {**one.assessment.with_joints(one.motion), "there": _there(one)})
     return [results.file(n) for n in ("motion.npz", "body.npz", "provenance.json", ASSESSMENT_FILE)]
 
 
-def _there(one: TrackedPerson) -> list[list[int]]:
+def _there(one: TrackResult) -> list[list[int]]:
     """List the rows [first, one after the last] of the motion in which a person is present."""
-    return [[r.start, r.stop] for r in runs(one.present)]
+    return [[r.start, r.stop] for r in runs(one.there)]
 
 
 def _one_report(
-    job: TrackJob, one: TrackedPerson, source: FrameStream, written: Sequence[Path], progress: ProgressCall
+    job: TrackJob, one: TrackResult, source: FrameStream, written: Sequence[Path], progress: ProgressCall
 ) -> list[Path]:
     """Write motion files and report of one person, and delete files of earlier runs; return the paths.
 
@@ -224,15 +222,15 @@ def _one_report(
     """
     results = ResultsFolder(job.results.path / one.name)
     own = replace(job, results=results, command=replace(job.command, overlay=False))
-    about = {"title": f"{job.recording.name}: {one.name}", "notes": one.result.notes, "assessment": one.assessment}
+    about = {"title": f"{job.recording.name}: {one.name}", "notes": one.notes, "assessment": one.assessment}
     before = [p for p in written if p.parent == results.path]
-    files = export_and_report(own, one.result, source, before, progress, **about)
+    files = export_and_report(own, one, source, before, progress, **about)
     remove_stale(results, [*before, *files])
     return files
 
 
 def _together(
-    job: TrackJob, people: Sequence[TrackedPerson], source: FrameStream, notes: Sequence[str], progress: ProgressCall
+    job: TrackJob, people: Sequence[TrackResult], source: FrameStream, notes: Sequence[str], progress: ProgressCall
 ) -> list[Path]:
     """Write overlay, C3D, GLB, people.json and index page of all people; return their paths.
 
@@ -248,11 +246,11 @@ def _together(
         files.append(write_people_c3d(results.file("motion.c3d"), people))
     if "glb" in job.formats:
         path = results.file("motion.glb")
-        write_people_glb(path, [(p.name, p.result.motion, p.result.body) for p in people])
+        write_people_glb(path, [(p.name, p.motion, p.body) for p in people])
         files.append(path)
     about = [
         {"name": p.name, "folder": p.name, "assessment": p.assessment.word, "there": _there(p)}
-        | {"stature": p.result.body.stature}
+        | {"stature": p.body.stature}
         for p in people
     ]
     files.append(results.write_json(PEOPLE, {"people": about, "notes": list(notes)}))
@@ -262,22 +260,22 @@ def _together(
     return files
 
 
-def write_people_c3d(path: Path, people: Sequence[TrackedPerson]) -> Path:
+def write_people_c3d(path: Path, people: Sequence[TrackResult]) -> Path:
     """Write the joint centres of all people as one C3D with subjects; return its path.
 
     Points are named NAME:JOINT. The residual of a point is its standard deviation (mm), 0 where it was not measured;
     points of absent people are marked as not seen.
     """
     subjects = [p.name.replace(" ", "-").replace(":", "-") for p in people]
-    names = [f"{s}:{j}" for s, p in zip(subjects, people, strict=True) for j in p.result.motion.skeleton.joint_names]
-    points = [np.where(p.present[:, None, None], p.result.motion.joints, np.nan) for p in people]
-    residuals = np.concatenate([joint_residuals(p.result.motion) for p in people], 1)
-    rate = people[0].result.motion.frame_rate
+    names = [f"{s}:{j}" for s, p in zip(subjects, people, strict=True) for j in p.motion.skeleton.joint_names]
+    points = [np.where(p.there[:, None, None], p.motion.joints, np.nan) for p in people]
+    residuals = np.concatenate([joint_residuals(p.motion) for p in people], 1)
+    rate = people[0].motion.frame_rate
     write_c3d(path, names, np.concatenate(points, 1), rate, residuals, subjects=subjects)
     return path
 
 
-def _index(job: TrackJob, people: Sequence[TrackedPerson], notes: Sequence[str]) -> str:
+def _index(job: TrackJob, people: Sequence[TrackResult], notes: Sequence[str]) -> str:
     """Build the page with links to the reports of all people.
 
     notes: sentences at the end of the page.
@@ -285,11 +283,11 @@ def _index(job: TrackJob, people: Sequence[TrackedPerson], notes: Sequence[str])
     rows = []
     for k, p in enumerate(people):
         b, g, r = colour_of(k)
-        there = in_words(runs(p.present)) if not p.present.all() else "all frames"
+        there = in_words(runs(p.there)) if not p.there.all() else "all frames"
         cells = (
             f'<span style="color:rgb({r},{g},{b})">&#9632;</span>',
             f'<a href="{html.escape(quote(p.name), quote=True)}/report.html">{html.escape(p.name)}</a>',
-            f"{p.result.body.stature:.2f} m",
+            f"{p.body.stature:.2f} m",
             html.escape(there),
             html.escape(p.assessment.sentence),
         )

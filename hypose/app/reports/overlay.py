@@ -26,8 +26,8 @@ from hypose.errors import InputError
 from hypose.geometry import Array, Image
 from hypose.io.recordings.recording import Recording
 from hypose.io.videos.video import VideoWriter
+from hypose.pipeline.run import TrackResult
 from hypose.pipeline.track_loop import FrameSource
-from hypose.pipeline.tracked_people import TrackedPerson
 
 _AHEAD = 2  # frames that are drawn and not yet written
 _COLOURS = ((200, 190, 60), (70, 160, 240), (110, 200, 90), (220, 110, 200), (90, 210, 220), (230, 130, 80))
@@ -186,7 +186,7 @@ def write_people_overlay(
     path: Path,
     recording: Recording,
     source: FrameSource,
-    people: Sequence[TrackedPerson],
+    people: Sequence[TrackResult],
     progress: ProgressCall = ignore,
 ) -> None:
     """Draw the video of all people over their recording, each in a colour of their own.
@@ -194,7 +194,7 @@ def write_people_overlay(
     path: of the video.
     source: gives the silhouettes, of all people together.
     """
-    motion = people[0].result.motion
+    motion = people[0].motion
     numbers = recording.frames[: len(motion)]
 
     def draw(row: int, pictures: Sequence[Image | None], canvas: Canvas | None) -> Image:
@@ -204,11 +204,11 @@ def write_people_overlay(
     _film(path, recording, numbers, motion.frame_rate, draw, PictureRows(), progress)
 
 
-def _drawing_of_people(source: FrameSource, people: Sequence[TrackedPerson], row: int, number: int) -> Drawing:
+def _drawing_of_people(source: FrameSource, people: Sequence[TrackResult], row: int, number: int) -> Drawing:
     others, parts, alarm = [], [f"frame {number}"], False
     for k, p in enumerate(people):
-        m, body = p.result.motion, p.result.body
-        if not p.present[row] or m.poses is None or not np.isfinite(m.poses[row]).all():
+        m, body = p.motion, p.body
+        if not p.there[row] or m.poses is None or not np.isfinite(m.poses[row]).all():
             parts.append(f"{p.name} is not there")
             continue
         lost = bool(m.lost[row] or m.extrapolated[row])
