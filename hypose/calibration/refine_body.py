@@ -39,7 +39,6 @@ class BodySettings:
     contour_weight: weight of a contour row at the reference density.
     keypoint_weight: weight of a key-point row.
     focal: refine focal lengths as well.
-    normals: smallest cosine between the outline normals of a row; other rows are left out.
     """
 
     coarse: tuple[float, ...] = (4.0, 2.0, 1.0)
@@ -47,7 +46,6 @@ class BodySettings:
     contour_weight: float = 0.1
     keypoint_weight: float = 1.0
     focal: bool = False
-    normals: float = 0.3
 
 
 @dataclass(frozen=True)
@@ -99,8 +97,7 @@ def _cue(one: Term, o: BodySettings) -> Cue[_Cameras]:
     def rows(at: Posed, cameras: _Cameras, factor: float) -> Iterable[Rows]:
         projections = np.stack([c.projection for c in cameras])
         if isinstance(one, ContourTerm):
-            given = o.contour_weight, one.row_spacing_px, o.normals
-            return rows_of_contours(at, one, factor, *given, projections)
+            return rows_of_contours(at, one, factor, o.contour_weight, one.row_spacing_px, projections)
         assert isinstance(one, KeypointTerm), "cameras are refined on outlines and key points"
         return [rows_of_keypoints(at, one, projections, o.keypoint_weight)]
 
