@@ -194,7 +194,7 @@ def test_listeners_of_a_page_elsewhere_are_refused_and_silent_ones_cost_no_threa
     threads = threading.active_count()
     with connect(f"ws://127.0.0.1:{out.port}") as listener:
         assert threading.active_count() - threads <= 2
-        while not out.outbox.queues:  # the listener is entered by another thread
+        while not out.server.queues:  # the listener is entered by another thread
             time.sleep(0.01)
         out.post("news")
         assert listener.recv(timeout=HANG_S) == "news"

@@ -80,10 +80,10 @@ def fuse(c: FuseCommand) -> None:
         raise InputError("There is nothing to fuse; give a recording of skeletons, or --live.")
     loaded = read_skeletons(c.recording)
     if c.cameras is not None:
-        if c.method != "fit" or c.diagnose or c.reference is not None or c.rate is not None:
+        if c.method != "fit" or c.reference is not None or c.rate is not None:
             raise InputError(
-                "With --cameras everything is one solve at the cameras' rate; leave --method, --reference, --rate "
-                "and --diagnose out."
+                "With --cameras everything is one solve at the cameras' rate; leave --method, --reference and --rate "
+                "out."
             )
         filmed = load_recording(c.cameras)
         out = c.out or ResultsFolder.of(filmed.folder, "fuse-cameras").path
@@ -154,7 +154,7 @@ def run_fuse(
     total, folders = len(people) * len(times), [results]
     if len(people) > 1:
         folders = [ResultsFolder(results.path / f"person-{n + 1}") for n in range(len(people))]
-    settings = FusionSettings(method=c.method, diagnose=c.diagnose, seed=c.seed)
+    settings = FusionSettings(method=c.method, seed=c.seed)
     done: list[PersonResult] = []
     world: Array | None = None
     try:
@@ -350,13 +350,9 @@ def _write(
 
 def sensors_csv(fused: Fused) -> str:
     """Build the table of each sensor's share in each joint: a row per frame, a column joint:sensor with its share (0 to
-    1), and swarm:joint:sensor with the swarm's choice where it ran for diagnosis.
+    1).
     """
-    names = [f"{j}:{s}" for j in COMMON for s in fused.sensor_names]
-    header = ["time", *names]
-    table = [fused.motion.times[:, None], fused.shares.reshape(len(fused.shares), -1)]
-    if fused.choice is not None:
-        header += [f"swarm:{n}" for n in names]
-        table.append(fused.choice.reshape(len(fused.choice), -1))
-    lines = [",".join([f"{r[0]:.4f}", *(f"{v:.3f}" for v in r[1:])]) for r in np.concatenate(table, 1).tolist()]
+    header = ["time", *(f"{j}:{s}" for j in COMMON for s in fused.sensor_names)]
+    table = np.column_stack([fused.motion.times, fused.shares.reshape(len(fused.shares), -1)])
+    lines = [",".join([f"{r[0]:.4f}", *(f"{v:.3f}" for v in r[1:])]) for r in table.tolist()]
     return "\n".join([",".join(header), *lines]) + "\n"
