@@ -336,7 +336,7 @@ def view(
     threads: Threads = None,
 ) -> None:
     """Open the studio: results in 3D with their pictures, corrections by clicks, gestures, new recordings."""
-    from hypose.app.studio.server import NOT_BUILT, STATIC_FOLDER, StudioOptions, run_server
+    from hypose.app.studio.server import NOT_BUILT, STATIC_FOLDER, run_server
 
     if not what.exists():
         raise InputError(f"{what} does not exist; give a results folder, a recording, or a folder that holds such.")
@@ -353,7 +353,7 @@ def view(
 
             webbrowser.open(page)
 
-    run_server(StudioOptions(root, host, port, token), ready)
+    run_server(root, host, port, token, ready)
 
 
 def _place(what: Path) -> tuple[Path, str]:

@@ -154,7 +154,7 @@ def run_fuse(
     total, folders = len(people) * len(times), [results]
     if len(people) > 1:
         folders = [ResultsFolder(results.path / f"person-{n + 1}") for n in range(len(people))]
-    settings = FusionSettings(method=c.method, seed=c.seed)
+    settings = FusionSettings(seed=c.seed)
     done: list[PersonResult] = []
     world: Array | None = None
     try:

@@ -9,13 +9,14 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.body import Body, Mesh
+from hypose.body.skeleton import Skeleton
 from hypose.cameras.camera import Camera
 from hypose.compute.parts import covered, projected
 from hypose.errors import InputError, visible
@@ -180,12 +181,12 @@ def jpeg(image: Image, width: int, quality: int = 82) -> bytes:
     return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
 
 
-def draw_skeleton(image: Image, camera: Camera, body: Body, joints: Array) -> None:
+def draw_skeleton(image: Image, camera: Camera, skeleton: Skeleton, joints: Array) -> None:
     """Draw bones between joint centres: the left side orange, the right side blue, the middle white.
 
     image: (h, w, 3) BGR picture that is changed.
     camera: camera whose pixels are those of the image (`as_shown`).
-    body: body with the names and parents of the joints.
+    skeleton: gives the names and parents of the joints.
     joints: (J, 3) m, world; bones to joints that are NaN or behind the camera are left out.
     """
     uv = camera.project(joints)
@@ -193,7 +194,7 @@ def draw_skeleton(image: Image, camera: Camera, body: Body, joints: Array) -> No
     seen = np.isfinite(uv.sum(1))
     uv[~seen] = 0
     at = _fixed(uv)[:, 0].tolist()
-    for b, (name, a) in enumerate(zip(body.skeleton.joint_names, body.skeleton.parents.tolist(), strict=True)):
+    for b, (name, a) in enumerate(zip(skeleton.joint_names, skeleton.parents.tolist(), strict=True)):
         if a >= 0 and seen[a] and seen[b]:
             colour = _LEFT if name.startswith("left") else _RIGHT if name.startswith("right") else _MIDDLE
             cv2.line(image, at[a], at[b], (20, 20, 20), width + 2, cv2.LINE_AA, _SHIFT)
@@ -311,6 +312,25 @@ class Canvas:
         return self._whole[: self.size[1], : self.size[0]]
 
 
+def close_up(image: Image, camera: Camera, points: Array, size: tuple[int, int]) -> tuple[Image, Camera]:
+    """Cut a picture to the person.
+
+    image: (h, w, 3) BGR.
+    camera: camera whose pixels are those of the image.
+    points: (N, 3) m, world, of the person; the whole picture is shown where none of them is in front of the camera.
+    size: (width, height) of the cut picture, px.
+    Returns: the cut picture, grey beyond the borders of the image, and the camera whose pixels are those of it.
+    """
+    uv = camera.project(points)
+    uv = uv[np.isfinite(uv).all(1)]
+    low, high = (uv.min(0), uv.max(0)) if len(uv) else (np.zeros(2), np.array(camera.size, dtype=float))
+    scale = float(np.clip((size / np.maximum(1.2 * (high - low), 1.0)).min(), 0.1, 2.5))
+    corner = (low + high) / 2 - np.array(size) / (2 * scale)
+    cut = np.array([[scale, 0, -scale * corner[0]], [0, scale, -scale * corner[1]], [0, 0, 1]])
+    near = cv2.warpAffine(image, cut[:2], size, flags=cv2.INTER_AREA, borderValue=(40, 40, 40))
+    return np.asarray(near, np.uint8), replace(camera, K=cut @ camera.K, size=size)
+
+
 def draw_close_ups(images: Sequence[Image | None], recording: Recording, what: Drawing) -> Image:
     """Draw every view of one frame, cut to a square of 300 px around the first person, in rows of four squares.
 
@@ -323,18 +343,9 @@ def draw_close_ups(images: Sequence[Image | None], recording: Recording, what: D
     for c, (image, view, camera) in enumerate(zip(images, recording.views, recording.rig, strict=True)):
         cell = np.full((side, side, 3), 40, np.uint8)
         if image is not None and what.people:
-            full = image.shape[1], image.shape[0]
-            uv = as_shown(view, camera, full).project(what.people[0].vertices)
-            uv = uv[np.isfinite(uv).all(1)]
-            low, high = (uv.min(0), uv.max(0)) if len(uv) else (np.zeros(2), np.array(full, dtype=float))
-            scale = float(np.clip(side / max(1.2 * float((high - low).max()), 1.0), 0.1, 2.5))
-            w, h = (max(2, round(n * scale)) for n in full)
-            shown = np.empty((h, w, 3), np.uint8)
-            draw_view(shown, image, as_shown(view, camera, (w, h)), c, what)
-            x, y = np.rint(scale * 0.5 * (low + high) - side / 2).astype(int).tolist()
-            x0, y0, x1, y1 = max(x, 0), max(y, 0), min(x + side, w), min(y + side, h)
-            if x0 < x1 and y0 < y1:
-                cell[y0 - y : y1 - y, x0 - x : x1 - x] = shown[y0:y1, x0:x1]
+            shown = as_shown(view, camera, image.shape[1::-1])
+            near, cut = close_up(image, shown, what.people[0].vertices, (side, side))
+            draw_view(cell, near, cut, c, what)
         _write_labels(cell, view, c, what)
         cells.append(cell)
     columns = min(4, len(cells))
