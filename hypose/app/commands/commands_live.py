@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from click.exceptions import Exit
 
-from hypose.app.commands.console import Stages, ended_by_signals, print_note, print_notes, say, stopping
+from hypose.app.commands.console import Stages, counted, ended_by_signals, print_note, print_notes, say, stopping
 from hypose.app.options import LiveCommand
 from hypose.errors import InputError
 from hypose.options import MOST_FRAMES, ListenHost, Option, Seed, Threads, named_values
@@ -89,7 +89,7 @@ def live(c: LiveCommand) -> None:
         engine.failed is not None and not interrupted
     ):  # an interrupt may stop the other processes first, which is no failure
         raise engine.failed
-    say(f"{status.poses} poses. {_summary(status)}")
+    say(f"{counted(status.poses, 'pose')}. {_summary(status)}")
 
 
 def _finds_people(wanted: bool | None, roomless: bool) -> bool:

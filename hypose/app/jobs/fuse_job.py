@@ -13,7 +13,17 @@ import numpy as np
 from click.exceptions import Exit
 from numpy.typing import NDArray
 
-from hypose.app.commands.console import ProgressCall, Stages, each, ignore, print_note, print_notes, say, stopping
+from hypose.app.commands.console import (
+    ProgressCall,
+    Stages,
+    counted,
+    each,
+    ignore,
+    print_note,
+    print_notes,
+    say,
+    stopping,
+)
 from hypose.app.jobs.job import ASSESSMENT_FILE, job_of, print_assessments, split_names, track_shown
 from hypose.app.live.live_server import FusionServerOptions, run_live
 from hypose.app.options import FuseCommand, TrackCommand
@@ -104,7 +114,7 @@ def fuse(c: FuseCommand) -> None:
     for n, p in enumerate(people, 1):
         m = p.motion
         parts = [
-            f"{len(m)} frames of {len(loaded.streams)} sensors at {m.frame_rate:g} Hz",
+            f"{counted(len(m), 'frame')} of {counted(len(loaded.streams), 'sensor')} at {m.frame_rate:g} Hz",
             f"{int(m.lost.sum())} lost",
             f"{float(m.n_views.mean()):.1f} sensors on average",
         ]

@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from hypose.app.commands.console import ended_by_signals
+from hypose.app.commands.console import counted, ended_by_signals
 from hypose.app.live.osc import OscTarget, people_osc
 from hypose.app.live.servers import SocketServer, listen_error, quiet_logs, same_secret
 from hypose.errors import InputError, visible
@@ -338,7 +338,7 @@ async def run_live(options: FusionServerOptions, say: _Say, note: _Say) -> None:
         finally:
             await server.stop()
     if server.frames:
-        say(f"{server.frames} frames sent. {_summary(server)}")
+        say(f"{counted(server.frames, 'frame')} sent. {_summary(server)}")
     if server.unrecorded:
         raise InputError(server.unrecorded)
     if options.record is not None:
