@@ -324,10 +324,11 @@ class Recordings:
         frames: first frame and end of the rows; None: all frames.
         """
         key = folder, frames, _stamp(folder)
+        opened = self._open.get(key)
+        if opened is None:  # reading it may take seconds, which others need not wait for; it opens no video yet
+            opened = OpenRecording(load_recording(folder, uncalibrated=uncalibrated(folder)), frames)
         with self._lock:
-            opened = self._open.pop(key, None)
-            if opened is None:
-                opened = OpenRecording(load_recording(folder, uncalibrated=uncalibrated(folder)), frames)
+            opened = self._open.pop(key, opened)
             self._open[key] = opened
             opened.users += 1
         try:
