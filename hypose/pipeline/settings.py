@@ -110,7 +110,6 @@ class PipelineSettings:
     engine_misses: Shares of lost pictures of a camera that are reported, in steps.
     eyes_room_s, eyes_room_pictures: Time (s) and pictures from which the empty room is learned.
     eyes_other_shape: Relative difference of a picture's aspect ratio from the calibration's that is accepted.
-    eyes_damaged: Damaged pictures in a row that are reported.
     eyes_quality: JPEG quality of the pictures that are passed on.
     eyes_look_s: Time after which a thread that waits for the other process checks whether to continue, s.
     eyes_closing_s: Time in which the other process may close its cameras, s.
@@ -364,7 +363,6 @@ class PipelineSettings:
     eyes_room_s: float = 2.0
     eyes_room_pictures: int = 12
     eyes_other_shape: float = 0.01
-    eyes_damaged: int = 5
     eyes_quality: int = 85
     eyes_look_s: float = 0.2
     eyes_closing_s: float = 5.0

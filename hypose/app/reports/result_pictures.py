@@ -215,32 +215,42 @@ def put_text(image: Image, text: str, x: int, y: int, colour: tuple[int, int, in
 
 
 @dataclass(frozen=True)
+class DrawnBody:
+    """Body of one person in one frame.
+
+    vertices, joints: (V, 3) of the body's fine mesh and (J, 3), m, world.
+    colour: BGR.
+    """
+
+    body: Body
+    vertices: Array
+    joints: Array
+    colour: tuple[int, int, int] = BODY
+
+
+@dataclass(frozen=True)
 class Drawing:
     """Content of one frame to draw.
 
-    vertices, joints: (V, 3) of the body's fine mesh and (J, 3), m, world; None: not drawn.
     silhouettes: masks of the frame; None: not drawn.
     title: text of the title bar.
-    alarm: whether the title bar and the body are red.
-    others: further bodies, each with vertices (V, 3) m, world, and colour (BGR).
+    people: bodies to draw.
+    alarm: whether the title bar is red.
     """
 
-    vertices: Array | None
-    joints: Array | None
     silhouettes: Silhouettes | None
     title: str
+    people: tuple[DrawnBody, ...] = ()
     alarm: bool = False
-    others: tuple[tuple[Body, Array, tuple[int, int, int]], ...] = ()
 
 
-def draw_view(out: Image, image: Image | None, camera: Camera, index: int, body: Body | None, what: Drawing) -> None:
-    """Draw one view of a frame into a picture: the recorded image, tinted bodies, outline of the mask, skeleton.
+def draw_view(out: Image, image: Image | None, camera: Camera, index: int, what: Drawing) -> None:
+    """Draw one view of a frame into a picture: the recorded image, tinted bodies, outline of the mask, skeletons.
 
     out: (h, w, 3) BGR picture that is overwritten.
     image: recorded picture (BGR) of any size; None: the view has none, and the text "no image" on grey takes its place.
     camera: camera whose pixels are those of `out` (`as_shown`).
     index: index of the view, which selects the mask in `what.silhouettes`.
-    body: body to which the vertices and joints of `what` belong; None: only the other bodies are drawn.
     what: content of the frame; its title is not used.
     """
     if image is None:
@@ -251,16 +261,14 @@ def draw_view(out: Image, image: Image | None, camera: Camera, index: int, body:
         cv2.resize(image, camera.size, out, interpolation=how)
     else:
         out[:] = image
-    if body is not None and what.vertices is not None:
-        draw_body(out, camera, what.vertices, body.fine, ALARM if what.alarm else BODY)
-    for other, vertices, colour in what.others:
-        draw_body(out, camera, vertices, other.fine, colour)
+    for person in what.people:
+        draw_body(out, camera, person.vertices, person.body.fine, person.colour)
     s = what.silhouettes
     if s is not None:
         outlines = mask_outline(camera, s.rig[index], s.masks[index])
         cv2.polylines(out, outlines, True, _MASK, 1, cv2.LINE_AA, _SHIFT)
-    if body is not None and what.joints is not None:
-        draw_skeleton(out, camera, body.skeleton, what.joints)
+    for person in what.people:
+        draw_skeleton(out, camera, person.body, person.joints)
 
 
 def _write_labels(shown: Image, view: ViewSettings, index: int, what: Drawing) -> None:
@@ -289,15 +297,15 @@ class Canvas:
         about = zip(recording.views, recording.rig, boxes, strict=True)
         self._cameras = [as_shown(view, camera, box[2:]) for view, camera, box in about]
 
-    def draw(self, images: Sequence[Image | None], body: Body | None, what: Drawing) -> Image:
+    def draw(self, images: Sequence[Image | None], what: Drawing) -> Image:
         """Draw all views of one frame under the title bar.
 
         images: recorded pictures by view; None where there is none.
-        body, what: as for `draw_view`.
+        what: content of the frame.
         Returns: (h, w, 3) BGR of `size`, valid until the next call.
         """
         for c, (image, tile, camera) in enumerate(zip(images, self._tiles, self._cameras, strict=True)):
-            draw_view(tile, image, camera, c, body, what)
+            draw_view(tile, image, camera, c, what)
             _write_labels(tile, self._views[c], c, what)
         self._whole[:_BAR] = (30, 30, 150) if what.alarm else _GREY
         put_text(self._whole, what.title, 8, 18)
@@ -326,23 +334,23 @@ def close_up(
     return np.asarray(near, np.uint8), replace(camera, K=cut @ camera.K, size=size)
 
 
-def draw_close_ups(
-    images: Sequence[Image | None], recording: Recording, body: Body, what: Drawing, side: int = 300, columns: int = 4
-) -> Image:
-    """Draw every view of one frame, cut to a square of `side` px around the body, in rows of `columns` squares.
+def draw_close_ups(images: Sequence[Image | None], recording: Recording, what: Drawing) -> Image:
+    """Draw every view of one frame, cut to a square of 300 px around the first person, in rows of four squares.
 
     images: recorded pictures by view; None where there is none.
-    body, what: as for `draw_view`.
-    Returns: (h, w, 3) BGR; the square of a view is grey without a picture, or without vertices in `what`.
+    what: content of the frame.
+    Returns: (h, w, 3) BGR; the square of a view is grey without a picture, or without a person in `what`.
     """
+    side = 300
     cells = []
     for c, (image, view, camera) in enumerate(zip(images, recording.views, recording.rig, strict=True)):
         cell = np.full((side, side, 3), 40, np.uint8)
-        if image is not None and what.vertices is not None:
-            near, cut = close_up(image, as_shown(view, camera, image.shape[1::-1]), what.vertices, (side, side))
-            draw_view(cell, near, cut, c, body, what)
+        if image is not None and what.people:
+            shown = as_shown(view, camera, image.shape[1::-1])
+            near, cut = close_up(image, shown, what.people[0].vertices, (side, side))
+            draw_view(cell, near, cut, c, what)
         _write_labels(cell, view, c, what)
         cells.append(cell)
-    columns = min(columns, len(cells))
+    columns = min(4, len(cells))
     cells += [np.full_like(cells[0], 255)] * (-len(cells) % columns)
     return np.concatenate([np.concatenate(cells[i : i + columns], 1) for i in range(0, len(cells), columns)])

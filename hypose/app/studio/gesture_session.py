@@ -137,7 +137,7 @@ class GestureTopic(Topic):
         if not isinstance(ids, list) or not 1 <= len(ids) <= 16:
             raise InputError("Choose 1 to 16 gestures to watch for; teach one first if there is none.")
         models = [load_model(self.catalog.find("model", m).path) for m in ids]
-        return models[0].names[0], partial(Watching, models=models)
+        return models[0].name, partial(Watching, models=models)
 
     def _training(self, message: Message, where: str, seed: int) -> tuple[str, _Make]:
         """Read a request to teach a gesture.

@@ -254,13 +254,13 @@ class Training:
         wanted: the map of votes is wanted.
         Returns: the place of the gesture, and the map or None.
         """
-        maxima = f.taught.maxima if f.taught is not None else ()
-        if maxima and not wanted:
-            return maxima[0], None
+        known = f.taught.found if f.taught is not None else None
+        if known is not None and not wanted:
+            return known, None
         look = LocaliseSettings() if f.instruction.phase == "test" else self.trainer.learner.settings.look
         lens, forest = self._source.lens, self.trainer.learner.forest
         maps = densities(taken.depth, lens, [forest], look, self._scratch)
-        found = maxima[0] if maxima else settle(maps, taken.depth, lens, look, self._scratch)[0]
+        found = known or settle(maps, taken.depth, lens, look, self._scratch)[0]
         return found, maps[0][0] if wanted else None
 
     def _threshold(self, controls: Controls) -> float | None:
@@ -314,7 +314,7 @@ class Training:
             "paused": s.paused is not None,
             "box": [round(self._place[0], 1), round(self._place[1], 1), round(half, 1)],
             "learned": None if f.taught is None else list(f.taught.learned),
-            "mined": [] if f.taught is None else [[round(m.x, 1), round(m.y, 1)] for m in f.taught.mined],
+            "mined": [[round(found.x, 1), round(found.y, 1)]] if f.taught is not None and f.taught.mined else [],
             "high": _rounded(s.high),
             "low": _rounded(s.low),
             "counts": {
@@ -340,18 +340,15 @@ class Training:
             return None
         threshold = controls.threshold or self._final or self.trainer.final_threshold()
         if threshold is None and self._old is not None:  # only one of gesture and movement was seen this time
-            threshold = self._old.thresholds[0]
+            threshold = self._old.threshold
         entry: Mapping[str, Any] = {
             "session": self.folder.name,
             "frames_learned": frames,
             "computing_s": round(self._seconds, 3),
             "content": content_of(self.folder),
         }
-        learner, old = self.trainer.learner, () if self._old is None else self._old.history
-        look = LocaliseSettings()
-        save_model(
-            GestureModel(tuple(self.names), learner.forest, (threshold,), look, learner, (*old, entry)), self.path
-        )
+        old = () if self._old is None else self._old.history
+        save_model(GestureModel(self.names[0], self.trainer.learner, threshold, (*old, entry)), self.path)
         return self.path
 
     def close(self) -> None:
@@ -363,7 +360,7 @@ class Watching:
     """Search for the gestures of all models; nothing is learned or written.
 
     source: of the pictures.
-    models: of one gesture each, or one of several gestures.
+    models: of one gesture each.
     """
 
     reported: dict[str, Any] = {"rounds": 0, "seconds": {}}
@@ -372,7 +369,7 @@ class Watching:
 
     def __init__(self, source: GestureSource, models: Sequence[GestureModel]) -> None:
         self._lens = source.lens
-        self.names = [n for m in models for n in m.names]
+        self.names = [m.name for m in models]
         self._forests, self._limits = loaded_forests(models), thresholds(models, None)
         self._look = LocaliseSettings(adaptation_rate=_ADAPTATION_RATE)
         self._scratch, self._state, self.paused = Scratch(), EventState(), False

@@ -90,7 +90,7 @@ def _facts_of_model(path: Path, changed: float) -> dict[str, Any] | None:
         model = load_model(path)
     except HyposeError:
         return None
-    return {"gestures": model.names, "growing": model.learner is not None, "thresholds": model.thresholds}
+    return {"gestures": [model.name], "growing": True, "thresholds": [model.threshold]}
 
 
 def sources_shown(catalog: Catalog) -> list[dict[str, Any]]:
@@ -134,7 +134,7 @@ def gesture_thumbnail(model: Path) -> bytes | None:
         if folder == model.parent or not (folder / "session.json").is_file():
             continue
         recording = read_recording(folder)
-        shown = [f for f in recording.learned() if f.gesture and recording.gestures[f.gesture - 1] in learned.names]
+        shown = [f for f in recording.learned() if f.gesture and recording.gestures[f.gesture - 1] == learned.name]
         if not shown:
             continue
         frame = shown[len(shown) // 2]

@@ -30,7 +30,7 @@ from hypose.errors import InputError
 from hypose.fusion.align import AlignSettings
 from hypose.fusion.joints import COMMON, PARENT
 from hypose.fusion.live import LiveSettings
-from hypose.io.videos.camera_sources import CameraImage, is_device
+from hypose.io.videos.camera_sources import is_device
 from hypose.pipeline.live.capture import CaptureOptions
 from hypose.pipeline.live.engine import LiveEngine, LiveResult, LiveStatus, LiveTrackingOptions
 from hypose.pipeline.live.live_rig import LiveRig, live_rig
@@ -344,9 +344,9 @@ def _picture(jpeg: bytes | None, bits: np.ndarray | None) -> str | None:
     bits: mask (h, w / 8), eight pixels per byte, or None.
     Returns: None without a picture.
     """
-    image = None if jpeg is None else CameraImage(0.0, None, jpeg).picture((_WIDTH, 1))
-    if image is None:
+    if jpeg is None:
         return None
+    image = np.asarray(cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR))
     size = _WIDTH, max(1, round(_WIDTH * image.shape[0] / image.shape[1]))
     small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
     if bits is not None:

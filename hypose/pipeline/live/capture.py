@@ -140,7 +140,7 @@ class Capture:
 
     def __init__(self, rig: CameraRig, views: Sequence[LiveView], options: CaptureOptions) -> None:
         self._views, self._options, self.small = tuple(views), options, live_working_rig(rig, views)
-        self._sizes, self._wrong, self._damaged = tuple(c.size for c in rig), [""] * len(views), [0] * len(views)
+        self._sizes, self._wrong = tuple(c.size for c in rig), [""] * len(views)
         self._arrived = threading.Condition()
         network = replace(open_network(), people=options.network) if options.network else None
         begin = time.monotonic() + 0.3
@@ -214,7 +214,7 @@ class Capture:
             for c, shot in enumerate(shots)
         ]
         views = tuple(None if task is None else task.result() for task in tasks)
-        jpegs = tuple(None if shot is None or not question.pictures else _jpeg(shot) for shot in shots)
+        jpegs = tuple(None if shot is None or not question.pictures else stored(shot.picture) for shot in shots)
         arrival = max(s.arrival for s in shots if s is not None)
         depths = tuple(
             r.seen if isinstance(r, DepthViewBackground) and v is not None else None
@@ -276,16 +276,11 @@ class Capture:
         return np.packbits(mask, axis=1), outline
 
     def _picture(self, view: int, shot: CameraImage) -> NDArray[Any] | None:
-        """Decode a picture; None where it is damaged, or of another shape than calibrated (a turned telephone, a wide
+        """Get the picture of a view; None where it is of another shape than calibrated (a turned telephone, a wide
         picture of a camera calibrated with a narrow one).
         """
-        image, (cw, ch), name = shot.picture(self._rooms[view].size), self._sizes[view], self._views[view].name
-        self._damaged[view] = self._damaged[view] + 1 if image is None else 0
-        if image is None:
-            if self._damaged[view] >= SETTINGS.eyes_damaged:
-                self._wrong[view] = f"{name} sends pictures that cannot be read; look what the address shows."
-            return None
-        w, h = shot.size or (image.shape[1], image.shape[0])
+        image, (cw, ch), name = shot.picture, self._sizes[view], self._views[view].name
+        h, w = image.shape[:2]
         wrong = not self._views[view].stretched and abs(w * ch - h * cw) > SETTINGS.eyes_other_shape * h * cw
         turned = abs(w * cw - h * ch) <= SETTINGS.eyes_other_shape * h * ch
         self._wrong[view] = (
@@ -356,10 +351,6 @@ def least_cameras(views: Sequence[LiveView]) -> int:
 def any_depth(views: Sequence[LiveView]) -> bool:
     """Return whether one of the views is a depth camera."""
     return any(v.depth for v in views)
-
-
-def _jpeg(shot: CameraImage) -> bytes | None:
-    return shot.data if isinstance(shot.data, bytes) else stored(shot.data)
 
 
 def stored(image: NDArray[Any]) -> bytes | None:
