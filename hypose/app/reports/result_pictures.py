@@ -268,7 +268,7 @@ def draw_view(out: Image, image: Image | None, camera: Camera, index: int, what:
         outlines = mask_outline(camera, s.rig[index], s.masks[index])
         cv2.polylines(out, outlines, True, _MASK, 1, cv2.LINE_AA, _SHIFT)
     for person in what.people:
-        draw_skeleton(out, camera, person.body, person.joints)
+        draw_skeleton(out, camera, person.body.skeleton, person.joints)
 
 
 def _write_labels(shown: Image, view: ViewSettings, index: int, what: Drawing) -> None:
