@@ -205,7 +205,6 @@ def write_good(folder: Path) -> None:
     from hypose.body.default_body import human
     from hypose.body.motion import Motion, isotropic
     from hypose.gestures.forest import ForestSettings
-    from hypose.gestures.localise import LocaliseSettings
     from hypose.gestures.model import GestureModel
     from hypose.gestures.online import Learner
     from hypose.io.calibrations.calibration_text import write_calibration
@@ -241,7 +240,7 @@ def write_good(folder: Path) -> None:
             writer.write(rng.integers(0, 255, (24, 32, 3), dtype=np.uint8))
     write_gesture_session(folder / "session", "wave")
     learner = Learner.new(np.random.default_rng(0), ForestSettings())
-    model = GestureModel(("wave",), learner.forest, (None,), LocaliseSettings(), learner)
+    model = GestureModel("wave", learner, None)
     save_model(model, folder / "model.npz")
     for layout in _TABLES["keypoints"].keys() & LAYOUTS.keys():
         kind = LAYOUTS[layout][0]

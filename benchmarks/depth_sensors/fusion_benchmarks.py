@@ -21,10 +21,12 @@ from hypose.body.motion import Motion
 from hypose.errors import InputError
 from hypose.evidence.frame import SensorJoints
 from hypose.fusion import joints as jt
-from hypose.fusion.fit import LARGE_ERROR_M
-from hypose.fusion.fuse import FusionSettings, common_positions, fuse_clip, fuse_frame, start
+from hypose.fusion.align import Instant, SensorBody, SensorView
+from hypose.fusion.fit import LARGE_ERROR_M, FitSettings, fit_step, start_fit
+from hypose.fusion.fuse import FusionSettings, common_positions, fuse_clip
+from hypose.fusion.people import PeopleTracker
 from hypose.fusion.register import common_joints, register
-from hypose.geometry import Array, so3_exp
+from hypose.geometry import Array, so3_exp, transform
 from hypose.io.files import csv_rows
 from hypose.io.motions.results import ResultsFolder
 from hypose.io.sensors.skeleton_streams import MISSING_MARK, SkeletonRecording, StreamRows, checked_recording
@@ -79,12 +81,11 @@ def _trusted(motion: Motion, error: Array) -> dict[str, float]:
 
 
 def _causal(frames: Sequence[SensorJoints], truth: Array) -> float:
-    """Mean error m of the stream: registration and bone lengths learned as frames come in; the first 5 s not
+    """Mean error m of the live fusion: registration and bone lengths learned as frames come in; the first 5 s not
     counted."""
-    state = start(frames[0])
-    errors = []
-    for t, frame in enumerate(frames):
-        state, fused = fuse_frame(state, frame)
+    state, errors, unknown = start_fit(), [], np.full((len(frames[0].state), 3), np.nan)
+    for t, (frame, world) in enumerate(zip(frames, _causal_world(frames), strict=True)):
+        state, fused = fit_step(state, world, frame.state, float(np.nanmax(frame.times)), FitSettings(), unknown)
         if t >= min(5 * FRAME_RATE, len(frames) // 2):
             errors.append(np.linalg.norm(fused.joints - truth[t], axis=-1))
     return float(np.mean(errors))
@@ -255,13 +256,15 @@ def _measure_pair(frames: list[SensorJoints], name: str, found: dict[tuple[str, 
             add(metric, label, value)
 
 
-def _causal_world(frames: list[SensorJoints]) -> Array:
-    """Both sensors as a stream registers them (T, 2, 15, 3)."""
-    state = start(frames[0])
-    out = []
-    for frame in frames:
-        state, _ = fuse_frame(state, frame)
-        out.append(state.registration.apply(frame.positions))
+def _causal_world(frames: Sequence[SensorJoints]) -> Array:
+    """All sensors as the live fusion registers them (T, K, 15, 3)."""
+    tracker, out, unknown = PeopleTracker(), [], np.full((4, 4), np.nan)
+    for n, frame in enumerate(frames):
+        seen = zip(frame.sensor_names, frame.positions, frame.state, strict=True)
+        views = [SensorView(name, True, 0, (SensorBody(0, p, s),) if s.any() else ()) for name, p, s in seen]
+        tracker.update(Instant(n, float(np.nanmax(frame.times)), tuple(views)))
+        places = tracker.transforms
+        out.append(transform(np.stack([places.get(name, unknown) for name in frame.sensor_names]), frame.positions))
     return np.array(out)
 
 

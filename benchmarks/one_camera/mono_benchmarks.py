@@ -24,7 +24,7 @@ from benchmarks.one_camera.mono_runs import (
     track_scene,
 )
 from benchmarks.synthetic.mono_scenes import MonoScene, arm_scene, body_scene
-from hypose.compute.mono_terms import GAUSSIAN
+from hypose.compute.mono import GAUSSIAN
 from hypose.geometry import Image
 from hypose.tracking.monocular.problem import grey
 from hypose.tracking.monocular.settings import MonoSettings

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from hypose.compute.arrays import BALL, FIXED, HINGES, TreeArrays
 from hypose.compute.kinematics import forward_kinematics, joint_frames
 from hypose.errors import InputError
-from hypose.geometry import Array, nearest_branch, so3_exp, so3_left_jacobian
+from hypose.geometry import Array, nearest_branch
 
 GRID = 2.0**20
 """Steps per metre and radian to which `Skeleton.clamp` rounds poses (a micrometre, a fifth of an arc second)."""
@@ -170,25 +170,11 @@ class Skeleton:
         Returns: (..., D, 6). For ball joints these are columns of the left Jacobian: derivatives by the components of
             the rotation vector, not angular velocities about fixed axes.
         """
-        q = np.asarray(poses, dtype=np.float64)
-        rotations, centres = self.forward(q)
-        out = np.zeros((*q.shape, 6))
-        out[..., :3, 3:] = np.eye(3)
-        tree = self.tree
-        for j in range(len(self.joint_names)):
-            n, s = tree.dof_count[j], tree.dof_start[j]
-            if tree.kind[j] == FIXED:
-                continue
-            parent = rotations[..., tree.parents[j], :, :] if tree.parents[j] >= 0 else np.eye(3)
-            if tree.kind[j] == BALL:
-                w = np.swapaxes(parent @ so3_left_jacobian(q[..., s : s + 3]), -1, -2)
-            else:
-                w, frame = np.zeros((*q.shape[:-1], n, 3)), parent
-                for k in range(n):
-                    w[..., k, :] = frame @ self.axes[s + k]
-                    frame = frame @ so3_exp(q[..., s + k, None] * self.axes[s + k])
-            out[..., s : s + n, :3] = w
-            out[..., s : s + n, 3:] = np.cross(centres[..., j, None, :], w)
+        q, n = np.array(poses, dtype=np.float64), len(self.joint_names)
+        out, rotations, centres = np.empty((*q.shape, 6)), np.empty((n, 3, 3)), np.empty((n, 3))
+        for pose, twists in zip(q.reshape(-1, self.dof), out.reshape(-1, self.dof, 6), strict=True):
+            joint_frames(pose, self.tree, rotations, centres, twists)
+        out[..., 3:] -= np.cross(out[..., :3], q[..., None, :3])  # from turns about the root to turns about the origin
         return out
 
     @cached_property
@@ -275,8 +261,7 @@ class Skeleton:
         Other balls are unchanged: only the root turns through more than half a turn.
         """
         q, ref = np.array(poses, dtype=np.float64), np.asarray(reference, dtype=np.float64)
-        for s in self.ball_starts[:1]:  # only the root turns through more than half a turn
-            q[..., s : s + 3] = nearest_branch(q[..., s : s + 3], ref[..., s : s + 3])
+        q[..., 3:6] = nearest_branch(q[..., 3:6], ref[..., 3:6])
         return q
 
     def unwound(self, pose: ArrayLike, reference: ArrayLike | None = None) -> Array:
@@ -297,6 +282,4 @@ class Skeleton:
 
     def canonical(self, pose: ArrayLike) -> Array:
         """Return the pose (D,) with the root's rotation vector of norm <= pi."""
-        q = np.array(pose, dtype=np.float64)
-        q[..., 3:6] = nearest_branch(q[..., 3:6], np.zeros(3))
-        return q
+        return self.on_branch(pose, np.zeros(self.dof))

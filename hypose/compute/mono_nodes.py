@@ -63,7 +63,7 @@ def _depth(nearest):
 
 @kernel
 def fill_depth(model, ws):
-    """Draw the z-buffer around the moving parts: still parts as drawn before, moving parts new.
+    """Draw the z-buffer of the body around its moving parts.
 
     model, ws: MonoModel and scratch memory; ws.depth gets the picture.
     """
@@ -81,25 +81,10 @@ def fill_depth(model, ws):
     if x1 > x0 and y1 > y0:
         left, right = int(x0), int(x1)
         for y in range(int(y0), int(y1)):
-            to, source = ws.depth[y, left:right], ws.still[y, left:right]
-            for x in range(to.shape[0]):
-                to[x] = source[x]
-    draw_nearest(uvz[:, 0], uvz[:, 1], ws.inverse, faces, model.moving_faces, True, ws.depth, None)
-
-
-@kernel
-def draw_still(q, model, ws):
-    """Draw the parts that no estimated dof moves, as seen at pose q (D,), before a search.
-
-    model, ws: MonoModel and scratch memory; ws.still gets the picture.
-    """
-    for y in range(ws.still.shape[0]):
-        for x in range(ws.still.shape[1]):
-            ws.still[y, x] = f4(0)
-    if model.still_faces.shape[0] > 0:
-        pose_mesh(q, model, ws)
-        u, v = ws.uvz[:, 0], ws.uvz[:, 1]
-        draw_nearest(u, v, ws.inverse, model.mesh.faces, model.still_faces, True, ws.still, None)
+            row = ws.depth[y, left:right]
+            for x in range(row.shape[0]):
+                row[x] = f4(0)
+    draw_nearest(uvz[:, 0], uvz[:, 1], ws.inverse, faces, model.all_faces, True, ws.depth, None)
 
 
 @kernel

@@ -238,7 +238,7 @@ class Rows(NamedTuple):
         """Make the sparse matrix (R, columns) with these weights in the `size` columns of each carrier."""
         from scipy.sparse import csr_array  # takes long to import
 
-        index = (size * self.carrier[..., None] + np.arange(size)).reshape(len(self.carrier), -1)
+        index = (size * self.carrier[..., None] + np.arange(size)).reshape(-1, 3 * size)
         first = np.arange(len(index) + 1) * (3 * size)
         return csr_array((weights.ravel(), index.ravel(), first), (len(index), columns))
 

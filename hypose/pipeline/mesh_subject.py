@@ -25,7 +25,6 @@ from hypose.io.motions.meshes import PersonMesh, closed_surface, read_person
 from hypose.io.motions.results import save_body
 from hypose.pipeline.scan_fit import (
     SCAN,
-    SCAN_POSES,
     ScanFit,
     ScanPose,
     find_stances,
@@ -35,6 +34,7 @@ from hypose.pipeline.scan_fit import (
 )
 from hypose.pipeline.settings import SETTINGS
 from hypose.tracking.refinement import anatomical_prior
+from hypose.tracking.starts import KNOWN_POSES
 
 _UNITS = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
 
@@ -180,7 +180,7 @@ def _check_fit(fit: ScanFit, stance: ScanPose, source: str) -> None:
     raise InputError(
         f"{source} does not look like one person in any known pose: {fit.far:.0%} of the surfaces lie more than "
         f"{5 * fit.body.stature:.0f} cm apart (stance tried: {stance.up} up, arms {stance.arms!r}); scan the "
-        f"person alone, upright, arms away from the body ({', '.join(SCAN_POSES)})."
+        f"person alone, upright, arms away from the body ({', '.join(KNOWN_POSES)})."
     )
 
 
@@ -199,7 +199,7 @@ def _stance_notes(stance: ScanPose, unit: str, height: float | None) -> list[str
 
 
 def _arms_of(fit: ScanFit) -> str:
-    """Return the pose of SCAN_POSES that is nearest to the fitted upper arms."""
+    """Return the pose of KNOWN_POSES that is nearest to the fitted upper arms."""
     s = fit.body.skeleton
     joints = fit.body.joints(fit.pose)
     drop = []

@@ -47,8 +47,7 @@ from hypose.pipeline.settings import SETTINGS
 from hypose.tracking.contacts import runs
 from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, keypoint_model
 from hypose.tracking.monocular.initialise import LEAST_CLICKS, initialise
-from hypose.tracking.monocular.points import FEWEST_PX, clicked_joints, keypoints_on
-from hypose.tracking.monocular.points_fit import PointsOn
+from hypose.tracking.monocular.points import FEWEST_PX, PointsOn, clicked_joints, keypoints_on, seen_points
 from hypose.tracking.monocular.problem import SMALLEST_MASK
 from hypose.tracking.monocular.settings import MonoSettings
 
@@ -486,17 +485,17 @@ def subject_in_picture(
         template, seen = body or human(), _keypoints_of(source)
         notes = [_evidence_note(source, evidence, any(k is not None for k in seen))]
         if start in POINT_STARTS:
-            at, points, names = _first_keypoints(source, seen, frame_rate)
+            at, points = _first_keypoints(source, seen, frame_rate)
             frame = frames.frame(at)
             reported = f"the key points of frame {frame.index}"
-            points_on: PointsOn = partial(keypoints_on, names=names, keypoints=points)
+            points_on: PointsOn = partial(keypoints_on, points)
         elif isinstance(source, FrameStream):
             at, frame = 0, frames.frame(0)
             clicks = load_clicks(start, source.recording)
             reported = f"{len(clicks)} clicked joints"
             pixels = clicked_pixels(clicks, source.recording, source.rig[0])
             scale = max(FEWEST_PX, SETTINGS.picture_click_share * _extent(np.array(list(pixels.values()))))
-            points_on = partial(clicked_joints, clicks=pixels, scale_px=scale)
+            points_on = partial(clicked_joints, clicks=pixels, camera=source.rig[0], scale_px=scale)
         else:
             raise InputError(f"Clicks ({start}) belong to a recording; frames in memory start from their key points.")
         later = () if body is not None else _later_points(seen, at)
@@ -558,20 +557,16 @@ def _later_points(seen: Sequence[Keypoints | None], first: int) -> tuple[PointsO
     """
     rows = np.unique(np.linspace(first, len(seen) - 1, SETTINGS.picture_length_frames + 1).astype(int))[1:]
     some = [k for k in (seen[i] for i in rows) if k is not None and _enough(k)]
-    return tuple(partial(keypoints_on, names=k.names, keypoints=np.asarray(k.points[0])) for k in some)
+    return tuple(partial(keypoints_on, k) for k in some)
 
 
 def _enough(seen: Keypoints) -> bool:
     """Return whether enough key points are seen for a start."""
-    points = keypoints_on(human(), seen.names, np.asarray(seen.points[0]))
-    return int((points.confidence > 0).sum()) >= LEAST_CLICKS
+    return seen_points(keypoints_on(seen, human())) >= LEAST_CLICKS
 
 
-def _first_keypoints(
-    source: FrameSource, seen: Sequence[Keypoints | None], frame_rate: float
-) -> tuple[int, Array, tuple[str, ...]]:
-    """Find the first frame of the first second with enough key points; return its number, its points (K, 3) and their
-    names.
+def _first_keypoints(source: FrameSource, seen: Sequence[Keypoints | None], frame_rate: float) -> tuple[int, Keypoints]:
+    """Find the first frame of the first second with enough key points; return its number and its key points.
 
     seen: key points of all frames.
     frame_rate: Hz.
@@ -585,7 +580,7 @@ def _first_keypoints(
         )
     for i, k in enumerate(seen[: 1 + int(frame_rate)]):
         if k is not None and _enough(k):
-            return i, np.asarray(k.points[0]), k.names
+            return i, k
     raise EvidenceError(
         f"Camera {name}: no frame of the first second has {LEAST_CLICKS} confident key points; give --frames to begin "
         "later, or --start clicks.json."

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from hypose.body.body import Body
 from hypose.body.default_body import human
 from hypose.calibration.diagnose_masks import tangency, tangency_by_view
-from hypose.calibration.diagnose_points import FAR_DEG, FAR_M, undistorted
+from hypose.calibration.diagnose_points import FAR_DEG, FAR_M
 from hypose.calibration.diagnostics import Cured, Observed, ViewFile
 from hypose.calibration.refine_body import BodySettings, adjust_with_body
 from hypose.calibration.refine_points import (
@@ -32,6 +32,7 @@ from hypose.cameras.camera import CameraRig, triangulate
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
+from hypose.evidence.keypoint_check import undistorted
 from hypose.evidence.keypoints import triangulate_keypoints
 from hypose.evidence.terms import Term, contour_term
 from hypose.geometry import Array, transform

@@ -161,7 +161,7 @@ def test_nothing_within_reach_is_said(depth_mm):
     with pytest.raises(InputError, match="none had depth between 0.5 and 4 m in the box"):
         run_session(blank(depth_mm), "tee", new_learner(0), settings, record=None, say=lambda text: None)
     learner, said = new_learner(0), []
-    model = GestureModel(("tee",), learner.forest, (1.0,), LocaliseSettings(), learner)
+    model = GestureModel("tee", learner, 1.0)
     seen = []
     with pytest.raises(EvidenceError, match="blank: no frame has depth between 0.5 and 4 m"):
         for watched in watch(blank(depth_mm), [model], LocaliseSettings(), [EventSettings(1.0)], said.append):

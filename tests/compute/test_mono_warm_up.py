@@ -32,5 +32,5 @@ def test_nothing_is_compiled_again() -> None:
     ):
         tracker.step(start, frame)
     here.optimise(pose[None], Frame(0.0, 0, picture=Picture(view, image)), iterations=1)
-    for kernel in (mono.prepare_terms, mono.full_cost, mono._score):
+    for kernel in (mono.prepare_terms, mono.picture_cost):
         assert len(kernel.signatures) == 1, kernel

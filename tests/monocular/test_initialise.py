@@ -47,7 +47,7 @@ def aligned_error(body, pose, joints):
 
 def test_rivals_hold_the_truth_and_its_mirror_images(camera, stride) -> None:
     body, q = stride
-    points = clicked_joints(body, clicks_of(body, camera, q), 2.0)
+    points = clicked_joints(body, clicks_of(body, camera, q), camera, 2.0)
     active = body_dofs(body.skeleton)
     rivals = rival_poses(body, camera, points, active, 8)
     assert 4 <= len(rivals) <= 8
@@ -69,7 +69,9 @@ def test_proportions_are_found_with_the_pose_and_are_mirrored() -> None:
     uv = scene.camera.project(scene.performance.joints[0])
     clicks = {n: (float(uv[s.joint(n), 0]), float(uv[s.joint(n), 1])) for n in CLICKED}
     frame = Frame(0.0, 0, picture=Picture(scene.camera, scene.image(0)))
-    fit = initialise(human(), lambda b: clicked_joints(b, clicks, 2.0), frame, height=scene.subject.stature, rivals=4)
+    fit = initialise(
+        human(), lambda b: clicked_joints(b, clicks, scene.camera, 2.0), frame, height=scene.subject.stature, rivals=4
+    )
     assert abs(fit.body.stature / scene.subject.stature - 1) < 0.04
     lengths = fit.body.segment_lengths()
     for part in ("upper_arm", "forearm", "thigh", "shank"):

@@ -1,19 +1,21 @@
 """The recipe of one camera as a whole on small pictures of a known body."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
 from hypose.body.default_body import human
 from hypose.cameras.camera import CameraRig
-from hypose.compute.mono_terms import GAUSSIAN, LORENTZIAN
+from hypose.compute.mono import GAUSSIAN, LORENTZIAN
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.frame import Frame, Keypoints, Picture
 from hypose.inference.hypotheses import Hypotheses
+from hypose.tracking.keypoint_evidence import keypoint_term
 from hypose.tracking.monocular.flips import mirrored
 from hypose.tracking.monocular.picture_search import PictureSearch
-from hypose.tracking.monocular.points import clicked_joints, points_from_keypoints
+from hypose.tracking.monocular.points import clicked_joints
 from hypose.tracking.monocular.recipe import picture_recipe
 from hypose.tracking.monocular.settings import MonoSettings, body_dofs
 from hypose.tracking.tracker import (
@@ -47,7 +49,7 @@ def clip():
 
 
 def tracker_of(body, settings=SETTINGS, active=None, threads=1, seed=5):
-    recipe = picture_recipe(PictureSearch(body, settings, active, threads, points=points_from_keypoints))
+    recipe = picture_recipe(PictureSearch(body, settings, active, threads, points=partial(keypoint_term, scale_px=4.0)))
     return Tracker(body, recipe, TrackerSettings("auto", seed))
 
 
@@ -172,7 +174,7 @@ def test_bad_input_is_refused_in_a_sentence(clip):
     with pytest.raises(InputError, match="uses one picture only; leave out evidence of your own"):
         replace(tracker, own=(None,))
     with pytest.raises(InputError, match="no joint 'tail'"):
-        clicked_joints(body, {"tail": (1.0, 2.0)})
+        clicked_joints(body, {"tail": (1.0, 2.0)}, view)
 
 
 def test_a_body_out_of_the_picture_is_lost(clip):

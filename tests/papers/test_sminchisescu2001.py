@@ -10,17 +10,17 @@ from scipy.ndimage import correlate, gaussian_filter
 from benchmarks.papers.superquadrics import grid, nodes, superquadric_body
 from hypose.body.default_body import human
 from hypose.compute import mono
-from hypose.compute.mono_terms import GAUSSIAN, LECLERC, LORENTZIAN, EdgeSettings, FlowArrays
+from hypose.compute.mono import GAUSSIAN, LECLERC, LORENTZIAN, FlowArrays
 from hypose.compute.solver import bounded_step_kernel
 from hypose.evidence.edges_flow import Flow, edge_field, optical_flow
 from hypose.evidence.frame import Picture
 from hypose.inference.layer import Layer, Recipe, search
 from hypose.inference.resampling import keep
 from hypose.tracking.monocular.pool import OPTIMISED, accumulated, candidates, prune, uncertain_samples
-from hypose.tracking.monocular.problem import edge_arrays, field_of, fixed_parts, frame_problem, with_prediction
+from hypose.tracking.monocular.problem import edge_arrays, field_of, fixed_parts, frame_evidence, score
 from hypose.tracking.monocular.settings import MonoSettings, body_dofs
 from tests.monocular.pictures import SIZE, camera, picture, wall
-from tests.monocular.test_cost import FLOW, evaluate, flow_cost, flow_problem
+from tests.monocular.test_cost import FLOW, evaluate, flow_problem
 from tests.papers.test_body_equations import transforms
 
 NO_BACKGROUND = replace(
@@ -37,10 +37,9 @@ def scene():
 
 def problem_of(scene, settings):
     body, _, image = scene
-    fixed = fixed_parts(body, body.coarse, camera(body), body_dofs(body.skeleton), settings)
-    seen = Picture(camera(body), image)
-    problem = frame_problem(fixed, seen, None, field_of(image, settings), None, settings)
-    return problem, mono.workspace(fixed.model, SIZE[1], SIZE[0])
+    fixed = fixed_parts(body, camera(body), body_dofs(body.skeleton), settings)
+    evidence = frame_evidence(fixed, Picture(camera(body), image), None, field_of(image, settings), None, settings)
+    return evidence, mono.workspace(fixed.model, SIZE[1], SIZE[0])
 
 
 def superquadric(x_d, eta, omega):
@@ -108,9 +107,7 @@ def test_equations_5_and_6_assigned_nodes_cost_half_rho_and_occluded_ones_k_nu(s
     settings = NO_BACKGROUND
     problem, ws = problem_of(scene, settings)
     pose, e = scene[1], settings.edge
-    a = len(problem.model.active)
-    hessian, gradient = np.empty((a, a)), np.empty(a)
-    total = mono.image_cost(pose, problem, e.sigma_px, 0, False, ws, hessian, gradient)
+    total = mono.picture_cost(pose, problem.arrays, e.sigma_px, 0, ws)[0]
     counts = ws.counts.copy()
     nodes = ws.nodes[: counts[0] + counts[3]].copy()
     window, sigma2 = e.window_px, e.sigma_px**2
@@ -122,12 +119,12 @@ def test_equations_5_and_6_assigned_nodes_cost_half_rho_and_occluded_ones_k_nu(s
             expected += 0.5 * share * e.occluded * most
             continue
         scratch, offset, strength = np.empty(2 * window + 1), np.empty(16), np.empty(16)
-        m = mono.line_search(problem.edges.field, *node[1:5], window, e.threshold, scratch, offset, strength)
+        m = mono.line_search(problem.arrays.edges.field, *node[1:5], window, e.threshold, scratch, offset, strength)
         w = strength[:m] / max(1.0, strength[:m].sum())
         rho = 1 - np.exp(-(offset[:m] ** 2) / sigma2)
         expected += 0.5 * share * ((w * rho).sum() + (1 - w.sum()) * most)
     assert total == pytest.approx(expected, rel=1e-6)
-    assert 0.4 < counts[4] / len(problem.model.mesh.faces) < 0.6  # N_bf of a closed surface
+    assert 0.4 < counts[4] / len(problem.fixed.model.mesh.faces) < 0.6  # N_bf of a closed surface
 
 
 def test_section_3_2_edges_are_gradients_of_the_smoothed_picture(rng):
@@ -180,7 +177,7 @@ def test_equation_7_motion_boundaries_weigh_the_edges():
     boundaries = np.zeros((3, 4), np.float32)
     boundaries[1, 2] = 1.0
     flow = Flow(np.zeros((3, 4, 2), np.float32), boundaries, boundaries, (2, 1))
-    out = edge_arrays(field, flow, EdgeSettings(boundary_floor=0.1), use=True).field
+    out = edge_arrays(field, flow, MonoSettings(edge=MonoSettings().edge._replace(boundary_floor=0.1))).field
     assert out[2, 4, 0] == pytest.approx(1.0)  # a full boundary keeps the edge
     assert out[0, 0, 1] == pytest.approx(0.1)  # where nothing moves it is worth the floor
 
@@ -190,19 +187,18 @@ def test_equation_7_inner_nodes_are_compared_with_where_flow_carries_them(form):
     body, active = human(), body_dofs(human().skeleton)
     pose = body.skeleton.rest_pose()
     problem, ws, n = flow_problem(body, active, pose)
-    problem = problem._replace(flow=problem.flow._replace(settings=problem.flow.settings._replace(form=form)))
+    flow = problem.arrays.flow
+    flow = flow._replace(settings=flow.settings._replace(form=form))
     at = pose + 0.01
-    total = flow_cost(problem, ws, n, at)[0]
+    total = mono.picture_cost(at, problem.arrays._replace(flow=flow), 3.0, n, ws)[0]
     v, view = body.skin(at), camera(body, distance=1.7)
-    sigma2, height = problem.flow.settings.sigma_px**2, problem.flow.settings.height
+    sigma2, height = flow.settings.sigma_px**2, flow.settings.height
     expected = 0.0
     for face, (w1, w2, u, y, weight) in zip(ws.flow_faces[:n], ws.flow_nodes[:n, :5], strict=True):
         place = (1 - w1 - w2) * v[face[0]] + w1 * v[face[1]] + w2 * v[face[2]]
         s = ((view.project(place[None])[0] - [u, y]) ** 2).sum()
         rho = np.log1p(s / sigma2) if form == LORENTZIAN else 1 - np.exp(-s / sigma2)
         expected += 0.5 * height * weight * rho
-    p = problem.priors
-    expected += 0.5 * (p.weight * (at[problem.model.active] - p.centre) ** 2).sum()  # equation (10)
     assert n > 50 and total == pytest.approx(expected, rel=1e-4)
 
 
@@ -213,10 +209,9 @@ def test_equations_8_and_9_gradient_and_hessian_are_sums_over_nodes(scene, secon
     body, pose, _ = scene
     settings = replace(NO_BACKGROUND, second_order=second_order, edge=NO_BACKGROUND.edge._replace(spacing_px=40.0))
     problem, ws = problem_of(scene, settings)
-    a = len(problem.model.active)
-    hessian, gradient = np.empty((a, a)), np.empty(a)
-    mono.image_cost(pose, problem, 3.0, 0, True, ws, hessian, gradient)
-    counts = ws.counts.copy()
+    active = problem.fixed.active
+    _, gradient, hessian, counts = evaluate(pose, problem, ws)
+    hessian = hessian - np.diag(problem.fixed.posture)  # the pose is at rest, so that only the Hessian has it
     nodes, ends = ws.nodes[: counts[0] + counts[3]].copy(), ws.node_ends[: counts[0] + counts[3]].copy()
 
     def places(q):
@@ -224,8 +219,8 @@ def test_equations_8_and_9_gradient_and_hessian_are_sums_over_nodes(scene, secon
         x = (1 - nodes[:, :1]) * v[ends[:, 0]] + nodes[:, :1] * v[ends[:, 1]]
         return (camera(body).project(x) * nodes[:, 3:5]).sum(1)
 
-    jacobian = np.zeros((len(nodes), a))
-    for k, d in enumerate(problem.model.active):
+    jacobian = np.zeros((len(nodes), len(active)))
+    for k, d in enumerate(active):
         up, down = pose.copy(), pose.copy()
         up[d] += 1e-4
         down[d] -= 1e-4
@@ -235,7 +230,7 @@ def test_equations_8_and_9_gradient_and_hessian_are_sums_over_nodes(scene, secon
         if node[6] == 0:
             continue
         scratch, offset, strength = np.empty(29), np.empty(16), np.empty(16)
-        m = mono.line_search(problem.edges.field, *node[1:5], 14, e.threshold, scratch, offset, strength)
+        m = mono.line_search(problem.arrays.edges.field, *node[1:5], 14, e.threshold, scratch, offset, strength)
         w = e.height * node[5] / e.sample_px * strength[:m] / max(1.0, strength[:m].sum())
         r1 = np.exp(-(offset[:m] ** 2) / 9) / 9
         first[i] = -(w * r1 * offset[:m]).sum()
@@ -249,27 +244,23 @@ def test_equations_8_and_9_gradient_and_hessian_are_sums_over_nodes(scene, secon
 def test_equation_10_priors_add_their_gradient_and_curvature(scene):
     problem, ws = problem_of(scene, NO_BACKGROUND)
     pose = scene[1]
-    spread = np.full(30, 0.25)
-    prediction = pose + 0.02
+    spread = problem.fixed.spread
     plain = evaluate(pose, problem, ws)
-    pulled = evaluate(pose, with_prediction(problem, prediction, spread), ws)
+    pulled = evaluate(pose, problem.predicted(pose + 0.02), ws)
     np.testing.assert_allclose(pulled.hessian - plain.hessian, np.diag(1 / spread**2), atol=1e-6)
     np.testing.assert_allclose(pulled.gradient - plain.gradient, -0.02 / spread**2, atol=1e-6)
-    assert pulled.cost - plain.cost == pytest.approx(30 * 0.5 * (0.02 / 0.25) ** 2, rel=1e-6)
+    assert pulled.cost - plain.cost == pytest.approx((0.5 * (0.02 / spread) ** 2).sum(), rel=1e-6)
 
 
 def test_section_3_2_samples_are_ranked_by_edges_and_priors_and_not_by_flow(scene):
     problem, ws = problem_of(scene, NO_BACKGROUND)
-    pose, a = scene[1], len(problem.model.active)
-    problem = with_prediction(problem, pose + 0.02, np.full(a, 0.25))
-    hessian, gradient = np.empty((a, a)), np.empty(a)
-    edges = mono.image_cost(pose, problem, problem.edges.settings.sigma_px, 0, False, ws, hessian, gradient)
-    p = problem.priors
-    priors = 0.5 * (p.weight * (pose[problem.model.active] - p.centre) ** 2).sum()
-    h, w = problem.edges.field.shape[:2]
+    problem, pose = problem.predicted(scene[1] + 0.02), scene[1]
+    edges = mono.picture_cost(pose, problem.arrays, NO_BACKGROUND.edge.sigma_px, 0, ws)[0]
+    priors = 0.5 * ((0.02 / problem.fixed.spread) ** 2).sum()
+    h, w = problem.arrays.edges.field.shape[:2]
     flow = FlowArrays(np.full((h, w, 2), 5, np.float32), np.zeros((h, w), np.float32), np.zeros(2, np.int64), FLOW)
-    for with_flow in (problem, problem._replace(flow=flow)):
-        assert mono.score(pose[None], with_flow, ws) == pytest.approx(edges + priors)
+    for arrays in (problem.arrays, problem.arrays._replace(flow=flow)):
+        assert score(pose, problem._replace(arrays=arrays), ws) == pytest.approx(edges + priors)
     assert priors > 0.05
 
 

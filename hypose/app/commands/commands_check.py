@@ -15,7 +15,6 @@ from click.exceptions import Exit
 from hypose.app.commands.console import ProgressCall, Stages, each, say
 from hypose.app.jobs.checking import check_picture, check_recording, examine_recording, print_cameras, write_findings
 from hypose.app.options import CheckCommand, SyncCommand
-from hypose.calibration.diagnose_points import undistorted
 from hypose.calibration.diagnostics import Cured, PersonReport
 from hypose.calibration.sync_motion import at_the_end, offsets_within
 from hypose.calibration.synchronisation import (
@@ -28,6 +27,7 @@ from hypose.calibration.synchronisation import (
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.detector import openpose_document
 from hypose.evidence.frame import Silhouettes
+from hypose.evidence.keypoint_check import undistorted
 from hypose.geometry import Array
 from hypose.io.calibrations.calibration_text import write_calibration
 from hypose.io.file_names import file_name, folder_for

@@ -227,7 +227,7 @@ def gesture_train(
     old = growing_model(resume, gesture) if resume is not None else None
     if out.exists() and not (resume is not None and resume.exists() and out.samefile(resume)):
         replaced_model(out, gesture, print_note)
-    learner = old.learner if old is not None and old.learner is not None else new_learner(seed)
+    learner = new_learner(seed) if old is None else old.learner
     if recording:
         model = learn_recordings([read_recording(r) for r in recording], gesture, learner, passes, print_note, old)
     else:
@@ -235,10 +235,10 @@ def gesture_train(
         print_note(_LETTERS)
         about = {"record": record_to, "commands": typed_commands(), "say": print_note, "model": old}
         model = run_session(opened, gesture, learner, settings, **about)
-    if old is not None and model.thresholds == (None,):  # only the gesture, or only movement, was seen this time
-        model = replace(model, thresholds=old.thresholds)
+    if old is not None and model.threshold is None:  # only the gesture, or only movement, was seen this time
+        model = replace(model, threshold=old.threshold)
     save_model(model, out)
-    say(f"{gesture}: {int(model.forest.size.sum())} nodes, threshold {in_cm2(model.thresholds[0])}")
+    say(f"{gesture}: {int(model.learner.forest.size.sum())} nodes, threshold {in_cm2(model.threshold)}")
     say(f"Model: {out}")
 
 
@@ -267,12 +267,13 @@ def gesture_run(
     from hypose.app.live.osc import OscTarget
     from hypose.app.live.servers import SocketListeners
     from hypose.gestures.events import EventSettings
+    from hypose.gestures.localise import LocaliseSettings
     from hypose.pipeline.gesture_files import load_model
 
     loaded = [load_model(m) for m in models]
     least = gesture_job.thresholds(loaded, threshold)
     limits = [EventSettings(t, hold_s=hold, refractory_s=rest) for t in least]
-    names, settings = [n for m in loaded for n in m.names], gesture_job.looking(loaded, adaptation_rate)
+    names, settings = [m.name for m in loaded], LocaliseSettings(adaptation_rate=adaptation_rate)
     with stopping(), contextlib.ExitStack() as opened:
         target = None if osc is None else opened.enter_context(contextlib.closing(OscTarget(osc)))
         listeners = None
@@ -335,7 +336,7 @@ def view(
     threads: Threads = None,
 ) -> None:
     """Open the studio: results in 3D with their pictures, corrections by clicks, gestures, new recordings."""
-    from hypose.app.studio.server import NOT_BUILT, STATIC_FOLDER, StudioOptions, run_server
+    from hypose.app.studio.server import NOT_BUILT, STATIC_FOLDER, run_server
 
     if not what.exists():
         raise InputError(f"{what} does not exist; give a results folder, a recording, or a folder that holds such.")
@@ -352,7 +353,7 @@ def view(
 
             webbrowser.open(page)
 
-    run_server(StudioOptions(root, host, port, token), ready)
+    run_server(root, host, port, token, ready)
 
 
 def _place(what: Path) -> tuple[Path, str]:

@@ -256,8 +256,7 @@ def demo(
     threads: Threads = None,
 ) -> None:
     """Make a synthetic four-camera recording, track it as `hypose track` would, and compare with the truth."""
-    from hypose.app.jobs.job import job_of
-    from hypose.app.jobs.people_job import track_shown
+    from hypose.app.jobs.job import job_of, track_shown
     from hypose.io.files import claimed
     from hypose.pipeline.comparison import compare_with
     from hypose.synthetic.scenes import make_scene

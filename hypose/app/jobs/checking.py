@@ -257,8 +257,8 @@ def write_sheet(recording: Recording, source: FrameStream, path: Path, count: in
     with open_images(recording) as images:
         canvas, pictures = Canvas(recording, images), []
         for row in rows:
-            what = Drawing(None, None, source.frame(row).silhouettes, f"frame {numbers[row]}")
-            pictures.append(canvas.draw([v.read(numbers[row]) for v in images], None, what).copy())
+            what = Drawing(source.frame(row).silhouettes, f"frame {numbers[row]}")
+            pictures.append(canvas.draw([v.read(numbers[row]) for v in images], what).copy())
     picture = np.concatenate(pictures)
     h, w = picture.shape[:2]
     if w > _SHEET_WIDTH:

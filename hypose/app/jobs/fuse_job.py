@@ -14,8 +14,7 @@ from click.exceptions import Exit
 from numpy.typing import NDArray
 
 from hypose.app.commands.console import ProgressCall, Stages, each, ignore, print_note, print_notes, say, stopping
-from hypose.app.jobs.job import ASSESSMENT_FILE, job_of, split_names
-from hypose.app.jobs.people_job import print_assessments, track_shown
+from hypose.app.jobs.job import ASSESSMENT_FILE, job_of, print_assessments, split_names, track_shown
 from hypose.app.live.live_server import FusionServerOptions, run_live
 from hypose.app.options import FuseCommand, TrackCommand
 from hypose.app.reports.summary import require_found
@@ -155,7 +154,7 @@ def run_fuse(
     total, folders = len(people) * len(times), [results]
     if len(people) > 1:
         folders = [ResultsFolder(results.path / f"person-{n + 1}") for n in range(len(people))]
-    settings = FusionSettings(method=c.method, diagnose=c.diagnose, seed=c.seed)
+    settings = FusionSettings(diagnose=c.diagnose, seed=c.seed)
     done: list[PersonResult] = []
     world: Array | None = None
     try:

@@ -16,12 +16,12 @@ from hypose import __version__
 from hypose.app.reports.result_pictures import jpeg, open_images, put_text
 from hypose.app.reports.summary import page, picture_of
 from hypose.calibration.boards import Board, BoardDetection
-from hypose.calibration.diagnose_points import undistorted
 from hypose.calibration.diagnostics import Cured, Observed, PersonReport
 from hypose.calibration.from_boards import BoardCalibration
 from hypose.calibration.views import CameraViews
 from hypose.cameras.camera import CameraRig, triangulate
 from hypose.errors import InputError
+from hypose.evidence.keypoint_check import undistorted
 from hypose.geometry import Image
 from hypose.io.files import write_text
 from hypose.io.recordings.recording import Recording

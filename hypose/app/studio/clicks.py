@@ -37,7 +37,6 @@ from hypose.io.videos.video import frame_size
 from hypose.pipeline.one_camera import LEAST_CLICKS
 from hypose.tracking.monocular.flips import CHAINS
 from hypose.tracking.monocular.initialise import rival_poses
-from hypose.tracking.monocular.points import MonoPoints
 from hypose.tracking.monocular.settings import body_dofs
 from hypose.tracking.refinement import anatomical_prior
 from hypose.tracking.starts import start_from_keypoints
@@ -251,8 +250,9 @@ def _starts(body: Body, clicks: _Clicks, scale: float) -> list[Array]:
         world, _ = triangulate(clicks.rig, clicks.uv, clicks.weight)
         if np.isfinite(world).all(1).sum() >= 6:
             return [start_from_keypoints(body, world, clicks.joint, clicks.offset).pose]
-    most, spread = int(np.argmax((clicks.weight > 0).sum(1))), np.full(len(clicks.joint), scale)
-    points = MonoPoints(clicks.uv[most], clicks.weight[most], clicks.joint, clicks.offset, spread)
+    most = int(np.argmax((clicks.weight > 0).sum(1)))
+    seen = np.column_stack([clicks.uv[most], clicks.weight[most]])[None]
+    points = KeypointTerm(seen, clicks.rig.projections[[most]], clicks.joint, clicks.offset, scale, 0.0)
     found = rival_poses(body, clicks.rig[most], points, body_dofs(body.skeleton), _RIVALS)
     return list(found)
 
@@ -301,14 +301,12 @@ def _recording(value: Mapping[str, Any], catalog: Catalog) -> Item:
     value: the request.
     Raises: InputError where it names neither.
     """
-    given = value.get("recording")
-    if isinstance(given, str):
-        return catalog.find("recording", given)
-    if isinstance(value.get("result"), str):
-        folder = catalog.recording_of(catalog.find("result", value["result"]).path)
-        if folder is not None:
-            return catalog.find("recording", catalog.id_of("recording", folder))
-    raise InputError("Say in which recording the joints were clicked.")
+    if value.get("recording") is not None:
+        return catalog.find("recording", value["recording"])
+    folder = catalog.recording_of(catalog.find("result", value.get("result")).path)
+    if folder is None:
+        raise InputError("The result is in no recording's folder, so there are no pictures to click in.")
+    return catalog.find("recording", catalog.id_of("recording", folder))
 
 
 def _body(

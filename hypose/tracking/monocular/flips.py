@@ -17,6 +17,7 @@ from hypose.evidence.terms import PointTerm
 from hypose.fitting.articulated import SolveSettings, fit_pose
 from hypose.fitting.problem import Quadratic
 from hypose.geometry import Array
+from hypose.tracking.monocular.points import held_dofs
 
 CHAINS = tuple(
     tuple(f"{side}_{part}" for part in parts)
@@ -26,9 +27,8 @@ CHAINS = tuple(
 """Joints of each limb, from the trunk outwards; two neighbours are the ends of a segment."""
 LEAST_DEPTH = 0.06
 """m: a segment whose ends differ by less in depth is not mirrored"""
-HELD, _LOOSE = 1e6, 0.02
-"""Weights (1 / rad^2): HELD fixes a dof; _LOOSE chooses among poses with the same joint centres the one nearest to
-the start."""
+_LOOSE = 0.02
+"""1 / rad^2: weight that chooses among poses with the same joint centres the one nearest to the start."""
 REACHED = 0.06
 """m: largest distance allowed between the limb's joints and their mirrored places; joint limits may prevent a closer
 fit"""
@@ -45,8 +45,7 @@ def mirrored(body: Body, camera: Camera, pose: ArrayLike, active: NDArray[np.int
     q = np.asarray(pose, dtype=np.float64)
     s = body.skeleton
     joints = body.joints(q)
-    held = np.ones(s.dof, dtype=bool)
-    held[active] = False
+    held = held_dofs(s.dof, active)
     out = []
     for chain in CHAINS:
         limb = [s.joint(name) for name in chain]
@@ -66,16 +65,16 @@ def mirrored(body: Body, camera: Camera, pose: ArrayLike, active: NDArray[np.int
     return np.array(out).reshape(-1, s.dof)
 
 
-def _reach(body: Body, pose: Array, target: Array, held: NDArray[np.bool_]) -> Array | None:
+def _reach(body: Body, pose: Array, target: Array, held: Array) -> Array | None:
     """Solve for the pose near `pose` whose joint centres are at target (J, 3), m; None where the solve fails.
 
-    held: (D,) true for dof that keep their values.
+    held: (D,) weights of `held_dofs`; dof with a weight keep their values.
     """
     j = len(target)
     term = PointTerm(target, np.ones(j), np.arange(j, dtype=np.int64), np.zeros((j, 3)), 0.05)
-    stay = Quadratic(pose, np.where(held, HELD, _LOOSE))
+    stay = Quadratic(pose, np.maximum(held, _LOOSE))
     try:
         fit = fit_pose(body, pose, [term], priors=(stay,), options=SolveSettings(iterations=20, damping=1e-3))
     except SolverError:
         return None
-    return np.where(held, pose, fit.pose)
+    return np.where(held > 0, pose, fit.pose)

@@ -25,10 +25,9 @@ from hypose.geometry import Array, so3_exp, so3_log
 from hypose.inference.hypotheses import Hypotheses
 from hypose.tracking.monocular.flips import mirrored
 from hypose.tracking.monocular.picture_search import PictureSearch
-from hypose.tracking.monocular.points import MonoPoints
-from hypose.tracking.monocular.points_fit import PointsOn, fit_proportions, points_on_body
+from hypose.tracking.monocular.points import PointsOn, fit_proportions, held_dofs, seen_points
 from hypose.tracking.monocular.pool import distinct
-from hypose.tracking.monocular.problem import checked_picture, floor_arrays
+from hypose.tracking.monocular.problem import checked_picture, floor_of
 from hypose.tracking.monocular.proportions import VOLUMETRIC, proportions, search_factors, shaped, without_display
 from hypose.tracking.monocular.settings import MonoSettings, body_dofs
 from hypose.tracking.refinement import anatomical_prior
@@ -41,7 +40,6 @@ DISTINCT_M = 0.06
 FLIP_ROUNDS = 2
 JOINT_FITS = 3
 """Number of the best alternatives that get proportions of their own before one body is chosen."""
-_HELD = 1e6
 
 
 @dataclass(frozen=True)
@@ -89,7 +87,7 @@ def initialise(
     """
     camera = checked_picture(frame).camera
     chosen = body_dofs(template.skeleton) if active is None else np.asarray(active, dtype=np.int64)
-    seen = int((points_on(template).confidence > 0).sum())
+    seen = seen_points(points_on(template))
     if seen < LEAST_CLICKS:
         raise EvidenceError(
             f"Frame {frame.index}: only {seen} points of the body are seen; at least {LEAST_CLICKS} are needed to "
@@ -101,16 +99,16 @@ def initialise(
     poses = rival_poses(body, camera, points_on(body), chosen, rivals)
     settings = settings or MonoSettings()
     if not fixed_body:
-        ground = None if floor is None else floor_arrays(body, floor, settings.cues)
+        ground = floor_of(body, floor, settings)
         pictures = [points_on, *later]
         others = [_later_pose(body, camera, seen_later(body), poses[0], chosen) for seen_later in later]
         fits = [
-            fit_proportions(template, camera, pictures, [q, *others], factors, prior, chosen, ground)
+            fit_proportions(template, pictures, [q, *others], factors, prior, chosen, ground)
             for q in poses[: 1 if later else JOINT_FITS]
         ]
         factors = min(fits, key=lambda f: f[2])[1]
         body = shaped(template, factors)
-        poses = _distinct(*_solved(body, camera, points_on(body), poses, chosen), body, rivals)
+        poses = _distinct(*_solved(body, points_on(body), poses, chosen), body, rivals)
     search = PictureSearch(body, settings, chosen, floor=floor)
     found = search.optimise(poses, frame, points_on(body))
     if not fixed_body:
@@ -126,7 +124,7 @@ def initialise(
     return InitialFit(body, found, factors, _residual(body, camera, points_on(body), found.values[0]))
 
 
-def rival_poses(body: Body, camera: Camera, points: MonoPoints, active: NDArray[np.int64], count: int) -> Array:
+def rival_poses(body: Body, camera: Camera, points: KeypointTerm, active: NDArray[np.int64], count: int) -> Array:
     """Find distinct poses that explain the points, from several headings and with mirrored limbs.
 
     body, camera: the body, and the camera of the picture.
@@ -138,16 +136,16 @@ def rival_poses(body: Body, camera: Camera, points: MonoPoints, active: NDArray[
     Returns: (M, D) poses, M <= count, best first.
     """
     starts = np.stack([_placed(body, camera, points, yaw, name) for yaw in _yaws() for name in ("standing", "a")])
-    poses, costs = _solved(body, camera, points, starts, active)
+    poses, costs = _solved(body, points, starts, active)
     poses = _distinct(poses, costs, body, count)
     for _ in range(FLIP_ROUNDS):
         flipped = [mirrored(body, camera, q, active) for q in poses[: max(2, count // 4)]]
         together = np.concatenate([poses, *flipped])
-        poses = _distinct(*_solved(body, camera, points, together, active), body, count)
+        poses = _distinct(*_solved(body, points, together, active), body, count)
     return poses
 
 
-def _later_pose(body: Body, camera: Camera, points: MonoPoints, near: Array, active: NDArray[np.int64]) -> Array:
+def _later_pose(body: Body, camera: Camera, points: KeypointTerm, near: Array, active: NDArray[np.int64]) -> Array:
     """Find the best pose (D,) on the points of another picture, from the pose `near` (D,) and from several headings.
 
     body, camera, points: the body, and the camera and points of the picture.
@@ -156,7 +154,7 @@ def _later_pose(body: Body, camera: Camera, points: MonoPoints, near: Array, act
     Which mirror image it is does not matter, since only the lengths are used.
     """
     starts = [near, *(_placed(body, camera, points, yaw, "standing") for yaw in _yaws())]
-    poses, costs = _solved(body, camera, points, np.stack(starts), active)
+    poses, costs = _solved(body, points, np.stack(starts), active)
     return poses[int(costs.argmin())]
 
 
@@ -165,7 +163,7 @@ def _yaws() -> Array:
     return np.arange(_HEADINGS) * 2 * np.pi / _HEADINGS
 
 
-def _placed(body: Body, camera: Camera, points: MonoPoints, yaw: float, name: str) -> Array:
+def _placed(body: Body, camera: Camera, points: KeypointTerm, yaw: float, name: str) -> Array:
     """Build a start pose (D,): a known posture with a heading, placed where its points lie nearest to the seen ones.
 
     body, camera, points: the body, and the camera and points of the picture.
@@ -175,11 +173,11 @@ def _placed(body: Body, camera: Camera, points: MonoPoints, yaw: float, name: st
     """
     pose = known_pose(body, name)
     pose[3:6] = so3_log(so3_exp([0, 0, yaw]) @ so3_exp(pose[3:6]))
-    seen = points.confidence > 0
-    world = points_on_body(body, pose, points)[seen]
+    pixels, seen = points.points[0, :, :2], points.points[0, :, 2] > 0
+    world = body.skeleton.points(points.joint, points.offset, pose)[seen]
     rotation = camera.camera_from_world[:3, :3]
     flat = (world - world.mean(0)) @ rotation.T
-    rays = np.column_stack([points.pixels[seen], np.ones(int(seen.sum()))]) @ np.linalg.inv(camera.K).T
+    rays = np.column_stack([pixels[seen], np.ones(int(seen.sum()))]) @ np.linalg.inv(camera.K).T
     middle = rays.mean(0)
     spread = rays[:, :2] - middle[:2]
     share = float((spread * flat[:, :2]).sum() / max((flat[:, :2] ** 2).sum(), 1e-9))
@@ -191,33 +189,19 @@ def _placed(body: Body, camera: Camera, points: MonoPoints, yaw: float, name: st
     return pose
 
 
-def _solved(
-    body: Body, camera: Camera, points: MonoPoints, starts: Array, active: NDArray[np.int64]
-) -> tuple[Array, Array]:
+def _solved(body: Body, points: KeypointTerm, starts: Array, active: NDArray[np.int64]) -> tuple[Array, Array]:
     """Fit poses to 2D points, from several starts.
 
-    body, camera, points: the body, and the camera and points of the picture.
+    body, points: the body, and the points of the picture.
     starts: (M, D) start poses.
     active: coordinates of the pose that may change; the others are held at their start.
     Returns: poses (M, D), costs (M,).
     """
-    scale = float(np.median(points.scale_px))
-    confidence = points.confidence * (scale / points.scale_px) ** 2
-    term = KeypointTerm(
-        np.column_stack([points.pixels, confidence])[None],
-        camera.projection[None],
-        np.asarray(points.joint, dtype=np.int64),
-        points.offset,
-        scale,
-        min_confidence=1e-6,
-    )
-    held = np.full(body.skeleton.dof, _HELD)
-    held[active] = 0.0
-    options = SolveSettings(iterations=60, coarse_iterations=20)
+    held, options = held_dofs(body.skeleton.dof, active), SolveSettings(iterations=60, coarse_iterations=20)
     fits = []
     for start in starts:
         priors = (anatomical_prior(body.skeleton), Quadratic(start, held))
-        fits.append(fit_pose(body, start, [term], priors=priors, options=options))
+        fits.append(fit_pose(body, start, [points], priors=priors, options=options))
     return np.stack([f.pose for f in fits]), np.array([f.cost for f in fits])
 
 
@@ -249,8 +233,9 @@ def _contour_cost(
     return cost
 
 
-def _residual(body: Body, camera: Camera, points: MonoPoints, pose: Array) -> float:
+def _residual(body: Body, camera: Camera, points: KeypointTerm, pose: Array) -> float:
     """Compute the root mean square distance, px, of a posed body (D,) from the seen points."""
-    seen = points.confidence > 0
-    apart = camera.project_pinhole(points_on_body(body, pose, points)[seen]) - points.pixels[seen]
+    seen = points.points[0, :, 2] > 0
+    world = body.skeleton.points(points.joint, points.offset, pose)[seen]
+    apart = camera.project_pinhole(world) - points.points[0, seen, :2]
     return float(np.sqrt((apart**2).sum(1).mean()))

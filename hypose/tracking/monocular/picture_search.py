@@ -15,16 +15,17 @@ from hypose.body.body import Body
 from hypose.body.motion import Modes
 from hypose.cameras.camera import Camera
 from hypose.compute import mono
-from hypose.compute.mono_terms import MonoProblem, MonoWorkspace
+from hypose.compute.mono import MonoWorkspace
 from hypose.compute.threads import default_threads, over_chunks
 from hypose.errors import InputError
 from hypose.evidence.edges_flow import Flow, optical_flow
-from hypose.evidence.frame import Frame, Picture
+from hypose.evidence.frame import Frame, Keypoints, Picture
+from hypose.evidence.terms import KeypointTerm
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
 from hypose.tracking.frame_evidence import PreparedFrame
 from hypose.tracking.monocular.flips import mirrored
-from hypose.tracking.monocular.points import MonoPoints, keypoints_on
+from hypose.tracking.monocular.points import keypoints_on
 from hypose.tracking.monocular.pool import (
     MIRRORED,
     OPTIMISED,
@@ -40,13 +41,14 @@ from hypose.tracking.monocular.pool import (
 from hypose.tracking.monocular.problem import (
     Fixed,
     MonoSolution,
+    PictureEvidence,
     checked_picture,
     field_of,
     fixed_parts,
-    frame_problem,
+    frame_evidence,
     grey,
     newton_descent,
-    with_prediction,
+    score,
 )
 from hypose.tracking.monocular.settings import MonoSettings, body_dofs
 from hypose.tracking.pose_covariance import PoseUncertainty, packed
@@ -78,7 +80,7 @@ class PictureSearch:
     active: (A,) dof to estimate (default: the 30 of `body_dofs`); the others keep their start values.
     threads: number of threads that share the hypotheses (default: the machine's); the results do not depend on it.
     floor: height in the world of the floor that the person stands on, m; None: unknown.
-    points: function that places named key points (K, 3) on a body.
+    points: function that makes the term of the key points of the view on a body; None: none are used.
     The kernels of one frame share edges and problem by `PreparedFrame.shared`.
     """
 
@@ -87,41 +89,31 @@ class PictureSearch:
     active: NDArray[np.int64] | None = None
     threads: int | None = None
     floor: float | None = None
-    points: Callable[[Body, Sequence[str], Array], MonoPoints] = keypoints_on
+    points: Callable[[Keypoints, Body], KeypointTerm | None] = keypoints_on
     _places: list[_Place] = field(default_factory=list, init=False, compare=False, repr=False)
 
     def predicted(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
-        """Predict every hypothesis by its own velocity, and compute the picture's edges.
+        """Predict every hypothesis by its own velocity, and build the frame's evidence: edges, flow from the previous
+        picture, mask and key points.
 
         Raises: InputError or EvidenceError, naming the frame, where picture, mask or points do not fit the camera.
         """
-        picture = checked_picture(frame.frame)
+        picture, seen = checked_picture(frame.frame), frame.frame.keypoints
         fixed = self._at(picture.camera).fixed
-        active = fixed.model.active
         velocities = h.columns.get("velocity", np.zeros_like(h.values))
         poses = h.values + self.settings.velocity * velocities
-        poses[:, active] = np.clip(poses[:, active], fixed.lower, fixed.upper)
-        frame.shared["edges"] = field_of(picture.image, self.settings)
-        evidence = -h.relative_log_weights
-        return replace(h, values=poses, columns={"velocity": velocities, "before": h.values, "evidence": evidence})
-
-    def carried(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
-        """Compute the optical flow from the previous picture, and build the frame's problem; the hypotheses stay as
-        they are."""
-        picture = checked_picture(frame.frame)
-        flow = self._flow(picture, np.concatenate([h.columns["before"], h.values]))
-        seen, points = frame.frame.keypoints, None
-        if seen is not None:
-            points = self.points(self.body, seen.names, np.asarray(seen.points[0]))
-        fixed = self._at(picture.camera).fixed
-        frame.shared["problem"] = frame_problem(fixed, picture, points, frame.shared["edges"], flow, self.settings)
-        return h
+        poses[:, fixed.active] = np.clip(poses[:, fixed.active], fixed.lower, fixed.upper)
+        flow = self._flow(picture, np.concatenate([h.values, poses]))
+        points, field = None if seen is None else self.points(seen, self.body), field_of(picture.image, self.settings)
+        frame.shared["evidence"] = frame_evidence(fixed, picture, points, field, flow, self.settings)
+        columns = {"velocity": velocities, "before": h.values, "evidence": -h.relative_log_weights}
+        return replace(h, values=poses, columns=columns)
 
     def optimised(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
         """Optimise every hypothesis from its prediction by a Newton search; return the results as candidates."""
         settings, before, place = self.settings, h.columns["before"], self._at(checked_picture(frame.frame).camera)
-        problem: MonoProblem = frame.shared["problem"]
-        found = self._solved(place, problem, h.values, before, settings.coarse_iterations, settings.iterations)
+        evidence: PictureEvidence = frame.shared["evidence"]
+        found = self._solved(place, evidence, h.values, before, settings.coarse_iterations, settings.iterations)
         # the way of a start or a sample to its optimum is no motion: it keeps its first velocity
         moved = np.stack([s.pose for s in found]) - before
         velocities = np.where(h.has(OPTIMISED)[:, None], moved, h.columns["velocity"])
@@ -137,11 +129,12 @@ class PictureSearch:
     def mirror(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
         """Add optimised mirrored limbs of the best candidate to the candidates; the added ones have velocity 0."""
         settings, best, place = self.settings, best_of(h), self._at(checked_picture(frame.frame).camera)
-        poses = mirrored(self.body, place.camera, h.values[best], place.fixed.model.active)
+        poses = mirrored(self.body, place.camera, h.values[best], place.fixed.active)
         if len(poses) == 0:
             return pooled(h)
-        problem: MonoProblem = frame.shared["problem"]
-        still = problem._replace(flow=problem.flow._replace(flow=problem.flow.flow[:0]))
+        evidence: PictureEvidence = frame.shared["evidence"]
+        flow = evidence.arrays.flow
+        still = evidence._replace(arrays=evidence.arrays._replace(flow=flow._replace(flow=flow.flow[:0])))
         found = self._solved(place, still, poses, poses, settings.coarse_iterations, settings.iterations)
         history = np.full(len(found), _history(h)[best])
         return pooled(h, self._candidates(MIRRORED, place.fixed, found, np.zeros_like(poses), poses, history))
@@ -153,15 +146,15 @@ class PictureSearch:
         """
         if self.settings.search.hypotheses == 1:
             return pooled(h)
-        problem: MonoProblem = frame.shared["problem"]
+        evidence: PictureEvidence = frame.shared["evidence"]
         place, history, sets = self._at(checked_picture(frame.frame).camera), _history(h), [h]
         fixed = place.fixed
         for k in range(h.count):
             hessian, free = h.columns["hessian"][k], h.columns["free"][k]
-            limits = (fixed.model.active, fixed.spread, fixed.lower, fixed.upper)
+            limits = (fixed.active, fixed.spread, fixed.lower, fixed.upper)
             poses = uncertain_samples(h.values[k], hessian, free, *limits, self.settings.search, rng)
-            own = with_prediction(problem, h.columns["prediction"][k], fixed.spread)
-            cost = mono.score(poses, own, place.workspaces[0])
+            own = evidence.predicted(h.columns["prediction"][k])
+            cost = np.array([score(pose, own, place.workspaces[0]) for pose in poses])
             columns = {name: np.repeat(column[k : k + 1], len(poses), 0) for name, column in h.columns.items()}
             sets.append(candidates(SAMPLED, poses, **{**columns, "cost": cost, "evidence": history[k] + cost}))
         return pooled(*sets)
@@ -204,7 +197,7 @@ class PictureSearch:
         return self.settings.edges and bool(nodes[ASSIGNED] < _LOST_SHARE * max(nodes[CONTOUR], 1))
 
     def optimise(
-        self, poses: Array, frame: Frame, points: MonoPoints | None = None, *, iterations: int = 20
+        self, poses: Array, frame: Frame, points: KeypointTerm | None = None, *, iterations: int = 20
     ) -> Hypotheses:
         """Optimise poses on one still picture (edges, silhouette, points; no flow, no prediction).
 
@@ -221,10 +214,9 @@ class PictureSearch:
         if poses.shape[1] != dof or not np.isfinite(poses).all():
             raise InputError(f"Start poses need {dof} finite numbers each, got {poses.shape[1]}; fit the first again.")
         place = self._at(picture.camera)
-        problem = frame_problem(
-            place.fixed, picture, points, field_of(picture.image, self.settings), None, self.settings
-        )
-        found = self._solved(place, problem, poses, poses, iterations // 2, iterations, predict=False)
+        field = field_of(picture.image, self.settings)
+        evidence = frame_evidence(place.fixed, picture, points, field, None, self.settings)
+        found = self._solved(place, evidence, poses, poses, iterations // 2, iterations, predict=False)
         found = sorted(found, key=lambda s: s.evidence)
         cost, where = np.array([s.evidence for s in found]), np.stack([s.pose for s in found])
         still = np.zeros_like(where)
@@ -236,7 +228,7 @@ class PictureSearch:
         """Return the parts of the problem that stay the same as long as the camera does not change."""
         if not self._places or self._places[0].camera is not camera:
             active = body_dofs(self.body.skeleton) if self.active is None else np.asarray(self.active, dtype=np.int64)
-            fixed = fixed_parts(self.body, self.body.coarse, camera, active, self.settings, self.floor)
+            fixed = fixed_parts(self.body, camera, active, self.settings, self.floor)
             (w, h), count = camera.size, self.threads if self.threads is not None else default_threads()
             work = [mono.workspace(fixed.model, h, w) for _ in range(max(1, count))]
             self._places[:] = [_Place(camera, fixed, work)]
@@ -264,7 +256,7 @@ class PictureSearch:
     def _solved(
         self,
         place: _Place,
-        problem: MonoProblem,
+        evidence: PictureEvidence,
         starts: Array,
         before: Array,
         coarse: int,
@@ -275,7 +267,7 @@ class PictureSearch:
         """Optimise every start (N, D) in several threads.
 
         place: of the camera.
-        problem: evidence of the frame.
+        evidence: of the frame.
         starts, before: (N, D) start poses, and poses in the previous picture.
         coarse, iterations: as in `newton_descent`.
         predict: add to each a pull to its own start as the prediction.
@@ -287,7 +279,7 @@ class PictureSearch:
         def work(first: int, last: int) -> None:
             ws = free.pop()
             for n in range(first, last):
-                own = with_prediction(problem, starts[n], place.fixed.spread) if predict else problem
+                own = evidence.predicted(starts[n]) if predict else evidence
                 solutions[n] = newton_descent(starts[n], before[n], own, coarse, iterations, ws)
             free.append(ws)
 
@@ -312,7 +304,7 @@ class PictureSearch:
         history: (N,) cost accumulated before this frame.
         """
         poses, gradient = np.stack([s.pose for s in found]), np.stack([s.gradient for s in found])
-        at, cost = poses[:, fixed.model.active], np.array([s.evidence for s in found])
+        at, cost = poses[:, fixed.active], np.array([s.evidence for s in found])
         held = ((at <= fixed.lower + 1e-6) & (gradient > 0)) | ((at >= fixed.upper - 1e-6) & (gradient < 0))
         return candidates(
             role,
@@ -329,7 +321,7 @@ class PictureSearch:
     def _covariances(self, fixed: Fixed, h: Hypotheses) -> Array:
         """Compute the inflated covariances (N, D, D) of candidates."""
         dof, inflation = self.body.skeleton.dof, self.settings.inflation
-        each = (hessian_covariance(m, fixed.spread, fixed.model.active, dof, inflation) for m in h.columns["hessian"])
+        each = (hessian_covariance(m, fixed.spread, fixed.active, dof, inflation) for m in h.columns["hessian"])
         return np.stack(list(each))
 
 

@@ -1,4 +1,4 @@
-"""Build the cost function of one search (the body's moving parts, a frame's evidence, the priors), and minimise it.
+"""Cost of a pose in one picture as a `Problem` of rows: contours, flow, a mask, key points, the floor, priors.
 
 The prior against interpenetration puts spheres inside the body's parts and defines which of them must stay apart: limbs
 from the trunk and from each other.
@@ -6,7 +6,7 @@ from the trunk and from each other.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -14,34 +14,34 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.body.body import BONE_END, Body, Mesh
-from hypose.body.skeleton import Skeleton
+from hypose.body.body import BONE_END, Body, Landmarks
 from hypose.cameras.camera import Camera
 from hypose.compute import mono
 from hypose.compute.arrays import plain
+from hypose.compute.linear import weighted_squares
+from hypose.compute.losses import lorentzian
 from hypose.compute.mask_distance import signed_distance
-from hypose.compute.mono_terms import (
+from hypose.compute.mono import (
     EdgeArrays,
-    FloorArrays,
     FlowArrays,
-    MarkArrays,
+    FlowSettings,
     MaskArrays,
+    MaskSettings,
     MonoModel,
-    MonoPriors,
-    MonoProblem,
     MonoWorkspace,
-    SphereArrays,
+    PictureArrays,
 )
 from hypose.compute.rows import outline_points
 from hypose.compute.solver import bounded_step
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.edges_flow import Flow, edge_field
 from hypose.evidence.frame import Frame, Picture
-from hypose.fitting.problem import Problem, Rule
+from hypose.evidence.terms import KeypointTerm
+from hypose.fitting.problem import Posed, Problem, Quadratic, Rows, Rule
+from hypose.fitting.rows import rows_of_keypoints
 from hypose.geometry import Array
 from hypose.tracking.contacts import soles_of
-from hypose.tracking.monocular.points import MonoPoints
-from hypose.tracking.monocular.settings import CueSettings, EdgeSettings, FlowSettings, MonoSettings
+from hypose.tracking.monocular.settings import MonoSettings
 
 SMALLEST_MASK = 50
 """px: a silhouette of fewer pixels shows no person"""
@@ -51,6 +51,11 @@ TOLERANCE = 0.02
 """m: two parts that overlap by this much have cost one half (at weight 1)"""
 FIRM = 0.85
 """share of the sum of two radii that must stay apart: skin is soft, and spheres are rounder than limbs"""
+LONGEST_STEP = 2.0
+"""longest Newton step, in units of the expected error of a prediction"""
+LEAST_GAIN = 0.02
+"""A descent ends when no step is expected to lower the cost by more."""
+_DAMPING = Rule(1e-2, easier=6.0)
 _TRUNK = ("pelvis", "spine", "chest", "head")
 _ARM, _LEG = ("elbow", "wrist"), ("hip", "knee", "ankle")
 
@@ -93,20 +98,20 @@ def grey(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
 
 
-def edge_arrays(field: NDArray[np.float32], flow: Flow | None, settings: EdgeSettings, *, use: bool) -> EdgeArrays:
+def edge_arrays(field: NDArray[np.float32], flow: Flow | None, settings: MonoSettings) -> EdgeArrays:
     """Build the arrays of the edge term.
 
     field: (h, w, 2) edges of a picture, from `edge_field`.
     flow: optical flow, whose motion boundaries weight the edges; None: no weighting.
-    settings: of the term.
-    use: False leaves the term out.
+    settings: of the cost.
     """
-    if settings.motion_boundaries and flow is not None:
-        share = np.full(field.shape[:2], settings.boundary_floor, np.float32)
+    edge = settings.edge
+    if edge.motion_boundaries and flow is not None:
+        share = np.full(field.shape[:2], edge.boundary_floor, np.float32)
         (x, y), (h, w) = flow.corner, flow.boundaries.shape
-        share[y : y + h, x : x + w] += np.float32(1 - settings.boundary_floor) * flow.boundaries
+        share[y : y + h, x : x + w] += np.float32(1 - edge.boundary_floor) * flow.boundaries
         field = share[..., None] * field
-    return EdgeArrays(field, use, settings)
+    return EdgeArrays(field, settings.edges, edge)
 
 
 def flow_arrays(flow: Flow | None, settings: FlowSettings) -> FlowArrays:
@@ -117,37 +122,90 @@ def flow_arrays(flow: Flow | None, settings: FlowSettings) -> FlowArrays:
     return FlowArrays(flow.flow, flow.error, np.array(flow.corner, dtype=np.int64), settings)
 
 
-def mask_arrays(mask: NDArray[np.uint8] | None, settings: CueSettings, sample_px: float) -> MaskArrays:
+def mask_arrays(mask: NDArray[np.uint8] | None, settings: MaskSettings) -> MaskArrays:
     """Build the arrays of the silhouette term; without a mask, or with height 0, the term is left out.
 
     mask: (h, w), not 0 on the person.
-    settings: of the cues.
-    sample_px: px of contour per independent sample.
+    settings: of the term.
     """
-    if mask is None or settings.silhouette_height <= 0:
-        return MaskArrays(np.zeros((0, 0), np.float32), np.zeros((0, 2), np.float32), 0.0, sample_px)
+    if mask is None or settings.height <= 0:
+        return MaskArrays(np.zeros((0, 0), np.float32), np.zeros((0, 2), np.float32), 0.0, settings)
     h, w = mask.shape
     distance = signed_distance((mask != 0).astype(np.uint8)[None], np.array([[w, h]]))[0]
     outline, found = outline_points(distance, (w, h), OUTLINE)
-    return MaskArrays(np.ascontiguousarray(distance), outline if found else outline[:0], found / OUTLINE, sample_px)
+    return MaskArrays(np.ascontiguousarray(distance), outline if found else outline[:0], found / OUTLINE, settings)
 
 
-def mark_arrays(points: MonoPoints | None, settings: CueSettings) -> MarkArrays:
-    """Build the arrays of the term of 2D points; without points, or with weight 0, the term is left out."""
-    if points is None or settings.point_weight <= 0:
-        none = np.zeros(0)
-        return MarkArrays(np.zeros((0, 2)), none, np.zeros(0, np.int64), np.zeros((0, 3)), none)
-    seen = np.asarray(points.confidence) > 0
-    return MarkArrays(
-        plain(points.pixels[seen], np.float64),
-        plain(points.confidence[seen], np.float64) * settings.point_weight,
-        plain(points.joint[seen], np.int64),
-        plain(points.offset[seen], np.float64),
-        plain(points.scale_px[seen], np.float64),
-    )
+class Spheres(NamedTuple):
+    """Spheres in the parts of the body that must not intersect.
+
+    joint: (S,) joint of each sphere.
+    offset: (S, 3) m, centre in the joint's frame.
+    pairs: (P, 2) spheres of parts that can meet.
+    apart: (P,) m, distance of their centres below which the prior acts.
+    weight: 1 / m^2.
+    """
+
+    joint: NDArray[np.int64]
+    offset: Array
+    pairs: NDArray[np.int64]
+    apart: Array
+    weight: float
 
 
-def part_spheres(body: Body, weight: float) -> SphereArrays:
+def sphere_rows(at: Posed, spheres: Spheres) -> Rows:
+    """Compute the rows of interpenetration: 1/2 weight (apart - distance)^2 for pairs of spheres that are too near.
+
+    at: the posed body.
+    """
+    centre = at.body.skeleton.points(spheres.joint, spheres.offset, at.pose)
+    away = centre[spheres.pairs[:, 0]] - centre[spheres.pairs[:, 1]]
+    distance = np.linalg.norm(away, axis=1)
+    near = np.flatnonzero((distance < spheres.apart) & (distance > 1e-4))
+    carrier = len(at.vertices) + spheres.joint[spheres.pairs[near][:, [0, 1, 1]]]
+    # the line between the centres is the direction of both, so one wrench serves them, with opposite signs
+    share = np.tile([1.0, -1.0, 0.0], (len(near), 1))
+    residual, slope = (distance - spheres.apart)[near], away[near] / distance[near, None]
+    weight, view = np.full(len(near), spheres.weight), np.zeros(len(near), np.int64)
+    cost = 0.5 * spheres.weight * float((residual**2).sum())
+    return Rows(carrier, share, centre[spheres.pairs[near, 0]], slope, residual, weight, view, cost)
+
+
+class Floor(NamedTuple):
+    """Level floor on which the person stands.
+
+    soles: points of the body that touch it.
+    height: m, in the world.
+    sd: m, usual distance of the lower sole from it.
+    """
+
+    soles: Landmarks
+    height: float
+    sd: float
+
+
+def floor_of(body: Body, height: float | None, settings: MonoSettings) -> Floor | None:
+    """Make the floor of a body at a height in the world, m; None: unknown."""
+    return None if height is None else Floor(soles_of(body), float(height), settings.floor_sd_m)
+
+
+def floor_rows(at: Posed, floor: Floor) -> Rows:
+    """Compute the rows of the floor: the lowest point of the soles stands on it, and no point lies under it.
+
+    at: the posed body.
+    Returns: one row per point of the soles, with weight 0 for those that are free.
+    The loss is that of a key point, so that a jump costs little more than a step.
+    """
+    point = at.body.skeleton.points(floor.soles.joint, floor.soles.offset, at.pose)
+    above, n = point[:, 2] - floor.height, len(point)
+    on = (above < 0) | (np.arange(n) == above.argmin())
+    rho, pull, _ = lorentzian((above / (2 * floor.sd)) ** 2, on / floor.sd**2)
+    carrier, share = len(at.vertices) + np.repeat(floor.soles.joint[:, None], 3, 1), np.tile([1.0, 0, 0], (n, 1))
+    slope, view = np.tile([0, 0, 1.0], (n, 1)), np.zeros(n, np.int64)
+    return Rows(carrier, share, point, slope, above, pull, view, 2 * float((on * rho).sum()))
+
+
+def part_spheres(body: Body, weight: float) -> Spheres:
     """Place spheres in the trunk, forearms, hands and legs of the body at rest, and list the pairs that must stay
     apart.
 
@@ -156,36 +214,19 @@ def part_spheres(body: Body, weight: float) -> SphereArrays:
     other. The distance that two parts keep is at most 0.95 of that at rest.
     weight: of the prior.
     """
-    names = body.skeleton.joint_names
-    parts: list[str] = []
-    joint: list[int] = []
-    offset: list[Array] = []
-    radius: list[float] = []
-    for j, name in enumerate(names):
+    parts: list[tuple[str, int, Array, float]] = []
+    for j, name in enumerate(body.skeleton.joint_names):
         skin = body.coarse.vertices[body.coarse.main_joint == j] - body.skeleton.rest_joints[j]
-        if len(skin) < 4 or not (name in _TRUNK or name.split("_")[-1] in _ARM + _LEG):
-            continue
-        for centre, r in _spheres(body, name, skin):
-            parts.append(name)
-            joint.append(j)
-            offset.append(centre)
-            radius.append(r)
-    at = body.skeleton.rest_joints[joint] + np.array(offset).reshape(-1, 3)
-    pairs, apart = [], []
-    for a in range(len(parts)):
-        for b in range(a):
-            if not _may_meet(parts[a], parts[b]):
-                continue
-            rest = float(np.linalg.norm(at[a] - at[b]))
-            pairs.append((a, b))
-            apart.append(min(FIRM * (radius[a] + radius[b]), 0.95 * rest))
-    return SphereArrays(
-        np.array(joint, dtype=np.int64),
-        np.array(offset, dtype=np.float64).reshape(-1, 3),
-        np.array(pairs, dtype=np.int64).reshape(-1, 2),
-        np.array(apart, dtype=np.float64),
-        weight / TOLERANCE**2,
-    )
+        if len(skin) >= 4 and (name in _TRUNK or name.split("_")[-1] in _ARM + _LEG):
+            parts += [(name, j, centre, r) for centre, r in _spheres(body, name, skin)]
+    names, joint, offset, radius = zip(*parts, strict=True)
+    index = np.array(joint, dtype=np.int64)
+    at = body.skeleton.rest_joints[index] + np.array(offset)
+    pairs = np.array([(a, b) for a in range(len(parts)) for b in range(a) if _may_meet(names[a], names[b])])
+    pairs = pairs.astype(np.int64).reshape(-1, 2)
+    rest = np.linalg.norm(at[pairs[:, 0]] - at[pairs[:, 1]], axis=1)
+    apart = np.minimum(FIRM * np.array(radius)[pairs].sum(1), 0.95 * rest)
+    return Spheres(index, np.array(offset), pairs, apart, weight / TOLERANCE**2)
 
 
 def _spheres(body: Body, name: str, skin: Array) -> list[tuple[Array, float]]:
@@ -223,112 +264,71 @@ def _may_meet(a: str, b: str) -> bool:
     return {kind_a, kind_b} in ({"wrist", "hip"}, {"elbow", "hip"})
 
 
-LONGEST_STEP = 2.0
-"""longest Newton step, in units of the expected error of a prediction"""
+def prediction_spread(sigma: Array, settings: MonoSettings) -> Array:
+    """Compute the usual error (D,) of a predicted pose, one standard deviation, at the settings' frame rate.
+
+    sigma: (D,) usual motion per frame of a skeleton at 25 Hz.
+    """
+    return settings.motion_scale * sigma * (25.0 / settings.frame_rate)
 
 
 @dataclass(frozen=True)
 class Fixed:
     """Parts of the problem that do not change from frame to frame.
 
-    model: the body in the camera.
+    body: the person.
+    model: the body before the camera.
+    active: (A,) dof that are estimated.
+    moves: (V + J, A) share of their motion at each vertex of the coarse mesh, and at each joint.
     spheres: prior against interpenetration.
-    floor: soles and the floor they stand on.
+    floor: on which the person stands; None: unknown.
     lower, upper: (A,) joint limits; infinite where limits are off.
     spread: (A,) usual error of the prediction of each active dof.
+    posture: (A,) weight of the weak pull to the rest posture.
     """
 
+    body: Body
     model: MonoModel
-    spheres: SphereArrays
-    floor: FloorArrays
+    active: NDArray[np.int64]
+    moves: Array
+    spheres: Spheres
+    floor: Floor | None
     lower: Array
     upper: Array
     spread: Array
+    posture: Array
 
 
 def fixed_parts(
-    body: Body,
-    mesh: Mesh,
-    camera: Camera,
-    active: NDArray[np.int64],
-    settings: MonoSettings,
-    floor: float | None = None,
+    body: Body, camera: Camera, active: NDArray[np.int64], settings: MonoSettings, floor: float | None = None
 ) -> Fixed:
     """Build the parts of the problem that do not change from frame to frame.
 
-    body, mesh: the body, and its mesh that is compared.
+    body: its coarse mesh is compared with the pictures.
     camera: of the pictures.
-    settings: of the cost.
     active: (A,) ascending indices of the dof to estimate.
+    settings: of the cost.
     floor: its height in the world, m; None: unknown or none.
     Raises: InputError where the active dof are not dof of the body.
     """
     s = body.skeleton
     if active.ndim != 1 or len(active) == 0 or (np.diff(active) <= 0).any() or active[0] < 0 or active[-1] >= s.dof:
         raise InputError(f"The dof to estimate must be ascending indices between 0 and {s.dof - 1}, got {active}.")
-    unbounded = np.full(len(active), np.inf)
+    moves, unbounded = s.moves[active].T.astype(np.float64), np.full(len(active), np.inf)
+    spread = prediction_spread(s.sigma, settings)[active]
+    posture = (settings.motion_scale / (settings.posture_scale * spread)) ** 2
+    posture[active < 6] = 0.0  # place and heading of the body have no usual value
     return Fixed(
-        mono.model(s.tree, mesh.arrays, s.moves, active, camera.projection),
+        body,
+        mono.model(s.tree, body.coarse.arrays, np.asarray(s.moves[active].any(0)), camera.projection),
+        active,
+        np.concatenate([body.coarse.dense_weights(len(moves)) @ moves, moves]),
         part_spheres(body, settings.interpenetration),
-        floor_arrays(body, floor, settings.cues),
+        floor_of(body, floor, settings),
         np.array(s.lower[active]) if settings.limits else -unbounded,
         np.array(s.upper[active]) if settings.limits else unbounded,
-        prediction_spread(s, settings)[active],
-    )
-
-
-def floor_arrays(body: Body, height: float | None, settings: CueSettings) -> FloorArrays:
-    """Build the floor term: the soles of a body on a floor at a height in the world, m; None: the term is left out."""
-    if height is None:
-        return FloorArrays(np.zeros(0, np.int64), np.zeros((0, 3)), 0.0, 1.0, 0.0)
-    soles = soles_of(body)
-    return FloorArrays(soles.joint, soles.offset, float(height), float(settings.floor_sd_m), 1.0)
-
-
-def prediction_spread(skeleton: Skeleton, settings: MonoSettings) -> Array:
-    """Compute the usual error (D,) of a predicted pose, one standard deviation, at the settings' frame rate."""
-    return settings.motion_scale * skeleton.sigma * (25.0 / settings.frame_rate)
-
-
-def frame_problem(
-    fixed: Fixed,
-    picture: Picture,
-    points: MonoPoints | None,
-    field: NDArray[np.float32],
-    flow: Flow | None,
-    settings: MonoSettings,
-) -> MonoProblem:
-    """Build the problem of one frame, with the pull to the rest posture but without a prediction.
-
-    fixed: parts of the problem that stay.
-    picture: of the frame.
-    settings: of the cost.
-    field: (h, w, 2) edges of the picture, from `field_of`.
-    points, flow: None where there are none.
-    """
-    edge = settings.edge
-    a = len(fixed.model.active)
-    posture = np.zeros(a)
-    angles = fixed.model.active >= 6  # place and heading of the body have no usual value
-    posture[angles] = (settings.motion_scale / (settings.posture_scale * fixed.spread[angles])) ** 2
-    priors = MonoPriors(
-        np.zeros((2, a)),
-        np.stack([np.zeros(a), posture]),
-        fixed.lower,
-        fixed.upper,
-        LONGEST_STEP * fixed.spread,
-    )
-    return MonoProblem(
-        fixed.model,
-        edge_arrays(field, flow, edge, use=settings.edges),
-        flow_arrays(flow, settings.flow),
-        mask_arrays(picture.mask, settings.cues, edge.sample_px),
-        mark_arrays(points, settings.cues),
-        fixed.spheres,
-        fixed.floor,
-        settings.cues,
-        priors,
-        settings.second_order,
+        spread,
+        posture,
     )
 
 
@@ -341,13 +341,6 @@ def field_of(image: NDArray[np.uint8], settings: MonoSettings) -> NDArray[np.flo
     if not settings.edges:
         return np.zeros((*image.shape[:2], 2), np.float32)
     return edge_field(image, settings.edge.smoothing_px, settings.edge.strength)
-
-
-def with_prediction(problem: MonoProblem, prediction: Array, spread: Array) -> MonoProblem:
-    """Add a pull to the predicted pose (D,) to the problem; spread (A,): its standard deviations."""
-    centre, weight = problem.priors.centre.copy(), problem.priors.weight.copy()
-    centre[0], weight[0] = prediction[problem.model.active], 1 / spread**2
-    return problem._replace(priors=problem.priors._replace(centre=centre, weight=weight))
 
 
 class MonoSolution(NamedTuple):
@@ -367,75 +360,164 @@ class MonoSolution(NamedTuple):
     counts: NDArray[np.int64]
 
 
+class PictureEvidence(NamedTuple):
+    """Evidence and priors of one hypothesis in one picture.
+
+    fixed: parts of the problem that stay.
+    arrays: edges, flow and mask.
+    points: key points or clicked joints, where there are any.
+    prediction: pull of the active dof to their prediction; None: none.
+    """
+
+    fixed: Fixed
+    arrays: PictureArrays
+    points: KeypointTerm | None
+    prediction: Quadratic | None = None
+
+    def predicted(self, pose: Array) -> PictureEvidence:
+        """Add a pull to a predicted pose (D,)."""
+        return self._replace(prediction=Quadratic(pose[self.fixed.active], self.fixed.spread**-2))
+
+
 class PictureProblem(Problem[Array, tuple[Array, Array]]):
     """Least-squares problem of one hypothesis in one picture: a pose (D,) within the limits.
 
-    problem: evidence and priors.
+    evidence: evidence and priors.
     ws: scratch memory, prepared by `mono.prepare_terms`.
-    sigma: scale of the edges, px.
-    n_flow: number of inner nodes.
-    Source: Sminchisescu & Triggs 2001, equation (11): (H + lambda W) step = -g, W the diagonal of H (at least 1), with
-        an active set of limits (section 4.1). Deviation: a step is cut to a trusted reach (1: priors.longest), which is
-        smaller after steps that were rejected.
+    sigma: scale of the edges, px; None: the fine one.
+    n_flow: number of inner nodes; 0: without flow.
+    Source: Sminchisescu & Triggs 2001, equation (10), and equation (11): (H + lambda W) step = -g, W the diagonal of H
+        (at least 1), with an active set of limits (section 4.1). Deviations: 2D points, interpenetration and the floor
+        are added to the cost; a step is cut to a trusted reach (1: LONGEST_STEP), which is smaller after steps that
+        were rejected.
     """
 
-    def __init__(self, problem: MonoProblem, ws: MonoWorkspace, sigma: float, n_flow: int) -> None:
-        self._problem, self._ws, self._scale = problem, ws, (sigma, n_flow)
+    def __init__(
+        self, evidence: PictureEvidence, ws: MonoWorkspace, sigma: float | None = None, n_flow: int = 0
+    ) -> None:
+        self.evidence, self.ws, self.n_flow = evidence, ws, n_flow
+        self.sigma = evidence.arrays.edges.settings.sigma_px if sigma is None else sigma
         self._reach, self._length = 1.0, 1.0
         self._from: Array | None = None
 
     def evaluate(self, state: Array) -> tuple[float, Callable[[], tuple[Array, Array]]]:
-        """Compute the cost of a pose, with Hessian (A, A) and gradient (A,); see `Problem`."""
-        a = len(self._problem.model.active)
-        hessian, gradient = np.empty((a, a)), np.empty(a)
-        cost = mono.full_cost(state, self._problem, *self._scale, self._ws, hessian, gradient)
-        return float(cost), lambda: (hessian, gradient)
+        """Compute the cost of a pose, with Hessian (A, A) and gradient (A,) by the active dof; see `Problem`."""
+        (fixed, arrays, _, prediction), ws = self.evidence, self.ws
+        cost, n = mono.picture_cost(state, arrays, self.sigma, self.n_flow, ws)
+        parts, at = list(self._joint_rows(state)), state[fixed.active]
+        pulls = [Quadratic(np.zeros(len(at)), fixed.posture)]
+        if prediction is not None:
+            pulls.append(prediction)
+        cost += sum(r.cost for r in parts) + sum(0.5 * float(p.weight @ (at - p.centre) ** 2) for p in pulls)
+
+        def equations() -> tuple[Array, Array]:
+            rows = Rows.joined([_surface_rows(ws, n), *(r._replace(point=r.point - state[:3]) for r in parts)])
+            jacobian = rows.by_pose(ws.twists[fixed.active], fixed.moves)
+            hessian, gradient = weighted_squares(jacobian, rows.weight, rows.residual)
+            for p in pulls:
+                hessian[np.diag_indices(len(at))] += p.weight
+                gradient += p.weight * (at - p.centre)
+            return hessian, gradient
+
+        return float(cost), equations
+
+    def _joint_rows(self, pose: Array) -> Iterator[Rows]:
+        """Compute the rows of points on joints: key points, spheres, floor."""
+        fixed, _, points, _ = self.evidence
+        posed = Posed(fixed.body, pose, self.ws.vertices.astype(np.float64))
+        if points is not None:
+            yield rows_of_keypoints(posed, points, points.projections)
+        yield sphere_rows(posed, fixed.spheres)
+        if fixed.floor is not None:
+            yield floor_rows(posed, fixed.floor)
 
     def propose(self, state: Array, equations: tuple[Array, Array], damping: float) -> tuple[Array, float] | None:
         """Propose the next pose, and its distance in longest steps; None: no step is expected to lower the cost by
         LEAST_GAIN.
         """
-        (hessian, gradient), priors, active = equations, self._problem.priors, self._problem.model.active
+        (hessian, gradient), fixed = equations, self.evidence.fixed
         rejected = state is self._from
         self._reach = 0.35 * min(self._reach, self._length) if rejected else min(1.0, 2 * self._reach)
-        self._from, at = state, state[active]
-        step = bounded_step(hessian, gradient, at, priors.lower, priors.upper, damping)
+        self._from, at = state, state[fixed.active]
+        step = bounded_step(hessian, gradient, at, fixed.lower, fixed.upper, damping)
         if step is None:
             return None
-        self._length = max(1e-12, float(np.abs(step / priors.longest).max()))
+        self._length = max(1e-12, float(np.abs(step / fixed.spread).max()) / LONGEST_STEP)
         step *= min(1.0, self._reach / self._length)
         if -(gradient @ step) - 0.5 * (step @ hessian @ step) < LEAST_GAIN:
             return None
         trial = state.copy()
-        trial[active] = np.clip(at + step, priors.lower, priors.upper)
+        trial[fixed.active] = np.clip(at + step, fixed.lower, fixed.upper)
         return trial, self._length
 
 
+def score(pose: Array, evidence: PictureEvidence, ws: MonoWorkspace) -> float:
+    """Compute the cost by which hypotheses are ranked: all but flow, whose targets differ between hypotheses.
+
+    pose: (D,).
+    evidence, ws: evidence and priors, and scratch memory.
+    Source: Sminchisescu & Triggs 2001, section 3.2. Deviation: the printed cost is the edge term alone; here priors,
+        interpenetration and, where given, masks, 2D points and the floor are included.
+    """
+    return PictureProblem(evidence, ws).evaluate(pose)[0]
+
+
 def newton_descent(
-    start: Array, before: Array, problem: MonoProblem, coarse: int, iterations: int, ws: MonoWorkspace
+    start: Array, before: Array, evidence: PictureEvidence, coarse: int, iterations: int, ws: MonoWorkspace
 ) -> MonoSolution:
     """Search for the pose of least cost by damped Newton steps.
 
     start: (D,) pose.
     before: (D,) pose in the previous picture, from which the inner nodes of the flow come.
-    problem: evidence and priors.
+    evidence: evidence and priors.
     coarse, iterations: number of iterations with the coarse and with the fine scale of the edges.
     ws: scratch memory.
     Raises: SolverError where the cost at the start is not finite.
     """
-    q, edge, priors, active = np.array(start), problem.edges.settings, problem.priors, problem.model.active
-    q[active] = np.clip(q[active], priors.lower, priors.upper)
-    n_flow = mono.prepare_terms(plain(before, np.float64), q, problem, ws)
+    q, edge, fixed = np.array(start), evidence.arrays.edges.settings, evidence.fixed
+    q[fixed.active] = np.clip(q[fixed.active], fixed.lower, fixed.upper)
+    n_flow = mono.prepare_terms(plain(before, np.float64), evidence.arrays, ws)
     if coarse:
-        wide = edge.sigma_px * edge.coarse_factor
-        q = PictureProblem(problem, ws, wide, n_flow).solve(q, coarse, _DAMPING).state
-    found = PictureProblem(problem, ws, edge.sigma_px, n_flow).solve(q, iterations, _DAMPING)
+        q = PictureProblem(evidence, ws, edge.sigma_px * edge.coarse_factor, n_flow).solve(q, coarse, _DAMPING).state
+    found = PictureProblem(evidence, ws, None, n_flow).solve(q, iterations, _DAMPING)
     hessian, gradient = found.equations
-    evidence, counts = float(mono.score(found.state[None], problem, ws)[0]), ws.counts.copy()
+    if evidence.prediction is not None:
+        hessian = hessian - np.diag(evidence.prediction.weight)
+    cost, counts = score(found.state, evidence, ws), ws.counts.copy()
     counts[5] = n_flow
-    return MonoSolution(found.state, evidence, gradient, hessian - np.diag(priors.weight[0]), counts)
+    return MonoSolution(found.state, cost, gradient, hessian, counts)
 
 
-LEAST_GAIN = 0.02
-"""A descent ends when no step is expected to lower the cost by more."""
-_DAMPING = Rule(1e-2, easier=6.0)
+def _surface_rows(ws: MonoWorkspace, n: int) -> Rows:
+    """Read the first n rows of the scratch memory; their points are relative to the root."""
+    carrier, values = ws.row_vertices[:n].astype(np.int64), ws.row_values[:n]
+    share, weight = values[:, :3], values[:, 7].copy()
+    point = np.einsum("rc,rcd->rd", share, ws.vertices[carrier])
+    residual = values[:, 6] / np.maximum(weight, 1e-300)
+    return Rows(carrier, share, point, values[:, 3:6], residual, weight, np.zeros(n, np.int64), 0.0)
+
+
+def frame_evidence(
+    fixed: Fixed,
+    picture: Picture,
+    points: KeypointTerm | None,
+    field: NDArray[np.float32],
+    flow: Flow | None,
+    settings: MonoSettings,
+) -> PictureEvidence:
+    """Build the evidence of one frame, with the pull to the rest posture but without a prediction.
+
+    fixed: parts of the problem that stay.
+    picture: of the frame.
+    points, flow: None where there are none.
+    field: (h, w, 2) edges of the picture, from `field_of`.
+    settings: of the cost.
+    """
+    arrays = PictureArrays(
+        fixed.model,
+        edge_arrays(field, flow, settings),
+        flow_arrays(flow, settings.flow),
+        mask_arrays(picture.mask, settings.mask),
+        settings.second_order,
+    )
+    return PictureEvidence(fixed, arrays, points)

@@ -192,8 +192,7 @@ def picture_recipe(search: PictureSearch) -> Recipe:
         evidence is accumulated over frames; mirrored limbs are an option. See also pool.py and compute's mono.py.
     """
     layers = (
-        Layer(search.predicted, None, keep, "edges"),
-        Layer(search.carried, None, keep, "flow"),
+        Layer(search.predicted, None, keep, "predict"),
         Layer(search.optimised, accumulated, keep, "optimise"),
         Layer(search.mirror, accumulated, keep, "mirror", search.mirror_now),
         Layer(search.sampled, accumulated, search.pruned, "sample"),

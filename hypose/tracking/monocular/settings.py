@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.skeleton import Skeleton
-from hypose.compute.mono_terms import CueSettings, EdgeSettings, FlowSettings
+from hypose.compute.mono import EdgeSettings, FlowSettings, MaskSettings
 
 
 def body_dofs(skeleton: Skeleton) -> NDArray[np.int64]:
@@ -52,13 +52,14 @@ class SearchSettings:
 class MonoSettings:
     """All settings of a monocular tracker.
 
-    edge, flow, cues, search: settings of the terms and of the search.
+    edge, flow, mask, search: settings of the terms and of the search.
     edges: False leaves the edges out.
     velocity: share of the last step that is predicted again (0: none, as in the printed listing).
     motion_scale: expected error of that prediction, in units of the skeleton's usual motion per frame.
     posture_scale: spread of the weak pull to the rest posture, in the same units.
     limits: joint limits are hard.
     interpenetration: weight of the prior that keeps limbs out of each other and the trunk (0: none).
+    floor_sd_m: usual distance of the lower sole from a known floor, m.
     second_order: use rho'' in the Hessian (9), safeguarded.
     iterations, coarse_iterations: of the Newton search per frame.
     inflation: factor on the standard deviations of the reported posterior, because errors of neighbouring nodes are
@@ -68,7 +69,7 @@ class MonoSettings:
 
     edge: EdgeSettings = EdgeSettings()
     flow: FlowSettings = FlowSettings()
-    cues: CueSettings = CueSettings()
+    mask: MaskSettings = MaskSettings()
     search: SearchSettings = SearchSettings()
     edges: bool = True
     velocity: float = 1.0
@@ -76,6 +77,7 @@ class MonoSettings:
     posture_scale: float = 15.0
     limits: bool = True
     interpenetration: float = 1.0
+    floor_sd_m: float = 0.05
     second_order: bool = True
     iterations: int = 10
     coarse_iterations: int = 3
@@ -83,6 +85,7 @@ class MonoSettings:
     frame_rate: float = 25.0
 
     def robust(self, form: int) -> MonoSettings:
-        """Copy the settings with one form of loss for every cue (GAUSSIAN is the ablation without robust losses)."""
-        cues = self.cues._replace(silhouette_form=form, point_form=form)
-        return replace(self, edge=self.edge._replace(form=form), flow=self.flow._replace(form=form), cues=cues)
+        """Copy the settings with one form of loss for edges, flow and mask (GAUSSIAN is the ablation without robust
+        losses)."""
+        edge, flow, mask = (term._replace(form=form) for term in (self.edge, self.flow, self.mask))
+        return replace(self, edge=edge, flow=flow, mask=mask)
