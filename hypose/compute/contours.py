@@ -212,7 +212,7 @@ def _forward_rows(n, stride, rim, edge, ws, sdf, corner, size, i2, weight, n_fou
     """Append forward rows for every stride-th of n outline points to the found rows, as `contour_rows`.
 
     n, stride: number of points, and step between those that make a row.
-    rim, edge: of `_rim`.
+    rim, edge: as returned by `_rim`.
     ws: scratch memory, with the contour edges.
     sdf: (h, w) f4 signed distance, px.
     i2: 1 / scale^2, 1/px^2.

@@ -48,7 +48,7 @@ def cross_columns(xa, ya, xb, yb, sign, width, height, difference):
 
     xa, ya, xb, yb: ends of the segment, px.
     sign: 1 or -1; a segment from right to left counts the other way round.
-    width, height: of the window, px.
+    width, height: width and height of the window, px.
     difference: (height + 1, B) is changed.
     """
     s = np.int16(-sign)
@@ -128,7 +128,7 @@ def emit_clipped_faces(vertices, faces, p, x0, y0, width, height, difference, on
 def cover_faces(uv, z, faces, part, one_sided, width, height, difference):
     """Add the winding differences of faces to the difference image of their part.
 
-    width, height: of the picture, px.
+    width, height: width and height of the picture, px.
     uv, z: (V, 2) px and (V,) m of the corners.
     faces, part: (F, 3), and (F,) part of each.
     one_sided: omit faces seen from inside.
@@ -256,7 +256,7 @@ def contours_of_view(k, n_union, union, edges, front, uv, start, end, lines):
 
     n_union, union: edges that are on a contour in any view, of `contours_of_any`.
     edges: (E, 4) of the mesh.
-    front, uv: of `front_views` and `project_views`.
+    front, uv: as returned by `front_views` and `project_views`.
     start, end: (E,) get their vertices.
     lines: (4, E) f4 gets their ends u, v, u, v px.
     Returns: number of edges.
@@ -378,7 +378,7 @@ def write_crossings(edge, lane, skip, rows, stride, out, place):
     """Write the pixel indices row * stride + column at which the prepared edge of a lane crosses its columns, from the
     skip-th on.
 
-    edge: of `prepare_edge`.
+    edge: as returned by `prepare_edge`.
     rows, stride: rows of the window, and bytes per row of the difference image.
     out: i4, gets LANES indices from the flat index `place` on; those past the end of the edge are invalid and are
         overwritten by the next edge.
@@ -455,7 +455,7 @@ def list_crossings(mesh, u, v, some, window, origin, front, union, edge, columns
     mesh: LaneMesh.
     u, v: (V, LANES) px.
     some: mask of the lanes to draw.
-    window, origin: of `scorer.lane_windows`.
+    window, origin: as returned by `scorer.lane_windows`.
     front, union, edge, columns: scratch.
     lists: (2 LANES, capacity) i4: upward crossings of lane l at 2 l, downward ones at 2 l + 1.
     ends: (2 LANES,) gets their numbers.

@@ -66,7 +66,7 @@ def depth_energy(
 ) -> NDArray[np.float64]:
     """Compute how badly the depths of posed bodies fit the depth maps.
 
-    tree, mesh: of the body.
+    tree, mesh: joint tree and mesh of the body.
     poses: (N, D).
     seen: depth maps of the person.
     most_m: largest difference that counts, m.
@@ -87,7 +87,7 @@ def standing_depth(
 ) -> StandingDepth:
     """Draw the parts of a body at a pose (D,) that stand still while a limb moves.
 
-    tree, mesh: of the body.
+    tree, mesh: joint tree and mesh of the body.
     seen: depth maps of the person.
     most_m: largest difference of depth that counts, m.
     moving: (J,) bool, joints that move; they and the joints below them are left out.
@@ -116,7 +116,7 @@ def limb_depth_energy(
     """Compute `depth_energy` of poses that differ only in one limb from the standing parts.
 
     poses: (N, D).
-    tree, mesh: of the body.
+    tree, mesh: joint tree and mesh of the body.
     seen, most_m: as in `depth_energy`.
     standing: drawn by `standing_depth`.
     rough: do not draw the limb, but compare each of its faces at its middle, which takes half the time.
@@ -140,7 +140,7 @@ def limb_shown(
 ) -> NDArray[np.float64]:
     """Measure how much of a limb a sensor shows, at the pose at which the standing parts were drawn.
 
-    tree, mesh: of the body.
+    tree, mesh: joint tree and mesh of the body.
     seen: depth maps of the person.
     standing: parts without the limb.
     centre: (3,) m, world; areas are computed at its distance.
@@ -255,7 +255,7 @@ def _energies(poses, first, last, tree, mesh, seen, most, out):
     """Compute the costs of drawn poses against depth maps: the sum of `_off`, over most.
 
     poses, first, last: (N, D), of which those from first to last are computed.
-    tree, mesh: of the body.
+    tree, mesh: joint tree and mesh of the body.
     seen: SeenDepth.
     most: largest difference that counts, m.
     out: (N, C) gets the costs, in pixels.
@@ -270,7 +270,7 @@ def _energies(poses, first, last, tree, mesh, seen, most, out):
 def _stand(q, tree, mesh, faces, seen, most, rotations, centres, drawn, cost):
     """Draw some faces of the body at pose q (D,) and compute their cost; all outputs are overwritten.
 
-    tree, mesh: of the body.
+    tree, mesh: joint tree and mesh of the body.
     faces: indices of the faces that are drawn.
     most: largest difference that counts, m.
     seen: SeenDepth.
@@ -295,7 +295,7 @@ def _limb_energies(poses, first, last, tree, mesh, standing, seen, most, rough, 
     """Compute the costs out (N, C), as `_energies`, of poses that differ only in one limb from the standing parts.
 
     poses, first, last: (N, D), of which those from first to last are computed.
-    tree, mesh: of the body.
+    tree, mesh: joint tree and mesh of the body.
     standing: StandingDepth.
     seen: SeenDepth.
     most: largest difference that counts, m.
@@ -337,7 +337,7 @@ def _limb_energies(poses, first, last, tree, mesh, standing, seen, most, rough, 
 def _limb_shown(tree, mesh, standing, seen, centre, reach, apart, out):
     """Measure the visible areas of a limb into out (C, 3), zero before, as `limb_shown`.
 
-    tree, mesh: of the body.
+    tree, mesh: joint tree and mesh of the body.
     standing: StandingDepth, the parts without the limb.
     seen: SeenDepth.
     centre: (3,) m from the root.

@@ -253,7 +253,7 @@ def depth_rows(q, mesh, depth, factor, ws, kept, count):
     depth: DepthArrays.
     ws: scratch memory.
     kept: (3,) its first number is that of the rows that wait in ws.rows; it is changed.
-    factor: of the scale.
+    factor: factor of the scale.
     count: (2,) gets the numbers of rows of surface points, and of body in front of the measured surface.
 
     A point of the surface is drawn to the nearest place on the body that faces its sensor and has a similar normal: 1/2

@@ -93,7 +93,7 @@ def sense(
 
     inverse: (h, w) inverse depth, 1/m.
     fx: focal length, px.
-    rng: of the noise.
+    rng: random generator of the noise.
     baseline: distance of the projector from the camera, m.
     Returns: (h, w) uint16 mm, 0 = hole.
 

@@ -251,7 +251,7 @@ def parzen(
 
     picture: padded depth picture.
     scores: (rows, columns) mean shares.
-    stride: of the grid, px.
+    stride: stride of the grid, px.
     majority: share that a cell needs to vote.
     sigma_px: standard deviation of the Gaussian kernel, px.
     Returns: m^2 of voting surface per cell (rows, columns), and the flat index of the largest value.

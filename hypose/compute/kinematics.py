@@ -63,7 +63,7 @@ def multiply(a, b, out):
 def joint_frames(q, tree, rotations, centres, twists):
     """Compute frames and twists of one pose q (D,), relative to the root's position.
 
-    tree: of the body.
+    tree: joint tree of the body.
     rotations: (J, 3, 3) gets the rotations.
     centres: (J, 3) gets the centres minus q[0:3].
     twists: (D, 6) gets (w, v): a point x (minus q[0:3]) moves with w x x + v per unit of the dof.
@@ -80,7 +80,7 @@ def frames_of(q, tree, joints, rotations, centres, twists):
     """Compute frames and twists of some joints, from known frames of all others; see `joint_frames`.
 
     q: (D,) pose.
-    tree: of the body.
+    tree: joint tree of the body.
     rotations, centres, twists: as in `joint_frames`, in part filled before.
     joints: (K,) indices, parents before their children.
     """
@@ -152,7 +152,7 @@ def skin_batch(rotations, centres, tree, mesh, out):
     """Skin the mesh of N poses in float64 by linear blend skinning.
 
     rotations, centres: (N, J, 3, 3) and (N, J, 3) m, joint frames in the world.
-    tree, mesh: of the body.
+    tree, mesh: joint tree and mesh of the body.
     out: (N, V, 3) gets the vertices, m, world.
     """
     for n in range(rotations.shape[0]):
@@ -192,7 +192,7 @@ def skin_vertices(maps, mesh, chosen, out):
     """Skin some vertices of one pose in float32 by linear blend skinning.
 
     maps: (J, 12) f4 of `bone_map`.
-    mesh: of the body.
+    mesh: mesh of the body.
     chosen: indices of the vertices.
     out: (V, 3) f4 m gets them; other rows stay.
     """
@@ -219,7 +219,7 @@ def skin_about_root(rotations, centres, tree, mesh, out):
     """Skin one pose in float32 relative to the root's position, where float32 is accurate to 1e-4 mm.
 
     rotations, centres: (J, 3, 3) and (J, 3) m, joint frames about the root.
-    tree, mesh: of the body.
+    tree, mesh: joint tree and mesh of the body.
     out: (V, 3) f4 gets the vertices minus the root's position, m.
     """
     n_joints = rotations.shape[0]
@@ -256,7 +256,7 @@ def skin(rotations: ArrayLike, centres: ArrayLike, tree: TreeArrays, mesh: MeshA
     """Compute the vertices of N poses by linear blend skinning.
 
     rotations, centres: (N, J, 3, 3) and (N, J, 3) m, joint frames in the world.
-    tree, mesh: of the body.
+    tree, mesh: joint tree and mesh of the body.
     Returns: (N, V, 3) m, world.
     """
     r, c = plain(rotations, np.float64), plain(centres, np.float64)

@@ -78,7 +78,7 @@ def mask_of(bits: Bits, width: int) -> Mask:
 def clean(bits: Bits, shape: tuple[int, int], how: Cleaning) -> MaskRuns:
     """Clean a mask.
 
-    bits: of the mask; they are changed.
+    bits: bits of the mask; they are changed.
     shape: (h, w) of the mask.
     how: settings.
     Returns: the cleaned mask as runs.
@@ -99,7 +99,7 @@ def runs_of(mask: Mask) -> MaskRuns:
 def draw(runs: MaskRuns, out: Mask | None = None, corner: tuple[int, int] = (0, 0)) -> Mask:
     """Draw runs as a mask.
 
-    runs: of the mask.
+    runs: runs of the mask.
     out: picture in which pixels are set, whose first pixel is the corner (y, x) of the mask; None: a new mask (h, w).
     Returns: that picture.
     """
@@ -235,7 +235,7 @@ def opened(bits, spans, box, out):
 def _bounds(bits, box):
     """Find the box around the set pixels.
 
-    bits: of the mask.
+    bits: bits of the mask.
     box: (4,) gets y0, y1, x0, x1.
     Returns: False for an empty mask.
     """
@@ -341,7 +341,7 @@ def _most_runs(bits, box):
 def _fill_holes(bits, box, most, runs, parent):
     """Set the small regions of unset pixels in the box, connected over edges only.
 
-    bits: of the mask.
+    bits: bits of the mask.
     box: (4,).
     most: largest area that is filled, px.
     runs, parent: scratch of `_label`.

@@ -34,7 +34,7 @@ f4 = np.float32
 class MonoModel(NamedTuple):
     """Body before a camera, with the parts that the estimated degrees of freedom move.
 
-    tree, mesh: of the body.
+    tree, mesh: joint tree and mesh of the body.
     all_faces, moving_faces: indices of all faces, and of those that they move.
     moving_vertices: (V,) vertices of which they carry more than half.
     projection: (3, 4) pinhole.
@@ -51,7 +51,7 @@ class MonoModel(NamedTuple):
 class EdgeSettings(NamedTuple):
     """Settings of the edge term, which compares contours with image edges.
 
-    form: of the loss: GAUSSIAN, LORENTZIAN or LECLERC.
+    form: form of the loss: GAUSSIAN, LORENTZIAN or LECLERC.
     sigma_px: its scale, px.
     height: nu, the cost of one independent sample that finds no edge.
     sample_px: px of contour per independent sample.
@@ -85,7 +85,7 @@ class EdgeSettings(NamedTuple):
 class FlowSettings(NamedTuple):
     """Settings of the flow term, which compares inner nodes with optical flow.
 
-    form, sigma_px, height: of the loss, as for edges.
+    form, sigma_px, height: form, scale (px) and height of the loss, as for edges.
     area_px: side of the square that makes one independent sample, px.
     spacing_px: distance of the grid's nodes, px.
     consistency_px: nodes with a larger forward-backward error are outliers.
@@ -102,7 +102,7 @@ class FlowSettings(NamedTuple):
 class MaskSettings(NamedTuple):
     """Settings of the silhouette term, which compares the outer contour with a mask.
 
-    form, sigma_px, height: of the loss, as for edges; height 0: the term is left out.
+    form, sigma_px, height: form, scale (px) and height of the loss, as for edges; height 0: the term is left out.
     sample_px: px of contour per independent sample.
     """
 
@@ -117,7 +117,7 @@ class EdgeArrays(NamedTuple):
 
     field: (h, w, 2) image gradient in units of a full edge, weighted by the motion boundaries.
     use: False: the term is omitted.
-    settings: of the term.
+    settings: settings of the term.
     """
 
     field: NDArray[np.float32]
@@ -131,7 +131,7 @@ class FlowArrays(NamedTuple):
     flow: (h, w, 2) px from the previous picture to this one, of a part of the image; (0, 0, 2) where there is none.
     error: (h, w) px, forward-backward.
     corner: (2,) x, y of the part's first pixel.
-    settings: of the term.
+    settings: settings of the term.
     """
 
     flow: NDArray[np.float32]
@@ -146,7 +146,7 @@ class MaskArrays(NamedTuple):
     distance: (h, w) signed distance to the mask's edge, px, negative inside; (0, 0): the term is omitted.
     outline: (K, 2) px, points of the mask's outline.
     outline_share: px of outline for which one of these points stands.
-    settings: of the term.
+    settings: settings of the term.
     """
 
     distance: NDArray[np.float32]
@@ -206,7 +206,7 @@ class MonoWorkspace(NamedTuple):
 def model(tree: TreeArrays, mesh: MeshArrays, carried: NDArray[np.bool_], projection: Array) -> MonoModel:
     """Make the model of a body before a camera.
 
-    tree, mesh: of the body.
+    tree, mesh: joint tree and mesh of the body.
     carried: (J,) joints that the estimated degrees of freedom move.
     projection: (3, 4) pinhole.
     """
@@ -560,7 +560,7 @@ def warm_up(tree: TreeArrays, mesh: MeshArrays, pose: Array, projection: Array) 
     """Compile (or load from the cache) every kernel of monocular tracking on a toy body at pose (D,), before a pinhole
     (3, 4) of 32 x 32 px.
 
-    tree, mesh: of the body.
+    tree, mesh: joint tree and mesh of the body.
     """
     still, error = np.zeros((32, 32, 2), np.float32), np.zeros((32, 32), np.float32)
     picture = PictureArrays(

@@ -56,7 +56,7 @@ def _step(area: float) -> int:
 def rim_edges(masks: PreparedMasks, edges: NDArray[np.uint8] | None) -> tuple[NDArray[np.float32], ...]:
     """Compute the strength of colour edges for `colour_sums`.
 
-    masks: of the frame.
+    masks: masks of the frame.
     edges: (C, 2, h, w) changes of colour; None: zeros.
     Returns: per view (2, h, w), at the pixels that `colour_sums` reads: the change of colour in multiples of the usual
         change within the mask, at most 1, minus its mean over the mask.
@@ -90,11 +90,11 @@ def colour_sums(
 
     vertices: (N, V, 3) m.
     faces, part: (F, 3), and (F,) part of each.
-    masks: of the frame.
+    masks: masks of the frame.
     codes: (C, h, w) colour of each pixel.
     table: (C, P, K) value by part and colour.
     limb: (F,) limb of each face; None: one limb.
-    edges: of `rim_edges`; None: zeros.
+    edges: as returned by `rim_edges`; None: zeros.
     Returns: (N, C) sums of the table over the pixels of the mask in which the body shows a part; (N, C) sums of the
         edges along the rims of limbs in front of others. 0 in views that are not usable. Of large masks only every
         second pixel or so is read.

@@ -39,7 +39,7 @@ _ROWS, _VIEWS, _FORMED = 0, 1, 2
 def fold(tree, twists, wrench_hessian, wrench_gradient, hessian, gradient):
     """Convert sums per joint to gradient (D,) and Gauss-Newton matrix (D, D).
 
-    tree: of the body.
+    tree: joint tree of the body.
     twists: (D, 6) of the pose.
     wrench_hessian, wrench_gradient: (J, 21) and (J, 6) sums per joint.
 
@@ -168,7 +168,7 @@ def bounded_step(
 def form_found(found_of, mesh, ws):
     """Make rows of all found contour points that have none yet; found_of: see cost_at.
 
-    mesh, ws: of the body, and scratch memory with the found points.
+    mesh, ws: mesh of the body, and scratch memory with the found points.
     """
     cameras, first, state = found_of
     for c in range(state[_FORMED], state[_VIEWS]):
@@ -221,7 +221,7 @@ def found_contours(
     """Find the two-way contour rows of a posed body in one view.
 
     vertices: (V, 3) m, world.
-    mesh, contours, ws: of the body, of that view alone, and scratch memory.
+    mesh, contours, ws: mesh of the body, contours of that view alone, and scratch memory.
     scale: robust scale, px.
     Returns: (N, 2) vertices of the edge of each row; (N, 5): place on the edge 0..1, gradient of the residual along u
         and v per px, weight (derivative of the loss included), residual, px; the cost.
@@ -237,7 +237,7 @@ def found_contours(
 def cost_at(q, tree, mesh, contours, scale, keypoints, points, depth, priors, ws, found_of, counts):
     """Compute the cost at pose q (D,).
 
-    tree, mesh: of the body.
+    tree, mesh: joint tree and mesh of the body.
     contours, keypoints, points, priors: ContourArrays, KeypointArrays, PointArrays, PriorArrays.
     scale: robust scale of the contours, px.
     ws: scratch memory.
@@ -381,7 +381,7 @@ MOST_FOUND = 3072
 def workspace(tree: TreeArrays, mesh: MeshArrays, height: int, width: int) -> Workspace:
     """Make scratch memory for `solve` and `evaluate` on images up to (height, width); one per thread.
 
-    tree, mesh: of the body.
+    tree, mesh: joint tree and mesh of the body.
     """
     v, f, e, j, d = len(mesh.vertices), len(mesh.faces), len(mesh.edges), len(tree.parents), len(tree.axes)
     f4, i4 = np.float32, np.int32
@@ -449,7 +449,7 @@ def evaluate(
 ) -> Evaluation:
     """Compute cost and derivatives of all evidence at one pose (D,).
 
-    tree, mesh: of the body.
+    tree, mesh: joint tree and mesh of the body.
     cues, priors: evidence and priors of the frame.
     ws: scratch memory.
     coarse: whether to use the coarse scale of the contours.
@@ -486,10 +486,10 @@ def solve(
 ) -> Solution:
     """Solve the pose of one frame by bounded damped Gauss-Newton; releases the GIL.
 
-    tree, mesh: of the body.
+    tree, mesh: joint tree and mesh of the body.
     start: (D,) pose.
     cues, priors: evidence and priors of the frame.
-    settings: of the solve.
+    settings: settings of the solve.
     ws: scratch memory.
     Raises: SolverError where the cost at the start is not finite.
     """

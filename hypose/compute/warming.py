@@ -200,7 +200,7 @@ TRACKING_KERNELS = ("solver", "scorer", "outlines", "pictures")
 def warm_up(*names: str, load: bool = True, progress: Callable[[int, int], None] | None = None) -> float:
     """Compile groups of kernels, in one process per core where that is worth it; return the seconds that it took.
 
-    names: of KERNEL_GROUPS; none: TRACKING_KERNELS.
+    names: names of KERNEL_GROUPS; none: TRACKING_KERNELS.
     load: whether to load kernels that are in the cache into this process too; else they are loaded at their first call.
     progress: called with how many of the groups that have to be compiled are done, when there are any.
 

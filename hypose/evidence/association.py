@@ -96,7 +96,7 @@ def choose(tracks: Sequence[PersonTrack]) -> int | None:
 def joined(tracks: Sequence[PersonTrack], names: Sequence[str], frame_rate: float) -> list[PersonTrack]:
     """Join tracks that are one person before and after a gap; those seen most come first.
 
-    tracks: of the whole clip; names: of the K key points; frame_rate: Hz.
+    tracks: tracks of the whole clip; names: names of the K key points; frame_rate: Hz.
     Two tracks are joined where the bones have the same lengths, the place can be reached in the gap, and no other
     person fits.
     """
@@ -136,7 +136,7 @@ def _at_once(tracks: Sequence[PersonTrack], i: int, j: int, k: int, m: int) -> b
 def _bones(track: PersonTrack, names: Sequence[str]) -> Array:
     """Compute the median lengths (B,), m, of the limbs' and the trunk's bones; NaN where seen in fewer than three.
 
-    names: of the K key points of the track.
+    names: names of the K key points of the track.
     """
     column = {n: i for i, n in enumerate(names)}
     out = np.full(len(_BONES) - 1, np.nan)
@@ -252,7 +252,7 @@ def people_of(
     candidates: per frame and view the detections (P, K, 3 or more) = (u px, v px, confidence, ...) in undistorted
         pixels of the pinhole `rig`, confidence 0 where missing; None where there is none. Further columns are kept. A
         candidate with fewer than four points is a part that may complete a person.
-    names: of the K points.
+    names: names of the K points.
     There is no person with one view alone, or with two that do not agree: see `hypose.evidence.one_person`.
     """
     given = (view.shape[2] for frame in candidates for view in frame if view is not None and len(view))
@@ -291,7 +291,7 @@ class _Followed:
 class Association:
     """Association of detections with people, frame by frame: call `step` for every frame, then `people`.
 
-    names: of the K key points; rig: pinhole cameras; frame_rate: Hz.
+    names: names of the K key points; rig: pinhole cameras; frame_rate: Hz.
     columns: number of columns of all candidates, at least 3 (u px, v px, confidence).
     """
 

@@ -103,7 +103,7 @@ def likely_clusters(
     """Cluster the likely surface points: points within the tolerance of each other (single linkage on a kd-tree).
 
     hull: whose surface points are used.
-    settings: limits of a cluster; stature: of the person, m; sizes grow in proportion to it.
+    settings: limits of a cluster; stature: stature of the person, m; sizes grow in proportion to it.
     probability: (S,) of the surface points.
     Returns: centres (E, 3), m, and mean probabilities (E,), largest cluster first.
     Source: Alcoverro 2014, eq. 2.18 and the clustering after it.
@@ -167,7 +167,7 @@ def detect_ends(
 ) -> tuple[Detections, Array]:
     """Detect the unnamed body ends of one frame from a detector's maps, on the surface of the silhouettes' hull.
 
-    stature: of the person, m; voxel: edge length of the hull, m; settings: limits of a cluster.
+    stature: stature of the person, m; voxel: edge length of the hull, m; settings: limits of a cluster.
     maps: (C, h, w) probabilities.
     centre: (3,) m, approximate place of the person (the start pose's pelvis); the hull is carved within 0.75 statures
         of it.

@@ -288,7 +288,7 @@ def seen_depth(depth: Depth, tall: int = TALL) -> tuple[NDArray[np.bool_], SeenD
 
 
 def silhouette_evidence(silhouettes: Silhouettes, weight: float) -> list[Evidence]:
-    """Prepare masks for tracking; an empty list where no view has an outline. weight: of a contour row."""
+    """Prepare masks for tracking; an empty list where no view has an outline. weight: weight of a contour row."""
     masks = prepared_masks(silhouettes)
     try:
         contours = contour_term(silhouettes, weight=weight, working_height=WORKING_HEIGHT)

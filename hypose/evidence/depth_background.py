@@ -91,7 +91,7 @@ def learn_background(maps: Sequence[DepthMap]) -> DepthBackground:
 def with_still_things(room: DepthBackground, maps: Sequence[DepthMap], camera: Camera) -> tuple[DepthBackground, float]:
     """Add things to the room that were not there when it was empty.
 
-    camera: of the maps, placed in the world.
+    camera: camera of the maps, placed in the world.
     maps: (h, w) m, spread over a recording. A thing keeps its place while a person moves elsewhere.
     Returns: the new room, and the visible area of the things, m^2; the same room and 0 where no person is ever far
         enough away to know this.
@@ -128,7 +128,7 @@ def with_still_things(room: DepthBackground, maps: Sequence[DepthMap], camera: C
 def _place(camera: Camera, own: NDArray[np.bool_], depth: DepthMap) -> NDArray[np.float64]:
     """Compute where on the floor (2,), m, the middle of some pixels (h, w) stands.
 
-    own: (h, w) the pixels; depth: (h, w) m, 0 = hole; camera: of the map, placed in the world.
+    own: (h, w) the pixels; depth: (h, w) m, 0 = hole; camera: camera of the map, placed in the world.
     """
     v, u = np.nonzero(own & (depth > 0))
     return np.median(in_world(camera, back_projected(camera, u, v, depth[v, u]))[:, :2], axis=0)
@@ -172,7 +172,7 @@ def people_before(depth: DepthMap, background: DepthBackground) -> Mask:
 def person_on_floor(depth: DepthMap, camera: Camera, room: DepthMap | None = None) -> Mask:
     """Segment the piece most like a person among everything that stands on the floor (z = 0), split at jumps of depth.
 
-    depth: (h, w) m; camera: of the map, placed in the world (floor at z = 0).
+    depth: (h, w) m; camera: camera of the map, placed in the world (floor at z = 0).
     room: (h, w) distance of the room, m, 0 = unknown (`unlike_people`).
     Returns: (h, w) 0 or 1; all 0 where nothing has a person's size.
     """
@@ -187,7 +187,7 @@ def person_on_floor(depth: DepthMap, camera: Camera, room: DepthMap | None = Non
 def people_on_floor(depth: DepthMap, camera: Camera, room: DepthMap | None = None) -> Mask:
     """Segment everything on the floor of a depth map (h, w), m, that may be a person, or a part of one next to another.
 
-    camera: of the map; room: as for `person_on_floor`.
+    camera: camera of the map; room: as for `person_on_floor`.
     Returns: (h, w) 0 or 1.
     """
     own = _standing(_without(depth, room), camera).people()
@@ -198,7 +198,7 @@ def unlike_people(maps: Sequence[DepthMap], camera: Camera) -> DepthMap:
     """Find the parts of a recording that stand still and are not like a person: walls, small things, things as wide as
     a box.
 
-    camera: of the maps, placed in the world (floor at z = 0).
+    camera: camera of the maps, placed in the world (floor at z = 0).
     maps: (h, w) m, spread over the recording.
     Returns: (h, w) their distance, m, 0 elsewhere. A person who stands still the whole time is not included; walls are,
         also where a person passes in front of them.
@@ -288,7 +288,7 @@ class _Standing:
 def _standing(depth: DepthMap, camera: Camera) -> _Standing:
     """Split everything on the floor of a depth map (h, w), m, into pieces, and judge how like a person each is.
 
-    camera: of the map, placed in the world (floor at z = 0).
+    camera: camera of the map, placed in the world (floor at z = 0).
     """
     v, u = np.indices(depth.shape)
     world = in_world(camera, back_projected(camera, u, v, depth))
@@ -318,7 +318,7 @@ def behind_things(
     not.
 
     depth: maps of the same views; None: the silhouettes are returned as they are.
-    rooms: of each view; None: unknown.
+    rooms: rooms of each view; None: unknown.
     Returns: the silhouettes with ignored pixels; the same silhouettes where nothing stands in front.
     """
     if depth is None:

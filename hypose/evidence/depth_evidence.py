@@ -65,7 +65,7 @@ class Depth:
         see `rig.sizes`.
     person: (C, h, w) uint8, 1 = the person.
     usable: (C,) False for a view without a map, for example one that is no depth camera.
-    noise: of the sensors.
+    noise: noise of the sensors.
     blank: (C,) depth cameras whose whole map is a hole; None: none.
     """
 

@@ -228,7 +228,7 @@ def own_depth(
 def _away(shape: StandingShape, at: NDArray[np.int64], points: Array) -> Array:
     """Compute the distance (N,), m, of measured pixels (N, 3), at points (N, 3), m, from a person; inf where it is far.
 
-    shape: of the person; the pixels of a shape that is given as masks are _CLUSTER_M away, all others inf.
+    shape: shape of the person; the pixels of a shape that is given as masks are _CLUSTER_M away, all others inf.
     """
     from scipy.spatial import KDTree  # takes long to import
 

@@ -33,7 +33,7 @@ class PoseDetector(Protocol):
         """Detect the people in a picture.
 
         image: (h, w, 3) BGR; pixel centres at integers.
-        number: of the picture in the video.
+        number: number of the picture in the video.
         before: expected places of the people of the previous picture.
         The result depends on these alone, so that interrupted work can be resumed.
         """

@@ -256,7 +256,7 @@ def _not_ghosts(left: Silhouettes, found: list[HullPerson], least: int) -> list[
 def _part(hull: Hull, chosen: NDArray[np.bool_], axis: Array) -> Hull:
     """Select the part of the chosen voxels (M,) that is connected to those near the axis (2,).
 
-    hull: of all people; returned is a hull cut to the part.
+    hull: hull of all people; returned is a hull cut to the part.
     """
     index = np.argwhere(hull.occupancy)
     kept = np.zeros_like(hull.occupancy)

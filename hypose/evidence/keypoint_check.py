@@ -279,7 +279,7 @@ def misread(people: Sequence[Sequence[Array | None]], names: Sequence[str], rig:
 
     rig: the calibrated cameras.
     people: per view and frame the people (P, K, 3), px of the calibrated, distorted cameras; None: no file.
-    names: of the K points.
+    names: names of the K points.
     Returns: a part of a sentence that names the error; None where nothing is wrong, it cannot be known, or the
         calibration is wrong, which other checks report.
     """

@@ -35,7 +35,7 @@ class LimbSettings:
     wrong: cost of a pixel of the wrong limb in a search, relative to one outside the mask.
     along: places on a limb's bone, in lengths of the bone, that a solve draws to the middle line of its region; values
         above 1 are in the hand.
-    weight: of such a place in one view; sd_of_height: sd of its offset, in heights of the person.
+    weight: weight of such a place in one view; sd_of_height: sd of its offset, in heights of the person.
     few: pixels that a limb must show to have a region; middles: pixels of its middle line that are used.
     """
 

@@ -168,7 +168,7 @@ def _by_motion(columns, of_view, names, width: int, notes: tuple[str, ...]) -> O
     Of equals, the people present longest are taken.
 
     columns: per view the candidates of each frame; of_view(c): the people of view c, see `view_tracks`.
-    names: of the K points; width: columns of a point; notes: sentences for the user.
+    names: names of the K points; width: columns of a point; notes: sentences for the user.
     """
     found = [of_view(c)[:_COMPARED] for c in range(len(columns))]
     shown = [c for c, people in enumerate(found) if people]
@@ -209,7 +209,8 @@ def _alike(
     """Find the points (T, K, width) of the person in one view who moves like the person (T, C, K, 3) in the other
     views.
 
-    column: candidates of the view in each frame; tracks: the people of the view, see `view_tracks`; names: of the K
+    column: candidates of the view in each frame; tracks: the people of the view, see `view_tracks`; names: names of the
+        K
         points; width: columns of a point.
     All zero where no person does.
     """

@@ -195,7 +195,7 @@ def _squares(width: int, height: int) -> list[tuple[int, int, int]]:
     """List the squares (x, y, side), px, that the detector processes: the whole picture, and parts for people who are
     too small in the whole.
 
-    width, height: of the picture, px.
+    width, height: width and height of the picture, px.
     """
     most, side = max(width, height), round(_PART * min(width, height))
 

@@ -33,7 +33,8 @@ _Views = Callable[[], list[ViewOutline | None] | None]
 
 @dataclass(frozen=True)
 class _Made:
-    """Results kept with silhouettes; views: function that waits for the outlines; stacked, masks: of `outlines`,
+    """Results kept with silhouettes; views: function that waits for the outlines; stacked, masks: as returned by
+    `outlines`,
     `prepared_masks`."""
 
     views: _Views | None = None
@@ -114,7 +115,8 @@ def _outline(
 ) -> ViewOutline:
     """Compute the outline of one view, of size (w, h), without the ignored pixels.
 
-    silhouettes: of the frame; view: its index; count: number of points; working_height: as for `view_outline`.
+    silhouettes: silhouettes of the frame; view: its index; count: number of points; working_height: as for
+        `view_outline`.
     """
     w, h = size
     mask, ignored = silhouettes.masks[view, :h, :w], silhouettes.ignored

@@ -114,7 +114,8 @@ class Other:
 def _hide(ignored: NDArray[np.uint8], shape: StandingShape, view: int, share: float, within: Sequence[int]) -> None:
     """Draw the widened silhouette of a shape into ignored (h, w), inside y0, y1, x0, x1, in place.
 
-    ignored: changed in place; view: index of the view; share: of the longer side of the box by which the silhouette is
+    ignored: changed in place; view: index of the view; share: share of the longer side of the box by which the
+        silhouette is
         widened; within: the region.
     """
     y0, y1, x0, x1 = shape.boxes[view].tolist()

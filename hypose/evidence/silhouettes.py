@@ -279,7 +279,7 @@ def flag_collapsed(
 ) -> tuple[str, ...]:
     """Find the views whose mask cannot be trusted.
 
-    names: of the C cameras; frame: its number, for the sentences; lowest, highest: the shares named below.
+    names: names of the C cameras; frame: its number, for the sentences; lowest, highest: the shares named below.
     areas: (C,) foreground pixels of this frame.
     history: (C, H) areas in frames around or before it (H may be 0).
     Returns: C sentences, "" for a good view. A mask is bad when it is empty, above `highest` times its median area,
@@ -364,8 +364,8 @@ def with_doubted_limbs(
     """Widen the band (h, w) around every limb that the mask (h, w) does not confirm; None if it confirms all.
 
     band: pixels near the 2D skeleton, to which the mask was cut.
-    points: (K, 3) px and confidence; names: of the points.
-    height: of the person, px.
+    points: (K, 3) px and confidence; names: names of the points.
+    height: height of the person, px.
     A limb without its root point is left alone. If most complete limbs lie outside the mask, return a band of ones: the
     skeleton is in the wrong place.
     """

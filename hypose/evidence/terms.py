@@ -90,7 +90,8 @@ class ContourTerm(Term):
     sdf: (C, h, w) float32 signed distance, px, negative inside.
     outline: (C, K, 2) float32 points on the mask's edge, px.
     usable: (C,); sizes: (C, 2) width, height; projections: (C, 3, 4) pinhole.
-    weight: of one row at the reference density (rows 6 px apart on a person 260 px tall, 130 outline points a view).
+    weight: weight of one row at the reference density (rows 6 px apart on a person 260 px tall, 130 outline points a
+        view).
     scale_px, coarse_scale_px: Geman-McClure scale of the distance.
     row_spacing_px: distance of the forward rows along the body's outline.
     outline_count: K (at most 1000).
@@ -259,7 +260,7 @@ def contour_term(
 ) -> ContourTerm:
     """Build the contour evidence of a frame's masks.
 
-    weight: of one row at the reference density.
+    weight: weight of one row at the reference density.
     outline_count: points per view.
     working_height: px, for tracking: views in which the person is 1.5 times as tall are computed in larger pixels, and
         distances only around the person.

@@ -98,7 +98,7 @@ class Problem(ABC, Generic[State, Equations]):
         """Propose another state, and how far it is in the units of Rule.moved; None: the equations are not positive
         definite.
 
-        equations: of the state; damping: relative to the diagonal of the Hessian.
+        equations: equations of the state; damping: relative to the diagonal of the Hessian.
         """
 
     def solve(self, start: State, iterations: int, rule: Rule) -> Descent[State, Equations]:
@@ -365,7 +365,7 @@ class PoseProblem(SharedProblem[Shared]):
         """Solve with one factor of the robust scales after the other, the coarsest first.
 
         start: (shared unknowns, poses).
-        factors: of the robust scales.
+        factors: factors of the robust scales.
         iterations: largest number per factor.
         moved: stop when a step is smaller than this.
         """

@@ -24,9 +24,9 @@ from hypose.geometry import Array
 class LiveSettings:
     """Settings of the live fusion.
 
-    align: of clocks, rates and output instants.
-    people: of identities and sensor positions.
-    fit: of the articulated fit of one skeleton.
+    align: align of clocks, rates and output instants.
+    people: people of identities and sensor positions.
+    fit: fit of the articulated fit of one skeleton.
     """
 
     align: AlignSettings = field(default_factory=AlignSettings)
@@ -38,7 +38,7 @@ class LiveSettings:
 class LiveSkeleton:
     """One fused person in an output frame.
 
-    id: of the person.
+    id: identifier of the person.
     joints: (15, 3) m, joints.COMMON in the frame of the first sensor.
     sd: (15,) m per axis.
     sensors: names of the sensors that see the person now.
@@ -73,7 +73,7 @@ class LiveFrame:
 class LiveFuser:
     """Live fusion of the skeletons of several people from several sensors.
 
-    settings: of alignment, identities and fit.
+    settings: settings of alignment, identities and fit.
 
     Call `push` for every report as it arrives, and `poll` at the time `due()` or more often. All times are s of one
     monotonic host clock.
@@ -125,7 +125,7 @@ class LiveFuser:
         """Fuse one person at an instant.
 
         p: the person's skeletons.
-        names: of all sensors.
+        names: names of all sensors.
         now: s of the host's clock.
         """
         positions, eyes = np.full((len(names), 15, 3), np.nan), np.full((len(names), 3), np.nan)

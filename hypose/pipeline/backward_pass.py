@@ -91,7 +91,7 @@ def backward_pass(
 ) -> tuple[list[FrameEstimate], int]:
     """Track backwards from each jump of an arm, and replace estimates for which the later frames give a better pose.
 
-    estimates: of the frames 0, 1, ...
+    estimates: estimates of the frames 0, 1, ...
     frames: reads a range of frames.
     memory: what the recipe has learned about the person.
     progress: called with frames done, total.

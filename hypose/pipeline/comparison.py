@@ -168,7 +168,7 @@ class Agreement:
     """Agreement of one joint (mm) or one angle (degrees; mm for positions) between both motions.
 
     n: number of frames.
-    median, p95, rmse: of the distance; for angles of the absolute difference.
+    median, p95, rmse: median, 95th percentile and root mean square of the distance; for angles of the absolute difference.
     offset: length of the constant part.
     median_left, p95_left, rmse_left: the same without the constant part.
     bias, low, high: mean difference (other - ours) and limits of agreement per axis (1 for angles, 3 for joints), after
@@ -506,7 +506,7 @@ def _agreement(
 ) -> Agreement | None:
     """Compute the agreement of one joint or angle; None with fewer than three frames in common.
 
-    name, unit: of the joint or angle.
+    name, unit: name and unit of the joint or angle.
     mine, theirs: (T, D) in that unit, NaN where not known.
     constant: (T, D) constant part of theirs - mine.
     covered: share of frames in the confidence region, per level.

@@ -83,7 +83,7 @@ class SubjectOptions:
     girths: fit girths to the silhouettes where the body comes from key points.
     body: the template; with `known` the subject's own body.
     frame_rate: Hz.
-    seed: of random numbers.
+    seed: seed of random numbers.
     known: the body is kept, and only the start pose is searched.
     shared: the masks also show other people, see `best_ways`.
     tried: frame numbers and starts that may be right, see `best_ways`.

@@ -172,7 +172,7 @@ def find_anomalies(
     overlap, change, others: (T, C) columns of `view_statistics`.
     known: (T,) frames in which the person was found.
     frame_rate: Hz.
-    names: of the views.
+    names: names of the views.
     Returns: description and frames (T,) of each anomaly.
     """
     overlap, change = np.asarray(overlap, dtype=np.float64), np.asarray(change, dtype=np.float64)

@@ -51,8 +51,8 @@ class GaitEvent:
 class GaitStep:
     """Step from the other foot's strike to this foot's strike.
 
-    side: of the foot that strikes.
-    time: of the strike, s.
+    side: side of the foot that strikes.
+    time: time of the strike, s.
     duration: s.
     length, width: between the heels along and across the facing direction, m.
     duration_sd, length_sd, width_sd: standard deviations.

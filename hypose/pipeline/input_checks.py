@@ -36,7 +36,7 @@ def check_inputs(
     """Check the calibration and the key points of a source for gross faults; nothing is checked with one camera.
 
     evidence: evidence that will be tracked from.
-    height: of the person, m, where known.
+    height: height of the person, m, where known.
     frame_rate: Hz.
     """
     rows, frames = _rows(len(source)), _some(source)

@@ -38,7 +38,7 @@ def correct_left_right(
 ) -> tuple[list[FrameEstimate], list[range]]:
     """Track stretches again in which left and right were exchanged.
 
-    estimates: of the frames 0, 1, ...
+    estimates: estimates of the frames 0, 1, ...
     frames: reads a range of frames.
     sure_start: frame 0 is known to be the right way round; what follows from it is kept.
     memory: what the recipe has learned about the person.

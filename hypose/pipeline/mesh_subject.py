@@ -73,7 +73,7 @@ def rig_mesh(mesh: str | Path | PersonMesh | Mesh, *, unit: str = "m", height: f
     """Rig a person's mesh; joints and weights of a skinned file are kept.
 
     mesh: file (OBJ, PLY, STL, GLB, SMPL npz) or mesh in memory.
-    unit: of the coordinates: m, dm, cm, mm, in or ft.
+    unit: unit of the coordinates: m, dm, cm, mm, in or ft.
     height: stature (arms down), m; scales the person whatever the unit.
     Raises: InputError names the cause (open surface, in parts, unit, pose) and the next step.
     """

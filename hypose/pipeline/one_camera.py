@@ -308,7 +308,7 @@ def load_clicks(path: str | Path, recording: Recording) -> Clicks:
 def _click(path: Path, name: str, at: Any, size: tuple[int, int]) -> tuple[float, float]:
     """Check one click of a file and return it as (u, v), px.
 
-    path: of the file, for messages.
+    path: path of the file, for messages.
     name, at: joint and its value in the file.
     size: (width, height) of the picture.
     Raises: InputError where the joint does not exist, or its place is not two numbers inside the picture.
@@ -553,7 +553,7 @@ def _far(body: Body, pose: Array, keypoints: Keypoints) -> float:
     person's size in the picture from those of a posed body.
 
     pose: (D,).
-    keypoints: of one camera.
+    keypoints: key points of one camera.
     Returns: 0 to 1; NaN where fewer than four key points of the limbs are seen.
     """
     points = np.nan_to_num(keypoints.points[0])
@@ -572,7 +572,7 @@ def _outside(body: Body, pose: Array, silhouettes: Silhouettes) -> float:
     times the longer side of its box; joints outside the picture do not count.
 
     pose: (D,).
-    silhouettes: of one camera.
+    silhouettes: silhouettes of one camera.
     Returns: 0 to 1; NaN without a mask, or with no joint in the picture.
     """
     w, h = silhouettes.rig[0].size

@@ -167,7 +167,7 @@ class PeopleFinder:
     ) -> Followed:
         """Fit a person's body to the evidence that is theirs alone in the frames `numbers`.
 
-        paths: of all people.
+        paths: paths of all people.
         who: index of the person.
         rough: rough tracks of all people.
         alone: no other person is there.

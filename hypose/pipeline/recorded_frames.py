@@ -142,7 +142,7 @@ def picture_options(recording: Recording, start: str, evidence: str) -> FrameSet
     """Select the settings with which the pictures of a recording of one camera are read: their size, from the size of
     the person, and the masks.
 
-    recording: of one camera.
+    recording: recording of one camera.
     start: one of POINT_STARTS, or a file of clicks.
     evidence: one of `tracking.monocular.recipe.PICTURE_CUES`.
     """

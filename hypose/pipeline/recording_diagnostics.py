@@ -195,7 +195,7 @@ def refine_recording(
         start).
     late: (C,) frames by which views are late.
     fixed: names of cameras that stay.
-    height: of the person, m, sets the scale; None: the length of the person's limbs is kept.
+    height: height of the person, m, sets the scale; None: the length of the person's limbs is kept.
     most: most frames that are used.
     Raises: EvidenceError or InputError names the missing input.
     """

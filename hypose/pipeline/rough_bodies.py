@@ -118,7 +118,7 @@ def rough_bodies(
 ) -> list[RoughTrack | None]:
     """Track all people on paths roughly through the frames `numbers`.
 
-    rate: of these frames, Hz.
+    rate: rate of these frames, Hz.
     templates: per person the template, and the height (m) where known.
     Returns: one track per person; None where no start explains the masks.
     """

@@ -63,7 +63,7 @@ class TrackResult:
     places: corrected places of depth cameras.
     unsure: that of the subject (`TrackedSubject`).
     judged: assessment of a result that was loaded; None: it is made of motion and findings.
-    name: of the person; empty where one person was tracked.
+    name: name of the person; empty where one person was tracked.
     present: (T,) frames in which the person is there; in the others the motion is filled and marked as lost. None: the
         person is there in all frames.
     """

@@ -249,8 +249,8 @@ def assess_fused(
     """Assess one person's fused motion.
 
     clip: what the sensors reported of the person at the motion's times.
-    registration: of the sensors.
-    names: of the sensors.
+    registration: registration of the sensors.
+    names: names of the sensors.
     """
     late = [Finding("clock", (), t) for t in _of_clocks(motion.times, clip, names)]
     found = [*(Finding("unit", (), text) for text in _of_size(motion)), *late]

@@ -170,7 +170,7 @@ def way_of(
     """Track a start through the frames after it and before it, with few particles.
 
     at: number of the start's frame.
-    rate: of the frames, Hz.
+    rate: rate of the frames, Hz.
     best: cheapest trial so far.
     Returns: the trial; None as soon as it clearly costs more than `best`.
     """
@@ -230,7 +230,7 @@ def best_ways(
 ) -> BestWays:
     """Find the start poses that explain the silhouettes of frames best, with their weights.
 
-    rate: of the frames, Hz.
+    rate: rate of the frames, Hz.
     poses: names of known poses; a single one is expected in the first frame.
     height: m, where known.
     shared: the masks also show other people; then starts of several frames are tracked through all frames.

@@ -47,12 +47,12 @@ class AnthropometryOptions:
 
     frames: number of different poses that are fitted.
     tracked: number of frames that are tracked to find them.
-    rate: of these frames, Hz.
-    particles: of the tracker.
+    rate: rate of these frames, Hz.
+    particles: particles of the tracker.
     passes: with 2, the frames are tracked again with the fitted body.
     height, mass: m and kg, where known.
     poses: known poses that the person may have at the start.
-    seed: of random numbers.
+    seed: seed of random numbers.
     shape: settings of the solver.
     shared, tried: as for `best_ways`; `tried` with frame numbers of the recording.
     """

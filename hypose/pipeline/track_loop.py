@@ -116,13 +116,13 @@ def tracker_of(
 class Followed:
     """State of a person who is tracked.
 
-    name: of the person; empty where there is only one.
+    name: name of the person; empty where there is only one.
     subject: body and start.
     member: tracker and its state after the last tracked frame.
     asked_for: the result is wanted.
-    estimates: of each frame so far.
-    present: of each frame so far, whether the person is there.
-    hidden: of each frame so far, whether others hide the person from all views but one.
+    estimates: estimates of each frame so far.
+    present: for each frame so far, whether the person is there.
+    hidden: for each frame so far, whether others hide the person from all views but one.
     gone: number of frames since the person was last seen.
     track: number of the person's track of key points; None: not known yet.
     appearance: model of the clothes.

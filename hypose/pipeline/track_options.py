@@ -26,7 +26,7 @@ class TrackOptions:
     recipe: name of a preset.
     refine: contour refinement after a published recipe.
     evidence: one that the preset allows; None: its usual one.
-    seed: of random numbers.
+    seed: seed of random numbers.
     start, height, girths: see SubjectOptions; for one camera see `subject_in_picture`.
     subject: file of a given body.
     smooth: solve all frames together at the end, if the recipe does that.

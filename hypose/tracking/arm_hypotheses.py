@@ -86,7 +86,8 @@ class RefineRivals:
     arm found elsewhere).
     arms: tables of reach, each with a function that decides when it is searched.
     keep: largest number of hypotheses.
-    options: of solves from a prediction; near: of solves that begin near their end; with_depth: of all solves where
+    options: options of solves from a prediction; near: near of solves that begin near their end; with_depth: with depth
+        of all solves where
         there are depth cameras.
     margin: share of the energy that the limb search must gain before its result is solved.
     look: choice of arms from the table; contest: comparison of hypotheses; colours: comparison by pictures.

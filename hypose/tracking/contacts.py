@@ -134,7 +134,7 @@ class FootMotion:
 def foot_motion(positions: Array, contacts: Contacts, frame_rate: float) -> FootMotion:
     """Measure the sliding of the soles' points (T, 4, 3), m, over given contacts.
 
-    positions: of the soles; frame_rate: Hz. The sliding is 0 where there is no contact.
+    positions: positions of the soles; frame_rate: Hz. The sliding is 0 where there is no contact.
     Use the same contacts for all motions that are compared.
     """
     both = contacts.touching[1:] & contacts.touching[:-1]

@@ -274,7 +274,7 @@ def angle_variance(skeleton: Skeleton, poses: Array, covariance: Array) -> Array
 def _belongs(name: str, begin: str) -> bool:
     """Decide whether an angle is in a set: 'hip_r' holds hip_flexion_r, 'pelvis' holds pelvis_tilt.
 
-    name: of the angle; begin: of the set, see _SETS.
+    name: name of the angle; begin: begin of the set, see _SETS.
     """
     part, _, side = begin.rpartition("_")
     return name.startswith(f"{part}_") and name.endswith(f"_{side}") if part else name.startswith(f"{begin}_")

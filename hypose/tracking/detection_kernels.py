@@ -83,7 +83,7 @@ def found_ends(body: Body, ends: Landmarks, frame: PreparedFrame) -> dict[int, A
 class DetectedLimb:
     """Limb that analytic inverse kinematics can pose: a ball joint, the hinge below it, and the end it carries.
 
-    joint: index of the ball joint; parent: of the joint that carries it.
+    joint: index of the ball joint; parent: parent of the joint that carries it.
     ball, hinge: their first coordinates.
     upper: (3,) hinge minus ball; lower: (3,) end minus hinge; axis: (3,) of the hinge; in the model frame at rest, m.
     The end is fixed to the hinge's segment (wrists do not move; an ankle's own freedom does not move its centre).

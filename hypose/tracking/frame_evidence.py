@@ -130,7 +130,7 @@ def prepare(
 
     prediction: (D,) predicted pose.
     use_silhouettes, use_keypoints: cues that are wanted; depth and further cues are used where they exist.
-    contour_weight: of a contour row; keypoint_scale_px: noise of key points where it is not measured.
+    contour_weight: contour weight of a contour row; keypoint_scale_px: noise of key points where it is not measured.
     keypoints_on_body: where key points sit on the body (default: at its landmarks).
     own: evidence of the user's own.
     prediction_weight, usual_iou, done: see PreparedFrame.

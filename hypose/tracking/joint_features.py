@@ -252,7 +252,7 @@ def _span(reach: Array, nearby: float, most: int) -> tuple[int, int]:
 def _loose(body: Body, pose: Array, masks: PreparedMasks, index: int) -> Array:
     """Compute column "loose" (J,) of AUDITED by random small rotations of one arm; the arms take turns over the frames.
 
-    pose: (D,); masks: prepared for the scorer; index: of the frame.
+    pose: (D,); masks: prepared for the scorer; index: index of the frame.
     Returns: (J,) m; NaN for an arm whose turn it is not, 0 for joints of no arm.
     """
     s, mesh, out = body.skeleton, body.coarse.arrays, np.zeros(len(body.skeleton.joint_names))

@@ -83,7 +83,7 @@ def keypoint_term(
 ) -> KeypointTerm | None:
     """Build the solver's term of the key points of one frame; None when none of them is known and confident.
 
-    keypoints: of one frame, in undistorted px.
+    keypoints: key points of one frame, in undistorted px.
     model: where the points sit (default: at the body's landmarks).
     prediction: (D,) expected pose. With it, views that show another person are left out, exchanged sides are corrected
         (`check_sides_and_views`), and the model's noise in metres becomes pixels; without it the points are used
@@ -129,7 +129,7 @@ def with_masks(term: KeypointTerm, model: KeypointModel) -> KeypointTerm:
 def shows_another_person(keypoints: Keypoints, body: Body, model: KeypointModel, expected: Array, reach: float) -> bool:
     """Decide whether the detected person is another one: further from the expected pose than a person can move.
 
-    keypoints: of one frame; model: where they sit on the body.
+    keypoints: key points of one frame; model: where they sit on the body.
     expected: (D,) expected pose; reach: m that the person can have moved.
     It is decided by the median distance of the triangulated points or, with fewer than four, by the view with the
     largest median. False where nothing is seen, and where two views agree with the expectation (`check_sides_and_views`
@@ -171,7 +171,7 @@ def check_sides_and_views(
     """Correct key points of a frame: leave out views of another person (confidence 0), and exchange confused sides
     back.
 
-    names: of the K points.
+    names: names of the K points.
     points: (C, K, 3).
     expected: (C, K, 2) expected places, px.
     size: (C,) pixels per metre.

@@ -61,7 +61,7 @@ def calibrate_keypoints(
 ) -> KeypointModel:
     """Measure offsets and noise of the key points on frames of this person (T; some tens of different poses).
 
-    keypoints: of the frames; rounds: alternations of poses and offsets.
+    keypoints: key points of the frames; rounds: alternations of poses and offsets.
     model: where the points are expected; offsets stay within `offset_limits` of it.
     poses: (T, D) approximate poses, NaN rows where unknown (default: from triangulation).
     Returns: the model with measured offset, sd and view.

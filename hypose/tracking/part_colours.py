@@ -35,7 +35,7 @@ def pictured_arms(
 ) -> tuple[Array, PointTerm] | None:
     """Move the arms of a pose (D,) to the best place nearby by masks and pictures.
 
-    arms: tables of the arms; frame: prepared, with the counts in its memory; settings: of colours.
+    arms: tables of the arms; frame: prepared, with the counts in its memory; settings: settings for colours.
     Returns: the pose (D,) and a term that holds the arms there in a solve; None when no colours are known, or nothing
         nearby is better.
     """
@@ -58,7 +58,7 @@ def _one_arm(
 ) -> Array:
     """Move one arm of a pose (D,) to the best place nearby; return the same pose where it is the best.
 
-    frame: prepared, with the counts in its memory; settings: of colours.
+    frame: prepared, with the counts in its memory; settings: settings for colours.
     """
     body, o, masks = frame.body, settings, frame.silhouettes.masks
     rest = reach.standing(pose, body.skeleton.tree, body.coarse.arrays, masks, arm.moving)
@@ -108,7 +108,8 @@ class ColourSettings:
     memory: share of the previous counts that is kept in the next frame.
     few: number of pixels at which a part's own counts have half of the weight.
     most: largest log-likelihood ratio of one pixel.
-    weight: of the pictures' score relative to the mismatch; edges: of the rims of arms relative to the colours.
+    weight: weight of the pictures' score relative to the mismatch; edges: edges of the rims of arms relative to the
+        colours.
     tried: rivals whose arms are searched nearby; draws: samples at each of the steps; steps: rad, sd.
     ratio: largest energy of a sample relative to that of the estimate.
     hold, strength: m (one sd) and weight of the points that hold the arms in a solve.
@@ -149,7 +150,7 @@ def known_colours(frame: PreparedFrame, settings: ColourSettings) -> KnownColour
     """Look up the known colours of a frame, cached in its `shared`; None where there is no picture, or nothing was
     learnt.
 
-    frame: prepared, with the counts in its memory; settings: of colours.
+    frame: prepared, with the counts in its memory; settings: settings for colours.
     """
     if "known colours" not in frame.shared:
         counts, masks, known = frame.memory.get(COUNTS), frame.silhouettes.masks, None
@@ -165,7 +166,7 @@ def known_colours(frame: PreparedFrame, settings: ColourSettings) -> KnownColour
 def colour_scores(poses: Array, frame: PreparedFrame, settings: ColourSettings) -> Array:
     """Compute how badly the colours and edges of the pictures fit poses (N, D); zeros where no colours are known.
 
-    frame: prepared, with the counts in its memory; settings: of colours.
+    frame: prepared, with the counts in its memory; settings: settings for colours.
     Returns: (N,) mean over the views of: the negative log-likelihood ratio (visible part against whole person), summed
         over the pixels and divided by the mask's area; plus the misfit of edges along the rims of arms in front of the
         body, divided by the square root of that area.
@@ -185,7 +186,7 @@ def colour_scores(poses: Array, frame: PreparedFrame, settings: ColourSettings) 
 def table_of(counts: NDArray[np.float32], settings: ColourSettings) -> NDArray[np.float32]:
     """Compute the log-likelihood ratios (C, P, COLOURS) of each colour in a part against anywhere on the person.
 
-    counts: (C, P, COLOURS) number of pixels; settings: of colours.
+    counts: (C, P, COLOURS) number of pixels; settings: settings for colours.
     """
     whole = counts.sum(1, keepdims=True)
     share = (whole + 1e-3) / (whole + 1e-3).sum(2, keepdims=True)
@@ -197,7 +198,7 @@ def table_of(counts: NDArray[np.float32], settings: ColourSettings) -> NDArray[n
 class LearnColours:
     """Function that learns the colours of the parts from frames in which the pose is certain; see `Recipe.learn`.
 
-    settings: of colours.
+    settings: settings for colours.
     """
 
     settings: ColourSettings = ColourSettings()

@@ -218,7 +218,7 @@ def _published(
 ) -> Recipe:
     """Build a recipe that reports the mean of its set.
 
-    name: of the method; layers, particles: see `Recipe`; needs: kinds of evidence without which it cannot be used.
+    name: name of the method; layers, particles: see `Recipe`; needs: kinds of evidence without which it cannot be used.
     """
     return Recipe(name, layers, particles, needs, estimate=pose_mean(skeleton))
 
@@ -326,7 +326,7 @@ def dd_hpf(
     """Build the detector-driven hierarchical filter: `hpf` with a share of each layer's particles posed on detected
     body ends.
 
-    particles: number of hypotheses; nu: decay of the steps per layer; frame_rate: Hz; name: of the recipe.
+    particles: number of hypotheses; nu: decay of the steps per layer; frame_rate: Hz; name: name of the recipe.
     survival: survival rate of every layer; betas: fixed exponents, one per layer, None: the survival rate sets them.
     layers: name and joints of each layer.
     7 layers x 500 particles. Detected ends are hands, head or ankles; they come with the frames (`Frame.detections`) or

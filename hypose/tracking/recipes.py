@@ -79,7 +79,7 @@ def default(
     long-tailed steps (`LimbSearch`), because a local solve cannot move a limb by more than about 10 cm; (3) solves of
     the search result and of alternative arms (rivals), of which the silhouettes choose the best.
     particles: number of hypotheses.
-    iterations: of a solve.
+    iterations: number of iterations of a solve.
     rivals: largest number of poses kept from frame to frame, with the estimate.
     colours: also learn the colours of the person's parts, where there are pictures, and use them and the edges of
         sleeves to find arms. It helps with folded arms and takes half as much time again, so it is off by default.
@@ -106,7 +106,7 @@ def default(
 def _rivals(body: Body, turns: Sequence[InTurn], rivals: int, options: SolveSettings) -> RefineRivals:
     """Build the kernel that searches the tables of arms in their turns (one for each of LIMB_LAYERS).
 
-    rivals: largest number of poses kept, with the estimate; options: of solves.
+    rivals: largest number of poses kept, with the estimate; options: options of solves.
     """
     lower, upper = in_practice(body.skeleton)
     arms = [
@@ -126,7 +126,7 @@ def _turns(frame_rate: float) -> list[InTurn]:
 def _refined(base: Recipe, name: str | None = None) -> Recipe:
     """Add contour refinement after a recipe's last layer; its result is the estimate and moves the set.
 
-    base: the recipe; name: of the result (default: that of the base with "+refine").
+    base: the recipe; name: name of the result (default: that of the base with "+refine").
     """
     layer = Layer(ContourRefinement(), None, keep, "refinement")
     return _solving(replace(base, name=name or f"{base.name}+refine", layers=(*base.layers, layer)))
@@ -190,7 +190,7 @@ class Preset:
     def check(self, name: str, evidence: str, options: Iterable[str]) -> None:
         """Check that the recipe has this kind of evidence and these options.
 
-        name: of the recipe, for the message.
+        name: name of the recipe, for the message.
         Raises: InputError that names the wrong evidence or option and the recipes that have it.
         """
         if evidence not in self.evidence:

@@ -235,7 +235,7 @@ def keep_fits(frame: PreparedFrame, fits: Sequence[PoseFit], body: Body | None =
 def solve_poses(body: Body, starts: Array, frame: PreparedFrame, options: SolveSettings) -> list[PoseFit]:
     """Solve from the starts (N, D) as `refine` does, without storing the fits.
 
-    frame: prepared; options: of the solve. With depth at most DEPTH_TRIES damping trials are made.
+    frame: prepared; options: options of the solve. With depth at most DEPTH_TRIES damping trials are made.
     """
     trunk = anatomical_prior(body.skeleton, frame.keypoints.seen)
     priors = (trunk, prediction_prior(frame.prediction, frame.prediction_weight))

@@ -63,7 +63,7 @@ class ShapeSettings:
     """Settings of the refinement of shape and poses.
 
     iterations: Gauss-Newton steps of each stage; coarse: factor of the contour scale in each stage.
-    weight: of a contour row at the reference density, as for the pose solver (errors of one frame's rows are
+    weight: weight of a contour row at the reference density, as for the pose solver (errors of one frame's rows are
         correlated).
     pose_sd: how far poses may move from their start, rad.
     prior: factor on the anthropometric prior's weight.

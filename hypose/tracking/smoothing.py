@@ -64,7 +64,7 @@ _SAME_PACE = 1.1
 def usual_pace(skeleton: Skeleton, settings: ClipSettings) -> tuple[Array, Array]:
     """Return the usual accelerations and speeds (D,) of the coordinates, per s^2 and per s.
 
-    skeleton: of D coordinates; settings: limits.
+    skeleton: skeleton of D coordinates; settings: limits.
     """
     rest = np.ones(skeleton.dof - 3)
     return (

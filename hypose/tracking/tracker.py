@@ -52,12 +52,12 @@ class TrackerSettings:
 
     evidence: 'silhouettes', 'keypoints' or 'both'; with the picture of one camera also 'edges' (nothing else) and
         'auto' (all there is).
-    seed: of every random draw.
+    seed: seed of every random draw.
     frame_rate: Hz.
     prediction_weight: pull of a solve to the prediction at 25 fps; it grows with the square of the frame rate, as the
         prediction's error shrinks.
     lost_share, lost_floor: lost when the mean IoU falls below this share of its usual value, or below this value.
-    contour_weight: of a contour row.
+    contour_weight: contour weight of a contour row.
     keypoint_scale_px: robust scale of key points, px.
     extrapolate: s without evidence after which the person counts as lost.
     rival_every: s between two searches for a rival pose (left and right exchanged).
@@ -79,7 +79,7 @@ class TrackerSettings:
 class FrameEstimate:
     """Result of one frame.
 
-    pose: (D,); uncertainty: of the pose and its joints.
+    pose: (D,); uncertainty: uncertainty of the pose and its joints.
     cost: 1 - `agreement` with the masks; NaN without masks.
     lost: the person is lost; extrapolated: there was no evidence; n_views: number of views with evidence.
     overlap: (C,) IoU of the body with each view's mask, NaN where not usable; empty when not computed.
@@ -181,7 +181,7 @@ class TrackerState:
 class Tracker:
     """Tracker of one person.
 
-    body: the person's body; recipe: the method; settings: of the tracker.
+    body: the person's body; recipe: the method; settings: settings of the tracker.
     keypoints_on_body: where key points sit on the body.
     own: evidence of the user's own.
     Raises: InputError where the recipe needs evidence that the settings leave out.

@@ -54,7 +54,7 @@ class FusionServerOptions:
     token: secret that senders and listeners must show; where it is missing, one is made unless only this computer can
         connect.
     record: new folder for a recording; None: nothing is recorded.
-    settings: of the fusion.
+    settings: settings of the fusion.
     lines_per_s, burst: limits of received lines.
     clients: most WebSocket connections.
     waiting: messages kept for a slow listener.

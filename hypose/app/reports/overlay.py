@@ -104,7 +104,7 @@ def write_overlay(
     """Draw people over their recording, several of them each in a colour of their own. The recorded pictures are read
     once.
 
-    path: of the video; not used without a video.
+    path: path of the video; not used without a video.
     source: gives the silhouettes; row i of the motions is frame i of the source, and recording.frames[i].
     wanted: rows that are drawn.
     Returns: stills and small pictures by row.
@@ -143,7 +143,7 @@ def _drawing(source: FrameSource, people: Sequence[Shown], row: int, number: int
     """Prepare the drawing of one row: masks, the bodies of the people whose pose is known, and a title that says how
     each fits.
 
-    number: of the frame.
+    number: number of the frame.
     """
     drawn, alarm = list[DrawnBody](), False
     parts = [f"frame {number}", f"{people[0].motion.times[row]:.2f} s"]

@@ -87,9 +87,9 @@ def fitted_body(
     """Fit a body to the person in the masks.
 
     kept: consecutive masks.
-    rate: of the masks, Hz.
+    rate: rate of the masks, Hz.
     height: m, where known.
-    seed: of random numbers.
+    seed: seed of random numbers.
     Returns: None where the masks do not determine a body.
     """
     frames = [k.frame(i, rig) for i, k in enumerate(kept)]
@@ -103,7 +103,7 @@ def offsets_of(kept: Sequence[PackedMasks], rig: CameraRig, rate: float) -> Arra
     """Estimate how late each camera's pictures come, from the masks of a moving person.
 
     kept: consecutive masks.
-    rate: of the masks, Hz.
+    rate: rate of the masks, Hz.
     Returns: (C,) s; None where the masks do not determine it, or no camera is late.
     """
     tracks = mask_tracks([k.silhouettes(rig) for k in kept])

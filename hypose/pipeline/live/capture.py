@@ -47,7 +47,7 @@ class LiveView:
 
     address: as `open_camera` takes it.
     shift: px of the calibrated size that are added to image positions.
-    background: of the empty room, where known.
+    background: background model of the empty room, where known.
     stretched: accept pictures of another shape than calibrated.
     depth: it is a depth camera (`open_depth_camera`).
     depth_room: background of a depth camera, where known.
@@ -68,7 +68,7 @@ class LiveView:
 class CaptureOptions:
     """Options of capture.
 
-    rate: of the cameras, Hz; requested from devices, and assumed for files without a rate.
+    rate: rate of the cameras, Hz; requested from devices, and assumed for files without a rate.
     countdown: before the empty room is learned, s.
     silhouettes: how masks are made.
     network: most people that a network finds where the background is not known; 0: the background is learned.
@@ -105,7 +105,7 @@ class CaptureResult:
     """One instant as the cameras showed it; where there is none yet (time is NaN), the state of the cameras.
 
     time: on the common clock, s.
-    arrival: of its last picture, on this computer's clock, s.
+    arrival: arrival of its last picture, on this computer's clock, s.
     views: per camera, packed mask (h, ceil(w / 8)) and outline; None without a picture.
     jpegs: pictures as they were stored, where wanted.
     cameras: status of each camera.

@@ -94,7 +94,7 @@ class LiveTrack:
     found: body and state that the search found.
     number: see `LivePose`.
     rig: cameras of the masks.
-    rate: of the frames, Hz.
+    rate: rate of the frames, Hz.
     executor: runs duels, see `_Duel`.
     work: fits body and offsets; None: neither is done.
     sync: the cameras' offsets are still to be found.
@@ -157,7 +157,7 @@ class LiveTrack:
 
         whole: frame with all people.
         frame: frame with the evidence of this person.
-        state: of the tracker after it.
+        state: state of the tracker after it.
         """
         passed = frame.time - self._time
         self._now, self.state = _Now(whole, frame, self.tracker, estimate), state
@@ -385,7 +385,7 @@ class LivePeople:
     """Live tracking of all people; call `step` with every frame. It never waits.
 
     rig: cameras of the masks.
-    rate: of the frames, Hz.
+    rate: rate of the frames, Hz.
     options: height and body are those of the first person.
     executor: runs searches and duels.
     work: fits bodies and offsets; None: neither is done.

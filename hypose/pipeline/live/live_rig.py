@@ -27,7 +27,7 @@ class LiveRig:
     rig, views: in one order.
     rate: Hz.
     silhouettes: how masks are made.
-    height: of the person, m, where known.
+    height: height of the person, m, where known.
     notes: for the user.
     roomless: a recording is played that has no picture of the empty room, so the background is guessed from its videos.
     """

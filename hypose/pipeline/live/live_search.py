@@ -61,7 +61,7 @@ class FoundPerson:
 
     body: body of the track.
     state: state of the tracker.
-    time: of the state, s.
+    time: time of the state, s.
     step_s: time of the last step, s.
     """
 
@@ -112,7 +112,7 @@ class LiveSearch:
 
         others: people who are tracked already.
         most: most people to search.
-        body, height: of the new person, where known; height in m.
+        body, height: body and height of the new person, where known; height in m.
         """
         with self._lock:
             if not self._found:

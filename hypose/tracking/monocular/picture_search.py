@@ -206,7 +206,7 @@ class PictureSearch:
 
         Used for initialisation and for mirrored poses.
         poses: (N, D) start poses.
-        iterations: of the Newton search.
+        iterations: number of iterations of the Newton search.
         Returns: hypotheses, best first, each with its covariance and its column `cost`; the costs can be compared.
         Raises: InputError where a pose has the wrong number of values or is not finite.
         """
@@ -266,8 +266,8 @@ class PictureSearch:
     ) -> list[MonoSolution]:
         """Optimise every start (N, D) in several threads.
 
-        place: of the camera.
-        evidence: of the frame.
+        place: place of the camera.
+        evidence: evidence of the frame.
         starts, before: (N, D) start poses, and poses in the previous picture.
         coarse, iterations: as in `newton_descent`.
         predict: add to each a pull to its own start as the prediction.

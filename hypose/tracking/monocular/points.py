@@ -92,7 +92,7 @@ def fit_proportions(
     pictures: M functions that place the points of a picture on a body.
     poses: M start poses (D,).
     factors: (K,) start values of the proportions, logarithms; only those that move joints change.
-    prior: of the proportions.
+    prior: prior of the proportions.
     active: (A,) dof of every pose that may change.
     floor: on which the person stands in every picture. Why: without it one view cannot tell long legs that point away
         from shorter ones that do not.

@@ -73,7 +73,7 @@ def uncertain_samples(
 ) -> Array:
     """Draw poses along the most uncertain free directions of an optimised candidate, on both sides of it.
 
-    settings: of the search.
+    settings: settings of the search.
     pose: (D,) the candidate's pose.
     hessian: (A, A) of its evidence.
     free: (A,) true where no joint limit holds the dof.
@@ -112,7 +112,7 @@ def prune(pool: Hypotheses, body: Body, settings: SearchSettings) -> Hypotheses:
 
     pool: all candidates of the frame.
     body: by whose joints and landmarks poses are compared.
-    settings: of the search.
+    settings: settings of the search.
 
     The best optimised candidate is always kept and comes first; the others are ranked by their accumulated evidence.
     Deviations: samples of all hypotheses are pooled before pruning, where the printed listing empties the pool for

@@ -103,7 +103,7 @@ def edge_arrays(field: NDArray[np.float32], flow: Flow | None, settings: MonoSet
 
     field: (h, w, 2) edges of a picture, from `edge_field`.
     flow: optical flow, whose motion boundaries weight the edges; None: no weighting.
-    settings: of the cost.
+    settings: settings of the cost.
     """
     edge = settings.edge
     if flow is not None:
@@ -126,7 +126,7 @@ def mask_arrays(mask: NDArray[np.uint8] | None, settings: MaskSettings) -> MaskA
     """Build the arrays of the silhouette term; without a mask, or with height 0, the term is left out.
 
     mask: (h, w), not 0 on the person.
-    settings: of the term.
+    settings: settings of the term.
     """
     if mask is None or settings.height <= 0:
         return MaskArrays(np.zeros((0, 0), np.float32), np.zeros((0, 2), np.float32), 0.0, settings)
@@ -212,7 +212,7 @@ def part_spheres(body: Body, weight: float) -> Spheres:
     Limb spheres lie on the bones and have the median distance of the skin as radius. Trunk spheres lie side by side and
     have half the trunk's depth as radius. Pairs: arms with trunk, with thighs and with each other; one leg with the
     other. The distance that two parts keep is at most 0.95 of that at rest.
-    weight: of the prior.
+    weight: weight of the prior.
     """
     parts: list[tuple[str, int, Array, float]] = []
     for j, name in enumerate(body.skeleton.joint_names):
@@ -305,9 +305,9 @@ def fixed_parts(
     """Build the parts of the problem that do not change from frame to frame.
 
     body: its coarse mesh is compared with the pictures.
-    camera: of the pictures.
+    camera: camera of the pictures.
     active: (A,) ascending indices of the dof to estimate.
-    settings: of the cost.
+    settings: settings of the cost.
     floor: its height in the world, m; None: unknown or none.
     Raises: InputError where the active dof are not dof of the body.
     """
@@ -336,7 +336,7 @@ def field_of(image: NDArray[np.uint8], settings: MonoSettings) -> NDArray[np.flo
     """Compute the edges (h, w, 2) of a picture; all 0 where edges are not used.
 
     image: (h, w, 3) BGR.
-    settings: of the cost.
+    settings: settings of the cost.
     """
     if not settings.edges:
         return np.zeros((*image.shape[:2], 2), np.float32)
@@ -508,10 +508,10 @@ def frame_evidence(
     """Build the evidence of one frame, with the pull to the rest posture but without a prediction.
 
     fixed: parts of the problem that stay.
-    picture: of the frame.
+    picture: picture of the frame.
     points, flow: None where there are none.
     field: (h, w, 2) edges of the picture, from `field_of`.
-    settings: of the cost.
+    settings: settings of the cost.
     """
     arrays = PictureArrays(
         fixed.model,

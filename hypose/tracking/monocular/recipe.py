@@ -99,8 +99,8 @@ def together(there: Modes, back: Modes, frame_rate: float, settings: WholeClip |
     """Average the poses of the forward and the backward pass over a clip, weighted by their costs.
 
     frame_rate: Hz.
-    settings: of the average; None: the usual ones.
-    there: modes of the forward pass; back: of the backward pass, whose last frame is not used.
+    settings: settings of the average; None: the usual ones.
+    there: modes of the forward pass; back: modes of the backward pass, whose last frame is not used.
     Returns: poses (T, D); covariances (T, D, D) of the average, including the difference of the passes.
     """
     o = settings or WholeClip()
@@ -148,7 +148,7 @@ def _by_turn(off: Array, poses: Array) -> Array:
 def information(covariances: ArrayLike, active: NDArray[np.int64], settings: WholeClip | None = None) -> Array:
     """Compute the information matrices (T, D, D) of the frames' poses, for solving the clip.
 
-    settings: of the average; None: the usual ones.
+    settings: settings of the average; None: the usual ones.
     covariances: (T, D, D), inverted over the active dof after widening.
     active: (A,) estimated dof; all others are fixed.
     """
@@ -172,7 +172,7 @@ PICTURE_CUES = ("auto", "edges", "silhouettes", "keypoints", "both")
 def monocular(body: Body, particles: int = 7, frame_rate: float = 25.0, *, floor: float | None = None) -> Recipe:
     """Build the recipe for the pictures of one camera.
 
-    body: of the person.
+    body: body of the person.
     frame_rate: Hz.
     particles: number of hypotheses.
     floor: height in the world of the floor, m; None: unknown.
