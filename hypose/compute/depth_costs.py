@@ -28,9 +28,9 @@ class SeenDepth(NamedTuple):
 
     maps: (C, h, w) m along the optical axis at the person's pixels, 0 elsewhere.
     sizes: (C, 2) width, height of each.
-    projections: (C, 3, 4) of these pixels, the last row of unit length.
-    counts: (C,) number of pixels of the person.
-    """
+    projections: (C, 3, 4) pinhole projections to these pixels; the last row has unit length, so that it gives
+        metres.
+    counts: (C,) number of pixels of the person."""
 
     maps: NDArray[np.float32]
     sizes: NDArray[np.int64]
@@ -41,15 +41,14 @@ class SeenDepth(NamedTuple):
 class StandingDepth(NamedTuple):
     """Parts of a body that stand still while a limb is searched, drawn once.
 
-    pose: (D,).
+    pose: (D,) pose in which they were drawn.
     rotations: (J, 3, 3) of all joints at this pose.
     centres: (J, 3) m, relative to the root's position.
     joints: indices of the joints that turn, in the tree's order.
     faces: indices of the faces that move.
     vertices: indices of their vertices.
     drawn: (C, h, w) 1/m, 0 = none: inverse depth of the standing faces.
-    cost: (C,) pixels, cost of these.
-    """
+    cost: (C,) depth cost of the standing faces in each view, in pixels."""
 
     pose: NDArray[np.float64]
     rotations: NDArray[np.float64]
@@ -67,14 +66,13 @@ def depth_energy(
     """Compute how badly the depths of posed bodies fit the depth maps.
 
     tree, mesh: joint tree and mesh of the body.
-    poses: (N, D).
+    poses: (N, D) pose vectors, rad and m.
     seen: depth maps of the person.
     most_m: largest difference that counts, m.
     threads: number of threads; None: the default.
     Returns: (N, C): the sum over pixels that show both the person and the body of min(|z - z'|, most_m) / most_m,
         divided by the person's pixels. Pixels that show only one of them are left to the silhouettes. 0 for a view
-        without the person. The result is the same for any number of threads, and for a pose alone or among others.
-    """
+        without the person. The result is the same for any number of threads, and for a pose alone or among others."""
     q = plain(poses, np.float64)
     out = np.zeros((len(q), len(seen.maps)))
     given = tidy(tree), tidy(mesh), seen, np.float32(most_m)
@@ -91,7 +89,7 @@ def standing_depth(
     seen: depth maps of the person.
     most_m: largest difference of depth that counts, m.
     moving: (J,) bool, joints that move; they and the joints below them are left out.
-    """
+    Returns: the drawn parts, for `limb_depth_energy`."""
     q = plain(pose, np.float64)
     n = len(tree.parents)
     parts = moving_parts(mesh, tree, plain(moving, np.bool_))
@@ -117,11 +115,11 @@ def limb_depth_energy(
 
     poses: (N, D).
     tree, mesh: joint tree and mesh of the body.
-    seen, most_m: as in `depth_energy`.
+    seen: depth maps of the person.
+    most_m: largest difference of depth that counts, m.
     standing: drawn by `standing_depth`.
     rough: do not draw the limb, but compare each of its faces at its middle, which takes half the time.
-    Returns: (N, C), as of `depth_energy`.
-    """
+    Returns: (N, C) depth energy of each pose in each view, as defined in `depth_energy`."""
     q = plain(poses, np.float64)
     out = np.zeros((len(q), len(seen.maps)))
     given = tidy(tree), tidy(mesh), standing, seen, np.float32(most_m), rough

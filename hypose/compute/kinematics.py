@@ -61,13 +61,12 @@ def multiply(a, b, out):
 
 @kernel
 def joint_frames(q, tree, rotations, centres, twists):
-    """Compute frames and twists of one pose q (D,), relative to the root's position.
+    """Compute the joint frames and twists of one pose q (D,), relative to the root's position.
 
     tree: joint tree of the body.
     rotations: (J, 3, 3) gets the rotations.
     centres: (J, 3) gets the centres minus q[0:3].
-    twists: (D, 6) gets (w, v): a point x (minus q[0:3]) moves with w x x + v per unit of the dof.
-    """
+    twists: (D, 6) gets (w, v): a point x (minus q[0:3]) moves with w x x + v per unit of the dof."""
     twists[:] = 0.0
     for i in range(3):
         for k in range(3):
@@ -77,13 +76,14 @@ def joint_frames(q, tree, rotations, centres, twists):
 
 @kernel
 def frames_of(q, tree, joints, rotations, centres, twists):
-    """Compute frames and twists of some joints, from known frames of all others; see `joint_frames`.
+    """Compute the joint frames and twists of some joints, from known frames of all others.
 
     q: (D,) pose.
     tree: joint tree of the body.
-    rotations, centres, twists: as in `joint_frames`, in part filled before.
-    joints: (K,) indices, parents before their children.
-    """
+    rotations: (J, 3, 3), filled for the other joints.
+    centres: (J, 3) m relative to the root's position, filled for the other joints.
+    twists: (D, 6) motion per unit of each dof (see `joint_frames`).
+    joints: (K,) indices, parents before their children."""
     local = np.empty((3, 3))
     jacobian = np.empty((3, 3))
     turned = np.empty((3, 3))

@@ -35,10 +35,9 @@ class MonoModel(NamedTuple):
     """Body before a camera, with the parts that the estimated degrees of freedom move.
 
     tree, mesh: joint tree and mesh of the body.
-    all_faces, moving_faces: indices of all faces, and of those that they move.
-    moving_vertices: (V,) vertices of which they carry more than half.
-    projection: (3, 4) pinhole.
-    """
+    all_faces, moving_faces: indices of all faces, and of the faces that the estimated degrees of freedom move.
+    moving_vertices: (V,) vertices of which these degrees of freedom carry more than half of the weight.
+    projection: (3, 4) pinhole projection of the camera."""
 
     tree: TreeArrays
     mesh: MeshArrays
@@ -241,12 +240,11 @@ def workspace(m: MonoModel, height: int, width: int) -> MonoWorkspace:
 
 @kernel
 def robust(form, s, sigma2):
-    """Compute rho(s) and its first and second derivative for height 1: equations (2) and (3) of Sminchisescu & Triggs
+    """Compute rho(s) and its first and second derivative (height 1): equations (2) and (3) of Sminchisescu & Triggs
     2001, and s / sigma^2 for the Gaussian.
 
     s, sigma2: squared length of the residual, and squared scale, px^2 or m^2.
-    form: GAUSSIAN, LORENTZIAN or LECLERC.
-    """
+    form: GAUSSIAN, LORENTZIAN or LECLERC."""
     t, gain = s / sigma2, 1 / sigma2
     if form == GAUSSIAN:
         value, first, second = quadratic(t, gain)
@@ -271,12 +269,13 @@ def curvature(first, second, s):
 
 @kernel
 def image_direction(p, u, v, depth, nx, ny):
-    """Compute the derivative (x, y, z) by a point in the world of its pixel (u, v) along (nx, ny), px / m.
+    """Compute the derivative of a pixel's position along an image direction with respect to the point in the world,
+    px / m.
 
     p: (3, 4) projection.
     u, v, depth: pixel and depth of the point, px and m.
     nx, ny: direction in the image.
-    """
+    Returns: derivatives by x, y and z."""
     iz = 1 / depth
     dx = (nx * (p[0, 0] - u * p[2, 0]) + ny * (p[1, 0] - v * p[2, 0])) * iz
     dy = (nx * (p[0, 1] - u * p[2, 1]) + ny * (p[1, 1] - v * p[2, 1])) * iz

@@ -83,13 +83,12 @@ def surface_probability(hull: Hull, seen: Array, maps: NDArray[np.float32], rig:
 
 @dataclass(frozen=True)
 class ClusterSettings:
-    """Settings of the clusters of likely surface points; sizes at a stature of 1.75 m.
+    """Limits of the clusters of surface points that likely show a head or hand; sizes hold for a stature of 1.75 m.
 
     threshold: least probability of a surface point (Gamma).
     tolerance: m, largest distance of neighbours in a cluster.
     low, high: m^2, smallest and largest surface of a cluster (a hand has 0.02 to 0.05 m^2 on a hull, a head with the
-        neck up to 0.15).
-    """
+        neck up to 0.15)."""
 
     threshold: float = 0.5
     tolerance: float = 0.045
@@ -104,10 +103,9 @@ def likely_clusters(
 
     hull: whose surface points are used.
     settings: limits of a cluster; stature: stature of the person, m; sizes grow in proportion to it.
-    probability: (S,) of the surface points.
+    probability: (S,) probability of each surface point.
     Returns: centres (E, 3), m, and mean probabilities (E,), largest cluster first.
-    Source: Alcoverro 2014, eq. 2.18 and the clustering after it.
-    """
+    Source: Alcoverro 2014, eq. 2.18 and the clustering after it."""
     from scipy.sparse import coo_matrix  # takes long to import
     from scipy.sparse.csgraph import connected_components  # takes long to import
     from scipy.spatial import KDTree  # takes long to import
@@ -165,15 +163,16 @@ def detect_ends(
     voxel: float = 0.03,
     settings: ClusterSettings = ClusterSettings(),
 ) -> tuple[Detections, Array]:
-    """Detect the unnamed body ends of one frame from a detector's maps, on the surface of the silhouettes' hull.
+    """Detect body ends (hands and head), without names, in one frame: clusters of high detector probability on
+    the surface of the visual hull.
 
     stature: stature of the person, m; voxel: edge length of the hull, m; settings: limits of a cluster.
-    maps: (C, h, w) probabilities.
-    centre: (3,) m, approximate place of the person (the start pose's pelvis); the hull is carved within 0.75 statures
+    maps: (C, h, w) probability of a body end at each pixel of the masks.
+    centre: (3,) m, approximate place of the person (the start pose's pelvis); the hull is carved within 0.75
+        statures
         of it.
     Returns: the detections (none without a hull); the hull's centroid (3,), m, as the centre for the next frame.
-    With four views or more, one of them may miss a part of the person.
-    """
+    With four views or more, one of them may miss a part of the person."""
     reach = 0.75 * stature
     bounds = np.stack([centre - reach, centre + reach])
     try:

@@ -28,12 +28,12 @@ _THICK_M, _VOXEL_M = 0.16, 0.03
 
 
 def space_behind(depth: Depth, bounds: Array | None = None) -> Hull:
-    """Compute the space that the person may fill, instead of a visual hull: the seen surface and _THICK_M behind it.
+    """Compute the space that the person may fill from depth maps: the seen surface and the space up to _THICK_M (m)
+    behind it. It replaces the visual hull of masks.
 
     depth: maps in which the person is marked.
     bounds: (2, 3) m, limits the space.
-    Raises: EvidenceError where no sensor shows a person.
-    """
+    Raises: EvidenceError where no sensor shows a person."""
     found, rays = [], []
     for c in np.flatnonzero(depth.usable):
         w, h = depth.rig.sizes[c]
@@ -83,11 +83,12 @@ def occupied_space(frame: Frame, bounds: Array | None = None) -> Hull:
 
 
 def people_seen(frame: Frame, known: Sequence[Other] = (), *, floor: float = 0.0) -> list[HullPerson]:
-    """Find the people in a frame who are not known yet, the largest first: by depth where there is depth, else by the
-    hull.
+    """Find the people in a frame who are not known yet, in depth maps where the frame has some, else in the visual
+    hull; the largest come first.
 
-    floor: its height, m.
-    """
+    known: people who are left out.
+
+    floor: its height, m."""
     if frame.depth is not None:
         return people_in_depth(frame.depth, known, floor=floor)
     return [] if frame.silhouettes is None else people_in_hull(frame.silhouettes, known, floor=floor)
@@ -147,8 +148,12 @@ def _without_parts(found: Sequence[HullPerson]) -> list[HullPerson]:
 
 
 def own_frame(frame: Frame, own: StandingShape, others: Sequence[Other], anywhere: bool = False) -> Frame:
-    """Extract the evidence for one person from a frame of several people; own, others, anywhere: as for
-    `own_silhouettes`."""
+    """Extract the evidence for one person from a frame of several people; frame: silhouettes, depth or both, showing
+    several people.
+    own: shape where the person is expected.
+    others: shapes of all other people.
+    anywhere: the person was lost and may be anywhere that no other person covers.
+    Returns: the frame with the evidence of this person alone."""
     if frame.silhouettes is None:
         return frame
     if frame.depth is None:
@@ -187,9 +192,10 @@ def own_depth(
 ) -> tuple[Silhouettes, Depth]:
     """Extract the depth and the silhouettes of one person from maps that show several people.
 
-    own, others, anywhere: as for `own_silhouettes`.
-    Returns: silhouettes and depth of the person; views of colour cameras are not usable in them.
-    """
+    own: shape where the person is expected.
+    others: shapes of all other people.
+    anywhere: the person was lost and may be anywhere that no other person covers.
+    Returns: silhouettes and depth of the person; views of colour cameras are marked as not usable."""
     at, points = depth.pixels
     mine_m = _away(own, at, points)
     theirs_m = np.full(len(points), np.inf)

@@ -61,12 +61,11 @@ def views_to_find(frame: Frame) -> int:
 
 @dataclass(frozen=True)
 class HullPerson:
-    """A person found in a hull.
+    """Person found in a visual hull.
 
-    hull: the part of the hull.
+    hull: the part of the hull that is this person.
     axis: (2,) where the person stands on the floor, m.
-    seen: (C, h, w) the person's pixels, where they are known (depth cameras).
-    """
+    seen: (C, h, w) the person's pixels, where they are known (depth cameras)."""
 
     hull: Hull
     axis: Array
@@ -79,7 +78,7 @@ class HullPerson:
 
     @property
     def tall(self) -> bool:
-        """Whether the hull is as tall as most people; a child's is not."""
+        """Whether the hull is as tall as most adults; False for a small child."""
         return self.hull.height > _TALL
 
     @property
@@ -146,11 +145,11 @@ def people_in_hull(
 
 
 def people_of_hull(hull: Hull, floor: float, most: int, surface: float = 0.0) -> list[HullPerson]:
-    """Split a hull into parts that stand on the floor; ghosts are included.
+    """Split a hull into parts that stand on the floor, one per person; parts that are no person (ghosts, where
+    silhouettes of different people intersect) are included.
 
-    floor: its height, m; most: largest number of people.
-    surface: least volume of a person where the voxels are only its surface, litres; 0: the voxels fill the person.
-    """
+    floor: height of the floor, m; most: largest number of people.
+    surface: least volume of a person where the voxels are only its surface, litres; 0: the voxels fill the person."""
     return [HullPerson(_part(hull, own, axis), axis) for axis, own in _axes(hull, floor, most, surface)]
 
 

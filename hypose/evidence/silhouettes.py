@@ -89,7 +89,7 @@ class SilhouetteSettings:
 
     @property
     def cleaning(self) -> mask_runs.Cleaning:
-        """Settings of the clean-up."""
+        """The settings of the mask's clean-up (opening, closing, holes, small parts)."""
         return mask_runs.Cleaning(self.open_px, self.close_px, self.hole_px, self.keep_share, self.keep_gap)
 
     @property
@@ -361,14 +361,13 @@ _LIMBS = tuple(
 def with_doubted_limbs(
     band: NDArray[np.uint8], mask: NDArray[np.uint8], points: ArrayLike, names: Sequence[str], height: float
 ) -> NDArray[np.uint8] | None:
-    """Widen the band (h, w) around every limb that the mask (h, w) does not confirm; None if it confirms all.
+    """Widen the search band (h, w) around every limb of the 2D skeleton that the mask (h, w) does not confirm.
 
     band: pixels near the 2D skeleton, to which the mask was cut.
     points: (K, 3) px and confidence; names: names of the points.
     height: height of the person, px.
-    A limb without its root point is left alone. If most complete limbs lie outside the mask, return a band of ones: the
-    skeleton is in the wrong place.
-    """
+    A limb without its root point is left alone. Returns: the widened band; None where the mask confirms all limbs; a
+    band of ones where most complete limbs lie outside the mask, because the skeleton is then in the wrong place."""
     p = np.asarray(points, dtype=np.float64)
     at = {n: p[k] for k, n in enumerate(names) if p[k, 2] > _MIN_CONFIDENCE}
     out = band.copy()

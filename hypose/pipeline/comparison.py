@@ -168,7 +168,8 @@ class Agreement:
     """Agreement of one joint (mm) or one angle (degrees; mm for positions) between both motions.
 
     n: number of frames.
-    median, p95, rmse: median, 95th percentile and root mean square of the distance; for angles of the absolute difference.
+    median, p95, rmse: median, 95th percentile and root mean square of the distance; for angles of the absolute
+        difference.
     offset: length of the constant part.
     median_left, p95_left, rmse_left: the same without the constant part.
     bias, low, high: mean difference (other - ours) and limits of agreement per axis (1 for angles, 3 for joints), after
