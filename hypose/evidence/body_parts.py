@@ -28,13 +28,12 @@ UNNAMED = -1
 def visibility(hull: Hull, rig: CameraRig, usable: NDArray[np.bool_] | None = None) -> Array:
     """Compute how well each camera sees each surface point.
 
-    hull: whose surface points are used; rig: pinhole cameras; usable: (C,) views that count (default: all).
-    A point is seen where no other surface point lies in front of it (z-buffer with cells of two voxels, so that the
-    points leave no holes) and it faces the camera. The factor is -z_c . n_q, with the camera's optical axis z_c and the
-    normal n_q.
+    hull: visual hull with S surface points; rig: pinhole cameras; usable: (C,) views that count (default: all). A
+        point is seen where no other surface point lies in front of it (z-buffer with cells of two voxels, so that
+        the points leave no holes) and it faces the camera. The factor is -z_c . n_q, with the camera's optical axis
+        z_c and the normal n_q.
     Returns: (C, S) factors, 0 where not seen; columns sum to 1, or are all 0 where no camera sees the point.
-    Source: Alcoverro 2014, eq. 2.16, normalised as after eq. 2.17.
-    """
+    Source: Alcoverro 2014, eq. 2.16, normalised as after eq. 2.17."""
     out = np.zeros((len(rig), len(hull.surface_points)))
     for c, camera in enumerate(rig):
         if usable is not None and not usable[c]:
@@ -64,13 +63,13 @@ def visibility(hull: Hull, rig: CameraRig, usable: NDArray[np.bool_] | None = No
 
 
 def surface_probability(hull: Hull, seen: Array, maps: NDArray[np.float32], rig: CameraRig) -> Array:
-    """Compute the probability (S,) that each surface point shows a part: sum over views of visibility times detector.
+    """Compute the probability (S,) that each surface point shows a part: sum over views of visibility times
+    detector.
 
-    hull: whose surface points are used.
+    hull: visual hull with S surface points.
     seen: (C, S) from `visibility`.
     maps: (C, h, w) the detector's probability at the pixels of the pinhole rig; 0 outside the images.
-    Source: Alcoverro 2014, eq. 2.17.
-    """
+    Source: Alcoverro 2014, eq. 2.17."""
     out = np.zeros(len(hull.surface_points))
     for c, camera in enumerate(rig):
         some = np.flatnonzero(seen[c] > 0)
@@ -101,7 +100,7 @@ def likely_clusters(
 ) -> tuple[Array, Array]:
     """Cluster the likely surface points: points within the tolerance of each other (single linkage on a kd-tree).
 
-    hull: whose surface points are used.
+    hull: visual hull with S surface points.
     settings: limits of a cluster; stature: stature of the person, m; sizes grow in proportion to it.
     probability: (S,) probability of each surface point.
     Returns: centres (E, 3), m, and mean probabilities (E,), largest cluster first.

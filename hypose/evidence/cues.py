@@ -286,7 +286,10 @@ def seen_depth(depth: Depth, tall: int = TALL) -> tuple[NDArray[np.bool_], SeenD
 
 
 def silhouette_evidence(silhouettes: Silhouettes, weight: float) -> list[Evidence]:
-    """Prepare masks for tracking; an empty list where no view has an outline. weight: weight of a contour row."""
+    """Prepare the masks of a frame for tracking.
+
+    Returns: list of one Evidence; an empty list where no view has an outline.
+     weight: weight of a contour row."""
     masks = prepared_masks(silhouettes)
     try:
         contours = contour_term(silhouettes, weight=weight, working_height=WORKING_HEIGHT)
@@ -296,7 +299,9 @@ def silhouette_evidence(silhouettes: Silhouettes, weight: float) -> list[Evidenc
 
 
 def depth_evidence(depth: Depth) -> list[Evidence]:
-    """Prepare depth maps for tracking; an empty list where none shows the person."""
+    """Prepare depth maps for tracking.
+
+    Returns: list of one Evidence; an empty list where no map shows the person."""
     term = depth_term(depth)
     if term is None:
         return []

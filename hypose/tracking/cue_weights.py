@@ -91,11 +91,11 @@ def weigh_against_masks(body: Body, model: KeypointModel, frames: Sequence[Frame
 
 
 def start_with_masks(body: Body, model: KeypointModel, frame: Frame, start: Array) -> Array:
-    """Solve a start pose (D,) from key points also on the masks of its frame; return it unchanged where there are no
-    masks.
+    """Refine a start pose (D,) that was found from key points, by a solve on key points and masks of its frame.
 
-    model: where key points sit on the body; frame: with key points.
-    """
+    Returns: (D,) pose; the start pose unchanged where there are no masks.
+
+    model: where key points sit on the body; frame: with key points."""
     prepared = prepare(frame, body, start, use_keypoints=True, keypoints_on_body=model, prediction_weight=0.0)
     return settled_start(start, prepared) if prepared.silhouettes.seen else start
 

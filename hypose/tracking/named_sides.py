@@ -39,9 +39,8 @@ def exchanged_by_names(
     model: where key points sit on the body; keypoints: T frames, None where there are none.
     poses: (T, D) tracked poses.
     limb: "legs" or "arms", see LIMBS.
-    sure_start: frame 0 is right.
-    Returns: (T,) true for exchanged frames; the gain, in views, of exchanging them.
-    """
+    sure_start: frame 0 is known to have its sides right.
+    Returns: (T,) true for exchanged frames; the gain, in views, of exchanging them."""
     pairs = _pairs(model, LIMBS[limb])
     if not len(pairs):
         return np.zeros(len(poses), np.bool_), 0.0

@@ -198,13 +198,17 @@ def _between_frames(skeleton: Skeleton, sigma: Array) -> Layer:
 
 
 def diffusion(skeleton: Skeleton, sigma: Array) -> GaussianDiffusion:
-    """Build a kernel of Gaussian steps with standard deviations sigma (D,), inside the joint limits."""
+    """Build a search kernel that adds Gaussian steps with standard deviations sigma (D,) to poses, inside the joint
+    limits."""
     return GaussianDiffusion(sigma, skeleton.lower, skeleton.upper)
 
 
 def annealing_rate_of(layer: int, betas: Sequence[float] | None, survival: float) -> AnnealingRate:
-    """Choose how a layer gets its exponent: fixed (betas, as in the thesis) or solved for the survival rate (betas
-    None)."""
+    """Choose how a layer gets its exponent beta (annealing rate).
+
+    layer: index of the layer.
+    betas: fixed exponents, one per layer, as in the thesis; None: the exponent is solved for the survival rate.
+    survival: share of the set that survives resampling."""
     return SurvivalRate(survival) if betas is None else FixedAnnealingRate(betas[layer])
 
 

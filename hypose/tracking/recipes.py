@@ -171,14 +171,14 @@ def _solving(base: Recipe) -> Recipe:
 
 @dataclass(frozen=True)
 class Preset:
-    """A recipe before there is a body: how to build it, and what it can be used on.
+    """Description of a named recipe that is not built for a body yet: how to build it, and which evidence it can
+    use.
 
     make: function (body, frame_rate=Hz, ...) that builds the recipe; its other parameters are this recipe's options.
     citation: source of the method.
     whole_clip: key points alone are enough; they are solved in all frames together instead of frame by frame.
     needs: cues without which the recipe cannot be used; likes: cues that are used where they exist.
-    evidence: the choices of evidence, the default first.
-    """
+    evidence: the choices of evidence, the default first."""
 
     make: Callable[..., Recipe]
     citation: str
@@ -250,7 +250,7 @@ def recipe(
 
 
 def citation_of(name: str, refine: bool = False) -> str:
-    """Return the citation of a recipe, "" for an unknown name; refine: as for `recipe`."""
+    """Return the citation of a recipe, "" for an unknown name; refine: contour refinement is added as a last layer."""
     cited = RECIPES[name].citation if name in RECIPES else ""
     return f"{cited} {CONTOURS}" if cited and refine and CONTOURS not in cited else cited
 
@@ -268,10 +268,10 @@ class LimbSearch:
     joints: names of the limb's joints.
     sigma: (D,) sd of a step.
     lower, upper: (D,) range in which a share `redrawn` of the hypotheses is drawn uniformly.
-    long: share of the steps that are `longer` times as long.
-    Why: with tens of hypotheses, resampling would leave most of them on values that are known to be worse. Poses that
-        are certainly worse than the first hypothesis are not evaluated in full.
-    """
+    long, longer: share of the steps that are lengthened, and the factor by which they are.
+    Why: with tens of hypotheses, resampling would leave most of them on values that are known to be worse. Poses
+        that
+        are certainly worse than the first hypothesis are not evaluated in full."""
 
     skeleton: Skeleton
     joints: tuple[str, ...]

@@ -43,7 +43,7 @@ def candidates(role: str, poses: Array, **columns: NDArray[Any]) -> Hypotheses:
 
 
 def pooled(*sets: Hypotheses) -> Hypotheses:
-    """Join sets of candidates into one, with log-weights 0."""
+    """Join several sets of candidates into one set, and set all log-weights to 0."""
     return Hypotheses(
         np.concatenate([h.values for h in sets]),
         np.zeros(sum(h.count for h in sets)),
@@ -54,10 +54,10 @@ def pooled(*sets: Hypotheses) -> Hypotheses:
 
 
 def accumulated(h: Hypotheses, frame: PreparedFrame, /) -> Array:
-    """Compute the log-likelihoods (N,) of candidates: minus their accumulated evidence.
+    """Compute the log-likelihoods (N,) of candidates: minus the cost accumulated over the frames so far.
 
-    Source: equation (4); its Z is the sum over the set. Deviation: evidence is accumulated over frames with a memory.
-    """
+    Source: equation (4); its Z is the sum over the set. Deviation: evidence is accumulated over frames with a
+        memory."""
     return -h.columns["evidence"]
 
 

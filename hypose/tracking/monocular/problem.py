@@ -143,8 +143,7 @@ class Spheres(NamedTuple):
     offset: (S, 3) m, centre in the joint's frame.
     pairs: (P, 2) spheres of parts that can meet.
     apart: (P,) m, distance of their centres below which the prior acts.
-    weight: 1 / m^2.
-    """
+    weight: weight of the prior, 1 / m^2."""
 
     joint: NDArray[np.int64]
     offset: Array
@@ -154,10 +153,10 @@ class Spheres(NamedTuple):
 
 
 def sphere_rows(at: Posed, spheres: Spheres) -> Rows:
-    """Compute the rows of interpenetration: 1/2 weight (apart - distance)^2 for pairs of spheres that are too near.
+    """Compute the residuals with derivatives (rows) of the prior against interpenetration: 1/2 weight (apart -
+    distance)^2 for pairs of spheres that are too near.
 
-    at: the posed body.
-    """
+    at: the posed body."""
     centre = at.body.skeleton.points(spheres.joint, spheres.offset, at.pose)
     away = centre[spheres.pairs[:, 0]] - centre[spheres.pairs[:, 1]]
     distance = np.linalg.norm(away, axis=1)
@@ -190,12 +189,12 @@ def floor_of(body: Body, height: float | None, settings: MonoSettings) -> Floor 
 
 
 def floor_rows(at: Posed, floor: Floor) -> Rows:
-    """Compute the rows of the floor: the lowest point of the soles stands on it, and no point lies under it.
+    """Compute the residuals with derivatives (rows) of the floor: the lowest point of the soles stands on it, and no
+    point lies under it.
 
     at: the posed body.
-    Returns: one row per point of the soles, with weight 0 for those that are free.
-    The loss is that of a key point, so that a jump costs little more than a step.
-    """
+    Returns: one row per point of the soles, with weight 0 for points that nothing holds. The loss is that of a key
+        point, so that a jump costs little more than a step."""
     point = at.body.skeleton.points(floor.soles.joint, floor.soles.offset, at.pose)
     above, n = point[:, 2] - floor.height, len(point)
     on = (above < 0) | (np.arange(n) == above.argmin())
@@ -276,16 +275,15 @@ def prediction_spread(sigma: Array, settings: MonoSettings) -> Array:
 class Fixed:
     """Parts of the problem that do not change from frame to frame.
 
-    body: the person.
+    body: body of the person.
     model: the body before the camera.
     active: (A,) dof that are estimated.
-    moves: (V + J, A) share of their motion at each vertex of the coarse mesh, and at each joint.
+    moves: (V + J, A) share of each active dof's motion that each vertex of the coarse mesh, and each joint, follows.
     spheres: prior against interpenetration.
     floor: on which the person stands; None: unknown.
     lower, upper: (A,) joint limits.
     spread: (A,) usual error of the prediction of each active dof.
-    posture: (A,) weight of the weak pull to the rest posture.
-    """
+    posture: (A,) weight of the weak pull to the rest posture."""
 
     body: Body
     model: MonoModel
@@ -363,11 +361,10 @@ class MonoSolution(NamedTuple):
 class PictureEvidence(NamedTuple):
     """Evidence and priors of one hypothesis in one picture.
 
-    fixed: parts of the problem that stay.
+    fixed: parts of the problem that do not change from frame to frame.
     arrays: edges, flow and mask.
-    points: key points or clicked joints, where there are any.
-    prediction: pull of the active dof to their prediction; None: none.
-    """
+    points: key points or clicked joints; None: there are none.
+    prediction: pull of the active dof to their prediction; None: none."""
 
     fixed: Fixed
     arrays: PictureArrays
@@ -507,12 +504,12 @@ def frame_evidence(
 ) -> PictureEvidence:
     """Build the evidence of one frame, with the pull to the rest posture but without a prediction.
 
-    fixed: parts of the problem that stay.
+    fixed: parts of the problem that do not change from frame to frame.
     picture: picture of the frame.
-    points, flow: None where there are none.
+    points, flow: key points or clicked joints, and optical flow from the previous picture; None where there are
+        none.
     field: (h, w, 2) edges of the picture, from `field_of`.
-    settings: settings of the cost.
-    """
+    settings: settings of the cost."""
     arrays = PictureArrays(
         fixed.model,
         edge_arrays(field, flow, settings),

@@ -35,13 +35,14 @@ _HELD = 1e8
 
 @dataclass(frozen=True)
 class WholeClip:
-    """Settings for joining the forward and the backward pass; chosen on arm seeds 100 to 106 and body seeds 100 to 103.
+    """Settings for joining the forward and the backward pass; chosen on arm seeds 100 to 106 and body seeds 100 to
+    103.
 
     temperature: scale of the cost difference from which the weights of the passes are computed.
-    settled: s after which the start is forgotten, so that the backward pass counts as much as the forward pass.
+    settled: time after which the start pose has no more influence, s; from then on the backward pass counts as much
+        as the forward pass.
     widening: factor on the covariances of single frames, because errors last longer than a frame.
-    motion: usual accelerations and speeds; one round for the whole clip, since more would follow the noise of depth.
-    """
+    motion: usual accelerations and speeds; one round for the whole clip, since more would follow the noise of depth."""
 
     temperature: float = 4.0
     settled: float = 2.0
@@ -170,15 +171,14 @@ PICTURE_CUES = ("auto", "edges", "silhouettes", "keypoints", "both")
 
 
 def monocular(body: Body, particles: int = 7, frame_rate: float = 25.0, *, floor: float | None = None) -> Recipe:
-    """Build the recipe for the pictures of one camera.
+    """Build the recipe (tracking method) for the pictures of one camera.
 
     body: body of the person.
     frame_rate: Hz.
     particles: number of hypotheses.
     floor: height in the world of the floor, m; None: unknown.
     Mirrored limbs are tried while tracking where there are key points, because these show sooner or later which is
-    right.
-    """
+    right."""
     usual = MonoSettings(frame_rate=frame_rate)
     search = replace(usual.search, hypotheses=particles, flips=None)
     return picture_recipe(PictureSearch(body, replace(usual, search=search), floor=floor))
