@@ -149,10 +149,10 @@ class PictureFrames:
 
 
 def depth_note(motion: Motion, modes: Modes) -> str:
-    """Return the sentence that says how uncertain the depth is, in mm, and how many other poses are possible.
+    """Write a note for the user: how uncertain the depth of the joints is, in mm, and how many other poses are
+        possible.
 
-    motion, modes: the result, and the alternative poses of its frames.
-    """
+    motion, modes: the result, and the alternative poses of its frames."""
     depth = 1e3 * float(np.nanmedian(modes.depth_sd))
     whole = 3 * np.asarray(motion.joint_sd) ** 2
     across = 1e3 * float(np.nanmedian(np.sqrt(np.maximum(whole - modes.depth_sd**2, 0.0) / 2)))
@@ -198,15 +198,15 @@ def tracked_frames(
 
 
 class ColourDetections:
-    """Frames of a recording with the detections of hands and head by skin colour (`Frame.detections`, without names).
+    """Frames of a recording with the detections of hands and head by skin colour (`Frame.detections`, without
+    names).
 
     The skin colours are learned from the first frame, whose pose is known. A frame depends on the recording and that
     pose alone, not on the order in which frames are read. The pictures are read a second time, in addition to the
     masks.
     source: frames of the recording.
-    body, start: the person, and its pose (D,) in the first frame.
-    Raises: InputError where the pictures are grey, or the frames have no masks.
-    """
+    body, start: body of the person, and its pose (D,) in the first frame.
+    Raises: InputError where the pictures are grey, or the frames have no masks."""
 
     def __init__(self, source: RecordedFrames, body: Body, start: Array) -> None:
         self.source, self.body = source, body

@@ -101,10 +101,11 @@ class ClipState:
     finder: finds several people; None: the clip is of one person.
     shared_masks: the masks also show other people.
     progress: called with stage, done, total.
-    people: their state after the frames that are tracked; empty before `find_people`. In the passes `AFTER_TRACKING`
-        the clip is of one person.
-    given: the caller gave the subject and its start pose.
-    coming: possible people who are not tracked at the end, see `TrackingSession`.
+    people: state of each person after the frames that are tracked; empty before `find_people`. In the passes
+        `AFTER_TRACKING` the clip is of one person.
+    given: whether the caller gave the subject and its start pose, so that no search is needed.
+    coming: (4,) per possible person who is not tracked at the end: place (2,) m, number of failed fits, frame of the
+        next fit.
     complete: every frame was tracked.
     error: what ended tracking after some frames.
     motion: None before `to_motion`, or before `track_clip` where all frames are solved together.
@@ -115,8 +116,7 @@ class ClipState:
     notes: sentences for the user.
     findings: reasons to distrust or review the motion, and remarks.
     places: corrected places of depth cameras.
-    trace: changes that the passes made so far.
-    """
+    trace: changes that the passes made so far."""
 
     source: FrameSource
     frame_rate: float
@@ -154,7 +154,7 @@ class ClipState:
 
     @property
     def who(self) -> TrackedSubject:
-        """The subject; only after `find_people` has run."""
+        """Body and start pose of the person, or of the first of several; only after `find_people` has run."""
         return self.person.subject
 
     @property
@@ -169,7 +169,7 @@ class ClipState:
 
     @property
     def memory(self) -> Memory:
-        """What the recipe has learned about the person."""
+        """Arrays by name that the recipe has learned about the person."""
         return self.person.member.state.memory
 
     @property
@@ -179,7 +179,7 @@ class ClipState:
 
     @property
     def joints(self) -> Array | None:
-        """(T, J, 3) m: the current joint positions; None before tracking."""
+        """Joint positions (T, J, 3), m, world, after the passes that have run; None before tracking."""
         if self.motion is not None:
             return self.motion.joints
         if not self.estimates:
@@ -204,10 +204,9 @@ Pass = Callable[[ClipState], ClipState]
 
 
 def run_pass(step: Pass, clip: ClipState) -> ClipState:
-    """Run one pass, and record in the trace which joints it moved.
+    """Run one pass (a step of the run over the whole clip), and record in the trace which joints it moved.
 
-    Only passes that have a row in `REASONS` move joints; nothing is recorded for the others.
-    """
+    Only passes that have a row in `REASONS` move joints; nothing is recorded for the others."""
     reason, begin = REASONS.get(step.__name__), time.perf_counter()
     before = None if reason is None else clip.joints
     after = step(clip)
@@ -415,7 +414,8 @@ def check_height(clip: ClipState) -> ClipState:
 
 
 def clips_of_people(clip: ClipState) -> list[ClipState]:
-    """Make a clip of each person whose result is wanted; the others hide what they cover in its frames."""
+    """Split a clip of several people into one clip per person whose result is wanted; in its frames, the pixels that
+    other people cover are ignored."""
     if clip.finder is None:
         return [clip]
     out = list[ClipState]()
@@ -430,7 +430,8 @@ def clips_of_people(clip: ClipState) -> list[ClipState]:
 
 
 def trace_searches(clip: ClipState) -> ClipState:
-    """Record where a frame's search put joints elsewhere than the solve from the predicted pose."""
+    """Record in the trace the frames in which the search moved joints away from the solution that starts at the
+    predicted pose."""
     estimates = clip.estimates
     if not estimates or any(not len(e.moved) for e in estimates):
         return clip
@@ -569,9 +570,8 @@ def _with_errors(clip: ClipState, known: str | None, points: Sequence[Keypoints 
 
 
 def mark_absence(clip: ClipState) -> ClipState:
-    """Mark the frames in which the person is absent as lost, and those in which others hide the person as frames of low
-    confidence.
-    """
+    """Mark the frames in which the person is absent as lost, and the frames in which others hide the person as
+    frames of low confidence."""
     motion, notes = clip.motion, [*clip.notes, *clip.person.said]
     if motion is None or not clip.estimates:
         return clip

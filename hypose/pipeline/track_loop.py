@@ -47,10 +47,10 @@ _LOG = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class FrameList:
-    """Frames in memory that can be tracked like a recording, e.g. of a synthetic scene or of your own cameras.
+    """Frames in memory that can be tracked like a recording, for example those of a synthetic scene or of your own
+    cameras.
 
-    frame_rate: Hz.
-    """
+    frame_rate: Hz."""
 
     frames: Sequence[Frame]
     frame_rate: float = 25.0
@@ -156,12 +156,14 @@ class Followed:
         return None
 
     def snapshot(self) -> dict[str, Any]:
-        """Copy the values of all fields, for `vars(self).update`; later changes of this person do not reach them."""
+        """Copy the values of all fields, so that the state can be restored later with `vars(self).update`; later
+        changes of this person do not change the copy."""
         values = {n: list(v) if isinstance(v, list) else v for n, v in vars(self).items()}
         return values | {"appearance": replace(self.appearance, met=dict(self.appearance.met))}
 
     def was_not(self, since: int, reported: str) -> None:
-        """Mark that from frame `since` on another person was tracked instead; reported: how that is known."""
+        """Mark that from frame `since` on another person was tracked instead; reported: how this is known, the end
+        of a sentence for the user."""
         last = len(self.estimates)
         self.estimates[since:] = [replace(e, lost=True) for e in self.estimates[since:]]
         self.hidden[since:] = [True] * (last - since)
@@ -199,10 +201,9 @@ class TrackingSession:
     checkpoint: file for the state after a part of the frames; None: nothing is written.
     identity: identity of the run; a checkpoint of another run is refused.
     every: least number of frames between two checkpoints.
-    held: progress of what `manager` does; an interruption in it counts after the frame.
+    held: progress function for the work of `manager`; an interruption during this work takes effect after the frame.
     coming: (4,) per possible new person of the last look: place (2,) m, failed fits, frame of the next fit.
-    stopped: the user stopped `track`.
-    """
+    stopped: whether the user stopped `track`."""
 
     people: list[Followed]
     frame_rate: float

@@ -110,7 +110,7 @@ def appearance_likeness(p: Followed, seen: Appearance) -> float:
 
 
 def explained_by(people: Sequence[Followed], silhouettes: Silhouettes) -> list[Other]:
-    """Return what the people hide whose place is known."""
+    """List the people whose place is known, as shapes whose pixels in the masks they explain."""
     return [Other(p.member.shape(silhouettes.rig, p.estimates[-1].pose)) for p in people if p.member.sure]
 
 
@@ -217,13 +217,13 @@ def candidate_evidence(
 
 
 def found_again(p: Followed, own: Frame) -> tuple[PreparedFrame, Array]:
-    """Fit the pose of a person, whose body is known, to new evidence, starting from its visual hull.
+    """Fit the pose of a person, whose body is known, to new evidence, starting from the visual hull of this
+    evidence.
 
     p: the person.
     own: frame as evidence for one person in the hull, see `candidate_evidence`.
     Returns: the prepared evidence, and the pose (D,).
-    Raises: EvidenceError where the evidence shows no person.
-    """
+    Raises: EvidenceError where the evidence shows no person."""
     body = p.subject.body
     prepared = prepare(own, body, np.zeros(body.skeleton.dof))
     return prepared, start_from_hull(body, prepared).pose
@@ -234,11 +234,12 @@ def returned(
 ) -> tuple[Followed, Array] | None:
     """Find which of the people who are away is the person in the hull.
 
-    Place: no person walks faster than SETTINGS.newcomer_walking from where they were last seen. Clothes, where pictures
-        show them: not too different. Body: about as tall as the hull. Of several, the one whose clothes are most alike
+    The following is compared. Place: no person walks faster than SETTINGS.newcomer_walking from where they were last
+        seen. Clothes, where pictures
+        show them: not too different. Body: about as tall as the hull. Of several, the one whose clothes are most
+            alike
         and whose body overlaps the masks best.
-    Returns: the person and the pose (D,) now; None: none of them.
-    """
+    Returns: the person and the pose (D,) now; None: none of them."""
     best: tuple[float, Followed, Array] | None = None
     for p in people:
         if p.member.sure:
@@ -306,8 +307,9 @@ def back_again(
 
 
 def unfollowed(coming: Sequence[Array]) -> tuple[str, ...]:
-    """Return a sentence on people or objects to which no body could be fitted; coming: (x, y, failed fits, ...) of the
-    last look.
-    """
+    """Write the note for the user about people or objects to which no body could be fitted.
+
+    coming: per possible person (x, y, number of failed fits, frame of the next fit).
+    Returns: one sentence; empty where there are none."""
     at = ", ".join(f"[{c[0]:.1f}, {c[1]:.1f}]" for c in coming if c[2] > 1)
     return (f"a person or an object at {at} m is not tracked, since no body could be fitted to it",) if at else ()

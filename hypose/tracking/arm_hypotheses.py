@@ -45,7 +45,7 @@ class LookedUp:
     Lengths are displacements of elbow, wrist or hand, m.
 
     cutoff: amount by which the score of an arm may be worse than that of the current arm, m^2.
-    pool: number of arm poses that are drawn into the masks and compared.
+    pool: largest number of arm poses of the table that are compared in full.
     far: least distance from the current arm and from each other.
     ratio: largest energy relative to the current one, before solving.
     most: largest number of rivals per arm.
@@ -86,10 +86,9 @@ class RefineRivals:
     arm found elsewhere).
     arms: tables of reach, each with a function that decides when it is searched.
     keep: largest number of hypotheses.
-    options: settings of solves from a prediction; near: settings of solves whose start is near the solution; with_depth: settings
-        depth
-        of all solves where
-        there are depth cameras.
+    options: settings of solves from a prediction.
+    near: settings of solves whose start is near the solution.
+    with_depth: settings of all solves where there are depth cameras.
     margin: share of the energy that the limb search must gain before its result is solved.
     look: choice of arms from the table; contest: comparison of hypotheses; colours: comparison by pictures."""
 

@@ -133,7 +133,8 @@ def prepare(
 
     prediction: (D,) predicted pose.
     use_silhouettes, use_keypoints: cues that are wanted; depth and further cues are used where they exist.
-    contour_weight: weight of one residual of a contour; keypoint_scale_px: noise of key points where it is not measured.
+    contour_weight: weight of one residual of a contour.
+    keypoint_scale_px: noise of key points where it is not measured, px.
     keypoints_on_body: where key points sit on the body (default: at its landmarks).
     own: additional evidence that a user defined.
     prediction_weight, usual_iou, done: pull to the prediction, usual overlap with the masks, number of frames

@@ -47,11 +47,10 @@ class LiveTrackingOptions:
     """Options of live tracking.
 
     eyes: options of capture.
-    person: see `LivePersonOptions`.
+    person: recipe and seed of tracking, and prior knowledge of the person.
     people: most people that are tracked.
-    measure: fit bodies and find the cameras' offsets in the background.
-    pictures: listeners want the pictures.
-    """
+    measure: whether bodies are fitted, and the time offsets of the cameras estimated, while tracking runs.
+    pictures: whether the results for listeners contain the pictures."""
 
     eyes: CaptureOptions = field(default_factory=CaptureOptions)
     person: LivePersonOptions = LivePersonOptions()
@@ -64,7 +63,7 @@ class LiveTrackingOptions:
 class LiveStatus:
     """State of a live run.
 
-    phase: see `LiveEngine.phase`.
+    phase: EMPTY_ROOM while the background is learned, else the phase of searching or tracking people.
     words: sentences on the cause of a problem or the next step.
     cameras: status of each camera.
     poses: number of instants with poses so far.
@@ -73,8 +72,7 @@ class LiveStatus:
     latency: p50 and p99 of the time from the last picture's arrival to the pose, ms.
     stages: median times of masks (with decoding), tracking, reporting and judging, ms.
     offsets: delays of the cameras, s.
-    fitted: every tracked person has a body of their own.
-    """
+    fitted: every tracked person has a body of their own."""
 
     phase: str
     words: tuple[str, ...]
@@ -92,10 +90,9 @@ class LiveStatus:
 class LiveResult:
     """Result of one instant.
 
-    sight: what the cameras showed.
+    sight: masks and pictures of the cameras.
     frame: the frame that was tracked.
-    poses: one per tracked person.
-    """
+    poses: one per tracked person."""
 
     sight: CaptureResult
     frame: Frame
@@ -117,11 +114,10 @@ class Listener(Protocol):
 class LiveEngine:
     """Live tracking. After `start` it runs until `stop`, the end of all files (`ended`) or an error (`failed`).
 
-    rig, views: cameras in one order.
+    rig, views: calibrated cameras, and how each is opened, in the same order.
     listeners: receivers of the results.
     stop: event from outside that ends it too, also while it starts.
-    Raises: InputError where the number of cameras does not suit.
-    """
+    Raises: InputError where the number of cameras does not suit."""
 
     def __init__(
         self,
@@ -188,7 +184,7 @@ class LiveEngine:
         self._thread.start()
 
     def stop(self) -> None:
-        """End; nothing is reported afterwards."""
+        """End the run; listeners receive nothing afterwards."""
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join(15)
@@ -314,7 +310,7 @@ class LiveEngine:
                 listener.status(status)
 
     def status(self) -> LiveStatus:
-        """Return the state of the run, see `LiveStatus`."""
+        """Return the state of the run: phase, cameras, rate, latency."""
         sight, now = self._sight, time.monotonic()
         cameras = () if sight is None else sight.cameras
         given = np.array(self._given)  # a copy, since the engine's thread continues

@@ -44,8 +44,7 @@ class LivePose:
     motion: motion of this frame alone, with pose, covariance, error probability and low-confidence joints.
     body: body of the pose.
     joints: (J, 3) m, world; after a change of the body they move to the new place smoothly.
-    views: (C,) True for the cameras that were used.
-    """
+    views: (C,) True for the cameras whose evidence was used."""
 
     person: int
     frame: int
@@ -92,10 +91,10 @@ class LiveTrack:
     """Live track of one person. In each frame the tracker continues from `state_at`, and `take` receives the result.
 
     found: body and state that the search found.
-    number: see `LivePose`.
+    number: number of the person, from 1.
     rig: cameras of the masks.
     rate: rate of the frames, Hz.
-    executor: runs duels, see `_Duel`.
+    executor: runs duels, in which the tracked pose is compared with the body whose sides are exchanged.
     work: fits body and offsets; None: neither is done.
     sync: the cameras' offsets are still to be found.
     shared: there may be other people in the masks.
@@ -103,8 +102,7 @@ class LiveTrack:
     Attributes:
     body: the person's own body; None: not known yet.
     offsets: (C,) delays of the cameras, s; None: not known yet.
-    given_up: the person has been lost for too long.
-    """
+    given_up: the person has been lost for too long."""
 
     def __init__(
         self,
@@ -178,9 +176,8 @@ class LiveTrack:
 
     @property
     def recent(self) -> list[FrameEstimate]:
-        """Estimates of the last SETTINGS.people_together_s seconds; empty where the person has not been tracked for so
-        long.
-        """
+        """Estimates of the last SETTINGS.people_together_s seconds; empty where the person has been tracked for a
+        shorter time."""
         long = self._recent and self._time - self._recent[0][0] >= SETTINGS.people_together_s
         return [e for _, e in self._recent] if long else []
 
@@ -386,12 +383,12 @@ class LivePeople:
 
     rig: cameras of the masks.
     rate: rate of the frames, Hz.
-    options: height and body are those of the first person.
-    executor: runs searches and duels.
+    options: options of tracking; height and body in it are those of the first person.
+    executor: runs searches for people, and duels, in which a pose is compared with the body whose sides are
+        exchanged.
     work: fits bodies and offsets; None: neither is done.
     most: most people at once; with one, all of the masks are evidence for that person.
-    offsets: (C,) delays of the cameras, s; None: not known yet.
-    """
+    offsets: (C,) delays of the cameras, s; None: not known yet."""
 
     def __init__(
         self,
@@ -411,7 +408,8 @@ class LivePeople:
 
     @property
     def phase(self) -> str:
-        """Phase: that of the tracked people, else of the search."""
+        """Phase of the run, a word: the phase of the tracked people, or the phase of the search where no person is
+        tracked."""
         if not self.people:
             return self._search.phase
         return STATE_LOST if all(p.state.lost for p in self.people) else STATE_TRACKING

@@ -41,10 +41,9 @@ STATE_EMPTY, STATE_SEARCHING = "no_person", "looking"
 class LivePersonOptions:
     """Options of tracking a person live.
 
-    track: recipe and seed.
+    track: options of tracking, of which recipe and seed are used.
     height: m, where known.
-    body: the person's own body, where known; then none is fitted.
-    """
+    body: the person's own body, where known; then none is fitted."""
 
     track: TrackOptions = TrackOptions()
     height: float | None = None
