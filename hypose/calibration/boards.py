@@ -137,8 +137,10 @@ def dictionaries() -> tuple[str, ...]:
 
 
 def make_detector(board: Board) -> Detector:
-    """Make the detector of a board: a function from a grey picture (h, w) to a BoardDetection, or None without a
-    board."""
+    """Make the detector of a board.
+
+    Returns: function of a grey picture (h, w) that returns a BoardDetection, or None where the picture shows no
+        board."""
     if board.kind == "charuco":
         return _charuco_detector(board)
 

@@ -419,9 +419,8 @@ class Cured:
     rig: corrected cameras.
     keypoints: synchronous key points in the right place.
     late: (C,) delay of each view, frames.
-    shift: (C, 2) to add to the images, px of the calibrated size.
-    keypoint_lag: frames.
-    """
+    shift: (C, 2) x and y to add to image positions of each view, px of the calibrated size.
+    keypoint_lag: number of frames: key points of frame t belong to video frame t + keypoint_lag."""
 
     rig: CameraRig
     keypoints: Array | None

@@ -174,8 +174,7 @@ class PointArrays(NamedTuple):
 
 
 class DepthArrays(NamedTuple):
-    """Depth maps of C sensors: points of the person's surface, and how far each sensor sees; Geman-McClure cost of
-        the
+    """Depth maps of C sensors: points of the person's surface, and how far each sensor sees; Geman-McClure cost of the
     distance in m.
 
     points: (M, 3) m, world.

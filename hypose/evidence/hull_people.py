@@ -221,8 +221,7 @@ def _stands(near: Array, nearby: float, litre: float, floor: float, surface: flo
     near: voxels nearer than ABOUT; litre: volume of one voxel, litres; floor: its height, m; surface: as for
         `people_of_hull`.
     nearby: litres within PART_OF_LARGER_M, of any person. Why: a part of something wide is no child; and a child's
-        surface
-    alone is no larger than that of furniture.
+        surface alone is no larger than that of furniture.
     """
     if not len(near) or near[:, 2].min() - floor > FROM_FLOOR:
         return False

@@ -24,10 +24,9 @@ from hypose.geometry import Array
 class LiveSettings:
     """Settings of the live fusion.
 
-    align: align of clocks, rates and output instants.
-    people: people of identities and sensor positions.
-    fit: fit of the articulated fit of one skeleton.
-    """
+    align: settings of clocks, rates and output instants.
+    people: settings of identities and sensor positions.
+    fit: settings of the articulated fit of one skeleton."""
 
     align: AlignSettings = field(default_factory=AlignSettings)
     people: PeopleSettings = field(default_factory=PeopleSettings)
@@ -87,7 +86,11 @@ class LiveFuser:
         _warm_up(self.settings.fit)
 
     def push(self, report: SensorReport, now: float | None = None) -> bool:
-        """Add one report of one sensor; see `Aligner.push`."""
+        """Add one report of one sensor.
+
+        now: arrival on the host's monotonic clock, s; by default that of the report.
+        Returns: False where the report was not used, because it is too late or its time is implausible.
+        Raises: InputError for an unknown joint set, coordinates that are not metres, or too many sensors or persons."""
         return self.aligner.push(report, now)
 
     def due(self) -> float:

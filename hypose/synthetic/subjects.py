@@ -91,7 +91,9 @@ class SyntheticSubject:
 
 @lru_cache(maxsize=1)
 def load_subjects() -> dict[str, SyntheticSubject]:
-    """Load the shipped subjects by name."""
+    """Load the synthetic people that are shipped with the package.
+
+    Returns: dictionary of the people by name."""
     file = resources.files("hypose.assets").joinpath("subjects.npz")
     with file.open("rb") as stream:
         data = dict(np.load(stream, allow_pickle=False))

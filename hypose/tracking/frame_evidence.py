@@ -181,8 +181,7 @@ def view_count(prepared: PreparedFrame) -> int:
 
 @dataclass(frozen=True)
 class SilhouetteXor:
-    """Energy of hypotheses on silhouettes: E = sum over usable views of XOR(M_v, S_v) / C(S_v), so that the weight
-        is
+    """Energy of hypotheses on silhouettes: E = sum over usable views of XOR(M_v, S_v) / C(S_v), so that the weight is
     exp(-E).
 
     M_v: silhouette of the posed coarse mesh in view v; S_v: the mask; C: its number of foreground pixels (those

@@ -75,9 +75,8 @@ def default(
 
     frame_rate: Hz.
     Layers: (1) a contour solve from the prediction, accurate to centimetres; (2) a search of single limbs around it
-        with
-    long-tailed steps (`LimbSearch`), because a local solve cannot move a limb by more than about 10 cm; (3) solves of
-    the search result and of alternative arms (rivals), of which the silhouettes choose the best.
+    with long-tailed steps (`LimbSearch`), because a local solve cannot move a limb by more than about 10 cm; (3) solves
+    of the search result and of alternative arms (rivals), of which the silhouettes choose the best.
     particles: number of hypotheses.
     iterations: number of iterations of a solve.
     rivals: largest number of poses kept from frame to frame, with the estimate.

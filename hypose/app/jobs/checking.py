@@ -153,12 +153,13 @@ def examine_recording(
 
 
 def write_findings(path: Path, found: Findings, report: PersonReport | None) -> None:
-    """Write the findings of a check as JSON for the studio: facts, warnings, findings, figures per view, name of the
-    page.
+    """Write the findings of a check as a JSON file for the studio.
+
+    The file has facts, warnings, findings, figures per view, and the name of the page.
+    path: file to write.
 
     found: result of `check_recording`.
-    report: result of `examine_recording`; None without one.
-    """
+    report: result of `examine_recording`; None without one."""
     value = {
         "healthy": not found.warnings and (report is None or report.healthy),
         "facts": found.facts,

@@ -35,22 +35,21 @@ def compare_files(
 ) -> list[Compared]:
     """Compare pairs of a result and another motion.
 
-    pairs: paths of a result and of what it is compared with.
-    joints, subject: as for `read_other`.
-    Raises: InputError where a file cannot be read or compared.
-    """
+    pairs: for each comparison, the path of a result and the path of the other motion.
+    joints: marker names by joint name, for markers whose names are not known; the mean of the markers is the joint.
+    subject: person to read, where a file names points SUBJECT:POINT.
+    Raises: InputError where a file cannot be read or compared."""
     return [(a, b, compare_motions(load_result(a), read_other(b, joints, subject), options)) for a, b in pairs]
 
 
 def exceeded(
     compared: Sequence[Compared], mm: float | None, degrees: float | None, coverage: float | None
 ) -> list[str]:
-    """List a sentence for every limit that a comparison exceeds; None = no limit.
+    """List a sentence for every limit that a comparison exceeds. A limit of None is not checked.
 
     mm: largest RMSE of all joints, mm, each without its constant offset.
     degrees: largest RMSE of an angle without its constant offset.
-    coverage: least share inside our 90 % regions, mean over the joints.
-    """
+    coverage: least share inside our 90 % regions, mean over the joints."""
     out = []
     for _, other, found in compared:
         rmse = found.left_mm[2]
@@ -69,7 +68,10 @@ def exceeded(
 
 
 def mean_coverage(found: Comparison) -> float:
-    """Compute the mean over the joints of the share inside our 90 % regions; NaN where we have none."""
+    """Compute how often the other motion lies in our 90 % confidence regions: the share of the frames, mean over the
+    joints.
+
+    Returns: 0 to 1; NaN where our motion has no regions."""
     shares = [a.covered[SETTINGS.compare_levels.index(0.9)] for a in found.joints]
     known = [s for s in shares if np.isfinite(s)]
     return float(np.mean(known)) if known else float("nan")

@@ -42,9 +42,8 @@ class Item:
 
     kind: kind of the item.
     id: opaque id.
-    path: resolved, inside the root.
-    changed: time of the last change, s.
-    """
+    path: its path inside the root, with links resolved.
+    changed: time of the last change, s."""
 
     kind: Kind
     id: str
@@ -66,7 +65,7 @@ class Catalog:
         return sorted((i for i in self._items.values() if i.kind == kind), key=lambda i: (-i.changed, str(i.path)))
 
     def every(self) -> list[Item]:
-        """List all items of the last search."""
+        """List the items of all kinds that the last search of the folder found."""
         return list(self._items.values())
 
     def find(self, kind: Kind, id: Any) -> Item:

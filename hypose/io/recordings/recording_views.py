@@ -26,13 +26,15 @@ SIDECAR = "hypose-masks.json"
 class ViewSettings:
     """The files and settings of one camera's view. Paths exist; None where not given.
 
-    video, images, masks, background, keypoints, depth: see the keys in `hypose.io.recordings.recording`.
-    image_shift: px to add to image coordinates of the calibrated size.
+    video, images, depth: video file, folder of images, or folder of depth maps.
+    masks: video or folder of masks.
+    background: video, photo or folder that shows the empty room.
+    keypoints: file or folder of key points.
+    image_shift: (x, y) to add to image coordinates, px of the calibrated size.
     accept_scaled: images of another shape were stretched, not cut.
     first_mask: number of the first frame's files, for masks of one folder per object; None for the view's lowest
         number.
-    rate: frames/s at which the video is read by its time stamps; None to read it frame by frame.
-    """
+    rate: frames/s at which the video is read by its time stamps; None to read it frame by frame."""
 
     name: str
     video: Path | None = None
@@ -75,7 +77,10 @@ class _ClipInfo:
 
 
 def look(view: ViewSettings) -> list[_ClipInfo]:
-    """Open the files of a view (video or images, then masks) and read their size, length and frame rate."""
+    """Open the files of a view and read their properties.
+
+    Returns: size, length and frame rate of the video or images, then those of the masks; files that the view does
+        not have are left out."""
     out = []
     for path in (view.source, view.masks):
         if path is None:

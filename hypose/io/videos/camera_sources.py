@@ -162,12 +162,11 @@ def without_password(address: str) -> str:
 
 
 class Film(Protocol):
-    """Interface of everything that can be played: numbered pictures.
+    """Interface of a sequence of numbered pictures that can be played, such as a video.
 
     path: file or folder, for the error messages.
     frame_rate: Hz; None where not known.
-    n_frames: number of pictures.
-    """
+    n_frames: number of pictures."""
 
     path: Path
     frame_rate: float | None
