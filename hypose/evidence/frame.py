@@ -237,7 +237,7 @@ class Frame:
     """Evidence of one instant; each piece is None when the frame has none of this kind.
 
     time: s; index: frame number.
-    more: pieces of further cues (`hypose.evidence.terms.Piece`), such as `hypose.evidence.limb_maps.LimbMaps`.
+    more: pieces of further cues (`hypose.evidence.terms.Piece`), such as `examples/python/limb_maps.py`.
     """
 
     time: float

@@ -1,4 +1,4 @@
-"""Segment the person in images: difference from a background model, shadow test, clean-up, refinement of the rim.
+"""Segment the person in images: difference from a background model, shadow test, clean-up.
 
 Images are BGR uint8 at working size, undistorted; masks are (h, w) uint8 with 1 = person. Lengths are px of that size.
 """
@@ -32,7 +32,6 @@ _RANGES = {
     "hole_px": (0, 10**6),
     "keep_share": (0.0, 1.0),
     "keep_gap": (0.0, 1e6),
-    "rim_px": (1, 100),
 }
 """Allowed range of each option; beyond it nothing is left of a mask, or it takes minutes to compute."""
 _TWO_VALUED, _LABELS = 48, 32
@@ -71,7 +70,6 @@ class SilhouetteSettings:
     hole_px: holes up to this area are filled.
     keep_share: connected parts smaller than this share of the largest one are removed (1 keeps only the largest).
     keep_gap: parts further from the largest than this share of its longer side are removed.
-    grabcut: refine the mask within rim_px on either side of its outline by GrabCut (slow: 25 ms and more per view).
     """
 
     threshold: float = 4.0
@@ -84,8 +82,6 @@ class SilhouetteSettings:
     hole_px: int = 60
     keep_share: float = 0.02
     keep_gap: float = 0.1
-    grabcut: bool = False
-    rim_px: int = 3
 
     @property
     def cleaning(self) -> mask_runs.Cleaning:
@@ -125,7 +121,7 @@ class _Segmenter:
         self._options, self._shape = options, background.valid.shape
         self._unseen = None if background.valid.all() else mask_runs.bits_of((~background.valid).view(np.uint8))
         self._room = _room(background, options)
-        self.glance: Glance | None = None if options.grabcut else glance_at(self._room)
+        self.glance: Glance | None = glance_at(self._room)
 
     def __call__(self, image: Image, band: Mask | None = None, /) -> Mask:
         return mask_runs.draw(self.runs(image, band))
@@ -145,11 +141,7 @@ class _Segmenter:
                 bits |= self._unseen & allowed
         if allowed is not None:
             bits &= allowed
-        o = self._options
-        runs = mask_runs.clean(bits, (h, w), o.cleaning)
-        if not o.grabcut:
-            return runs
-        return mask_runs.runs_of(refine_rim(image, mask_runs.draw(runs), o.rim_px, band))
+        return mask_runs.clean(bits, (h, w), self._options.cleaning)
 
 
 def _room(background: BackgroundModel, options: SilhouetteSettings) -> picture_to_mask.BackgroundLevels:
@@ -194,36 +186,6 @@ def biggest_parts(mask: Mask, keep_share: float, keep_gap: float = np.inf) -> Ma
 def _cleaned(mask: Mask, how: mask_runs.Cleaning) -> Mask:
     """Clean a mask (h, w) with the given settings."""
     return mask_runs.draw(mask_runs.clean(mask_runs.bits_of(mask), (mask.shape[0], mask.shape[1]), how))
-
-
-def refine_rim(image: Image, mask: Mask, rim_px: int = 3, band: Mask | None = None) -> Mask:
-    """Refine a mask by GrabCut within rim_px on either side of its outline; the rest of the mask is fixed.
-
-    image: (h, w, 3) BGR; mask: (h, w) 0 or 1.
-    band: (h, w) where the person can be.
-    Returns: the refined mask; the given one where GrabCut's result is empty or has collapsed, which happens now and
-        then.
-    Source: Rother, Kolmogorov & Blake 2004, as in OpenCV.
-    """
-    box = bounding_box(mask if band is None else mask | (band > 0), 2 * rim_px + 2)
-    area = int(mask.sum())
-    if box is None or area == 0:
-        return mask
-    y0, y1, x0, x1 = box
-    m, part = mask[y0:y1, x0:x1], np.ascontiguousarray(image[y0:y1, x0:x1])
-    label = np.where(m > 0, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
-    label[cv2.erode(m, mask_runs.disc(2 * rim_px + 1)) > 0] = cv2.GC_FGD
-    label[cv2.dilate(m, mask_runs.disc(2 * rim_px + 1)) == 0] = cv2.GC_BGD
-    if band is not None:
-        label[band[y0:y1, x0:x1] == 0] = cv2.GC_BGD
-    out = np.zeros_like(mask)
-    try:
-        cv2.setRNGSeed(0)  # this thread's generator: the same mask for any number of threads
-        cv2.grabCut(part, label, (0, 0, 1, 1), np.zeros((1, 65)), np.zeros((1, 65)), 2, cv2.GC_INIT_WITH_MASK)
-        out[y0:y1, x0:x1] = label & 1
-    except cv2.error:  # no sure background or foreground left: nothing to learn colours from
-        return mask
-    return out if int(out.sum()) >= 0.6 * area else mask
 
 
 def as_mask(image: ArrayLike, source: str = "The mask image") -> Mask:
