@@ -170,7 +170,6 @@ def _one(a: PersonTrack, b: PersonTrack) -> PersonTrack:
     return PersonTrack(a.first, points, world, candidates)
 
 
-_MEASURED, _REMEMBERED = 10, 50  # frames after which a bone's length is known, and over which it is averaged
 _LEAST_POINTS = 4  # least key points of a candidate that is a person; fewer are parts that can complete one
 _GROUPS = (
     ("shoulder", "elbow", "wrist"),
@@ -210,8 +209,6 @@ class AssociationSettings:
     exchanged: largest share of the distance that remains when left and right are exchanged; exchanged_m: m that the
         exchange must gain.
     plausible: least share of bones with a body's lengths.
-    stretched: the end of a limb is not accepted when only two views show it and its bone is longer than this many times
-        its usual length.
     walk, restart: m/s and m, largest distance of a person after a gap.
     alike: largest mean difference of the logarithms of bones' lengths of the same body.
     motion: share of the last step of a point that predicts the next one; jump: m, a longer step predicts none.
@@ -231,7 +228,6 @@ class AssociationSettings:
     exchanged: float = 0.6
     exchanged_m: float = 0.03
     plausible: float = 0.7
-    stretched: float = 1.35
     walk: float = 2.5
     restart: float = 0.5
     alike: float = 0.12
@@ -269,7 +265,6 @@ class _Followed:
     points: (K, 3) last known points, m; motion: (K, 3) per frame; stale: (K,) frames for which each has not been seen.
     exchanged: (C, G + 1) groups of points whose sides were exchanged in a view of the last frame.
     votes: (G + 1,) how often views named the sides of a group of points as they are, less how often the other way.
-    length: (B,) bones of the limbs, m; measured: (B,) how often each was measured.
     """
 
     first: int
@@ -278,8 +273,6 @@ class _Followed:
     stale: NDArray[np.int64]
     exchanged: NDArray[np.bool_]
     votes: NDArray[np.int64]
-    length: Array
-    measured: NDArray[np.int64]
     needed: int
     hits: int = 0
     missed: int = 0
@@ -314,9 +307,6 @@ class Association:
                 if part in parts and self._twin[i] != i:
                     self._group[i] = g
         self._bones = [(column[a], column[b], lo, hi) for a, b, lo, hi in _BONES if a in column and b in column]
-        ends = ("elbow", "wrist", "knee", "ankle")
-        limbs = [(column[a], column[b]) for a, b, _, _ in _BONES if a in column and b in column and b.endswith(ends)]
-        self._limbs = np.array(limbs, dtype=np.int64).reshape(-1, 2)
         o = self.settings
         self._patience = max(3, round(o.patience * frame_rate))
         self._stale = max(2, round(o.stale * frame_rate))
@@ -346,8 +336,8 @@ class Association:
         if self._alive:
             self._complete(seen, found, free, free & ~is_person, which, expected)
             seen = self._right_sides(seen, expected)
-            world, used = meet(self._views, seen, self.settings.near, expected)
-            self._update(seen, self._of_own_size(world, used), which)
+            world, _ = meet(self._views, seen, self.settings.near, expected)
+            self._update(seen, world, which)
         self._end()
         self._frame += 1
 
@@ -491,8 +481,6 @@ class Association:
                 np.where(np.isfinite(points[0, :, 0]), 0, far).astype(np.int64),
                 np.zeros((len(found), len(_GROUPS) + 1), dtype=np.bool_),
                 np.zeros(len(_GROUPS) + 1, dtype=np.int64),
-                np.zeros(len(self._limbs)),
-                np.zeros(len(self._limbs), dtype=np.int64),
                 needed,
             )
             self._alive.append(t)
@@ -541,29 +529,6 @@ class Association:
         c, n, k = np.nonzero(near & missing)
         seen[c, n, k] = left[c, best[c, n, k], k]
         seen[c, n, k, 2] *= 0.5
-
-    def _of_own_size(self, world: Array, used: NDArray[np.bool_]) -> Array:
-        """Remove ends of limbs (NaN) that only two rays show and that lie further away than the person's bone is long.
-
-        world: (N, K, 3) m, NaN where unknown; returned with the removed points as NaN.
-        used: (C, N, K) rays used per point. The other points update the lengths of the bones.
-        """
-        if not len(self._limbs):
-            return world
-        a, b = self._limbs.T
-        length = np.sqrt(((world[:, a] - world[:, b]) ** 2).sum(-1))
-        rays = used.sum(0)
-        out = world.copy()
-        for n, t in enumerate(self._alive):
-            known = np.isfinite(length[n])
-            wrong = known & (t.measured >= _MEASURED) & (length[n] > self.settings.stretched * t.length)
-            wrong &= rays[n, b] <= 2
-            out[n, b[wrong]] = np.nan
-            fine = known & ~wrong & (rays[n, a] > 2) & (rays[n, b] > 2)
-            share = 1.0 / np.minimum(t.measured[fine] + 1, _REMEMBERED)
-            t.length[fine] += share * (length[n, fine] - t.length[fine])
-            t.measured[fine] += 1
-        return out
 
     def _update(self, seen: Array, world: Array, which: NDArray[np.int64]) -> None:
         """Update the points, the motion and the history of all tracked people after a frame.
