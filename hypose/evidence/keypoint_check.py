@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose.cameras.camera import PARALLEL, Camera, CameraRig, triangulate, widest_angle
-from hypose.evidence.keypoints import other_sides
+from hypose.evidence.keypoints import other_sides, person_size
 from hypose.geometry import Array, se3_inverse
 
 SeenT = TypeVar("SeenT")
@@ -94,7 +94,7 @@ def sizes(pixels: Array) -> Array:
     """
     out = np.zeros(len(pixels))
     for c, view in enumerate(pixels):
-        found = [np.ptp(p[p[:, 2] > 0.3, :2], axis=0).max() for p in view if (p[:, 2] > 0.3).sum() > 5]
+        found = [size for p in view if (size := person_size(p, least=6)) > 0]
         out[c] = float(np.median(found)) if found else 0.0
     return out
 

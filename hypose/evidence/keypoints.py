@@ -325,11 +325,14 @@ def _reprojection(rig: CameraRig, x: Array, uv: Array, w: Array) -> Array:
     return np.where(w > 0, np.nan_to_num(d, nan=1e6), 0.0)
 
 
-def person_size(points: ArrayLike, min_confidence: float = 0.3) -> float:
-    """Compute the longer side of the box around the confident points (K, 3), px; 0 when there are fewer than three."""
+def person_size(points: ArrayLike, min_confidence: float = 0.3, least: int = 3) -> float:
+    """Compute the longer side of the box around the confident points (K, 3), px; 0 where there are fewer than `least`.
+
+    min_confidence: points with a larger confidence count.
+    """
     p = np.asarray(points, dtype=np.float64)
     p = p[p[:, 2] > min_confidence]
-    return float(np.ptp(p[:, :2], axis=0).max()) if len(p) > 2 else 0.0
+    return float(np.ptp(p[:, :2], axis=0).max()) if len(p) >= least else 0.0
 
 
 def thick_skeleton(
