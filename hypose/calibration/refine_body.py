@@ -37,14 +37,12 @@ class BodySettings:
     iterations: number of iterations of each stage.
     contour_weight: weight of a contour row at the reference density.
     focal: refine focal lengths as well.
-    normals: smallest cosine between the outline normals of a row; other rows are left out.
     """
 
     coarse: tuple[float, ...] = (4.0, 2.0, 1.0)
     iterations: tuple[int, ...] = (5, 6, 6)
     contour_weight: float = 0.1
     focal: bool = False
-    normals: float = 0.3
 
 
 @dataclass(frozen=True)
@@ -93,7 +91,7 @@ def _cue(one: ContourTerm, o: BodySettings) -> Cue[_Cameras]:
 
     def rows(at: Posed, cameras: _Cameras, factor: float) -> Iterable[Rows]:
         projections = np.stack([c.projection for c in cameras])
-        return rows_of_contours(at, one, factor, o.contour_weight, one.row_spacing_px, o.normals, projections)
+        return rows_of_contours(at, one, factor, o.contour_weight, one.row_spacing_px, projections)
 
     return rows
 

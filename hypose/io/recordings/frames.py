@@ -482,6 +482,10 @@ class FrameStream:
             source.close()
         self._lanes, self._ahead = [], {}
 
+    def pictures(self) -> list[ViewSource]:
+        """Open the pictures of all views, undistorted and at working size; the caller closes them."""
+        return [ViewSource(*of) for of in zip(self.recording.views, self.recording.rig, self.rig, strict=True)]
+
     def frame(self, index: int, /) -> Frame:
         """Compute the evidence of one frame; access in increasing order is the fastest.
 
