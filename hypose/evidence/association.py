@@ -96,7 +96,9 @@ def choose(tracks: Sequence[PersonTrack]) -> int | None:
 def joined(tracks: Sequence[PersonTrack], names: Sequence[str], frame_rate: float) -> list[PersonTrack]:
     """Join tracks that are one person before and after a gap; those seen most come first.
 
-    tracks: of the whole clip; names: of the K key points; frame_rate: Hz.
+    tracks: all tracks of the clip.
+    names: names of the K key points.
+    frame_rate: frames per second, Hz.
     Two tracks are joined where the bones have the same lengths, the place can be reached in the gap, and no other
     person fits.
     """
@@ -136,7 +138,7 @@ def _at_once(tracks: Sequence[PersonTrack], i: int, j: int, k: int, m: int) -> b
 def _bones(track: PersonTrack, names: Sequence[str]) -> Array:
     """Compute the median lengths (B,), m, of the limbs' and the trunk's bones; NaN where seen in fewer than three.
 
-    names: of the K key points of the track.
+    names: names of the K key points of the track.
     """
     column = {n: i for i, n in enumerate(names)}
     out = np.full(len(_BONES) - 1, np.nan)
@@ -202,16 +204,18 @@ class AssociationSettings:
     near: m, largest distance of a ray that counts for a point.
     complete: m, largest distance at which a single free point completes a person.
     limit: m; larger distances count as this.
-    merge: m, two people nearer than this are one; apart: m, no new person starts nearer than this to another.
+    merge: m, two people nearer than this are one.
+    apart: m, no new person starts nearer than this to another.
     patience: s without two views after which a track ends.
     stale: s for which a point that is not seen is predicted with the others.
     trial: s for which a person seen by two views must be tracked to be accepted; three views are accepted at once.
-    exchanged: largest share of the distance that remains when left and right are exchanged; exchanged_m: m that the
-        exchange must gain.
+    exchanged: largest share of the distance that remains when left and right are exchanged.
+    exchanged_m: m that the exchange must gain.
     plausible: least share of bones with a body's lengths.
     walk, restart: m/s and m, largest distance of a person after a gap.
     alike: largest mean difference of the logarithms of bones' lengths of the same body.
-    motion: share of the last step of a point that predicts the next one; jump: m, a longer step predicts none.
+    motion: share of the last step of a point that predicts the next one.
+    jump: m, a longer step predicts none.
     objects: m, largest mean distance of the rays of one person's objects; large, because outlines are no points.
     """
 
@@ -244,11 +248,11 @@ def people_of(
 ) -> list[PersonTrack]:
     """Find the people of a clip; those seen most come first.
 
-    frame_rate: Hz.
+    frame_rate: frames per second, Hz.
     candidates: per frame and view the detections (P, K, 3 or more) = (u px, v px, confidence, ...) in undistorted
         pixels of the pinhole `rig`, confidence 0 where missing; None where there is none. Further columns are kept. A
         candidate with fewer than four points is a part that may complete a person.
-    names: of the K points.
+    names: names of the K points.
     There is no person with one view alone, or with two that do not agree: see `hypose.evidence.one_person`.
     """
     given = (view.shape[2] for frame in candidates for view in frame if view is not None and len(view))
@@ -262,7 +266,9 @@ def people_of(
 class _Followed:
     """State of a person who is being tracked.
 
-    points: (K, 3) last known points, m; motion: (K, 3) per frame; stale: (K,) frames for which each has not been seen.
+    points: (K, 3) last known points, m.
+    motion: (K, 3) motion of each point, m per frame.
+    stale: (K,) number of frames for which each point has not been seen.
     exchanged: (C, G + 1) groups of points whose sides were exchanged in a view of the last frame.
     votes: (G + 1,) how often views named the sides of a group of points as they are, less how often the other way.
     """
@@ -284,7 +290,9 @@ class _Followed:
 class Association:
     """Association of detections with people, frame by frame: call `step` for every frame, then `people`.
 
-    names: of the K key points; rig: pinhole cameras; frame_rate: Hz.
+    names: names of the K key points.
+    rig: pinhole cameras.
+    frame_rate: frames per second, Hz.
     columns: number of columns of all candidates, at least 3 (u px, v px, confidence).
     """
 
@@ -406,7 +414,8 @@ class Association:
         """Compute the distances (C, N, P, K), m, of candidates (C, P, K, 3) as named, and with left and right
         exchanged.
 
-        expected: (N, K, 3) predicted points of the people, m; found: (C, P, K, 3) px and confidence.
+        expected: (N, K, 3) predicted points of the people, m.
+        found: (C, P, K, 3) px and confidence.
         Returns: two arrays; NaN where one of the two points is unknown.
         """
         limit = self.settings.limit
@@ -454,7 +463,8 @@ class Association:
     def _born(self, found: Array, is_person: NDArray[np.bool_], free: NDArray[np.bool_]) -> list[list[tuple[int, int]]]:
         """Start new people from the remaining candidates; return (view, candidate) pairs of each.
 
-        found: (C, P, K, 3) candidates of each view; is_person: (C, P) free candidates with enough points for a person.
+        found: (C, P, K, 3) candidates of each view.
+        is_person: (C, P) free candidates with enough points for a person.
         free: (C, P) candidates that are not assigned to a person; those of the new people are set to False.
         The new people are added to the tracked ones.
         """
@@ -511,9 +521,11 @@ class Association:
         """Fill missing points in `seen` with free detections near their expected places.
 
         seen: (C, N, K, 3) points of each person, changed in place; the confidence of a filled point is halved.
-        found: (C, P, K, 3) candidates; free: (C, P) those not assigned; parts: (C, P) free ones that are too small for
-            a person.
-        which: (C, N) candidate of each person, -1 for none; expected: (N, K, 3) predicted points, m.
+        found: (C, P, K, 3) candidates.
+        free: (C, P) those not assigned.
+        parts: (C, P) free ones that are too small for a person.
+        which: (C, N) candidate of each person, -1 for none.
+        expected: (N, K, 3) predicted points, m.
         A free detection with enough points for a person only completes a person whom that view already sees, because it
         was then detected in two pieces.
         """
@@ -533,8 +545,9 @@ class Association:
     def _update(self, seen: Array, world: Array, which: NDArray[np.int64]) -> None:
         """Update the points, the motion and the history of all tracked people after a frame.
 
-        seen: (C, N, K, 3) px and confidence; world: (N, K, 3) m, NaN where unknown; which: (C, N) candidate, -1 for
-            none.
+        seen: (C, N, K, 3) px and confidence.
+        world: (N, K, 3) m, NaN where unknown.
+        which: (C, N) candidate, -1 for none.
         """
         for n, t in enumerate(self._alive):
             got = np.isfinite(world[n, :, 0])

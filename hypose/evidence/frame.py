@@ -117,7 +117,9 @@ class Keypoints:
 class Detections:
     """Body parts that a detector found; they drive kernels of the search.
 
-    points: (M, 3) in the world, m; score: (M,); part: (M,) index of the part.
+    points: (M, 3) in the world, m.
+    score: (M,) score of the detector.
+    part: (M,) index of the part.
     """
 
     points: Array
@@ -129,9 +131,12 @@ class Detections:
 class SensorReport:
     """Skeleton of one person at one instant, as a depth sensor reports it.
 
-    sensor: name; time: on the sensor's clock, s; arrival: on the receiving computer's clock, s, None: unknown.
+    sensor: name.
+    time: on the sensor's clock, s.
+    arrival: on the receiving computer's clock, s, None: unknown.
     person: the sensor's number of the person; None when it sees no person (the arrays are empty).
-    joint_names: (J,); positions: (J, 3) in the sensor's frame, m, NaN where missing.
+    joint_names: (J,).
+    positions: (J, 3) in the sensor's frame, m, NaN where missing.
     state: (J,) uint8: 0 not tracked, 1 inferred, 2 tracked.
     """
 
@@ -151,7 +156,8 @@ class SensorJoints:
     positions: (K, J, 3) m, each in its own sensor's frame (or in a common frame after registration); NaN where missing.
     state: (K, J) uint8: 0 = not tracked, 1 = inferred, 2 = tracked; 0 where the position is missing.
     times: (K,) on the common clock, s; NaN for a sensor without a skeleton.
-    joint_names: (J,); sensor_names: (K,).
+    joint_names: (J,).
+    sensor_names: (K,).
     depth: (K, h, w) float32 depth maps, m, 0 = hole, with their intrinsics (K, 3, 3); or None.
     joint_depth: (K, J) depth at the joint's pixel where no whole map is kept, m, 0 = hole; or None.
     The constructor makes all forms of "missing" (NaN, -9999, state 0) the same.
@@ -208,7 +214,8 @@ class Picture:
     """Picture of one camera.
 
     camera: pinhole camera of the same size.
-    image: (h, w, 3) uint8 BGR, undistorted; before: the previous picture, None at the first.
+    image: (h, w, 3) uint8 BGR, undistorted.
+    before: the previous picture, None at the first.
     mask: (h, w), not 0 on the person; None: unknown.
     """
 
@@ -236,7 +243,8 @@ class Colours:
 class Frame:
     """Evidence of one instant; each piece is None when the frame has none of this kind.
 
-    time: s; index: frame number.
+    time: s.
+    index: frame number.
     more: pieces of further cues (`hypose.evidence.terms.Piece`), such as `examples/python/limb_maps.py`.
     """
 

@@ -279,7 +279,7 @@ def misread(people: Sequence[Sequence[Array | None]], names: Sequence[str], rig:
 
     rig: the calibrated cameras.
     people: per view and frame the people (P, K, 3), px of the calibrated, distorted cameras; None: no file.
-    names: of the K points.
+    names: names of the K points.
     Returns: a part of a sentence that names the error; None where nothing is wrong, it cannot be known, or the
         calibration is wrong, which other checks report.
     """
@@ -308,7 +308,9 @@ def misread(people: Sequence[Sequence[Array | None]], names: Sequence[str], rig:
 def _one_person(people: Sequence[Sequence[Array | None]], count: int, views: int) -> Array | None:
     """Select frames (C, T, K, 3) in which two or more views see exactly one person; None when there are too few.
 
-    people: per view and frame the people (P, K, 3), None where there are none; count: K; views: number of views.
+    people: per view and frame the people (P, K, 3), None where there are none.
+    count: K.
+    views: number of views.
     """
     frames = range(max((len(p) for p in people), default=0))
     single = [

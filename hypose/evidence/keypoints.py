@@ -319,7 +319,9 @@ def triangulate_keypoints(
 def _reprojection(rig: CameraRig, x: Array, uv: Array, w: Array) -> Array:
     """Compute the distances (C, N), px, between projections of x (N, 3) and uv (C, N, 2); very large behind a camera.
 
-    x: (N, 3) m; uv: (C, N, 2) px; w: (C, N) weights, 0 where a point is not seen.
+    x: (N, 3) m.
+    uv: (C, N, 2) px.
+    w: (C, N) weights, 0 where a point is not seen.
     """
     d = np.stack([np.linalg.norm(camera.project_pinhole(x) - uv[c], axis=-1) for c, camera in enumerate(rig)])
     return np.where(w > 0, np.nan_to_num(d, nan=1e6), 0.0)

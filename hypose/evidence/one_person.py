@@ -63,7 +63,7 @@ def one_person(
 ) -> OnePerson:
     """Find the person who is seen in most frames and views.
 
-    frame_rate: Hz.
+    frame_rate: frames per second, Hz.
     candidates, names, rig: as in `hypose.evidence.association.people_of`.
     keep_misfits: the calibration itself is in doubt; a view that does not fit keeps the person who moves like the one
         in the other views. Otherwise such a view is left out.
@@ -122,7 +122,8 @@ def one_person(
 def _passes_by(person: PersonTrack, rig: CameraRig, absent: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Find views (C,) whose key points lie next to the place where the rays of the other views meet.
 
-    person: the track; absent: (C,) views that are known to show someone else, and are not used.
+    person: the track.
+    absent: (C,) views that are known to show someone else, and are not used.
     The worst view is removed first, as long as three or more are left to decide.
     """
     views = Views(rig)
@@ -154,7 +155,10 @@ def _how_many(people: Array | None) -> int:
 def _stranger(column: Sequence[Array | None], tracks: Sequence[PersonTrack], c: int, frames: int) -> bool:
     """Decide whether a view shows a person, for a good part of the clip, who is none of the tracked people.
 
-    column: candidates of the view in each frame; tracks: the tracked people; c: the view; frames: their number.
+    column: candidates of the view in each frame.
+    tracks: the tracked people.
+    c: the view.
+    frames: their number.
     """
     known = np.zeros(frames, dtype=np.int64)
     for t in tracks:
@@ -169,7 +173,9 @@ def _by_motion(columns, of_view, names, width: int, notes: tuple[str, ...]) -> O
     Of equals, the people present longest are taken.
 
     columns: per view the candidates of each frame; of_view(c): the people of view c, see `view_tracks`.
-    names: of the K points; width: columns of a point; notes: sentences for the user.
+    names: names of the K points.
+    width: columns of a point.
+    notes: sentences for the user.
     """
     found = [of_view(c)[:_COMPARED] for c in range(len(columns))]
     shown = [c for c, people in enumerate(found) if people]
@@ -210,8 +216,10 @@ def _alike(
     """Find the points (T, K, width) of the person in one view who moves like the person (T, C, K, 3) in the other
     views.
 
-    column: candidates of the view in each frame; tracks: the people of the view, see `view_tracks`; names: of the K
-        points; width: columns of a point.
+    column: candidates of the view in each frame.
+    tracks: the people of the view, see `view_tracks`.
+    names: names of the K points.
+    width: columns of a point.
     All zero where no person does.
     """
     twin, scored = other_sides(names), []
@@ -230,7 +238,8 @@ def _alike(
 def _continued(track: NDArray[np.int64], tracks: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:
     """Extend a person's candidates (T,) by those of others who are alone in the view while the person is missing.
 
-    track: candidates of the person, -1 where missing; tracks: those of all people of the view.
+    track: candidates of the person, -1 where missing.
+    tracks: those of all people of the view.
     """
     out = track.copy()
     count = np.sum([t >= 0 for t in tracks], axis=0)

@@ -53,7 +53,8 @@ class Outlines:
     """Outlines of all views; zero for views that are not usable. See ViewOutline for the fields.
 
     distance: (C, h, w), each view in its own size (sizes (C, 2)) at its corner (corners (C, 2)).
-    points: (C, K, 2); found, extent, shrunk: (C,).
+    points: (C, K, 2).
+    found, extent, shrunk: (C,).
     """
 
     distance: NDArray[np.float32]
@@ -131,8 +132,10 @@ def _outline_around(
 ) -> ViewOutline:
     """Compute the outline of a person whom the function put(mask, corner (y, x)) draws into an empty part of the mask.
 
-    box: y0, y1, x0, x1 around the person; shape: (h, w) of the whole mask; count: number of outline points;
-        working_height: px, see `outline_in_box`.
+    box: y0, y1, x0, x1 around the person.
+    shape: (h, w) of the whole mask.
+    count: number of outline points.
+    working_height: px, see `outline_in_box`.
     """
     extent = max(box[1] - box[0], box[3] - box[2])
     halves = _halves(extent, working_height)
@@ -162,7 +165,8 @@ def _around(box: tuple[int, ...], shape: tuple[int, ...], halves: int) -> tuple[
 def _no_outline(shape: tuple[int, ...], count: int, extent: int, working_height: int | None) -> ViewOutline:
     """Build the outline of a mask that is too small: all zero, in the shape of the mask part, with `count` points.
 
-    extent: longer side of the mask's box, px; working_height: as requested.
+    extent: longer side of the mask's box, px.
+    working_height: as requested.
     """
     nothing = np.zeros(shape, np.float32), np.zeros((count, 2), np.float32)
     return ViewOutline(*nothing, 0, extent, working_height=working_height)
@@ -221,7 +225,8 @@ def shared_outline(
 def _halves(extent: int, working_height: int | None) -> int:
     """Compute twice the factor by which to shrink: so many pixels become 2.
 
-    extent: longer side of the box, px; working_height: wanted height, px, None: nothing is shrunk (2 is returned).
+    extent: longer side of the box, px.
+    working_height: wanted height, px, None: nothing is shrunk (2 is returned).
     """
     return 2 if working_height is None else max(2, 2 * extent // working_height)
 

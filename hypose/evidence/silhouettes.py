@@ -61,11 +61,12 @@ class Segmenter(Protocol):
 class SilhouetteSettings:
     """Settings for segmenting the person. The defaults suit a person of 80-400 px height.
 
-    threshold: foreground is beyond this many sd; min_sd: lower bound of the sd, grey levels (compression, light).
+    threshold: foreground is beyond this many sd.
+    min_sd: lower bound of the sd, grey levels (compression, light).
     shadow: remove shadows, which have the same colour, but darker. Switch it off in grey scenes, where the person has
         the same colour too.
-    shadow_range: brightness of a shadow relative to the lit ground; shadow_chroma: its largest colour distance from the
-        darkened ground, grey levels.
+    shadow_range: brightness of a shadow relative to the lit ground.
+    shadow_chroma: its largest colour distance from the darkened ground, grey levels.
     open_px, close_px: sizes of the morphological opening and closing, 0 = off.
     hole_px: holes up to this area are filled.
     keep_share: connected parts smaller than this share of the largest one are removed (1 keeps only the largest).
@@ -109,7 +110,8 @@ class SilhouetteSettings:
 def make_segmenter(background: BackgroundModel, options: SilhouetteSettings | None = None) -> Segmenter:
     """Build the function that segments the images of one view.
 
-    background: model of the empty room; options: settings (default: SilhouetteSettings()).
+    background: model of the empty room.
+    options: settings (default: SilhouetteSettings()).
     It keeps no memory of earlier images, so frames may come in any order; one segmenter must not be called from two
     threads at once.
     """
@@ -147,7 +149,8 @@ class _Segmenter:
 def _room(background: BackgroundModel, options: SilhouetteSettings) -> picture_to_mask.BackgroundLevels:
     """Build the Gaussian model of each pixel and channel, with the brightness cone for shadows.
 
-    background: model of the empty room; options: threshold, least sd, and shadows.
+    background: model of the empty room.
+    options: threshold, least sd, and shadows.
     Foreground: some channel more than `threshold` sd from the mean. Shadow: the pixel's colour a is s b + rest, with
         background
     b, s in shadow_range, and a small rest. Source: Xu, Landabaso & Pardas 2005 (as used by Alcoverro 2014, section
@@ -212,7 +215,10 @@ def as_mask(image: ArrayLike, source: str = "The mask image") -> Mask:
 def _dim_level(a: NDArray[Any], top: int, half: float, source: str) -> float:
     """Choose the threshold of an image (h, w) with no value above half its range.
 
-    a: grey values; top: the largest; half: half of the range; source: name of the image for the error message.
+    a: grey values.
+    top: the largest.
+    half: half of the range.
+    source: name of the image for the error message.
     Raises: InputError where it is a picture of labels.
     """
     levels = np.unique(a[a > 0])
@@ -241,7 +247,9 @@ def flag_collapsed(
 ) -> tuple[str, ...]:
     """Find the views whose mask cannot be trusted.
 
-    names: of the C cameras; frame: its number, for the sentences; lowest, highest: the shares named below.
+    names: of the C cameras.
+    frame: its number, for the sentences.
+    lowest, highest: the shares named below.
     areas: (C,) foreground pixels of this frame.
     history: (C, H) areas in frames around or before it (H may be 0).
     Returns: C sentences, "" for a good view. A mask is bad when it is empty, above `highest` times its median area,
@@ -273,7 +281,8 @@ def make_silhouettes(
     """Build the silhouettes of one instant from masks (h_c, w_c) per view, packed or not, padded with 0 to the common
     size.
 
-    rig: pinhole cameras of the masks; reasons: (C,) why a view is not usable, "" where it is (default: all "").
+    rig: pinhole cameras of the masks.
+    reasons: (C,) why a view is not usable, "" where it is (default: all "").
     A view without a mask, with an empty one, or with a reason is not usable.
     Raises: InputError where a mask does not have its camera's size.
     """
@@ -326,7 +335,8 @@ def with_doubted_limbs(
     """Widen the band (h, w) around every limb that the mask (h, w) does not confirm; None if it confirms all.
 
     band: pixels near the 2D skeleton, to which the mask was cut.
-    points: (K, 3) px and confidence; names: of the points.
+    points: (K, 3) px and confidence.
+    names: of the points.
     height: of the person, px.
     A limb without its root point is left alone. If most complete limbs lie outside the mask, return a band of ones: the
     skeleton is in the wrong place.

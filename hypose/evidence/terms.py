@@ -89,7 +89,9 @@ class ContourTerm(Term):
 
     sdf: (C, h, w) float32 signed distance, px, negative inside.
     outline: (C, K, 2) float32 points on the mask's edge, px.
-    usable: (C,); sizes: (C, 2) width, height; projections: (C, 3, 4) pinhole.
+    usable: (C,).
+    sizes: (C, 2) width, height.
+    projections: (C, 3, 4) pinhole.
     weight: of one row at the reference density (rows 6 px apart on a person 260 px tall, 130 outline points a view).
     scale_px, coarse_scale_px: Geman-McClure scale of the distance.
     row_spacing_px: distance of the forward rows along the body's outline.
@@ -218,7 +220,8 @@ class RowTerm(Term):
     """Residuals of body points in one frame, with a Cauchy (Lorentzian) cost of each point's residuals together.
 
     The cost is 2 w log(1 + |r|^2 / 4), with r in standard deviations, as for key points.
-    joint: (P,) joint of each point; offset: (P, 3) in the joint's frame, m (default: its centre).
+    joint: (P,) joint of each point.
+    offset: (P, 3) in the joint's frame, m (default: its centre).
     residuals: function of the points (P, 3), m, in the world; returns r (P, R), in sd, and its derivative with respect
         to the point (P, R, 3), in sd per m. NaN leaves a point out.
     weight: (P,) factors w on the points' costs, 0 for one that is not seen (default 1).
@@ -319,9 +322,13 @@ _MAP_SIDE = 160
 class DepthTerm(Term):
     """Term of depth in the solver; built by `depth_term`.
 
-    points, normals: (M, 3) in the world, m; weight: (M,); first: (C + 1,) ranges of each sensor's points.
+    points, normals: (M, 3) in the world, m.
+    weight: (M,).
+    first: (C + 1,) ranges of each sensor's points.
     eyes: (C, 3) positions of the sensors, m.
-    maps: (C, h, w) float32 m, 0: unknown; sizes: (C, 2) width, height; projections: (C, 3, 4).
+    maps: (C, h, w) float32 m, 0: unknown.
+    sizes: (C, 2) width, height.
+    projections: (C, 3, 4).
     free_share: weight, per point, of body in front of what was seen.
     scale_m: Geman-McClure scale of a point's distance, m.
     Body up to SLACK_M in front of what was seen costs nothing; beyond that its scale is FREE_SCALE_M.
