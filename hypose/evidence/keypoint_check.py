@@ -169,7 +169,7 @@ def trials(
         return moved(views, change, exchanged)
 
     def scaled(views: Sequence[int], factor: ArrayLike, offset: ArrayLike = 0.0) -> Array:
-        return moved(views, lambda _, xy: (xy + 0.5) * factor - 0.5 + offset)
+        return moved(views, lambda _, xy: (xy + 0.5) * np.asarray(factor) - 0.5 + np.asarray(offset))
 
     # a mirrored picture exchanges left and right; a reversed axis alone does not
     yield from geometric_trials(
