@@ -29,8 +29,7 @@ from hypose.evidence.prefetch import look_ahead
 from hypose.geometry import Array
 from hypose.inference.layer import Memory, Recipe
 from hypose.io.motions.results import ResultsFolder, provenance_identity, save_body, save_modes, save_motion
-from hypose.pipeline import backward_pass as backwards
-from hypose.pipeline import input_checks, left_right
+from hypose.pipeline import input_checks
 from hypose.pipeline.assessment import not_shown, other_people_note
 from hypose.pipeline.first_frame import SubjectOptions, TrackedSubject, find_subject
 from hypose.pipeline.frame_anomalies import against_the_clip, in_words, with_anomalies, with_repeated_points
@@ -44,6 +43,14 @@ from hypose.pipeline.one_camera import (
     tracked_frames,
 )
 from hypose.pipeline.people import PeopleFinder
+from hypose.pipeline.retracking import (
+    backward_pass,
+    backward_pass_notes,
+    correct_left_right,
+    left_right_notes,
+    retrack_start,
+    start_notes,
+)
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.subject_from_motion import height_sentence, measured_height
 from hypose.pipeline.trace import Change, list_changes, with_trace
@@ -446,19 +453,19 @@ def correct_sides(clip: ClipState) -> ClipState:
         return clip
     clip.progress("sides", 0, 1)
     sure = clip.options.sure_start
-    estimates, exchanged = left_right.correct_left_right(
+    estimates, exchanged = correct_left_right(
         clip.tracker, clip.estimates, clip.frames, sure_start=sure, memory=clip.memory
     )
     clip.progress("sides", 1, 1)
-    return clip.with_estimates(estimates, left_right.left_right_notes(exchanged))
+    return clip.with_estimates(estimates, left_right_notes(exchanged))
 
 
 def correct_beginning(clip: ClipState) -> ClipState:
     """Track the first frames backwards from a frame in which the person was found, where the masks also show others."""
     if not clip.estimates or not clip.complete or not clip.shared_masks or clip.options.sure_start:
         return clip
-    estimates, retracked = left_right.retrack_start(clip.tracker, clip.estimates, clip.frames, memory=clip.memory)
-    return clip.with_estimates(estimates, left_right.start_notes(retracked))
+    estimates, retracked = retrack_start(clip.tracker, clip.estimates, clip.frames, memory=clip.memory)
+    return clip.with_estimates(estimates, start_notes(retracked))
 
 
 def track_backwards(clip: ClipState) -> ClipState:
@@ -466,11 +473,9 @@ def track_backwards(clip: ClipState) -> ClipState:
     if not clip.estimates or not clip.smooths:
         return clip
     progress = partial(clip.progress, "both ways")
-    estimates, moved = backwards.backward_pass(
-        clip.tracker, clip.estimates, clip.frames, memory=clip.memory, progress=progress
-    )
+    estimates, moved = backward_pass(clip.tracker, clip.estimates, clip.frames, memory=clip.memory, progress=progress)
     progress(len(estimates), len(estimates))
-    return clip.with_estimates(estimates, backwards.backward_pass_notes(moved))
+    return clip.with_estimates(estimates, backward_pass_notes(moved))
 
 
 def to_motion(clip: ClipState) -> ClipState:

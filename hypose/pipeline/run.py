@@ -295,9 +295,9 @@ def _by_keypoints(
             "with `hypose check`, or use silhouettes."
         )
     total, done, tracks = len(source), list[TrackResult](), points.lasting(len(source))
-    where, order = [points.tracks[k] for k in tracks], [w.name for w in wanted]
+    where, ranks = [points.tracks[k] for k in tracks], {w.name: k for k, w in enumerate(wanted)}
     names = names_at_places(wanted, len(where), lambda k, t: where[k].place(t)[:2], frame_rate)
-    ranked = sorted(range(len(tracks)), key=lambda k: order.index(names[k]) if names[k] in order else len(order))
+    ranked = sorted(range(len(tracks)), key=lambda k: ranks.get(names[k], len(ranks)))
     results = kept.pop("results", None)
     for k in ranked[:count]:
         known = next((w for w in wanted if w.name == names[k]), Wanted(names[k]))

@@ -17,7 +17,7 @@ from hypose.geometry import Array
 from hypose.pipeline.first_frame import TrackedSubject
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.track_loop import Followed
-from hypose.tracking.appearance import Appearance, appearance_in, no_appearance
+from hypose.tracking.appearance import appearance_in, no_appearance
 from hypose.tracking.frame_evidence import PreparedFrame, mean_overlap, prepare
 from hypose.tracking.several import shape_of
 from hypose.tracking.start_search import start_from_hull
@@ -99,14 +99,6 @@ def swap_identities(p: Followed, q: Followed, since: int, reported: str = "as th
     for one, other in ((p, q), (q, p)):
         one.hidden[since:] = [True] * (now - since)
         one.said.append(f"taken for {other.name} from frame {since} to {now - 1}, {reported}")
-
-
-def appearance_likeness(p: Followed, seen: Appearance) -> float:
-    """Compute the likeness of clothes that were seen with those of a person who is away; 1 where one of them is not
-    known.
-    """
-    like = (p.appearance.worn + p.appearance.lately if not p.appearance.met else p.appearance.worn).likeness(seen)
-    return like if np.isfinite(like) else 1.0
 
 
 def explained_by(people: Sequence[Followed], silhouettes: Silhouettes) -> list[Other]:
@@ -250,7 +242,9 @@ def returned(
                 continue
         with contextlib.suppress(EvidenceError):
             prepared, pose = found_again(p, own)
-            like = appearance_likeness(p, appearance_in(p.subject.body, pose, own))
+            known, seen_now = p.appearance, appearance_in(p.subject.body, pose, own)
+            like = (known.worn if known.met else known.worn + known.lately).likeness(seen_now)
+            like = like if np.isfinite(like) else 1.0  # the clothes of one of them are not known
             score = mean_overlap(p.subject.body, pose, prepared) + like
             if like > SETTINGS.wardrobe_unlike and (best is None or score > best[0]):
                 best = (score, p, pose)

@@ -9,8 +9,8 @@ from hypose.body.anthropometry import SHAPE_FACTORS, body_of, entity
 from hypose.body.default_body import human
 from hypose.evidence.frame import Frame
 from hypose.pipeline.first_frame import TrackedSubject
+from hypose.pipeline.people import AGAIN, fitted_again
 from hypose.pipeline.person_paths import Wanted
-from hypose.pipeline.rough_bodies import AGAIN, fitted_again
 from hypose.pipeline.track_loop import Followed, tracker_of
 from hypose.pipeline.track_management import without_doubles
 from hypose.pipeline.track_options import TrackOptions
