@@ -18,7 +18,7 @@ import click
 import numpy as np
 from click.exceptions import Exit
 
-from hypose.app.commands.console import ProgressCall, Stages, each, ignore, print_notes, say, stopping
+from hypose.app.commands.console import ProgressCall, Stages, counted, each, ignore, print_notes, say, stopping
 from hypose.app.options import TrackCommand
 from hypose.app.reports.overlay import PictureRows, Shown, colour_of, write_overlay
 from hypose.app.reports.report import picture_rows, report_html
@@ -229,8 +229,7 @@ def _kernels(recording: Recording, options: TrackOptions) -> tuple[str, ...]:
     depth = ("depth",) if recording.depth_views else ()
     if options.looks_at == "keypoints":
         return ("solver", *depth)
-    # a given body is not fitted to outlines
-    masks = ("solver", *depth, "scorer", "outlines", *(() if options.subject else ("shape",)))
+    masks = ("solver", *depth, "scorer", "outlines")
     return masks if all(view.masks is not None for view in recording.views) else (*masks, "pictures")
 
 
@@ -567,7 +566,8 @@ def _report_outcome(job: TrackJob, outcome: Outcome, seconds: Mapping[str, float
     print_notes(outcome.notes)
     views, reported = len(job.recording.rig), int(outcome.motion.n_views.max(initial=0))
     of = f"{reported} of {views}" if 0 < reported < views else f"{views}"  # largest number of views used in a frame
-    parts = [f"{s.frames} frames in {of} views", f"{s.lost} lost", f"{s.extrapolated} extrapolated"]
+    of += " view" if of == "1" else " views"
+    parts = [f"{counted(s.frames, 'frame')} in {of}", f"{s.lost} lost", f"{s.extrapolated} extrapolated"]
     if s.iou == s.iou:
         parts.append(f"mean IoU {s.iou:.3f}")
     if s.sd_mm == s.sd_mm:

@@ -383,9 +383,10 @@ class FrameStream:
         person = load_person(recording, self.rig)
         self.keypoints = None if person is None else person.keypoints
         whose = None if person is None else person.one
-        self.people_notes = () if whose is None else whose.of_all if self.options.people else whose.notes
+        notes = () if whose is None or self.options.people else whose.notes
+        self.people_notes = notes if person is None else (*notes, *person.held)
         # other people whom key points show
-        self.others = 0 if whose is None or self.options.people or whose.of_all else max(len(whose.people) - 1, 0)
+        self.others = 0 if whose is None or self.options.people else max(len(whose.people) - 1, 0)
         self.doubted = self.keypoints
         if person is not None and person.one.apart:
             doubted = load_person(recording, self.rig, keep_misfits=True)
