@@ -56,9 +56,9 @@ from hypose.pipeline.subject_from_motion import height_sentence, measured_height
 from hypose.pipeline.trace import Change, list_changes, with_trace
 from hypose.pipeline.track_loop import (
     Deferred,
-    Followed,
     FrameSource,
     StageProgress,
+    TrackedPerson,
     TrackingSession,
     tracker_of,
 )
@@ -111,7 +111,7 @@ class ClipState:
     people: their state after the frames that are tracked; empty before `find_people`. In the passes `AFTER_TRACKING`
         the clip is of one person.
     given: the caller gave the subject and its start pose.
-    coming: possible people who are not tracked at the end, see `TrackingSession`.
+    candidates: possible people who are not tracked at the end, see `TrackingSession`.
     complete: every frame was tracked.
     error: what ended tracking after some frames.
     motion: None before `to_motion`, or before `track_clip` where all frames are solved together.
@@ -139,9 +139,9 @@ class ClipState:
     finder: PeopleFinder | None = None
     shared_masks: bool = False
     progress: StageProgress = lambda stage, done, total: None
-    people: tuple[Followed, ...] = ()
+    people: tuple[TrackedPerson, ...] = ()
     given: bool = False
-    coming: Sequence[Array] = ()
+    candidates: Sequence[Array] = ()
     complete: bool = True
     error: HyposeError | None = None
     motion: Motion | None = None
@@ -155,7 +155,7 @@ class ClipState:
     trace: tuple[Change, ...] = ()
 
     @property
-    def person(self) -> Followed:
+    def person(self) -> TrackedPerson:
         """State of the one person, or of the first of several; only after `find_people` has run."""
         return self.people[0]
 
@@ -268,7 +268,7 @@ def find_people(clip: ClipState) -> ClipState:
         clip.progress("subject", 1, 1)
         if session.checkpoint is not None:  # what was found is kept before the first frame
             session.save(session.checkpoint)
-    clip = replace(clip, people=tuple(session.people), coming=session.coming)
+    clip = replace(clip, people=tuple(session.people), candidates=session.candidates)
     if clip.results is not None and not clip.folders:
         save_body(clip.who.body, clip.results.file("body.npz"))  # an interrupted run can be viewed
     return replace(clip, notes=(*clip.notes, *clip.who.notes))
@@ -283,17 +283,17 @@ def _session(clip: ClipState, checkpoint: bool = True) -> TrackingSession:
     about = {"identity": provenance_identity(clip.record), "every": clip.options.checkpoint_every}
     held = Deferred(clip.progress)
     return TrackingSession(
-        list(clip.people), clip.frame_rate, clip.finder, path, held=held, coming=list(clip.coming), **about
+        list(clip.people), clip.frame_rate, clip.finder, path, held=held, candidates=list(clip.candidates), **about
     )
 
 
-def _found(clip: ClipState) -> tuple[Followed, ...]:
+def _found(clip: ClipState) -> tuple[TrackedPerson, ...]:
     """Find the people of a clip at its beginning."""
     try:
         if clip.finder is not None:
             return tuple(clip.finder.begin())
         subject = _subject(clip)
-        return (Followed.at_start("", subject, _tracker(clip, subject)),)
+        return (TrackedPerson.at_start("", subject, _tracker(clip, subject)),)
     except HyposeError as error:
         masks = clip.options.looks_at == "silhouettes" and isinstance(error, EvidenceError)
         guessed = getattr(clip.source, "guessed_rooms", "") if masks else ""
@@ -343,7 +343,7 @@ def _track(clip: ClipState, session: TrackingSession) -> ClipState:
     with contextlib.closing(frames):
         error = session.track(frames, last, len(source), clip.progress)
     complete = session.done == len(source) and not session.stopped
-    return replace(clip, people=tuple(session.people), coming=session.coming, complete=complete, error=error)
+    return replace(clip, people=tuple(session.people), candidates=session.candidates, complete=complete, error=error)
 
 
 def _solve_keypoints(clip: ClipState) -> ClipState:
@@ -392,7 +392,7 @@ def place_sensors(clip: ClipState) -> ClipState:
     if places[0].since == 0 and not clip.given:  # the body was fitted with wrong camera places
         subject = _subject(clip)
         clip = replace(clip, notes=subject.notes)
-    clip = replace(clip, people=(Followed.at_start("", subject, _tracker(clip, subject)),))
+    clip = replace(clip, people=(TrackedPerson.at_start("", subject, _tracker(clip, subject)),))
     return _track(clip, _session(clip, checkpoint=False))
 
 
@@ -426,7 +426,7 @@ def clips_of_people(clip: ClipState) -> list[ClipState]:
     if clip.finder is None:
         return [clip]
     out = list[ClipState]()
-    for p in (p for p in clip.people if p.asked_for):
+    for p in (p for p in clip.people if p.requested):
         frames, own = clip.finder.own_clip(p, clip.people)
         shared, results = len(clip.people) > 1 and p.present[0], clip.results
         if results is not None and clip.folders:

@@ -37,8 +37,8 @@ from hypose.pipeline.first_frame import SubjectOptions, TrackedSubject, find_sub
 from hypose.pipeline.frame_anomalies import looked_at
 from hypose.pipeline.person_paths import (
     KeypointPeople,
+    KnownPerson,
     Path,
-    Wanted,
     follow_places,
     lasting,
     names_at_places,
@@ -46,7 +46,7 @@ from hypose.pipeline.person_paths import (
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.start_choice import best_ways, way_of
 from hypose.pipeline.subject_from_motion import different_poses
-from hypose.pipeline.track_loop import Followed, FrameSource, StageProgress, TrackingSession, tracker_of
+from hypose.pipeline.track_loop import FrameSource, StageProgress, TrackedPerson, TrackingSession, tracker_of
 from hypose.pipeline.track_management import (
     back_again,
     birth_candidates,
@@ -197,10 +197,10 @@ _Trial = dict[int, tuple[FrameEstimate, NDArray[np.float64]]]
 
 
 def fitted_again(
-    people: Sequence[Followed],
+    people: Sequence[TrackedPerson],
     frame_at: Callable[[int], Frame],
     numbers: Sequence[int],
-    known: Callable[[str], Wanted],
+    known: Callable[[str], KnownPerson],
 ) -> dict[int, TrackedSubject]:
     """Fit bodies again that were fitted once to shared masks, now that the bodies of all people are known.
 
@@ -298,12 +298,12 @@ class PeopleFinder:
     frame_rate: float
     options: TrackOptions
     count: int | None = None
-    wanted: Sequence[Wanted] = ()
+    wanted: Sequence[KnownPerson] = ()
     points: KeypointPeople | None = None
 
     # ---- the beginning -----------------------------------------------------------------------------------------
 
-    def begin(self) -> list[Followed]:
+    def begin(self) -> list[TrackedPerson]:
         """Find and fit the people of the first frames: wanted people first, then by distance from the middle of the
         cameras' view.
 
@@ -331,7 +331,7 @@ class PeopleFinder:
         names = names_at_places(self.wanted, len(paths), lambda k, t: self._stood(paths[k], t), self.frame_rate)
         ranks = {w.name: k for k, w in enumerate(self.wanted)}
         order = sorted(range(len(paths)), key=lambda k: ranks.get(names[k], len(ranks)))
-        people, unclear, rough = list[Followed](), list[HyposeError](), None
+        people, unclear, rough = list[TrackedPerson](), list[HyposeError](), None
         if len(paths) > 1 and self.points is None:
             sizes = [
                 (human(), w.height) if w.body is None else (w.body, w.body.stature) for w in map(self._known, names)
@@ -351,11 +351,11 @@ class PeopleFinder:
             for k, subject in fitted_again(people, self.source.frame, numbers, self._known).items():
                 people[k] = self._at_start(people[k].name, subject)
         for k, p in enumerate(people):
-            p.asked_for = self.count is None or k < self.count
+            p.requested = self.count is None or k < self.count
         return people
 
-    def _at_start(self, name: str, subject: TrackedSubject) -> Followed:
-        return Followed.at_start(name, subject, tracker_of(subject, self.options, self.frame_rate))
+    def _at_start(self, name: str, subject: TrackedSubject) -> TrackedPerson:
+        return TrackedPerson.at_start(name, subject, tracker_of(subject, self.options, self.frame_rate))
 
     def _places(self, numbers: Sequence[int]) -> list[Path]:
         """Follow all people in the hull through the frames `numbers`."""
@@ -365,8 +365,8 @@ class PeopleFinder:
         """Return where (2,) m a person stood in about a frame; NaN where not known."""
         return path.axis(t, within=SETTINGS.people_start_s * self.frame_rate)
 
-    def _known(self, name: str) -> Wanted:
-        return next((w for w in self.wanted if w.name == name), Wanted(name))
+    def _known(self, name: str) -> KnownPerson:
+        return next((w for w in self.wanted if w.name == name), KnownPerson(name))
 
     def _rate_of(self, numbers: Sequence[int]) -> float:
         """Return the rate of the frames `numbers`, Hz."""
@@ -392,7 +392,7 @@ class PeopleFinder:
         numbers: Sequence[int],
         rough: Sequence[RoughTrack | None] | None = None,
         alone: bool = False,
-    ) -> Followed:
+    ) -> TrackedPerson:
         """Fit a person's body to the evidence that is theirs alone in the frames `numbers`.
 
         paths: of all people.
@@ -425,9 +425,9 @@ class PeopleFinder:
 
     # ---- while they are tracked --------------------------------------------------------------------------------
 
-    def keypoints(self, people: Sequence[Followed], t: int) -> list[Keypoints | None]:
+    def keypoints(self, people: Sequence[TrackedPerson], t: int) -> list[Keypoints | None]:
         """Return the key points of all people in frame t; those of an empty frame for a person who has none, or is not
-        there. The track of key points that a person has from now on is noted in `Followed.track`.
+        there. The track of key points that a person has from now on is noted in `TrackedPerson.track`.
 
         Returns: empty where people are tracked without key points.
         """
@@ -457,14 +457,14 @@ class PeopleFinder:
                 swap_identities(p, q, since)
         part_doubles(people, max(2, round(SETTINGS.people_together_s * self.frame_rate)))
         if look:
-            session.coming = self._look(people, frame, t, session.coming, session.held)
+            session.candidates = self._look(people, frame, t, session.candidates, session.held)
 
     @property
     def _look_every(self) -> int:
         return max(1, round(SETTINGS.people_look_s * self.frame_rate))
 
     def _look(
-        self, people: list[Followed], frame: Frame, t: int, before: Sequence[Array], progress: StageProgress
+        self, people: list[TrackedPerson], frame: Frame, t: int, before: Sequence[Array], progress: StageProgress
     ) -> list[Array]:
         """Look for people in mask parts that no tracked body explains; those who were also seen at the last look are
         tracked from now on.
@@ -478,7 +478,7 @@ class PeopleFinder:
         if not any(birth_candidates(known, s, views_to_find(frame)) for s in masks):
             return []
         found = not_parts(depth_people.people_seen(frame, known), people)
-        coming = list[Array]()
+        candidates = list[Array]()
         for person in found:
             seen = next((b for b in before if np.linalg.norm(person.axis - b[:2]) < 0.5), None)
             tries, again = (0, t) if seen is None else (int(seen[2]), int(seen[3]))
@@ -495,10 +495,10 @@ class PeopleFinder:
                     if new:
                         return []
                     tries, again = tries + 1, t + self._look_every * 2 ** min(tries, 3)
-            coming.append(np.array([*person.axis, tries, again], dtype=np.float64))
-        return coming
+            candidates.append(np.array([*person.axis, tries, again], dtype=np.float64))
+        return candidates
 
-    def _new(self, people: list[Followed], person: HullPerson, frame: Frame, t: int) -> bool:
+    def _new(self, people: list[TrackedPerson], person: HullPerson, frame: Frame, t: int) -> bool:
         """Fit a new person and add them to `people`; return False where no body can be fitted."""
         numbers = self._fit_numbers(t)
         # after this frame nothing is tracked yet: people are separated by the hull alone
@@ -516,24 +516,24 @@ class PeopleFinder:
         blank = looked_at(new.member.tracker, new.member.tracker.step(new.member.state, empty)[1], empty, None)
         new.estimates = [replace(blank, lost=True) for _ in range(done)]
         new.present, new.hidden = [False] * done, [False] * done
-        new.asked_for = self._makes_room(name, people)
+        new.requested = self._makes_room(name, people)
         people.append(new)
         return True
 
-    def _makes_room(self, name: str, people: Sequence[Followed]) -> bool:
+    def _makes_room(self, name: str, people: Sequence[TrackedPerson]) -> bool:
         """Return whether the result of a new person is wanted; a wanted person replaces another who is not."""
         if self.count is None or len(people) < self.count:
             return True
         names = {w.name for w in self.wanted}
-        others = [p for p in people if p.asked_for and p.name not in names]
+        others = [p for p in people if p.requested and p.name not in names]
         if name not in names or not others:
             return False
-        others[-1].asked_for = False
+        others[-1].requested = False
         return True
 
     # ---- after tracking ----------------------------------------------------------------------------------------
 
-    def own_clip(self, p: Followed, people: Sequence[Followed]) -> tuple[OwnFrames, Followed]:
+    def own_clip(self, p: TrackedPerson, people: Sequence[TrackedPerson]) -> tuple[OwnFrames, TrackedPerson]:
         """Return the frames as evidence for one of the people, and the person without mask changes that come from other
         people.
 
@@ -562,8 +562,8 @@ class OwnFrames:
     """
 
     source: FrameSource
-    who: Followed
-    people: Sequence[Followed]
+    who: TrackedPerson
+    people: Sequence[TrackedPerson]
     points: KeypointPeople | None
 
     def __len__(self) -> int:

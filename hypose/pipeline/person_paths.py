@@ -113,7 +113,7 @@ def lasting(paths: Sequence[Path], looks: Sequence[int]) -> list[Path]:
 
 
 @dataclass(frozen=True)
-class Wanted:
+class KnownPerson:
     """Prior knowledge of a person, from a [[person]] of recording.toml.
 
     height: m.
@@ -142,7 +142,7 @@ class Wanted:
 
 
 def names_at_places(
-    wanted: Sequence[Wanted],
+    wanted: Sequence[KnownPerson],
     count: int,
     place: Callable[[int, int], Array],
     frame_rate: float,
@@ -171,7 +171,7 @@ def names_at_places(
     return [names[k] if k in names else next(rest) for k in range(count)]
 
 
-def said_of_places(wanted: Sequence[Wanted], count: int) -> tuple[str, ...]:
+def said_of_places(wanted: Sequence[KnownPerson], count: int) -> tuple[str, ...]:
     """Return a sentence on people whose given places are too early to identify them among `count` people; none where
     all are usable.
     """

@@ -16,7 +16,7 @@ from hypose.evidence.shared_masks import Other, without
 from hypose.geometry import Array
 from hypose.pipeline.first_frame import TrackedSubject
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.track_loop import Followed
+from hypose.pipeline.track_loop import TrackedPerson
 from hypose.tracking.appearance import appearance_in, no_appearance
 from hypose.tracking.frame_evidence import PreparedFrame, mean_overlap, prepare
 from hypose.tracking.several import shape_of
@@ -27,11 +27,13 @@ from hypose.tracking.tracker import FrameEstimate
 # Identify people by their clothes after they were near each other, or away.
 
 
-def _apart(a: Followed, b: Followed, t: int = -1) -> float:
+def _apart(a: TrackedPerson, b: TrackedPerson, t: int = -1) -> float:
     return float(np.linalg.norm(a.estimates[t].pose[:2] - b.estimates[t].pose[:2]))
 
 
-def update_appearance(people: Sequence[Followed], seen: Sequence[Frame]) -> list[tuple[Followed, Followed, int]]:
+def update_appearance(
+    people: Sequence[TrackedPerson], seen: Sequence[Frame]
+) -> list[tuple[TrackedPerson, TrackedPerson, int]]:
     """Update the clothes model of all people after a frame was tracked, and find people who were exchanged.
 
     seen: the frame as each person's tracker saw it.
@@ -53,14 +55,14 @@ def update_appearance(people: Sequence[Followed], seen: Sequence[Frame]) -> list
     return _exchanged(there)
 
 
-def _remember(p: Followed, q: Followed) -> None:
+def _remember(p: TrackedPerson, q: TrackedPerson) -> None:
     """Record that two people met, and the frame in which they were nearest so far."""
     now, met = len(p.estimates) - 1, p.appearance.met
     if q.name not in met or _apart(p, q) <= _apart(p, q, met[q.name]):
         met[q.name] = now
 
 
-def _exchanged(there: Sequence[Followed]) -> list[tuple[Followed, Followed, int]]:
+def _exchanged(there: Sequence[TrackedPerson]) -> list[tuple[TrackedPerson, TrackedPerson, int]]:
     out = []
     for i, p in enumerate(there):
         a = p.appearance
@@ -82,7 +84,9 @@ def _exchanged(there: Sequence[Followed]) -> list[tuple[Followed, Followed, int]
     return out
 
 
-def swap_identities(p: Followed, q: Followed, since: int, reported: str = "as their clothes showed afterwards") -> None:
+def swap_identities(
+    p: TrackedPerson, q: TrackedPerson, since: int, reported: str = "as their clothes showed afterwards"
+) -> None:
     """Exchange two people from frame `since` on: their estimates, places and tracks; the frames since then are marked
     as hidden.
 
@@ -101,7 +105,7 @@ def swap_identities(p: Followed, q: Followed, since: int, reported: str = "as th
         one.said.append(f"taken for {other.name} from frame {since} to {now - 1}, {reported}")
 
 
-def explained_by(people: Sequence[Followed], silhouettes: Silhouettes) -> list[Other]:
+def explained_by(people: Sequence[TrackedPerson], silhouettes: Silhouettes) -> list[Other]:
     """Return what the people hide whose place is known."""
     return [Other(p.member.shape(silhouettes.rig, p.estimates[-1].pose)) for p in people if p.member.sure]
 
@@ -139,21 +143,21 @@ def doubles(people: Sequence[Sequence[FrameEstimate]]) -> set[int]:
     return worse
 
 
-def part_doubles(people: Sequence[Followed], frames: int) -> None:
+def part_doubles(people: Sequence[TrackedPerson], frames: int) -> None:
     """Mark the worse of two bodies as gone that stay in one place for so many frames."""
     known = [p.estimates[-frames:] if p.member.present and len(p.estimates) >= frames else () for p in people]
     for k in doubles(known):
         people[k].member = replace(people[k].member, present=False)
 
 
-def without_doubles(people: Sequence[Followed], frame: Frame) -> dict[str, TrackedSubject]:
+def without_doubles(people: Sequence[TrackedPerson], frame: Frame) -> dict[str, TrackedSubject]:
     """Remove people who are found twice at the start, where a hull falls into two parts.
 
     Of two people in one place, or side by side where one explains nothing of their own, the one stays whose body
     explains the masks better.
     Returns: subjects by name; the name is that of the first.
     """
-    kept: dict[str, Followed] = {}
+    kept: dict[str, TrackedPerson] = {}
     for p in people:
         for name, q in kept.items():
             away, rest = _away(p, q), [o for o in people if o is not p and o is not q]
@@ -170,12 +174,12 @@ def without_doubles(people: Sequence[Followed], frame: Frame) -> dict[str, Track
     return {name: p.subject for name, p in kept.items()}
 
 
-def _away(p: Followed, q: Followed) -> float:
+def _away(p: TrackedPerson, q: TrackedPerson) -> float:
     """Compute the distance between the roots of two people at their starts, m."""
     return float(np.linalg.norm(p.subject.start[:3] - q.subject.start[:3]))
 
 
-def _explains(p: Followed, others: Sequence[Followed], frame: Frame) -> float:
+def _explains(p: TrackedPerson, others: Sequence[TrackedPerson], frame: Frame) -> float:
     """Compute the mean IoU of a person at the start with what the others leave of the masks; 0 where
     that is nothing.
     """
@@ -186,7 +190,7 @@ def _explains(p: Followed, others: Sequence[Followed], frame: Frame) -> float:
     return mean_overlap(body, start, prepared)
 
 
-def not_parts(found: Sequence[HullPerson], people: Sequence[Followed]) -> list[HullPerson]:
+def not_parts(found: Sequence[HullPerson], people: Sequence[TrackedPerson]) -> list[HullPerson]:
     """Select the people in the hull who cannot be a limb of a tracked person: tall ones, and those who stand far enough
     from all tracked people.
     """
@@ -208,7 +212,7 @@ def candidate_evidence(
     return own_frame(frame, person.shape(s.rig), [*known, *rest])
 
 
-def found_again(p: Followed, own: Frame) -> tuple[PreparedFrame, Array]:
+def found_again(p: TrackedPerson, own: Frame) -> tuple[PreparedFrame, Array]:
     """Fit the pose of a person, whose body is known, to new evidence, starting from its visual hull.
 
     p: the person.
@@ -222,8 +226,8 @@ def found_again(p: Followed, own: Frame) -> tuple[PreparedFrame, Array]:
 
 
 def returned(
-    person: HullPerson, own: Frame, people: Sequence[Followed], frame_rate: float
-) -> tuple[Followed, Array] | None:
+    person: HullPerson, own: Frame, people: Sequence[TrackedPerson], frame_rate: float
+) -> tuple[TrackedPerson, Array] | None:
     """Find which of the people who are away is the person in the hull.
 
     Place: no person walks faster than SETTINGS.newcomer_walking from where they were last seen. Clothes, where pictures
@@ -231,7 +235,7 @@ def returned(
         and whose body overlaps the masks best.
     Returns: the person and the pose (D,) now; None: none of them.
     """
-    best: tuple[float, Followed, Array] | None = None
+    best: tuple[float, TrackedPerson, Array] | None = None
     for p in people:
         if p.member.sure:
             continue
@@ -254,7 +258,9 @@ def returned(
     return (best[1], best[2]) if -SETTINGS.newcomer_shorter_m < higher < SETTINGS.newcomer_taller_m else None
 
 
-def identity_switches(person: HullPerson, people: Sequence[Followed], frame_rate: float) -> tuple[Followed, int] | None:
+def identity_switches(
+    person: HullPerson, people: Sequence[TrackedPerson], frame_rate: float
+) -> tuple[TrackedPerson, int] | None:
     """Find the tracked person who stood where a person is found now, but whose track then moved away faster than people
     walk.
 
@@ -277,8 +283,8 @@ def identity_switches(person: HullPerson, people: Sequence[Followed], frame_rate
 
 
 def back_again(
-    person: HullPerson, own: Frame, people: Sequence[Followed], frame_rate: float
-) -> tuple[Followed, Array] | None:
+    person: HullPerson, own: Frame, people: Sequence[TrackedPerson], frame_rate: float
+) -> tuple[TrackedPerson, Array] | None:
     """Find the person who is back in the hull, and correct a track that was drawn away from there.
 
     Where another person's track was drawn away (`identity_switches`), that person is the result, and the frames since
@@ -292,16 +298,16 @@ def back_again(
     with contextlib.suppress(EvidenceError):
         pose = found_again(who, own)[1]
         if back is None:
-            who.was_not(since, "because another person was found where they had stood")
+            who.mark_mistaken(since, "because another person was found where they had stood")
         else:
             swap_identities(back[0], who, since, "because this one was found where the other had stood")
         return who, pose
     return back
 
 
-def unfollowed(coming: Sequence[Array]) -> tuple[str, ...]:
-    """Return a sentence on people or objects to which no body could be fitted; coming: (x, y, failed fits, ...) of the
+def untracked_note(candidates: Sequence[Array]) -> tuple[str, ...]:
+    """Return a sentence on people or objects to which no body could be fitted; candidates: (x, y, failed fits, ...) of the
     last look.
     """
-    at = ", ".join(f"[{c[0]:.1f}, {c[1]:.1f}]" for c in coming if c[2] > 1)
+    at = ", ".join(f"[{c[0]:.1f}, {c[1]:.1f}]" for c in candidates if c[2] > 1)
     return (f"a person or an object at {at} m is not tracked, since no body could be fitted to it",) if at else ()
