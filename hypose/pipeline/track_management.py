@@ -306,8 +306,9 @@ def back_again(
 
 
 def untracked_note(candidates: Sequence[Array]) -> tuple[str, ...]:
-    """Return a sentence on people or objects to which no body could be fitted; candidates: (x, y, failed fits, ...) of the
-    last look.
+    """Return a sentence on people or objects to which no body could be fitted; none where there are none.
+
+    candidates: as `TrackingSession.candidates` after the last frame.
     """
     at = ", ".join(f"[{c[0]:.1f}, {c[1]:.1f}]" for c in candidates if c[2] > 1)
     return (f"a person or an object at {at} m is not tracked, since no body could be fitted to it",) if at else ()
