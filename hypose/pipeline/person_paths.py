@@ -172,8 +172,11 @@ def names_at_places(
 
 
 def said_of_places(wanted: Sequence[KnownPerson], count: int) -> tuple[str, ...]:
-    """Return a sentence on people whose given places are too early to identify them among `count` people; none where
-    all are usable.
+    """Return a sentence for the user that given places are too early to tell who is who.
+
+    wanted: people with their places.
+    count: number of people found.
+    Returns: one sentence; none where all places can be used, or one person was found.
     """
     early = [w for w in wanted if w.early]
     if not early or count < 2:
@@ -266,5 +269,9 @@ def padded(motion: Motion, first: int, total: int) -> Motion:
 
 
 def per_frame(motion: Motion, rows: np.ndarray) -> dict[str, np.ndarray]:
-    """Select rows of all arrays that a motion has per frame."""
+    """Select frames of a motion.
+
+    rows: their numbers, or a (T,) mask.
+    Returns: by name of the field, the selected rows of each array that has one row per frame, for `replace`.
+    """
     return {k: v[rows] for k, v in vars(motion).items() if isinstance(v, np.ndarray) and len(v) == len(motion)}

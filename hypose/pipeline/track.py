@@ -168,7 +168,7 @@ _COUNT = re.compile(r"[1-9][0-9]?")
 
 
 def wanted_of(recording: Recording) -> list[KnownPerson]:
-    """Read what recording.toml says about people."""
+    """Read the prior knowledge of people from a recording: name, height, body, place and time of each [[person]]."""
     first = recording.frames.start / recording.frame_rate
     return [
         KnownPerson(

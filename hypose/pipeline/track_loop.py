@@ -161,14 +161,23 @@ class TrackedPerson:
         return values | {"appearance": replace(self.appearance, met=dict(self.appearance.met))}
 
     def mark_mistaken(self, since: int, reported: str) -> None:
-        """Mark that from frame `since` on another person was tracked instead; reported: how that is known."""
+        """Mark the estimates from frame `since` on as lost, since another person was tracked instead.
+
+        reported: how that is known, as the end of a sentence for the user.
+        """
         last = len(self.estimates)
         self.estimates[since:] = [replace(e, lost=True) for e in self.estimates[since:]]
         self.hidden[since:] = [True] * (last - since)
         self.said.append(f"another person was taken for them from frame {since} to {last - 1}, {reported}")
 
     def take(self, estimate: FrameEstimate, member: Member, present: bool = True, hidden: bool = False) -> None:
-        """Add a tracked frame; member: the state after it."""
+        """Add a tracked frame.
+
+        estimate: of the pose in it.
+        member: tracker and state after it.
+        present: the person is there.
+        hidden: others hide the person from all views but one.
+        """
         self.member = member
         self.estimates.append(estimate)
         self.present.append(present)

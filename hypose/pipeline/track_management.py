@@ -34,10 +34,12 @@ def _apart(a: TrackedPerson, b: TrackedPerson, t: int = -1) -> float:
 def update_appearance(
     people: Sequence[TrackedPerson], seen: Sequence[Frame]
 ) -> list[tuple[TrackedPerson, TrackedPerson, int]]:
-    """Update the clothes model of all people after a frame was tracked, and find people who were exchanged.
+    """Update the model of each person's clothes after a frame was tracked, and find people whose tracks were exchanged
+    when they met.
 
-    seen: the frame as each person's tracker saw it.
-    Returns: pairs of people who were exchanged, and the frame from which on.
+    people: those whose place is known are updated; nothing is done without pictures.
+    seen: per person, the frame with the evidence of that person only.
+    Returns: (person, other person, first frame in which each has the track of the other); empty: none.
     """
     there = [p for p in people if p.member.sure]
     for p, frame in zip(people, seen, strict=True):
@@ -106,13 +108,16 @@ def swap_identities(
 
 
 def explained_by(people: Sequence[TrackedPerson], silhouettes: Silhouettes) -> list[Other]:
-    """Return what the people hide whose place is known."""
+    """Return what each person whose place is known covers in the views."""
     return [Other(p.member.shape(silhouettes.rig, p.estimates[-1].pose)) for p in people if p.member.sure]
 
 
 def birth_candidates(known: Sequence[Other], silhouettes: Silhouettes, least: int = FEWEST_VIEWS) -> bool:
-    """Return whether enough of the masks is unexplained, in `least` views or in all, to look for a person. Every other
-    pixel is used.
+    """Return whether the masks show enough that no known person explains, so that a search for another one is worth it.
+
+    known: what the known people cover in the views; empty: True is returned.
+    silhouettes: masks of all people; every other pixel is used.
+    least: number of views that must show it; where fewer views are usable, all of these must.
     """
     if not known:
         return True
@@ -191,8 +196,12 @@ def _explains(p: TrackedPerson, others: Sequence[TrackedPerson], frame: Frame) -
 
 
 def not_parts(found: Sequence[HullPerson], people: Sequence[TrackedPerson]) -> list[HullPerson]:
-    """Select the people in the hull who cannot be a limb of a tracked person: tall ones, and those who stand far enough
-    from all tracked people.
+    """Leave out parts of the hull that may be a limb of a tracked person.
+
+    found: possible people in the hull.
+    people: tracked people.
+    Returns: the tall ones, and the others that stand farther than SETTINGS.newcomer_reach from every tracked person
+        whose place is known.
     """
     at = [p.estimates[-1].pose[:2] for p in people if p.member.sure]
     return [h for h in found if h.tall or all(np.linalg.norm(h.axis - q) > SETTINGS.newcomer_reach for q in at)]
@@ -201,7 +210,7 @@ def not_parts(found: Sequence[HullPerson], people: Sequence[TrackedPerson]) -> l
 def candidate_evidence(
     person: HullPerson, frame: Frame, known: Sequence[Other], neighbours: Sequence[HullPerson] = ()
 ) -> Frame:
-    """Return the frame as evidence for one person in the hull.
+    """Return the frame with the evidence of one person in the hull; what others cover is left out.
 
     known: people who are tracked already.
     neighbours: other people in the hull.

@@ -227,7 +227,7 @@ class Capture:
         return self._result(**about, depths=depths, empty=empty)
 
     def keep_up(self) -> None:
-        """Update the backgrounds to what has changed in the rooms."""
+        """Update the backgrounds to slow changes of the scene, such as light, from the pictures of the last results."""
         for background, view, image, at, request in self._to_follow:
             background.follow(image, at, self._covered(view, request.bodies) if request.bodies else None)
         self._to_follow = []

@@ -295,7 +295,8 @@ class _Now:
 
 
 class LiveTrack:
-    """Live track of one person. In each frame the tracker continues from `state_at`, and `take` receives the result.
+    """Live track of one person. For each frame call `prepare`, track from the state `state_at`, and call `take` with
+    the result; then `pose` gives the pose, and `judge` updates its error probabilities.
 
     found: body and state that the search found.
     number: see `LivePose`.
@@ -355,11 +356,13 @@ class LiveTrack:
         return paced(self.state, share, self.tracker.body.skeleton)
 
     def take(self, whole: Frame, frame: Frame, state: TrackerState, estimate: FrameEstimate) -> None:
-        """Receive the result of a frame.
+        """Receive the result of tracking a frame, and begin or continue parallel work: comparing sides, fitting body
+        and camera offsets.
 
         whole: frame with all people.
         frame: frame with the evidence of this person.
         state: of the tracker after it.
+        estimate: of the pose in it.
         """
         passed = frame.time - self._time
         self._now, self.state = _Now(whole, frame, self.tracker, estimate), state
