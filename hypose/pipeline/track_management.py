@@ -133,7 +133,7 @@ def birth_candidates(known: Sequence[Other], silhouettes: Silhouettes, least: in
 def doubles(people: Sequence[Sequence[FrameEstimate]]) -> set[int]:
     """Find people who stay in one place with another person whose body explains the evidence better.
 
-    people: estimates of each person in the same frames; empty: the person is left out.
+    people: latest estimates of each person, of the same frames where both have them; empty: the person is left out.
     Returns: their indices.
     """
     worse = set[int]()
@@ -141,7 +141,8 @@ def doubles(people: Sequence[Sequence[FrameEstimate]]) -> set[int]:
         for j, b in enumerate(people[:i]):
             if not a or not b or worse & {i, j}:
                 continue
-            away = np.stack([e.pose[:3] for e in a]) - np.stack([e.pose[:3] for e in b])
+            both = min(len(a), len(b))
+            away = np.stack([e.pose[:3] for e in a[-both:]]) - np.stack([e.pose[:3] for e in b[-both:]])
             if (np.linalg.norm(away, axis=1) < SETTINGS.newcomer_one_place_m).all():
                 costs = [np.mean([np.nan_to_num(e.cost, nan=1.0) for e in p]) for p in (a, b)]
                 worse.add(i if costs[0] >= costs[1] else j)
