@@ -25,7 +25,7 @@ from hypose.pipeline.first_frame import SubjectOptions, find_subject
 from hypose.pipeline.passes import ClipState, track_clip
 from hypose.pipeline.run import finish, track_source
 from hypose.pipeline.track import track
-from hypose.pipeline.track_loop import Followed, FrameList, tracker_of
+from hypose.pipeline.track_loop import FrameList, TrackedPerson, tracker_of
 from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.metrics import EVALUATED, population_offsets, with_offsets
 from hypose.synthetic.scenes import Scene, make_scene
@@ -107,7 +107,7 @@ def _distances(scene: Scene, source: FrameList, body: Body, draw: int, colours: 
     """(T, 15) m: of the smoothed clip, and frame after frame."""
     subject, options = known_subject(scene, body), TrackOptions(seed=draw, own={"colours": True} if colours else {})
     tracker = tracker_of(subject, options, scene.frame_rate)
-    people = (Followed.at_start("", subject, tracker),)
+    people = (TrackedPerson.at_start("", subject, tracker),)
     clip = track_clip(ClipState(source, scene.frame_rate, options, people=people))
     smoothed = finish(clip).motion.poses
     assert smoothed is not None

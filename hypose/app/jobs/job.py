@@ -51,7 +51,7 @@ from hypose.pipeline.first_frame import SubjectOptions
 from hypose.pipeline.frame_anomalies import in_words
 from hypose.pipeline.one_camera import POINT_STARTS, clicks_of, depth_note
 from hypose.pipeline.passes import MODES
-from hypose.pipeline.person_paths import Wanted, said_of_places
+from hypose.pipeline.person_paths import KnownPerson, said_of_places
 from hypose.pipeline.recorded_frames import check_views, frames_wanted, one_view, people_frames
 from hypose.pipeline.run import PeopleResult, TrackResult, track_people
 from hypose.pipeline.subject_from_motion import load_subject, subject_file
@@ -263,7 +263,7 @@ def _track(
     return _alone(track_person(source, options, resume=job.command.resume, command=command, **about))
 
 
-def _absent(found: PeopleResult, only: Sequence[Wanted]) -> str:
+def _absent(found: PeopleResult, only: Sequence[KnownPerson]) -> str:
     """Return the sentence that the one person who was asked for by name was not found; "" where there is none."""
     for why in said_of_places(only, len(found.people) + found.others):
         return f"who of several people is {only[0].name} is not known: {why}"
