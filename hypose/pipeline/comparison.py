@@ -25,6 +25,7 @@ from hypose.body.motion import Motion
 from hypose.errors import InputError
 from hypose.evidence.keypoint_sets import common_name
 from hypose.geometry import Array, procrustes, transform
+from hypose.io.files import text_lines
 from hypose.io.motions.export import MOTION_FILES
 from hypose.io.motions.marker_files import Markers
 from hypose.io.motions.results import load_archive
@@ -75,6 +76,8 @@ def read_other(
         points = {n: found.joints[:, i] for i, n in enumerate(found.skeleton.joint_names)}
         return OtherMotion(path, found.times, points, angles_of(found))
     if isinstance(found, tuple):
+        if text_lines(path, "a motion")[0].strip().endswith("_sd"):
+            raise InputError(f"{path} holds the standard deviations of angles; give the angles, motion.mot next to it.")
         times, names, values = found
         return OtherMotion(path, times, {}, {n: values[:, i] for i, n in enumerate(names)})
     markers: Markers = found
