@@ -116,7 +116,7 @@ def _with_limbs(frame: Frame, scene: Scene) -> Frame:
     """The frame with label images of its limbs, as a network would make them of its pictures."""
     assert frame.silhouettes is not None
     subject, vertices, labels = scene.subject, scene.vertices(frame.index), np.zeros_like(frame.silhouettes.masks)
-    of_face = limb_of_joints(JOINT_NAMES)[subject.dense_weights.argmax(1)[subject.faces[:, 0]]]
+    of_face = limb_of_joints(JOINT_NAMES)[subject.main_joint[subject.faces[:, 0]]]
     half = len(LABELS) // 2
     for c, camera in enumerate(scene.rig.pinhole()):
         rng = np.random.default_rng([scene.seed, frame.index, c])
