@@ -29,7 +29,6 @@ from hypose.body.default_body import human
 from hypose.errors import InputError
 from hypose.fusion.align import AlignSettings
 from hypose.fusion.joints import COMMON, PARENT
-from hypose.fusion.live import LiveSettings
 from hypose.io.videos.camera_sources import is_device
 from hypose.pipeline.live.capture import CaptureOptions
 from hypose.pipeline.live.engine import LiveEngine, LiveResult, LiveStatus, LiveTrackingOptions
@@ -152,7 +151,7 @@ class FuseTopic(LiveTopic):
         if made_up:
             seen = await run_in_threadpool(simulated_sensors.simulated_sensors, made_up, np.random.default_rng(0))
         record = recording_folder(self._catalog, _FOLDER, "live") if message.get("record") is True else None
-        settings = LiveSettings(AlignSettings(rate=rate))
+        settings = AlignSettings(rate=rate)
         server = LiveServer(FuseOptions(udp=udp, ws=ws, osc=osc, record=record, settings=settings))
         try:
             await server.start()
