@@ -144,7 +144,6 @@ def contour_nodes(model, spacing, ws):
             node = nodes[n]
             node[0], node[1], node[2], node[3], node[4], node[5] = t, x, y, nx, ny, length / parts
             node[6] = seen
-            node[7] = 1.0 if depth[yo, xo] == f4(0) else 0.0
             n += 1
     return n
 
