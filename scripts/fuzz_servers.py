@@ -43,12 +43,12 @@ class _Servers:
     def __init__(self) -> None:
         from hypose.app.live.live_server import FusionServerOptions, LiveServer
         from hypose.app.studio.http import NotNow
-        from hypose.app.studio.server import Studio, StudioOptions, make_server, open_port
+        from hypose.app.studio.server import Studio, make_server, open_port
 
         self._folder = tempfile.TemporaryDirectory()  # lives as long as the process
         root = Path(self._folder.name)
         _recording(root)
-        studio = Studio(StudioOptions(root))
+        studio = Studio(root)
 
         def no_jobs(*_: Any) -> None:
             raise NotNow("Nothing is started here.")
@@ -281,7 +281,7 @@ def write_good(folder: Path) -> None:
         ("POST", f"/api/recordings/{recording}/starts", {**fit, "name": "first", "camera": "cam1"}),
         ("POST", "/api/jobs", {"kind": "track", "recording": recording, "options": {"seed": 1}}),
         ("POST", "/api/recordings", new),
-        ("POST", f"/api/results/{result}/export", {"formats": ["trc"]}),
+        ("POST", "/api/jobs", {"kind": "export", "result": result, "options": {"formats": ["trc"]}}),
         ("POST", f"/api/recordings/{recording}/mask-settings", {"close_px": 3, "shadow_range": [0.4, 0.9]}),
     ]
     text = "".join(f"GET {path} HTTP/1.1\r\n{_HOST}\r\n" for path in gets)

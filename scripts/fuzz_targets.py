@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +14,7 @@ import numpy as np
 
 from benchmarks.robustness.keypoint_layouts import LAYOUTS, detections, write_keypoints
 from benchmarks.robustness.small_recordings import small_scene, write_gesture_session, write_masks, write_skeletons
-from hypose.cameras.camera import CameraRig
+from hypose.cameras.camera import Camera, CameraRig
 from hypose.fusion.joints import COMMON
 from hypose.geometry import so3_log
 from scripts import fuzz_names, fuzz_servers
@@ -75,7 +76,6 @@ def targets() -> dict[str, Target]:
 _TABLES = {
     "calibration": {
         "toml": ("calibration.toml", ""),
-        "caliscope": ("caliscope/camera_array.toml", ""),
         "yml": ("easymocap/extri.yml", ""),
         "yml-lenses": ("easymocap/intri.yml", "easymocap/extri.yml"),
         "folder-yml": ("easymocap/intri.yml", "easymocap"),
@@ -87,8 +87,6 @@ _TABLES = {
         "opencap": ("opencap/cam1.pickle", ""),
         "json": ("rig.json", ""),
         "mcal": ("rig.mcal", ""),
-        "projections": ("projections.txt", ""),
-        "biocv": ("biocv.calib", ""),
     },
     "keypoints": {
         "openpose": ("openpose/cam1_json/cam1_000000.json", "openpose/cam1_json"),
@@ -115,8 +113,6 @@ _TABLES = {
         "frames": ("sensors/frames.csv", "sensors"),
         "bodies": ("sensors/skeleton.csv", "sensors"),
         "lines": ("people.jsonl", ""),
-        "kinect": ("kinect.csv", ""),
-        "ntu": ("S001C001P001R001A001.skeleton", ""),
         "azure": ("offline.json", ""),
     },
 }
@@ -209,10 +205,9 @@ def write_good(folder: Path) -> None:
     from hypose.body.default_body import human
     from hypose.body.motion import Motion, isotropic
     from hypose.gestures.forest import ForestSettings
-    from hypose.gestures.localise import LocaliseSettings
     from hypose.gestures.model import GestureModel
     from hypose.gestures.online import Learner
-    from hypose.io.calibrations.calibration_formats import write_any
+    from hypose.io.calibrations.calibration_text import write_calibration
     from hypose.io.motions.export import export_motion
     from hypose.io.motions.results import Checkpoint, save_body, save_motion
     from hypose.io.sensors.depth import write_depth_png
@@ -222,9 +217,7 @@ def write_good(folder: Path) -> None:
 
     rng = np.random.default_rng(5)
     cameras = CameraRig(camera_rig("humaneva-4", distorted=True).scaled(0.25).cameras[:2])
-    for name in ("calibration.toml", "caliscope/camera_array.toml", "easymocap/extri.yml"):
-        write_any(cameras, folder / "calibration" / name)
-    write_any(cameras, folder / "calibration" / "opencap" / "cam1.pickle")
+    write_calibration(cameras, folder / "calibration" / "calibration.toml")
     _write_calibrations(cameras, folder / "calibration")
     write_masks(small_scene(1, 2), folder / "walk")
     write_skeletons(folder / "skeleton" / "sensors", seconds=0.5)
@@ -247,7 +240,7 @@ def write_good(folder: Path) -> None:
             writer.write(rng.integers(0, 255, (24, 32, 3), dtype=np.uint8))
     write_gesture_session(folder / "session", "wave")
     learner = Learner.new(np.random.default_rng(0), ForestSettings())
-    model = GestureModel(("wave",), learner.forest, (None,), LocaliseSettings(), learner)
+    model = GestureModel("wave", learner, None)
     save_model(model, folder / "model.npz")
     for layout in _TABLES["keypoints"].keys() & LAYOUTS.keys():
         kind = LAYOUTS[layout][0]
@@ -257,14 +250,43 @@ def write_good(folder: Path) -> None:
     fuzz_names.write_good(folder)
 
 
+def write_easymocap(cameras: CameraRig, folder: Path) -> None:
+    """intri.yml and extri.yml as OpenCV writes them for EasyMocap."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for file, entries in (("intri.yml", ("K", "dist")), ("extri.yml", ("R", "T"))):
+        storage = cv2.FileStorage(str(folder / file), cv2.FILE_STORAGE_WRITE)
+        storage.write("names", list(cameras.names))
+        for c in cameras:
+            pose = c.camera_from_world
+            values = {"K": c.K, "dist": c.distortion[None], "R": so3_log(pose[:3, :3])[:, None], "T": pose[:3, 3:]}
+            for entry in entries:
+                storage.write(f"{entry}_{c.name}", values[entry])
+        storage.release()
+
+
+def opencap_pickle(c: Camera) -> bytes:
+    """A camera as OpenCap writes it: millimetres, in the world of an upright board whose y axis points down."""
+    up_from_board = np.array([[-1.0, 0, 0], [0, 0, -1], [0, -1, 0]])
+    content = {
+        "distortion": c.distortion[None],
+        "intrinsicMat": c.K,
+        "imageSize": np.array([[c.size[1]], [c.size[0]]], dtype=np.float64),
+        "rotation": c.camera_from_world[:3, :3] @ up_from_board,
+        "translation": 1000 * c.camera_from_world[:3, 3:],
+    }
+    return pickle.dumps(content, 3)
+
+
 def _write_calibrations(cameras: CameraRig, folder: Path) -> None:
     """Calibrations that the package reads and does not write."""
-    tables, lines, mcal = [], [], []
+    write_easymocap(cameras, folder / "easymocap")
+    (folder / "opencap").mkdir()
+    (folder / "opencap" / "cam1.pickle").write_bytes(opencap_pickle(cameras[0]))
+    tables, mcal = [], []
     for c in cameras:
         pose = c.camera_from_world
         tables.append({"name": c.name, "resolution": list(c.size), "K": c.K.tolist(), "R": pose[:3, :3].tolist(),
                        "distCoef": c.distortion.tolist(), "t": pose[:3, 3:].tolist()})  # fmt: skip
-        lines += [" ".join(map(repr, row)) for row in c.projection.tolist()]
         axes = " ".join(f'OrientMatrix{i}="{v!r}"' for i, v in enumerate(pose[:3, :3].ravel().tolist()))
         mcal.append(
             f'<Camera Serial="{c.name}"><Attributes ImagerPixelWidth="{c.size[0]}" ImagerPixelHeight="{c.size[1]}"/>'
@@ -273,7 +295,6 @@ def _write_calibrations(cameras: CameraRig, folder: Path) -> None:
             f'<Extrinsic X="1" Y="2" Z="3" {axes}/></Camera>'
         )
     (folder / "rig.json").write_text(json.dumps({"cameras": tables}))
-    (folder / "projections.txt").write_text("\n".join(lines) + "\n")
     (folder / "rig.mcal").write_text(f"<calibrationProfile>{''.join(mcal)}</calibrationProfile>")
     turn = " ".join(f'r{i}{j}="{int(i == j)}"' for i in (1, 2, 3) for j in (1, 2, 3))
     lens = 'focalLengthU="9600" focalLengthV="9600" centerPointU="5120" centerPointV="3840" '
@@ -298,9 +319,6 @@ def _write_calibrations(cameras: CameraRig, folder: Path) -> None:
         'FOCAL_LENGTH="150" PRINCIPAL_POINT="80 60" ORIENTATION="0 0 0 1" POSITION="1 2 3" VICON_RADIAL2="ViconRadial2 '
         '80 60 0 0 0"/></KeyFrames></Camera></Cameras>'
     )
-    k = [" ".join(map(repr, row)) for row in cameras[0].K.tolist()]
-    pose = [" ".join(map(repr, row)) for row in cameras[0].camera_from_world.tolist()]
-    (folder / "biocv.calib").write_text("\n".join(["160", "120", *k, "", *pose, "", "0.1 0 0 0 0", ""]))
 
 
 def _write_texts(folder: Path) -> None:
@@ -324,9 +342,3 @@ def _write_texts(folder: Path) -> None:
     ]
     document = {"joint_names": ["HEAD", "NECK", "PELVIS", "NOSE"], "frames": azure}
     (folder / "skeleton" / "offline.json").write_text(json.dumps(document))
-    header = "Tracker_Time,Kinect_Id,Person_Id,Head_X,Head_Y,Head_Z,Neck_X,Neck_Y,Neck_Z"
-    rows = [f"{33 * t},{t % 2},0,0.1,0.2,2.0,0.1,0.0,2.0" for t in range(12)]
-    (folder / "skeleton" / "kinect.csv").write_text("\n".join([header, *rows]) + "\n")
-    joint = "0.1 0.2 3.0 0 0 0 0 0 0 0 1 2"
-    frame = "\n".join(["1", "72057594037944738 0 1 1 0 0 0 0.1 0.2 2", "25", *[joint] * 25])
-    (folder / "skeleton" / "S001C001P001R001A001.skeleton").write_text("\n".join(["3", frame, frame, frame]) + "\n")

@@ -74,11 +74,11 @@ def follow(people: LivePeople, frames: Iterable[Frame], executor: Beside) -> lis
     """The poses; what has to be searched is searched between two frames."""
     poses = []
     for frame in frames:
-        stepped = people.step(frame)
-        for one in stepped:
-            poses.append(one.reported())
-            one.look()
-        if not stepped and people.phase == STATE_SEARCHING:
+        tracked = people.step(frame)
+        for one in tracked:
+            poses.append(one.pose())
+            one.judge()
+        if not tracked and people.phase == STATE_SEARCHING:
             executor.work()
     return poses
 
@@ -148,15 +148,15 @@ class Stage:
 
     def __init__(self, scene: Scene, rate: float, empty: int) -> None:
         names, self._rate, self._count = scene.given_rig.names, rate, len(scene)
-        self._clips = {n: _jpegs(scene.rgb_frames(c)) for c, n in enumerate(names)}
-        self._room = {n: _jpegs(scene.background_frames(c, empty)) for c, n in enumerate(names)}
+        self._clips = {n: list(scene.rgb_frames(c)) for c, n in enumerate(names)}
+        self._room = {n: list(scene.background_frames(c, empty)) for c, n in enumerate(names)}
         self.begin = np.inf
         self.gone: dict[str, tuple[float, float]] = {}
         self.clock = Clock()
 
     def shown(self, at: float) -> int:
         """The frame of the scene that is shown."""
-        return there_and_back(round((at - self.begin) * self._rate), self._count)
+        return int(there_and_back(round((at - self.begin) * self._rate), self._count))
 
     def open(self, name: str) -> "StageCamera":
         if self.away(name):
@@ -167,7 +167,7 @@ class Stage:
         begin, end = self.gone.get(name, (np.inf, np.inf))
         return begin <= self.clock.monotonic() < end
 
-    def picture(self, name: str, number: int) -> bytes:
+    def picture(self, name: str, number: int) -> np.ndarray:
         now = self.clock.monotonic()
         room = self._room[name]
         return room[number % len(room)] if now < self.begin else self._clips[name][self.shown(now)]
@@ -252,7 +252,3 @@ def until(met: Callable[[], bool], engine: LiveEngine) -> None:
     while not met():
         assert engine.failed is None and time.monotonic() < end, (engine.failed, engine.status())
         time.sleep(0.02)
-
-
-def _jpegs(pictures: Iterable[Any]) -> list[bytes]:
-    return [cv2.imencode(".jpg", p, [cv2.IMWRITE_JPEG_QUALITY, 90])[1].tobytes() for p in pictures]

@@ -12,7 +12,6 @@ import numpy as np
 
 from hypose.geometry import transform
 from hypose.io.motions.marker_files import write_trc
-from hypose.io.sensors.skeleton_files import KINECT_V2
 from tests import depth_sensors, missing
 
 
@@ -20,7 +19,7 @@ def mocap(folder: Path) -> None:
     """Markers as OpenCap's, and C3D files, written by ezc3d."""
     names = ["C7", *(f"m{k}" for k in range(49)), "L_toe"]
     place = np.linspace([0, 0, 1.5], [0, 0, 0.05], 51) + np.random.default_rng(0).normal(0, 0.01, (136, 51, 3))
-    write_trc(folder / "opencap_walking2.trc", names, place, 100, "m")
+    write_trc(folder / "opencap_walking2.trc", names, place, 100)
     for name, unit in (("kinematics_tennis_serve", "mm"), ("kinematics_tennis_serve_nan", "mm"), ("walking2", "m")):
         points = np.ones((4, 51, 136))
         points[:3] = place.T * (1000 if unit == "mm" else 1)
@@ -36,9 +35,10 @@ def mocap(folder: Path) -> None:
 
 def kinect_multitrack(folder: Path) -> None:
     """8 s of one person between two Kinects, as the tracker of that name writes it."""
-    order = sorted(KINECT_V2)
+    order = sorted(_KINECT)
     rng, shown = np.random.default_rng(0), [_KINECT[name] for name in order]
     heads = ["Study_Id", "Tracker_Time", "Person_Id", "Skeleton_Id", "Skeleton_Time", "Kinect_Id"]
+    heads[3:3] = ["Skeleton_Init_Angle", "Skeleton_Init_Dist"]
     lines = ["\ufeff" + ", ".join(heads + [f"{name}_{x}" for name in order for x in "XYZ"])]
     for n in range(240):
         joints = depth_sensors.walker(n / 30)
@@ -46,7 +46,9 @@ def kinect_multitrack(folder: Path) -> None:
             seen = transform(depth_sensors.camera(angle), joints + rng.normal(0, 0.008, joints.shape))
             values = (seen[shown] * [-1, -1, 1]).ravel()  # a Kinect's x is to its left, its y up
             times = 63562192334118 + 33 * n, 170926075120 + 330000 * n
-            lines.append(f"2, {times[0]}, 0, {k}, {times[1]}, 10.0.0.{k}, " + ", ".join(f"{v:.5f}" for v in values))
+            lines.append(
+                f"2, {times[0]}, 0, 0, 0, {k}, {times[1]}, 10.0.0.{k}, " + ", ".join(f"{v:.5f}" for v in values)
+            )
     text = "\r\n".join(lines) + "\r\n"
     (folder / "Study_2_Kinect_2_Time_12_32_04_PM.csv.gz").write_bytes(gzip.compress(text.encode()))
 

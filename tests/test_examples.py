@@ -92,8 +92,8 @@ def test_examples_use_public_names_only():
 
 def test_convert_calibration(tmp_path):
     write_calibration(small_scene(1, 2).rig, tmp_path / "a.toml")
-    said = run(ROOT / "examples/python/convert_calibration.py", tmp_path / "a.toml", tmp_path / "b" / "intri.yml")
-    assert said.startswith("4 cameras: cam1") and (tmp_path / "b" / "extri.yml").is_file()
+    said = run(ROOT / "examples/python/convert_calibration.py", tmp_path / "a.toml", tmp_path / "b.toml")
+    assert said.startswith("4 cameras: cam1") and (tmp_path / "b.toml").is_file()
 
 
 @pytest.mark.slow

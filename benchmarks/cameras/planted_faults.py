@@ -15,11 +15,10 @@ import numpy as np
 from benchmarks.bench_report import BenchOptions, BenchReport, Row
 from benchmarks.synthetic.noisy_masks import noisy_scene
 from hypose.calibration.diagnose_person import Finding
-from hypose.calibration.diagnose_points import mirrored_names
 from hypose.calibration.diagnostics import Observed, ViewFile, examine
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.evidence.frame import Silhouettes
-from hypose.evidence.keypoints import BODY_25
+from hypose.evidence.keypoints import BODY_25, other_sides
 from hypose.evidence.one_person import one_person
 from hypose.geometry import Array, se3, so3_exp
 from hypose.synthetic.performance import moved
@@ -269,7 +268,7 @@ def _mirrored(o: Observed, c: int, rng: np.random.Generator) -> Planted:
     xy = (
         np.zeros(2) if o.keypoints is None else np.array([w - 1.0, 0]) + np.array([-1.0, 1.0]) * o.keypoints[c, ..., :2]
     )
-    return _flipped(o, c, "mirrored", xy, mirrored_names(o.names), 1)
+    return _flipped(o, c, "mirrored", xy, other_sides(o.names), 1)
 
 
 def _turned(o: Observed, c: int, rng: np.random.Generator) -> Planted:

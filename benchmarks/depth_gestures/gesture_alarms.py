@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.bench_report import BenchOptions, BenchReport, row
-from benchmarks.depth_gestures.gesture_data import SEEDS
-from benchmarks.depth_gestures.gesture_sessions import PUBLISHED, example, live_step, session_frames, test_frames
+from benchmarks.depth_gestures.gesture_data import SEEDS, examples
+from benchmarks.depth_gestures.gesture_sessions import PUBLISHED, session_frames, test_frames
 from hypose.compute.forests import DepthImage
 from hypose.gestures.depth_pictures import KINECT
 from hypose.gestures.events import EventSettings, EventState, detect_events
@@ -39,11 +39,11 @@ def _learn_all(
     forests, thresholds, passed = list[Forest](), list[float](), list[float]()
     for name in names:
         number = GESTURES.index(name) + 1
-        shown = [example(f, number) for f, _ in session_frames(person, name, frames, rng)]
+        shown = examples(session_frames(person, name, frames, rng), number)
         test = [f for f in test_frames(person, name, 12, rng) if f.gesture == number]
         trainer = Trainer(Learner.new(np.random.default_rng([90, seed])))
         for e in shown:
-            live_step(trainer, e)
+            trainer.learn("gesture" if e.gesture else "negative", e.depth, e.lens, (e.x, e.y))
         forests.append(trainer.learner.forest.freeze())
         thresholds.append(max(trainer.final_threshold() or 0.0, 1e-3))
         found = np.array([localise(f.depth, KINECT, forests[-1:])[0].score for f in test])
@@ -115,9 +115,7 @@ def false_alarms(options: BenchOptions) -> BenchReport:
     minutes, frames, tries = (0.5, 60, 1) if options.quick else (10.0, 300, TRIES)
     names = PUBLISHED[:1] if options.quick else (*PUBLISHED, "pause")
     seeds = options.seed_range(SEEDS)
-    alarms: dict[str, list[float]] = {}
-    passed: list[float] = []
-    held: dict[str, list[float]] = {}
+    alarms, held, passed = dict[str, list[float]](), dict[str, list[float]](), list[float]()
     for done, seed in enumerate(seeds):
         measure = partial(_one_person, names, seed, (frames, tries, minutes), options)
         part = options.part(f"gesture-false-alarms.{seed}", measure)

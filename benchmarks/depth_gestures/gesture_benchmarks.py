@@ -32,7 +32,7 @@ from benchmarks.depth_gestures.gesture_data import (
 )
 from benchmarks.depth_gestures.gesture_pictures import GestureFrame, Stage
 from benchmarks.depth_gestures.gesture_scores import THOROUGH, Judged, judge
-from benchmarks.papers.offline_forests import OfflineSettings, Pool, collect, train_offline
+from benchmarks.papers.offline_forests import OfflineSettings, collect, train_offline
 from hypose.gestures.forest import Forest, ForestSettings
 from hypose.gestures.online import Example, Learner, LearnSettings
 from hypose.synthetic.gesture_poses import GESTURES
@@ -75,11 +75,6 @@ def learn_online(
     return learner.forest.freeze()
 
 
-def learn_offline(pool: Pool, seed: int, settings: OfflineSettings | None = None) -> Forest:
-    """A forest trained on a pool of samples."""
-    return train_offline(pool, np.random.default_rng([82, seed]), settings)
-
-
 def table_3_2(options: BenchOptions) -> BenchReport:
     """Offline boosted (as published, and with negatives around the place) against online learning with random and with
     hard negatives, on the same frames.
@@ -116,8 +111,8 @@ def _learn_all_ways(data: Callable[[], Shot], name: str, seed: int) -> dict[str,
         # the published ones: no ring of negatives; as many random negatives as hard ones can be
         "online_hard_published": learn_online(shown, seed, around=0),
         "online_random_as_many": learn_online(shown, seed, mine=False, many=32),
-        "offline_boosted": learn_offline(published, seed),
-        "offline_boosted_around": learn_offline(pool, seed),
+        "offline_boosted": train_offline(published, np.random.default_rng([82, seed])),
+        "offline_boosted_around": train_offline(pool, np.random.default_rng([82, seed])),
     }
     judged = {method: judge(forest, test, number) for method, forest in forests.items()}
     judged[_THOROUGH] = judge(forests["online_hard"], test, number, THOROUGH)
@@ -151,8 +146,7 @@ def table_3_1(options: BenchOptions) -> BenchReport:
     """Clipping distances, trained in two fixed empty rooms, tested in clutter; and boosted sub-forests.
 
     Deviation: drawn people in drawn rooms in place of the thesis' recordings."""
-    seeds = options.seed_range(SEEDS)
-    size = QUICK if options.quick else Size(40, 160, 20)
+    seeds, size = options.seed_range(SEEDS), QUICK if options.quick else Size(40, 160, 20)
     names = ("tee", "ok") if options.quick else GESTURES
     values: dict[tuple[str, str], list[Judged]] = {}
     online: dict[tuple[str, str], list[float]] = {}
@@ -181,12 +175,13 @@ def _clip(data: Callable[[], Shot], name: str, seed: int) -> dict[str, Any]:
     pool = collect(shown, np.random.default_rng([83, seed]), negatives=20, around=0)
     jobs = {c: OfflineSettings(ForestSettings(clip_mm=mm), per_class=5000, tests=60) for c, mm in _CLIPS.items()}
     jobs["subforest"] = replace(jobs["unclipped"], learning="subforests")  # the published baseline is unclipped
+    offline_rng = partial(np.random.default_rng, [82, seed])
     online = {
         c: learn_online(shown, seed, settings=ForestSettings(clip_mm=_CLIPS[c]), passes=2)
         for c in ("clipped_15", "unclipped")
     }
     return {
-        "offline": {c: judge(learn_offline(pool, seed, s), test, number).plain() for c, s in jobs.items()},
+        "offline": {c: judge(train_offline(pool, offline_rng(), s), test, number).plain() for c, s in jobs.items()},
         "online": {c: judge(forest, test, number).plain() for c, forest in online.items()},
     }
 

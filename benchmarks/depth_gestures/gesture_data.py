@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -82,7 +82,7 @@ def two_fixed_rooms(rng: np.random.Generator, distance: float = 1.8) -> Stage:
     return Stage(("empty",), 0.0, settings=settings)
 
 
-def examples(frames: Sequence[GestureFrame], gesture: int) -> list[Example]:
+def examples(frames: Iterable[GestureFrame], gesture: int) -> list[Example]:
     """The frames as one against all: every other gesture is background."""
     return [Example(f.depth, KINECT, 1, f.x, f.y) if f.gesture == gesture else Example(f.depth, KINECT) for f in frames]
 
@@ -110,6 +110,6 @@ def teach(learner: Learner, examples: Sequence[Example], *, mine: bool = True, s
     for k in order.tolist():
         e = examples[k]
         if e.gesture:
-            learner.show(e.depth, e.lens, e.gesture, e.x, e.y, mine=mine)
+            learner.show(e.depth, e.lens, e.x, e.y, mine=mine)
         else:
             learner.reject(e.depth, e.lens, mine=mine)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -22,12 +21,15 @@ from hypose.body.motion import Motion
 from hypose.errors import InputError
 from hypose.evidence.frame import SensorJoints
 from hypose.fusion import joints as jt
-from hypose.fusion.fit import LARGE_ERROR_M
-from hypose.fusion.fuse import FusionSettings, common_positions, fuse_clip, fuse_frame, start
+from hypose.fusion.align import Instant, SensorBody, SensorView
+from hypose.fusion.fit import LARGE_ERROR_M, FitSettings, fit_step, start_fit
+from hypose.fusion.fuse import FusionSettings, common_positions, fuse_clip
+from hypose.fusion.people import PeopleTracker
 from hypose.fusion.register import common_joints, register
-from hypose.geometry import Array
+from hypose.geometry import Array, so3_exp, transform
+from hypose.io.files import csv_rows
 from hypose.io.motions.results import ResultsFolder
-from hypose.io.sensors.skeleton_files import read_skeletons
+from hypose.io.sensors.skeleton_streams import MISSING_MARK, SkeletonRecording, StreamRows, checked_recording
 from hypose.pipeline.assessment import GOOD, UNTRUSTED
 
 
@@ -79,12 +81,11 @@ def _trusted(motion: Motion, error: Array) -> dict[str, float]:
 
 
 def _causal(frames: Sequence[SensorJoints], truth: Array) -> float:
-    """Mean error m of the stream: registration and bone lengths learned as frames come in; the first 5 s not
+    """Mean error m of the live fusion: registration and bone lengths learned as frames come in; the first 5 s not
     counted."""
-    state = start(frames[0])
-    errors = []
-    for t, frame in enumerate(frames):
-        state, fused = fuse_frame(state, frame)
+    state, errors, unknown = start_fit(), [], np.full((len(frames[0].state), 3), np.nan)
+    for t, (frame, world) in enumerate(zip(frames, _causal_world(frames), strict=True)):
+        state, fused = fit_step(state, world, frame.state, float(np.nanmax(frame.times)), FitSettings(), unknown)
         if t >= min(5 * FRAME_RATE, len(frames) // 2):
             errors.append(np.linalg.norm(fused.joints - truth[t], axis=-1))
     return float(np.mean(errors))
@@ -92,11 +93,10 @@ def _causal(frames: Sequence[SensorJoints], truth: Array) -> float:
 
 def _best_single(recording: SensorRecording) -> float:
     """m: the best sensor in hindsight, in its own frame, so without any error of registration."""
-    errors = [
-        np.linalg.norm(single_sensor(recording.positions, k) - recording.truth_in(k), axis=-1).mean()
+    return min(
+        float(np.linalg.norm(single_sensor(recording.positions, k) - recording.truth_in(k), axis=-1).mean())
         for k in range(recording.positions.shape[1])
-    ]
-    return float(min(errors))
+    )
 
 
 # ---- two real sensors ----
@@ -109,10 +109,9 @@ def real(options: BenchOptions) -> BenchReport:
     lengths and jitter after fusion, leaving one sensor out. Three recordings per configuration, their first 400 common
     frames; with "/even" those that are even by their number in the order of their
     names, on which nothing was chosen that `hypose.fusion.fit` holds."""
-    folder = options.folder("kinect_multitrack")
     found: dict[tuple[str, str, str], list[float]] = {}
     used: dict[str, int] = {}
-    files = sorted(folder.glob("Study_*_Kinect_[012]_*.gz"))
+    files = sorted(options.folder("kinect_multitrack").glob("Study_*_Kinect_[012]_*.gz"))
     for n, file in enumerate(files):
         options.progress("recordings", n, len(files))
         configuration = file.name.partition("_Kinect_")[2][0]
@@ -162,9 +161,10 @@ def sensor_left_out(frames: list[SensorJoints], name: str, found: dict[tuple[str
 
 def _verdicts(file: Path, frames: list[SensorJoints], found: dict[tuple[str, str, str], list[float]]) -> None:
     """How `hypose fuse` ends: 1 or 0 per recording, of which that is so of any of its people."""
-    hard = bool(set(_scenarios(file).values()) & {"4", "5", "6", "8"})
+    header, rows = csv_rows(file, "a CSV of KinectMultiTrack")
+    hard = bool({cells[header.index("Scenario_Id")] for _, cells in rows} & {"4", "5", "6", "8"})
     with TemporaryDirectory() as folder:
-        people, *_ = run_fuse(read_skeletons(file), ResultsFolder(Path(folder)), FuseCommand(formats="csv"))
+        people, *_ = run_fuse(read_kinect_multitrack(file), ResultsFolder(Path(folder)), FuseCommand(formats="csv"))
     words = [p.assessment.word for p in people]
     case = "occlusion or two people" if hard else "one person"
     found.setdefault(("not_good", case, "share"), []).append(float(any(w != GOOD for w in words)))
@@ -175,9 +175,44 @@ def _verdicts(file: Path, frames: list[SensorJoints], found: dict[tuple[str, str
     found.setdefault(("doubtful_frames", case, "share"), []).append(float(np.mean(low_confidence)))
 
 
+def read_kinect_multitrack(path: Path) -> SkeletonRecording:
+    """Read a CSV of KinectMultiTrack (C.-J. Wu, 2015), one row per skeleton of two Kinect v2.
+
+    There is one stream per Kinect_Id, with people by Person_Id.
+
+    Times are those of Tracker_Time (one clock, ms), shifted to start at 0. No tracking state is logged, so a joint that
+    is present counts as tracked; -9999 means missing.
+    The logger moves every skeleton into the frame of the first row's sensor, by the angle (rad) and distance (m) at
+    which the person first stood in front of each sensor (Skeleton_Init_Angle, Skeleton_Init_Dist). This is undone, so
+    the positions are in each sensor's own frame, m.
+    """
+    header, lines = csv_rows(path, "a CSV of KinectMultiTrack")
+    at = {name: i for i, name in enumerate(header)}
+    starts = [i for i, c in enumerate(header) if c.endswith("_X")]
+    joints = tuple(header[i][:-2] for i in starts)
+    places: dict[str, Array] = {}
+    sensors: dict[str, StreamRows] = {}
+    for _, cells in lines:
+        name = cells[at["Kinect_Id"]]
+        values = np.array([[float(c) for c in cells[i : i + 3]] for i in starts])
+        place = np.array([cells[at["Skeleton_Init_Angle"]], cells[at["Skeleton_Init_Dist"]]], dtype=np.float64)
+        angle, distance = places.setdefault(name, place)
+        first_angle, first_distance = next(iter(places.values()))
+        known = (values > MISSING_MARK).all(1)
+        turn = so3_exp(np.array([0.0, angle - first_angle, 0.0]))
+        values[known] = (values[known] - [0.0, 0.0, first_distance]) @ turn + [0.0, 0.0, distance]
+        time, person = float(cells[at["Tracker_Time"]]) * 1e-3, int(float(cells[at["Person_Id"]]))
+        sensors.setdefault(name, StreamRows(name, joints)).add(time, person, values, np.full(len(joints), 2))
+    # seconds since the year 1 would lose microseconds in later arithmetic
+    zero = min(t for rows in sensors.values() for t in rows.times)
+    for rows in sensors.values():
+        rows.times = [t - zero for t in rows.times]
+    return checked_recording(path.name.partition(".")[0], list(sensors.values()), str(path), {path.name: path})
+
+
 def main_person(file: Path) -> list[SensorJoints]:
     """Instants in which both sensors report the person that is seen most, common joints."""
-    recording = read_skeletons(file)
+    recording = read_kinect_multitrack(file)
     if len(recording.streams) < 2:
         raise InputError(f"{file} holds one sensor; two are compared here.")
     a, b = recording.streams[:2]
@@ -191,25 +226,15 @@ def main_person(file: Path) -> list[SensorJoints]:
         if k is None or not (person in a.person_ids[i] and person in b.person_ids[k]):
             continue
         ca, cb = int((a.person_ids[i] == person).argmax()), int((b.person_ids[k] == person).argmax())
-        frame = SensorJoints(
+        both = SensorJoints(
             np.stack([a.positions[i, ca], b.positions[k, cb]]),
             np.stack([a.state[i, ca], b.state[k, cb]]),
             np.full(2, t),
             a.joint_names,
             (a.name, b.name),
         )
-        out.append(common_joints(frame))
+        out.append(common_joints(both))
     return out
-
-
-def _scenarios(file: Path) -> dict[int, str]:
-    """Scenario_Id by ms since the first row."""
-    with gzip.open(file, "rt", encoding="utf-8-sig") as f:
-        table = [[c.strip() for c in line.split(",", 5)] for line in f]
-    time_column, scenario_column = table[0].index("Tracker_Time"), table[0].index("Scenario_Id")
-    rows = [(float(r[time_column]), r[scenario_column]) for r in table[1:] if len(r) > time_column]
-    first = min(t for t, _ in rows)
-    return {round(t - first): scenario for t, scenario in rows}
 
 
 def _measure_pair(frames: list[SensorJoints], name: str, found: dict[tuple[str, str, str], list[float]]) -> None:
@@ -231,13 +256,15 @@ def _measure_pair(frames: list[SensorJoints], name: str, found: dict[tuple[str, 
             add(metric, label, value)
 
 
-def _causal_world(frames: list[SensorJoints]) -> Array:
-    """Both sensors as a stream registers them (T, 2, 15, 3)."""
-    state = start(frames[0])
-    out = []
-    for frame in frames:
-        state, _ = fuse_frame(state, frame)
-        out.append(state.registration.apply(frame.positions))
+def _causal_world(frames: Sequence[SensorJoints]) -> Array:
+    """All sensors as the live fusion registers them (T, K, 15, 3)."""
+    tracker, out, unknown = PeopleTracker(), [], np.full((4, 4), np.nan)
+    for n, frame in enumerate(frames):
+        seen = zip(frame.sensor_names, frame.positions, frame.state, strict=True)
+        views = [SensorView(name, True, 0, (SensorBody(0, p, s),) if s.any() else ()) for name, p, s in seen]
+        tracker.update(Instant(n, float(np.nanmax(frame.times)), tuple(views)))
+        places = tracker.transforms
+        out.append(transform(np.stack([places.get(name, unknown) for name in frame.sensor_names]), frame.positions))
     return np.array(out)
 
 

@@ -253,7 +253,7 @@ def _off(pose: LivePose, truth: Array, begin: float) -> float:
     """m, mean over the joints, from where they truly were in the pictures that were shown; truth (T, J, 3) of the
     clip's frames, of 30 Hz."""
     shown = int((pose.time - begin) * 30.0 + 0.05)
-    return float(np.linalg.norm(pose.joints - truth[there_and_back(shown, len(truth))], axis=-1).mean())
+    return float(np.linalg.norm(pose.joints - truth[int(there_and_back(shown, len(truth)))], axis=-1).mean())
 
 
 def _plain(row: Row) -> dict[str, Any]:

@@ -33,11 +33,6 @@ class Ended:
         _, found, text = self.err.replace("Error: ", "error: ").partition("error: ")
         return " ".join(text.split()) if found else ""
 
-    @property
-    def in_one_sentence(self) -> bool:
-        """A user's error as it should be: exit code 2, one sentence, no traceback."""
-        return self.code == 2 and bool(self.sentence) and "Traceback" not in self.err
-
 
 class Program:
     """A process of the command line that has been started."""

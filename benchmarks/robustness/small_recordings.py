@@ -11,12 +11,12 @@ import numpy as np
 from benchmarks.synthetic.calibration_boards import film_board, ring_of_cameras
 from benchmarks.synthetic.sensors import SensorModel, simulate
 from benchmarks.synthetic.skeleton_folders import write_folder
-from hypose.app.live.simulated_sensors import builtin_joints, on_treadmill, ring_sensors
+from hypose.app.jobs.checking import write_image
+from hypose.app.live.simulated_sensors import builtin_joints, ring_sensors
 from hypose.calibration.boards import Board
 from hypose.fusion.joints import COMMON
 from hypose.gestures.depth_pictures import KINECT
 from hypose.io.calibrations.calibration_text import write_calibration
-from hypose.io.files import atomic_path
 from hypose.io.recordings.recording import Recording, ViewSettings, write_recording
 from hypose.io.sensors.skeleton_streams import SensorStream, SkeletonRecording
 from hypose.pipeline.gesture_files import SessionWriter
@@ -41,15 +41,10 @@ def write_masks(scene: Scene, folder: Path) -> Path:
         assert frame.silhouettes is not None
         for c, camera in enumerate(cameras):
             mask = frame.silhouettes.masks[c, : camera.size[1], : camera.size[0]]
-            _write_png(folder / camera.name / f"{t:05d}.png", 255 * mask)
+            write_image(folder / camera.name / f"{t:05d}.png", 255 * mask)
     views = tuple(ViewSettings(c.name, masks=folder / c.name) for c in cameras)
     write_recording(Recording(folder, folder.name, cameras, views, scene.frame_rate, None, keypoint_set=None), folder)
     return folder
-
-
-def _write_png(path: Path, image: np.ndarray) -> None:
-    with atomic_path(path) as temporary:
-        temporary.write_bytes(cv2.imencode(".png", image)[1].tobytes())
 
 
 def write_board_pictures(folder: Path, seed: int = 0, frames: int = 10, cameras: int = 2) -> Path:
@@ -66,7 +61,7 @@ def write_board_pictures(folder: Path, seed: int = 0, frames: int = 10, cameras:
             homography = camera.K @ camera_from_board[:3, [0, 1, 3]] @ to_board
             picture = cv2.warpPerspective(sheet, homography, camera.size, borderValue=110.0, flags=cv2.INTER_AREA)
             picture = np.clip(picture + rng.normal(0, 2, picture.shape), 0, 255).astype(np.uint8)
-            _write_png(folder / "boards" / camera.name / f"{f:03d}.png", picture)
+            write_image(folder / "boards" / camera.name / f"{f:03d}.png", picture)
     write_calibration(chosen, folder / "lenses.toml")
     return folder
 
@@ -74,9 +69,8 @@ def write_board_pictures(folder: Path, seed: int = 0, frames: int = 10, cameras:
 def write_skeletons(folder: Path, seed: int = 0, seconds: float = 8.0) -> Path:
     """A folder of the skeletons of three depth sensors around a person."""
     rng = np.random.default_rng(seed)
-    joints = on_treadmill(builtin_joints("walk", seconds, rng))
-    heading = np.zeros(len(joints))
-    seen = simulate(joints, heading, ring_sensors([-50, 0, 50]), rng, SensorModel(), np.zeros((0, 7)))
+    joints = builtin_joints("box", seconds, rng)
+    seen = simulate(joints, np.zeros(len(joints)), ring_sensors([-50, 0, 50]), rng, SensorModel(), np.zeros((0, 7)))
     streams = tuple(
         SensorStream(
             name,

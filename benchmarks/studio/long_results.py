@@ -11,7 +11,6 @@ import numpy as np
 from hypose.app.jobs.gesture_job import new_learner
 from hypose.app.live.gesture_sources import PERSON_RATE
 from hypose.gestures.depth_pictures import KINECT
-from hypose.gestures.localise import LocaliseSettings
 from hypose.gestures.model import GestureModel
 from hypose.io.motions.results import load_motion, save_motion
 from hypose.pipeline.gesture_files import SessionWriter, save_model
@@ -50,11 +49,11 @@ def long_session(folder: Path) -> None:
         frame = frames.send(k // 15 % 2 == 0) if k else next(frames)
         shown.append(frame.depth)
         if frame.point is not None:
-            learner.show(frame.depth, KINECT, 1, *frame.point, mine=False)
+            learner.show(frame.depth, KINECT, *frame.point, mine=False)
         else:
             learner.reject(frame.depth, KINECT, mine=False)
     folder.mkdir()
-    save_model(GestureModel(("tee",), learner.forest, (4.0,), LocaliseSettings(), learner), folder / "tee.npz")
+    save_model(GestureModel("tee", learner, 4.0), folder / "tee.npz")
     writer = SessionWriter(folder / "tee", ["tee"], KINECT, (640, 480))
     for k, depth in enumerate(shown):
         writer.add(k / _RATE, depth, "free")

@@ -5,11 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
+from scipy.spatial.distance import cdist
 
 from benchmarks.synthetic.asf import bone_ends, read_amc, read_asf
 from benchmarks.synthetic.human4d import read_human4d
 from benchmarks.synthetic.sensors import SensorModel, SensorRecording, simulate
-from hypose.app.live.simulated_sensors import builtin_joints, looped, on_treadmill, ring_sensors, rotated_about_vertical
+from hypose.app.live.simulated_sensors import builtin_joints, ring_sensors, rotated_about_vertical
 from hypose.fusion import joints as jt
 from hypose.geometry import Array, se3, se3_inverse, transform
 
@@ -28,8 +30,7 @@ BARS = np.array(
 
 def cmu_joints(folder: Path, name: str, step: int = 4) -> Array:
     """(T, 15, 3) m of a CMU capture of subject 02 ("02_03"), its axes (y up), every step-th frame of 120 Hz."""
-    asf = read_asf(folder / "02.asf")
-    amc = read_amc(folder / f"{name}.amc")
+    asf, amc = read_asf(folder / "02.asf"), read_amc(folder / f"{name}.amc")
     ends = bone_ends(asf, {k: v[::step] for k, v in amc.items()}) * asf.metres_per_unit
     at = {n: ends[:, i] for i, n in enumerate(asf.names)}
     shoulders, hips = (at["lclavicle"] + at["rclavicle"]) / 2, (at["lhipjoint"] + at["rhipjoint"]) / 2
@@ -54,6 +55,45 @@ def human4d_joints(folder: Path) -> tuple[Array, Array]:
     return np.concatenate([*top, arms[0], arms[1], middle[:, None], legs[0], legs[1]], 1), run.camera_from_first
 
 
+def unit(vectors: Array) -> Array:
+    """Vectors (..., 3) at unit length."""
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+def on_treadmill(joints: Array) -> Array:
+    """Remove travel and turning from a motion (T, 15, 3) m in any axes: the result has z up, faces -y, and stands on
+    the floor.
+    """
+    hips = (joints[:, jt.LEFT_HIP] + joints[:, jt.RIGHT_HIP]) / 2
+    up = unit(np.median(joints[:, jt.NECK] - hips, axis=0))
+    side = joints[:, jt.LEFT_SHOULDER] - joints[:, jt.RIGHT_SHOULDER] + joints[:, jt.LEFT_HIP] - joints[:, jt.RIGHT_HIP]
+    side = gaussian_filter1d(side, 15, axis=0, mode="nearest")
+    side = unit(side - (side @ up)[:, None] * up)
+    r = np.stack([side, np.cross(up, side), np.broadcast_to(up, side.shape)], 1)
+    centre = gaussian_filter1d(hips, 12, axis=0, mode="nearest")
+    centre = centre - (centre @ up)[:, None] * up
+    out = np.einsum("tij,tnj->tni", r, joints - centre[:, None])
+    out[..., 2] -= np.percentile(out[:, [jt.LEFT_FOOT, jt.RIGHT_FOOT], 2], 2) - 0.08
+    return out
+
+
+def looped(joints: Array, frames: int, blend: int = 8) -> Array:
+    """Repeat a clip for `frames` frames: it is cut between its two most similar frames and cross-faded over `blend`
+    frames.
+    """
+    t, flat = len(joints), joints.reshape(len(joints), -1)
+    velocity = np.diff(flat, axis=0, append=flat[-1:])
+    cost = cdist(flat, flat, "sqeuclidean") + 25 * cdist(velocity, velocity, "sqeuclidean")
+    begins, ends = np.ogrid[:t, :t]
+    far = (ends >= np.maximum(begins + 20, t // 2)) & (ends < t - blend - 1)
+    cost[~(far & (begins >= 2) & (begins < max(3, t // 3)))] = np.inf
+    a, b = np.unravel_index(int(cost.argmin()), cost.shape)
+    m, segment = min(blend, int(a)), joints[a:b].copy()
+    w = (np.arange(1, m + 1) / (m + 1))[:, None, None]
+    segment[-m:] = (1 - w) * segment[-m:] + w * joints[a - m : a]
+    return np.concatenate([segment] * (frames // len(segment) + 1))[:frames]
+
+
 def turn_then_run(run: Array, walk: Array, frames: int) -> tuple[Array, Array]:
     """The paper's sequences: turn 45 degrees to the left, back, to the right, back while stepping, then run. Returns
     joints (frames, 15, 3) m and heading (frames,)."""
@@ -73,9 +113,8 @@ def turn_then_run(run: Array, walk: Array, frames: int) -> tuple[Array, Array]:
     ramp(6 * q, 7 * q, -a, 0)
     running = looped(run, frames - k + 10)
     out = np.concatenate([looped(walk, k), running[10:]])[:frames]
-    for i in range(10):
-        w = (i + 1) / 11
-        out[k - 10 + i] = (1 - w) * out[k - 10 + i] + w * running[i]
+    w = (np.arange(1, 11) / 11)[:, None, None]
+    out[k - 10 : k] = (1 - w) * out[k - 10 : k] + w * running[:10]
     return rotated_about_vertical(out, heading), heading
 
 
@@ -100,11 +139,9 @@ def treadmill_recording(
 def human4d_recording(data: Path, rng: np.random.Generator, model: SensorModel | None = None) -> SensorRecording:
     """HUMAN4D's run seen from its four real camera poses (one sees the back); the reference is the frontal one."""
     joints, camera_from_first = human4d_joints(data / "human4d_run")
-    up = np.median(joints[:, jt.NECK] - (joints[:, jt.LEFT_HIP] + joints[:, jt.RIGHT_HIP]) / 2, axis=0)
-    up /= np.linalg.norm(up)
+    up = unit(np.median(joints[:, jt.NECK] - (joints[:, jt.LEFT_HIP] + joints[:, jt.RIGHT_HIP]) / 2, axis=0))
     side = np.median(joints[:, jt.LEFT_SHOULDER] - joints[:, jt.RIGHT_SHOULDER], axis=0)
-    side -= side @ up * up
-    side /= np.linalg.norm(side)
+    side = unit(side - side @ up * up)
     r = np.stack([side, np.cross(up, side), up])
     world_from_first = se3(r, np.array([0, 0, 1.18]) - r @ np.median(joints[:, jt.TORSO], axis=0))
     world = transform(world_from_first, joints)

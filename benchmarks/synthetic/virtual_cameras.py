@@ -17,23 +17,17 @@ _BOUNDARY = "picture"
 @dataclass(frozen=True)
 class CameraFaults:
     """jitter s: sd by which pictures are late (only ever late); lost: share of the pictures that never come; gone: of
-    each view the spans (s from the beginning) in which it is unplugged; drift: by which each view's clock is too fast,
-    as a share; late s: by which each view's pictures show what was before; stamps: the cameras tell their own time."""
+    each view the spans (s from the beginning) in which it is unplugged."""
 
     jitter: float = 0.0
     lost: float = 0.0
     gone: tuple[tuple[tuple[float, float], ...], ...] = ()
-    drift: tuple[float, ...] = ()
-    late: tuple[float, ...] = ()
-    stamps: bool = False
 
 
-def there_and_back(n: int, count: int) -> int:
+def there_and_back(n: float, count: int) -> float:
     """Frame n of a clip that is played forwards and backwards, so that nobody jumps at its end."""
-    if count < 2:
-        return 0
-    n %= 2 * count - 2
-    return n if n < count else 2 * count - 2 - n
+    last = count - 1
+    return last - abs(n % (2 * last) - last) if last else 0
 
 
 class VirtualCameras:
@@ -66,13 +60,7 @@ class VirtualCameras:
         """Which picture of the clips, as a number with a fraction, is shown at a time (s, monotonic); below 0 before
         them."""
         n = (at - self.begin) * self.rate - (len(self.first[0]) if self.first else 0)
-        count = len(self.clips[0])
-        if n < 0:
-            return n
-        if count < 2:
-            return 0.0
-        n %= 2 * count - 2
-        return n if n <= count - 1 else 2 * count - 2 - n
+        return n if n < 0 else there_and_back(n, len(self.clips[0]))
 
     def __enter__(self) -> VirtualCameras:
         self.begin = time.monotonic()
@@ -89,7 +77,7 @@ class VirtualCameras:
         first = self.first[view] if self.first else ()
         if first and n < len(first):
             return first[n % len(first)]
-        return self.clips[view][there_and_back(n - len(first), len(self.clips[view]))]
+        return self.clips[view][int(there_and_back(n - len(first), len(self.clips[view])))]
 
     def _handler(self) -> type[BaseHTTPRequestHandler]:
         cameras = self
@@ -114,23 +102,19 @@ class VirtualCameras:
     def away(self, view: int) -> bool:
         """Whether a view is unplugged now."""
         spans = self.faults.gone[view] if view < len(self.faults.gone) else ()
-        now = time.monotonic() - self.begin
-        return any(a <= now < b for a, b in spans)
+        return any(a <= time.monotonic() - self.begin < b for a, b in spans)
 
     def play(self, view: int, write) -> None:  # noqa: ANN001 - a file's write
         """The pictures of one view from now on, each at its time, until it is unplugged or the end."""
         f, rng = self.faults, np.random.default_rng([self._seed, view])
-        pace = self.rate * (1 + (f.drift[view] if view < len(f.drift) else 0.0))
-        late = round((f.late[view] if view < len(f.late) else 0.0) * self.rate)
-        n = int((time.monotonic() - self.begin) * pace) + 1
+        n = int((time.monotonic() - self.begin) * self.rate) + 1
         while not self._ended.is_set() and not self.away(view):
-            at = self.begin + n / pace
+            at = self.begin + n / self.rate
             wait = at + abs(float(rng.normal(0, f.jitter))) - time.monotonic() if f.jitter else at - time.monotonic()
             if wait > 0 and self._ended.wait(wait):
                 return
             if rng.random() >= f.lost:
-                data = self.picture(view, max(n - late, 0))
-                stamp = f"X-Timestamp: {1000.0 * view + n / self.rate:.6f}\r\n" if f.stamps else ""
-                head = f"--{_BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: {len(data)}\r\n{stamp}\r\n"
+                data = self.picture(view, n)
+                head = f"--{_BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: {len(data)}\r\n\r\n"
                 write(head.encode() + data + b"\r\n")
-            n = max(n + 1, int((time.monotonic() - self.begin) * pace))
+            n = max(n + 1, int((time.monotonic() - self.begin) * self.rate))

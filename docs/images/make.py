@@ -14,7 +14,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from PIL import Image
 
-from hypose.app.reports.overlay import PictureRows, write_overlay
+from hypose.app.reports.overlay import PictureRows, Shown, write_overlay
 from hypose.body.joint_angles import joint_angles
 from hypose.io.motions.results import load_body, load_motion
 from hypose.io.recordings.frames import FrameStream
@@ -36,7 +36,7 @@ def main(folder: Path) -> None:
     )
     rows = range(0, len(motion), 2)
     with FrameStream(recording) as source:
-        shown = write_overlay("", recording, source, motion, body, PictureRows(False, stills=rows))
+        shown = write_overlay("", recording, source, [Shown("", motion, body)], PictureRows(False, stills=rows))
     views = {row: cv2.resize(still, (WIDTH, 240), interpolation=cv2.INTER_AREA) for row, still in shown.stills.items()}
     names, values = joint_angles(motion.skeleton, motion.poses)
     degrees = np.degrees(values)

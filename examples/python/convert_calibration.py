@@ -1,4 +1,4 @@
-"""Any calibration to any other:  python convert_calibration.py calibration.toml easymocap/intri.yml"""
+"""Any calibration to TOML:  python convert_calibration.py Calib.qca.txt calibration.toml"""
 
 import sys
 

@@ -16,15 +16,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.calibration.diagnose_points import undistorted
 from hypose.calibration.findings import INVALID, REVIEW, Finding
 from hypose.calibration.refine_points import apply_parameters
 from hypose.calibration.sync_motion import MaskTrack, tangent_planes
-from hypose.calibration.synchronisation import sizes
 from hypose.cameras.camera import CameraRig, triangulate
 from hypose.compute.linear import weighted_squares
 from hypose.compute.losses import lorentzian_weight
 from hypose.evidence.frame import Silhouettes
+from hypose.evidence.keypoint_check import sizes, undistorted
 from hypose.geometry import Array
 
 _LIMBS = tuple(

@@ -15,12 +15,11 @@ import numpy as np
 
 from hypose.body.default_body import human
 from hypose.calibration.diagnose_masks import Alignment
-from hypose.calibration.diagnose_points import undistorted
 from hypose.calibration.findings import REVIEW, Finding, Limits, ViewFile
 from hypose.calibration.refine_points import CameraChange
 from hypose.cameras.camera import CameraRig, triangulate
 from hypose.errors import EvidenceError
-from hypose.evidence.keypoint_check import sides_exchanged
+from hypose.evidence.keypoint_check import sides_exchanged, undistorted
 from hypose.evidence.keypoints import KEYPOINT_SETS, landmark_of
 from hypose.geometry import Array
 from hypose.tracking.subject import shape_from_keypoints

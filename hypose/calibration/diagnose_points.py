@@ -1,21 +1,15 @@
 """Diagnostics with key points: gross faults, timing, and camera poses.
 
-Gross faults are found by trial: each suspected fault is undone, and it is confirmed when the views agree afterwards.
-    The measure is the distance of key points from the triangulation of all views (or, for silhouettes, the disagreement
-    of tangent planes between two views), in shares of the person's size, so that it is valid for any image size.
-"""
+Gross faults are found by trial (`hypose.evidence.keypoint_check`), with key points or silhouettes."""
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.calibration.findings import INVALID, REVIEW, Finding, Limits, SeenT, Trial
+from hypose.calibration.findings import INVALID, REVIEW, Finding, Limits
 from hypose.calibration.refine_points import (
     CameraChange,
     PointAdjustment,
@@ -27,273 +21,69 @@ from hypose.calibration.refine_points import (
     transform_rig,
 )
 from hypose.calibration.sync_motion import Curves, farther, keypoint_curves, offsets_within, solve_offsets, solve_widely
-from hypose.calibration.synchronisation import point_sd, sizes
+from hypose.calibration.synchronisation import point_sd
 from hypose.cameras.camera import Camera, CameraRig, triangulate
 from hypose.errors import EvidenceError
-from hypose.geometry import Array, se3_inverse, transform
-
-CONVENTIONS: tuple[tuple[str, Callable[[Camera], Array]], ...] = (
-    ("64 times too large (Qualisys coefficients of another version, divided by 64)", lambda c: c.distortion / 64),
-    ("64 times too small (Qualisys coefficients must not be divided by 64)", lambda c: c.distortion * 64),
-    ("of the opposite sign", lambda c: -c.distortion),
-    ("those of images that are already undistorted", lambda c: np.zeros(5)),
-)
+from hypose.evidence.keypoint_check import SeenT, Trial, best_trial, disagreement, sizes, trials, undistorted
+from hypose.geometry import Array, transform
 
 
-_TURNS = (
-    ("mirrored", "mirrored", (-1.0, 1.0), "mirror the video back (ffmpeg -i IN -vf hflip OUT)"),
-    ("turned", "upside down", (-1.0, -1.0), "turn the video back (ffmpeg -i IN -vf hflip,vflip OUT)"),
-    ("mirrored", "flipped top to bottom", (1.0, -1.0), "flip the video back (ffmpeg -i IN -vf vflip OUT)"),
-)
-"""Kind, words, factors of x and y about the middle of the picture, cure."""
+def undo_faults(
+    rig: CameraRig,
+    seen: SeenT,
+    trials: Callable[[CameraRig, SeenT], Iterator[Trial[SeenT]]],
+    measure: Callable[[CameraRig, SeenT, Sequence[int]], float],
+    few: Callable[[SeenT], SeenT],
+    o: Limits,
+    most: int,
+    agree: float = np.inf,
+) -> tuple[list[Finding], CameraRig, SeenT]:
+    """Find and undo gross faults, the one with the largest effect first.
 
-
-def geometric_trials(
-    rig: CameraRig, seen: SeenT, turned: Callable[[int, Array], SeenT], ordered: Callable[[NDArray[np.int64]], SeenT]
-) -> Iterator[Trial[SeenT]]:
-    """Yield trials for mirrored or rotated images of one camera, exchanged views of two cameras, and inverted poses.
-
-    seen: what the views see.
-    turned: function of view and factors (2,) that multiplies the view's positions about the picture's middle.
-    ordered: function that puts the views into another order.
+    seen, trials, measure, few: as in `best_trial`.
+    o: limits.
+    most: largest number of faults.
+    agree: largest disagreement that may remain, in shares of the person's size.
+    Returns: the findings; cameras and observations after the faults were undone.
     """
-    for c, camera in enumerate(rig):
-        for kind, words, factor, cure in _TURNS:
-            cure = f"{cure}, or calibrate {camera.name} from such images"
-            yield Trial(kind, (c,), f"its images are {words}", cure, rig, turned(c, np.array(factor)))
-    for a, b in itertools.combinations(range(len(rig)), 2):
-        order = np.arange(len(rig))
-        order[[a, b]] = b, a
-        words = f"its video is that of camera {rig.names[b]} and the other way round"
-        cure = f'exchange camera = "{rig.names[a]}" and camera = "{rig.names[b]}" in recording.toml'
-        yield Trial("swapped", (a, b), words, cure, rig, ordered(order))
-    inverse = CameraRig(tuple(replace(c, camera_from_world=se3_inverse(c.camera_from_world)) for c in rig))
-    words = "the poses are those of the cameras in the world, not of the world in the cameras"
-    yield Trial("inverted", (), words, "invert every camera's rotation and translation", inverse, seen)
+    findings: list[Finding] = []
+    for _ in range(most):
+        trial, before, after = best_trial(rig, seen, trials, measure, few)
+        least = o.gross_lens if trial is not None and trial.kind == "distortion" else o.gross
+        if trial is None or before < least or after > min(o.gross_cured * before, agree):
+            break
+        names = tuple(rig.names[k] for k in trial.views)
+        text = (
+            f"{' and '.join(names) if 0 < len(names) < len(rig) else 'All cameras'}: {trial.words}; with that undone "
+            f"the views agree to {100 * after:.1f} % of the person's size instead of {100 * before:.1f} %"
+        )
+        findings.append(Finding(trial.kind, names, text, trial.cure, before - after))
+        rig, seen = trial.rig, trial.seen
+    return findings, rig, seen
 
 
-def gross_finding(rig: CameraRig, trial: Trial[Any], before: float, after: float, who: str = "views") -> Finding:
-    """Make the finding of a confirmed fault.
-
-    trial: the suspected fault.
-    before, after: disagreement with and without the fault, in shares of the person's size.
-    who: what agrees without the fault, for the sentence.
-    """
-    names = tuple(rig.names[k] for k in trial.views)
-    text = (
-        f"{' and '.join(names) if 0 < len(names) < len(rig) else 'All cameras'}: {trial.words}; with that undone the "
-        f"{who} agree to {100 * after:.1f} % of the person's size instead of {100 * before:.1f} %"
-    )
-    return Finding(trial.kind, names, text, trial.cure, before - after)
-
-
-def mirrored_names(names: Sequence[str]) -> list[int]:
-    """Find for each key point the index of the same point on the other side of the body, by its name (left_...,
-    right_...).
-
-    Returns: K indices; a point without another side keeps its own.
-    """
-    other = {"left": "right", "right": "left"}
-    out = []
-    for k, n in enumerate(names):
-        side, _, rest = n.partition("_")
-        twin = f"{other[side]}_{rest}" if side in other else n
-        out.append(list(names).index(twin) if twin in names else k)
-    return out
-
-
-def disagreement(rig: CameraRig, pixels: Array, views: Sequence[int] = ()) -> float:
-    """Compute the disagreement of key points with their triangulation, in shares of the person's size, at most 10.
-
-    It is the mean over `views` of the median distance in px. Points behind a camera count as far away.
-
-    pixels: (C, T, K, 3) distorted px, and confidence.
-    views: views that are judged; all by default.
-    Why: points are triangulated from the other views when these are at least two, so that a bad view does not affect
-        the points by which it is judged; else from all.
-    """
-    c = len(rig)
-    judged = list(views) or list(range(c))
-    others = [k for k in range(c) if k not in judged]
-    by = others if len(others) > 1 else list(range(c))
-    needed = sorted({*judged, *by})
-    uv, confidence = undistorted(CameraRig(tuple(rig[k] for k in needed)), pixels[needed])
-    at = {k: i for i, k in enumerate(needed)}
-    rows = [at[k] for k in by]
-    flat, seen = uv.reshape(len(needed), -1, 2), np.where(confidence > 0.3, confidence, 0.0).reshape(len(needed), -1)
-    points, _ = triangulate(CameraRig(tuple(rig[k] for k in by)), flat[rows], seen[rows])
-    known = np.isfinite(points).all(1)
-    out = []
-    for k in judged:
-        size = float(sizes(pixels[k : k + 1])[0])
-        use = known & (seen[at[k]] > 0)
-        if use.sum() > 20 and size > 0:
-            distance = np.linalg.norm(rig[k].project_pinhole(points[use]) - flat[at[k]][use], axis=1)
-            out.append(min(float(np.median(np.nan_to_num(distance, nan=1e6))) / size, 10.0))
-    return float(np.mean(out)) if out else float("nan")
-
-
-def undistorted(rig: CameraRig, pixels: Array) -> tuple[Array, Array]:
-    """Remove the lens distortion from key points.
-
-    pixels: (C, T, K, 3) distorted px, and confidence.
-    Returns: (C, T, K, 2) px, and confidence (C, T, K), 0 where the point cannot be undistorted.
-    """
-    uv = np.stack([c.undistort_points(p[..., :2]) for c, p in zip(rig, pixels, strict=True)])
-    far = 20 * rig.sizes.max()
-    fine = np.isfinite(uv).all(-1) & (np.abs(np.nan_to_num(uv)) < far).all(-1)
-    return np.where(fine[..., None], uv, 0.0), np.where(fine, pixels[..., 2], 0.0)
-
-
-def trials(
-    rig: CameraRig, pixels: Array, names: Sequence[str], stored: Sequence[tuple[int, int] | None]
-) -> Iterator[Trial[Array]]:
-    """Yield all suspected faults of a rig and its key points, each one undone.
+def undo_point_faults(
+    rig: CameraRig,
+    pixels: Array,
+    names: Sequence[str],
+    stored: Sequence[tuple[int, int] | None],
+    o: Limits,
+    most: int,
+    every: int = 1,
+) -> tuple[list[Finding], CameraRig, Array]:
+    """Find and undo gross faults by key points.
 
     pixels: (C, T, K, 3) distorted px, and confidence.
     names: K names of the key points.
     stored: width and height of each view's stored images, px; None where unknown.
+    o: limits.
+    most: largest number of faults.
+    every: trials are compared by every n-th frame.
+    Returns: as `undo_faults`.
     """
-    twin = mirrored_names(names)
-
-    def turned(c: int, factor: Array) -> Array:
-        return _turned(pixels, rig, c, factor, twin if factor.prod() < 0 else None)
-
-    yield from geometric_trials(rig, pixels, turned, lambda order: pixels[order])
-    every = tuple(range(len(rig)))
-    for c in every:
-        yield from _sizes(rig, pixels, c, stored[c])
-    for shift in (1, len(rig) - 1) if len(rig) > 2 else ():
-        words = "the videos belong to other cameras: their order is shifted by one"
-        cure = 'give each view its camera = "..." in recording.toml'
-        yield Trial("swapped", every, words, cure, rig, pixels[np.roll(np.arange(len(rig)), shift)])
-    # a mirrored picture exchanges left and right; a reversed axis alone does not
-    for kind, words, factor, other, cure in (
-        (
-            "mirrored",
-            "all images are mirrored",
-            (-1.0, 1.0),
-            twin,
-            "mirror the videos back (ffmpeg -i IN -vf hflip OUT)",
-        ),
-        ("turned", "all images are upside down", (-1.0, -1.0), None, "turn the videos back (ffmpeg -vf hflip,vflip)"),
-        (
-            "flipped",
-            "the key points' y counts from the bottom of the images (or all videos are flipped)",
-            (1.0, -1.0),
-            None,
-            "write y as the image's height minus y",
-        ),
-    ):
-        points = pixels
-        for c in every:
-            points = _turned(points, rig, c, np.array(factor), other)
-        yield Trial(kind, every, words, cure, rig, points)
-    lenses = [c for c in every if np.abs(rig[c].distortion).max(initial=0) > 0]
-    for views in ((), *((c,) for c in lenses)) if lenses else ():
-        whose = rig.names[views[0]] if views else "the calibration file"
-        cure = f"correct the distortion coefficients of {whose}, or calibrate the lens again"
-        for words, coefficients in CONVENTIONS:
-            cameras = [
-                replace(k, distortion=coefficients(k)) if c in (views or every) else k for c, k in enumerate(rig)
-            ]
-            words = f"its distortion coefficients are {words}"
-            yield Trial("distortion", views, words, cure, CameraRig(tuple(cameras)), pixels)
-
-
-def _turned(pixels: Array, rig: CameraRig, c: int, factor: Array, twin: list[int] | None) -> Array:
-    """Multiply the key points of one view about the picture's middle.
-
-    pixels: (C, T, K, 3) distorted px, and confidence.
-    c: index of the view.
-    factor: (2,) of x and y.
-    twin: index of each point on the other side, where left and right are exchanged as well; None where not.
-    Returns: a changed copy of `pixels`.
-    """
-    middle = (np.array(rig[c].size) - 1) / 2
-    out = _placed(pixels, c, middle + factor * (pixels[c, ..., :2] - middle))
-    if twin is not None:
-        out[c] = out[c][:, twin]
-    return out
-
-
-def _placed(pixels: Array, c: int, xy: Array) -> Array:
-    """Replace the positions (T, K, 2) of the detected key points of view c."""
-    out = pixels.copy()
-    out[c, ..., :2] = np.where(pixels[c, ..., 2:] > 0, xy, 0.0)
-    return out
-
-
-def _sizes(rig: CameraRig, pixels: Array, c: int, stored: tuple[int, int] | None) -> Iterator[Trial[Array]]:
-    """Yield trials for key points of images of another size than calibrated: scaled or cropped.
-
-    pixels: (C, T, K, 3) distorted px, and confidence.
-    c: index of the view.
-    stored: width and height of its stored images, px; None where unknown, then usual factors are tried.
-    """
-    camera = rig[c]
-    w, h = camera.size
-    xy = pixels[c, ..., :2]
-    known = stored is not None and tuple(stored) != (w, h)
-    factors = [(w / stored[0], h / stored[1])] if known and stored is not None else []
-    if not known:
-        factors = [(s, s) for s in (0.5, 2 / 3, 0.75, 4 / 3, 1.5, 2.0)]
-    for fx, fy in factors:
-        new = _placed(pixels, c, (xy + 0.5) * np.array([fx, fy]) - 0.5)
-        if known and stored is not None:
-            words = (
-                f"its key points are in pixels of the stored {stored[0]} x {stored[1]} images, not of the calibrated"
-            )
-        else:
-            words = f"its key points are in pixels of images {1 / fx:.2f} times the calibrated size"
-        cure = 'set keypoint_pixels = "image" in recording.toml'
-        yield Trial("scaled", (c,), words + f" {w} x {h}", cure, rig, new)
-    if known and stored is not None and (stored[0] < w or stored[1] < h):
-        dw, dh = max(w - stored[0], 0), max(h - stored[1], 0)
-        places = {(x, y) for x in (0.0, 0.5, 1.0) for y in (0.0, 0.5, 1.0)}
-        for x, y in sorted(places):
-            dx, dy = round(x * dw), round(y * dh)
-            if (dx, dy) == (0, 0):
-                continue
-            words = f"its images were cut: {dx} px are missing at the left and {dy} px at the top"
-            cure = f"subtract ({dx}, {dy}) from the principal point of {camera.name} and give its size as {stored}"
-            # or the loader has stretched them to the calibrated size
-            stretched = (xy + 0.5) * np.array([stored[0] / w, stored[1] / h]) - 0.5
-            for new in (xy, stretched):
-                yield Trial("cropped", (c,), words, cure, rig, _placed(pixels, c, new + np.array([dx, dy])))
-
-
-def best_trial(
-    rig: CameraRig, pixels: Array, names: Sequence[str], stored: Sequence[tuple[int, int] | None], every: int = 4
-) -> tuple[Trial[Array] | None, float, float]:
-    """Find the trial after which the affected views agree best.
-
-    Trials that make the agreement of all views together worse are rejected.
-
-    pixels: (C, T, K, 3) distorted px, and confidence.
-    names: K names of the key points.
-    stored: as in `trials`.
-    every: only every n-th frame is used.
-    Returns: the trial (None without one), and the disagreement before and after it, in shares of the person's size.
-    """
-    few = pixels[:, ::every]
-    all_before = disagreement(rig, few)
-    before: dict[tuple[int, ...], float] = {}
-    scored: list[tuple[float, float, int]] = []
-    for k, trial in enumerate(trials(rig, few, names, stored)):
-        if trial.views not in before:
-            before[trial.views] = disagreement(rig, few, trial.views)
-        scored.append((disagreement(trial.rig, trial.seen, trial.views), before[trial.views], k))
-    # the camera with the largest disagreement is tested first, because its fault affects the others
-    worst = max((b for _, b, _ in scored), default=0.0)
-    order = sorted(scored, key=lambda x: x[0] / max(x[1], 1e-6))
-    for after, was, k in order[:6]:
-        if was < 0.5 * worst and after > 0.2 * was:
-            continue
-        trial = next(itertools.islice(trials(rig, pixels, names, stored), k, None))
-        if disagreement(trial.rig, trial.seen[:, ::every]) < all_before:
-            return trial, was, after
-    return None, all_before, all_before
+    return undo_faults(
+        rig, pixels, lambda r, p: trials(r, p, names, stored), disagreement, lambda p: p[:, ::every], o, most
+    )
 
 
 # ---- doctor timing -------------------------------------------------------------------------------------------------
@@ -469,6 +259,22 @@ def judge_extrinsics(rig: CameraRig, pixels: Array, o: Limits) -> tuple[list[Fin
     return findings, moved
 
 
+def odd_view_out(rig: CameraRig, disagree: Callable[[list[int]], float], limit: float) -> tuple[int, float] | None:
+    """Find the only view without which the other views agree.
+
+    disagree: function that gives the disagreement of the views with these indices.
+    limit: largest disagreement of views that agree.
+    Returns: index of the view, and the disagreement of the others; None with fewer than four views, or where no view or
+        several views explain the disagreement.
+    """
+    views = range(len(rig)) if len(rig) > 3 else ()
+    without = [disagree([k for k in range(len(rig)) if k != c]) for c in views]
+    c = int(np.argmin(without)) if without else -1
+    if c < 0 or not without[c] < limit or sum(w < max(limit, 2 * without[c]) for w in without) > 1:
+        return None
+    return c, without[c]
+
+
 def _no_one_person(rig: CameraRig, pixels: Array, before: float, after: float) -> Finding:
     """Make the finding that the views disagree wherever the cameras are moved; it names a view without which the others
     agree.
@@ -476,25 +282,21 @@ def _no_one_person(rig: CameraRig, pixels: Array, before: float, after: float) -
     pixels: (C, T, K, 3) distorted px, and confidence.
     before, after: median residual before and after all cameras were moved, px.
     """
-    views = range(len(rig)) if len(rig) > 3 else ()
-    rest = [np.delete(np.arange(len(rig)), c) for c in views]
-    without = [disagreement(CameraRig(tuple(rig[int(k)] for k in r)), pixels[r]) for r in rest]
+    odd = odd_view_out(rig, lambda kept: disagreement(CameraRig(tuple(rig[k] for k in kept)), pixels[kept]), AGREE)
     said = (
         f"the key points miss each other by {before:.1f} px, and by {after:.1f} px still when every camera is moved "
         "(frames not used)"
     )
-    c = int(np.argmin(without)) if without else -1
-    if c < 0 or not without[c] < AGREE or sum(w < max(AGREE, 2 * without[c]) for w in without) > 1:
+    if odd is None:
         cure = "check whether video and key points of every view are of this recording and show the same person"
         return Finding("scatter", (), f"All cameras: {said}", cure, before)
-    text = (
-        f"{rig.names[c]}: {said}; without this view the others agree to {100 * without[c]:.1f} % of the person's size"
-    )
+    name = rig.names[odd[0]]
+    text = f"{name}: {said}; without this view the others agree to {100 * odd[1]:.1f} % of the person's size"
     cure = (
         "check whether its video and key points are of this recording, of the same person, and not mirrored or turned; "
         "else calibrate this camera again, or leave the view out"
     )
-    return Finding("scatter", (rig.names[c],), text, cure, before)
+    return Finding("scatter", (name,), text, cure, before)
 
 
 def _witnesses(confidence: Array) -> NDArray[np.int64]:

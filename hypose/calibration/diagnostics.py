@@ -8,7 +8,6 @@ shares of the person's size in the image, so that limits are valid for any resol
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -29,24 +28,24 @@ from hypose.calibration.diagnose_person import PersonReport, ViewReport, clip_fi
 from hypose.calibration.diagnose_points import (
     FAR_DEG,
     FAR_M,
-    best_trial,
     certain_delays,
-    geometric_trials,
-    gross_finding,
     judge_extrinsics,
     late_views,
+    odd_view_out,
     timing_findings,
-    undistorted,
+    undo_faults,
+    undo_point_faults,
 )
-from hypose.calibration.findings import REVIEW, Finding, Limits, Trial, ViewFile, depth_findings
+from hypose.calibration.findings import REVIEW, Finding, Limits, ViewFile, depth_findings
 from hypose.calibration.refine_points import CameraChange, apply_parameters, changes, left_out_residual, point_residual
 from hypose.calibration.sync_motion import MaskTrack, mask_tracks, silhouette_curves
-from hypose.calibration.synchronisation import points_at, sizes
+from hypose.calibration.synchronisation import points_at
 from hypose.cameras.camera import CameraRig
 from hypose.errors import EvidenceError
 from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.frame import Silhouettes
 from hypose.evidence.hull import visual_hull
+from hypose.evidence.keypoint_check import Trial, geometric_trials, sizes, undistorted
 from hypose.geometry import Array
 
 # ---- doctor silhouettes --------------------------------------------------------------------------------------------
@@ -83,13 +82,12 @@ def examine_silhouettes(
         raise EvidenceError("No frame has silhouettes; give masks, a background, or key points.")
     tracks = mask_tracks(silhouettes)
     size = _sizes(tracks)
-    findings: list[Finding] = []
     late = np.zeros(n)
     if n < 2:
-        return findings, tuple(ViewReport(name) for name in rig.names), late
+        return [], tuple(ViewReport(name) for name in rig.names), late
     residual = tangency_by_view(tangency(small, tracks), n) * rig.sizes[:, 0] / small.sizes[:, 0]
     reports = tuple(ViewReport(name, tangency_px=float(r)) for name, r in zip(rig.names, residual, strict=True))
-    small, tracks = _gross_masks(small, tracks, size, findings, o)
+    findings, small, tracks = _gross_masks(small, tracks, size, o)
     timed = list(findings)
     late = _timing(rig, small, tracks, size, timed, o)
     in_step = [_delayed(t, x) for t, x in zip(tracks, late, strict=True)]
@@ -125,10 +123,9 @@ def gross_silhouettes(rig: CameraRig, silhouettes: Sequence[Silhouettes | None],
     """
     tracks = mask_tracks(silhouettes)
     size = _sizes(tracks)
-    findings: list[Finding] = []
     if len(rig) < 2 or not (size > 0).any():
         return ()
-    cured, tracks = _gross_masks(rig, tracks, size, findings, o)
+    findings, cured, tracks = _gross_masks(rig, tracks, size, o)
     left = _score(cured, tracks, size)
     if not findings and left > _SCATTER:
         found = _scattered(cured, tracks, size, left)
@@ -159,42 +156,32 @@ def _few(tracks: Sequence[MaskTrack], count: int) -> list[MaskTrack]:
 
 
 def _gross_masks(
-    rig: CameraRig, tracks: list[MaskTrack], size: Array, findings: list[Finding], o: Limits
-) -> tuple[CameraRig, list[MaskTrack]]:
+    rig: CameraRig, tracks: list[MaskTrack], size: Array, o: Limits
+) -> tuple[list[Finding], CameraRig, list[MaskTrack]]:
     """Find and undo up to two gross faults by the tangent planes of the masks.
 
     rig: the cameras of the masks.
     tracks: mask track of each view.
     size: (C,) size of the person in each view, px of the masks.
-    findings: list to which findings are added.
     o: limits.
-    Returns: cameras and tracks after the faults were undone.
+    Returns: the findings; cameras and tracks after the faults were undone.
     """
-    for _ in range(2):
-        few = _few(tracks, 25)
-        before = _score(rig, few, size)
-        if before < o.gross:
-            break
-        scored = [(_score(t.rig, t.seen, size), k) for k, t in enumerate(_trials(rig, few))]
-        after, k = min(scored)
-        if after > min(o.gross_cured * before, _SCATTER):
-            break
-        trial = next(itertools.islice(_trials(rig, tracks), k, None))
-        findings.append(gross_finding(rig, trial, before, after, "silhouettes"))
-        rig, tracks = trial.rig, trial.seen
-    return rig, tracks
 
+    def trials(cameras: CameraRig, seen: list[MaskTrack]) -> Iterator[Trial[list[MaskTrack]]]:
+        def turned(c: int, factor: Array) -> list[MaskTrack]:
+            middle, track = (np.array(cameras[c].size) - 1) / 2, seen[c]
+            outline, changed = (
+                tuple(None if p is None else middle + factor * (p - middle) for p in parts)
+                for parts in (track.outline, track.changed)
+            )
+            return [*seen[:c], replace(track, outline=outline, changed=changed), *seen[c + 1 :]]
 
-def _trials(rig: CameraRig, tracks: list[MaskTrack]) -> Iterator[Trial[list[MaskTrack]]]:
-    def turned(c: int, factor: Array) -> list[MaskTrack]:
-        middle, track = (np.array(rig[c].size) - 1) / 2, tracks[c]
-        outline, changed = (
-            tuple(None if p is None else middle + factor * (p - middle) for p in parts)
-            for parts in (track.outline, track.changed)
-        )
-        return [*tracks[:c], replace(track, outline=outline, changed=changed), *tracks[c + 1 :]]
+        return geometric_trials(cameras, seen, turned, lambda order: [seen[k] for k in order])
 
-    return geometric_trials(rig, tracks, turned, lambda order: [tracks[k] for k in order])
+    def measure(cameras: CameraRig, seen: list[MaskTrack], _: Sequence[int]) -> float:
+        return _score(cameras, seen, size)
+
+    return undo_faults(rig, tracks, trials, measure, lambda seen: _few(seen, 25), o, 2, _SCATTER)
 
 
 def _delayed(track: MaskTrack, late: float) -> MaskTrack:
@@ -301,14 +288,16 @@ def _scattered(small: CameraRig, tracks: Sequence[MaskTrack], size: Array, befor
     before: disagreement of the tangent planes, share of the person's size.
     """
     disagree = f"the silhouettes' tangent planes disagree by {100 * before:.0f} % of the person's size"
-    seen = np.flatnonzero(size > 0)
-    for c in seen if len(seen) > 3 else ():
-        rest = [int(k) for k in seen if k != c]
-        left = _score(small.select([small.names[k] for k in rest]), [tracks[k] for k in rest], size[rest])
-        if left < min(0.5 * _SCATTER, 0.25 * before):
-            text = f"{small.names[c]}: {disagree}, by {100 * left:.0f} % without this view"
-            return Finding("scatter", (small.names[c],), text, _LOOK_AT_MASKS, before)
-    return Finding("scatter", (), f"All cameras: {disagree}", _LOOK_AT_MASKS, before)
+
+    def rest(kept: list[int]) -> float:
+        return _score(small.select([small.names[k] for k in kept]), [tracks[k] for k in kept], size[kept])
+
+    odd = odd_view_out(small, rest, min(0.5 * _SCATTER, 0.25 * before)) if (size > 0).sum() > 3 else None
+    if odd is None:
+        return Finding("scatter", (), f"All cameras: {disagree}", _LOOK_AT_MASKS, before)
+    name = small.names[odd[0]]
+    text = f"{name}: {disagree}, by {100 * odd[1]:.0f} % without this view"
+    return Finding("scatter", (name,), text, _LOOK_AT_MASKS, before)
 
 
 def _best_moved(small: CameraRig, few: list[MaskTrack], size: Array) -> tuple[float, int, CameraRig]:
@@ -463,7 +452,11 @@ def examine(observed: Observed, limits: Limits | None = None) -> tuple[PersonRep
         # for depth cameras, masks give no better information: their faults follow from those of the depth maps
         findings += [] if any(f.fault for f in by_depth) else found
         return PersonReport(tuple(findings), views), Cured(observed.rig, observed.keypoints, late, np.zeros((n, 2)), 0)
-    undone, rig, pixels = _gross(observed, observed.keypoints, o)
+    stored = [c.size for c in observed.clips] if observed.clips else [None] * n
+    every = max(1, observed.keypoints.shape[1] // 15)
+    undone, rig, pixels = undo_point_faults(
+        observed.rig, observed.keypoints, observed.names, stored, o, most=3, every=every
+    )
     gross = {f.kind for f in undone}
     findings += undone
     scaled = {name for f in undone if f.kind in ("scaled", "cropped") for name in f.views}
@@ -489,24 +482,6 @@ def examine(observed: Observed, limits: Limits | None = None) -> tuple[PersonRep
         findings += person_findings(rig, pixels, observed.names, observed.height, o)
     report = PersonReport(tuple(findings), _views(observed, pixels, alignments, extrinsics and extrinsics[1]))
     return report, Cured(rig, pixels, late, shift, lag)
-
-
-def _gross(observed: Observed, pixels: Array, o: Limits) -> tuple[list[Finding], CameraRig, Array]:
-    """Find and undo up to three gross faults, the one with the largest effect first.
-
-    pixels: (C, T, K, 3) distorted px, and confidence.
-    Returns: the findings, and the cameras and key points after the faults were undone.
-    """
-    rig, findings = observed.rig, list[Finding]()
-    stored = [c.size for c in observed.clips] if observed.clips else [None] * len(rig)
-    for _ in range(3):
-        trial, before, after = best_trial(rig, pixels, observed.names, stored, max(1, pixels.shape[1] // 15))
-        limit = o.gross_lens if trial is not None and trial.kind == "distortion" else o.gross
-        if trial is None or before < limit or after > o.gross_cured * before:
-            break
-        findings.append(gross_finding(rig, trial, before, after))
-        rig, pixels = trial.rig, trial.seen
-    return findings, rig, pixels
 
 
 def _against_masks(

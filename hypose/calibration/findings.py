@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import permutations
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 import cv2
 import numpy as np
 
-from hypose.cameras.camera import CameraRig
 from hypose.errors import EvidenceError
 from hypose.evidence.depth_evidence import Depth, in_world
 from hypose.evidence.depth_floor import camera_on_floor
@@ -92,28 +91,6 @@ class Limits:
     height_share: float = 0.12
     height_doubt: float = 0.07
     tangency: float = 0.02
-
-
-SeenT = TypeVar("SeenT")
-
-
-@dataclass(frozen=True)
-class Trial(Generic[SeenT]):
-    """A suspected fault that was undone as a trial.
-
-    kind, cure: as in `Finding`.
-    views: indices of the affected views; empty for all.
-    words: description of the fault.
-    rig: cameras after the cure.
-    seen: what the views see after the cure: key points (C, T, K, 3), mask tracks or depth maps.
-    """
-
-    kind: str
-    views: tuple[int, ...]
-    words: str
-    cure: str
-    rig: CameraRig
-    seen: SeenT
 
 
 @dataclass(frozen=True)

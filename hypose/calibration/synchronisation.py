@@ -30,6 +30,7 @@ from hypose.cameras.camera import CameraRig
 from hypose.compute.mask_distance import signed_distance
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
+from hypose.evidence.keypoint_check import sizes
 from hypose.geometry import Array
 from hypose.io.videos.video import Sound
 
@@ -90,19 +91,6 @@ def point_sd(pixels: Array, confidence: Array) -> float:
     known = sizes(np.concatenate([pixels, confidence[..., None]], -1))
     known = known[known > 0]
     return max(0.016 * float(np.median(known)) if len(known) else 4.0, 0.5)
-
-
-def sizes(pixels: Array) -> Array:
-    """Compute the person's size in each view: the median over frames of the longer side.
-
-    pixels: (C, T, K, 3) px, and confidence.
-    Returns: (C,) px; 0 where no person is seen.
-    """
-    out = np.zeros(len(pixels))
-    for c, view in enumerate(pixels):
-        found = [np.ptp(p[p[:, 2] > 0.3, :2], axis=0).max() for p in view if (p[:, 2] > 0.3).sum() > 5]
-        out[c] = float(np.median(found)) if found else 0.0
-    return out
 
 
 def points_at(points: Array, late: float) -> Array:

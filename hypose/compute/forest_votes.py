@@ -142,49 +142,6 @@ def _scan(picture, span, records, table, first, least, stride, wanted, ratio, ou
                 out[g, i, j] = a / f4(PROBABILITY * trees)
 
 
-@kernel
-def _scan_classes(picture, span, records, shares, trees, clip, first, least, stride, out):
-    """Compute the mean share of the winning class, into out (C - 1, rows, columns) f4: where a gesture wins over the
-    background and the other gestures, else 0.
-
-    picture, span: as in `_coarse_pass`.
-    records, shares: (R, 8) i2 and (R, C) u2 of one forest with this number of trees.
-    clip: its clipping distance, mm.
-    first, least: as in `_scan`.
-    Cells are rejected early by the summed share of all gestures, as in `_scan`.
-    """
-    rows, columns = out.shape[1:]
-    classes = shares.shape[1]
-    nodes = u8(records.shape[0] // trees)
-    limit1, limit2 = least * PROBABILITY * first, 1.5 * least * PROBABILITY * 2 * first
-    sums, scale = np.empty(classes, np.int32), f4(1.0 / (PROBABILITY * trees))
-    out[:] = 0
-    for i in range(rows):
-        for j in range(columns):
-            c = _place(picture, span, i, j, stride)
-            if c < 0:
-                continue
-            d = i4(picture.flat[u8(c)])
-            s, base, kept = f4(picture.focal / d), u8(0), True
-            sums[:] = 0
-            for t in range(trees):
-                n = _leaf(picture.flat, picture.width, u8(c), d, s, d - clip, d + clip, records, base)
-                for k in range(classes):
-                    sums[k] += shares[n, k]
-                base += nodes
-                a = PROBABILITY * (t + 1) - sums[0]
-                if (t + 1 == first and a < limit1) or (t + 1 == 2 * first and a < limit2):
-                    kept = False
-                    break
-            if kept:
-                best = 0
-                for k in range(1, classes):
-                    if sums[k] > sums[best]:
-                        best = k
-                if best > 0:
-                    out[best - 1, i, j] = sums[best] * scale
-
-
 class Packed(NamedTuple):
     """Forest in the memory layout for scanning.
 
@@ -284,20 +241,6 @@ def scan(picture: PaddedDepth, packed: Sequence[Packed], clip_mm: Sequence[int],
         wanted = np.empty(_grid_shape(picture, plan.stride * wide), np.uint32)
         _coarse_pass(picture, span, joined, table, plan.first, plan.least, plan.stride * wide, wanted)
     _scan(picture, span, joined, table, plan.first, plan.least, plan.stride, wanted, wide, out)
-    return out
-
-
-def scan_classes(picture: PaddedDepth, packed: Packed, clip_mm: int, plan: ScanPlan) -> NDArray[np.float32]:
-    """Compute the mean share (C - 1, rows, columns) of each gesture of one forest where it wins, else 0.
-
-    picture: padded depth picture.
-    packed, clip_mm: forest of C classes, and its clipping distance.
-    plan: where to scan.
-    """
-    shares = packed.shares.reshape(-1, packed.shares.shape[2])
-    out = np.empty((shares.shape[1] - 1, *_grid_shape(picture, plan.stride)), np.float32)
-    given = packed.records.reshape(-1, 8), shares, len(packed.records), clip_mm
-    _scan_classes(picture, _span(picture, plan), *given, plan.first, plan.least, plan.stride, out)
     return out
 
 

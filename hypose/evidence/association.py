@@ -171,7 +171,6 @@ def _one(a: PersonTrack, b: PersonTrack) -> PersonTrack:
 
 
 _MEASURED, _REMEMBERED = 10, 50  # frames after which a bone's length is known, and over which it is averaged
-_WRUNG = -0.5  # cosine of an angle between the lines of shoulders and hips that no trunk reaches
 _LEAST_POINTS = 4  # least key points of a candidate that is a person; fewer are parts that can complete one
 _GROUPS = (
     ("shoulder", "elbow", "wrist"),
@@ -268,8 +267,8 @@ class _Followed:
     """State of a person who is being tracked.
 
     points: (K, 3) last known points, m; motion: (K, 3) per frame; stale: (K,) frames for which each has not been seen.
-    exchanged: (C, G + 1) groups of points whose sides are exchanged in a view.
-    reversed: number of frames in which most views had all sides reversed.
+    exchanged: (C, G + 1) groups of points whose sides were exchanged in a view of the last frame.
+    votes: (G + 1,) how often views named the sides of a group of points as they are, less how often the other way.
     length: (B,) bones of the limbs, m; measured: (B,) how often each was measured.
     """
 
@@ -278,13 +277,12 @@ class _Followed:
     motion: Array
     stale: NDArray[np.int64]
     exchanged: NDArray[np.bool_]
+    votes: NDArray[np.int64]
     length: Array
     measured: NDArray[np.int64]
     needed: int
     hits: int = 0
     missed: int = 0
-    reversed: int = 0
-    otherwise: NDArray[np.int64] = field(default_factory=lambda: np.zeros(len(_GROUPS), dtype=np.int64))
     seen: list[Array] = field(default_factory=list)
     world: list[Array] = field(default_factory=list)
     which: list[NDArray[np.int64]] = field(default_factory=list)
@@ -319,8 +317,6 @@ class Association:
         ends = ("elbow", "wrist", "knee", "ankle")
         limbs = [(column[a], column[b]) for a, b, _, _ in _BONES if a in column and b in column and b.endswith(ends)]
         self._limbs = np.array(limbs, dtype=np.int64).reshape(-1, 2)
-        girdles = ("left_shoulder", "right_shoulder", "left_hip", "right_hip")
-        self._girdles = [column[n] for n in girdles] if all(n in column for n in girdles) else None
         o = self.settings
         self._patience = max(3, round(o.patience * frame_rate))
         self._stale = max(2, round(o.stale * frame_rate))
@@ -349,9 +345,7 @@ class Association:
             seen, which = np.concatenate([seen, again], 1), np.concatenate([which, chosen], 1)
         if self._alive:
             self._complete(seen, found, free, free & ~is_person, which, expected)
-            if new:  # correct left and right of new people by most views
-                first = len(self._alive) - len(new)
-                seen[:, first:] = self._repaired_births(seen[:, first:], which[:, first:], expected[first:])
+            seen = self._right_sides(seen, expected)
             world, used = meet(self._views, seen, self.settings.near, expected)
             self._update(seen, self._of_own_size(world, used), which)
         self._end()
@@ -364,9 +358,10 @@ class Association:
             kept = len(t.seen) - t.missed
             if t.hits < t.needed or kept < 1:
                 continue
-            out.append(
-                PersonTrack(t.first, np.stack(t.seen[:kept]), np.stack(t.world[:kept]), np.stack(t.which[:kept]))
-            )
+            # left and right of the whole track are those that most views and frames name
+            columns = np.where((t.votes < 0)[self._group], self._twin, np.arange(self._k))
+            points, world = np.stack(t.seen[:kept])[:, :, columns], np.stack(t.world[:kept])[:, columns]
+            out.append(PersonTrack(t.first, points, world, np.stack(t.which[:kept])))
         return sorted(out, key=lambda p: -int(p.seen.sum()))
 
     def _stacked(self, views: Sequence[Array | None]) -> Array:
@@ -394,8 +389,7 @@ class Association:
         is_person: (C, P) whether a detection has enough points for a person.
         free: (C, P) whether a detection is not assigned yet; assigned ones are set to False.
         expected: (N, K, 3) predicted points of the tracked people, m.
-        Returns: points (C, N, K, columns), with left and right exchanged where that fits better; number of the
-            detection (C, N), -1 for none.
+        Returns: points (C, N, K, columns) as they are named; number of the detection (C, N), -1 for none.
         """
         from scipy.optimize import linear_sum_assignment  # takes long to import
 
@@ -405,8 +399,7 @@ class Association:
             return seen, which
         o = self.settings
         plain, turned = self._both(found, expected)
-        exchange = self._better_exchanged(plain, turned, np.stack([t.exchanged for t in self._alive], 1)[:, :, None])
-        each = np.where(exchange[..., self._group], turned, plain)
+        each = np.where(self._better_exchanged(plain, turned)[..., self._group], turned, plain)
         cost = mean_of_known(each, _LEAST_POINTS)
         cost = np.where(is_person[:, None], cost, NOT_COMPARABLE_M)
         for c in range(len(found)):
@@ -417,8 +410,7 @@ class Association:
                     free[c, j] = False
         views, who = np.nonzero(which >= 0)
         seen[views, who] = found[views, which[views, who]]
-        at = (views, who, which[views, who])
-        return self._repaired(seen, views, who, plain[at], turned[at], exchange[at]), which
+        return seen, which
 
     def _both(self, found: Array, expected: Array) -> tuple[Array, Array]:
         """Compute the distances (C, N, P, K), m, of candidates (C, P, K, 3) as named, and with left and right
@@ -434,115 +426,40 @@ class Association:
         )
 
     def _better_exchanged(
-        self, plain: Array, turned: Array, before: NDArray[np.bool_] | None = None
+        self, plain: Array, turned: Array, before: NDArray[np.bool_] | bool = False
     ) -> NDArray[np.bool_]:
         """Decide which groups' sides (..., G + 1) are exchanged in a candidate; the last group has no sides.
 
         plain, turned: (..., K) distances, m, as named and with left and right exchanged, see `_both`.
-        before: groups that were exchanged in the previous frame, for which the slightest advantage is enough.
+        before: (..., G + 1) groups that were exchanged in the last frame: there the slightest advantage is enough.
         """
         o = self.settings
-        out = np.zeros((*plain.shape[:-1], len(_GROUPS) + 1), dtype=np.bool_)
+        out, closer = np.zeros((2, *plain.shape[:-1], len(_GROUPS) + 1), dtype=np.bool_)
         for g in range(len(_GROUPS)):
             of = self._group == g
             if of.any():
                 a, b = mean_of_known(plain[..., of], 2), mean_of_known(turned[..., of], 2)
                 out[..., g] = (b < o.exchanged * a) & (a - b > o.exchanged_m) & (a < NOT_COMPARABLE_M)
-                if before is not None:
-                    out[..., g] |= before[..., g] & (b < a)
-        return out
+                closer[..., g] = b < a
+        return out | (closer & before)
 
-    def _repaired(
-        self,
-        seen: Array,
-        views: NDArray[np.int64],
-        who: NDArray[np.int64],
-        plain: Array,
-        turned: Array,
-        exchange: NDArray[np.bool_],
-    ) -> Array:
-        """Correct left and right of the points (C, N, K, 3) by the points expected of each person.
+    def _right_sides(self, seen: Array, expected: Array) -> Array:
+        """Exchange left and right of a group of points in the views that contradict the person's prediction.
 
-        seen: (C, N, K, columns) points of the persons as assigned; changed sides are returned in a copy.
-        views, who: (M,) view and person of each assigned candidate.
-        plain, turned: (M, K) distances from `_both`; exchange: (M, G + 1) from `_better_exchanged`.
-        Where most views contradict a person's sides for some frames, the person's own sides had been confused and are
-        exchanged. Arms and legs are not both confused in the same frame: where both are contradicted, the names are
-        wrong in the fewer of the frames before and after.
+        Views also vote on the sides of the prediction, see `people`.
+
+        seen: (C, N, K, columns) points of each person, confidence 0 where a view does not see the person.
+        expected: (N, K, 3) predicted points, m.
+        Returns: the corrected points.
         """
-        if not exchange.any():
-            for n in np.unique(who):
-                self._alive[n].otherwise[:] = 0
-                self._alive[n].exchanged[:] = False
-            return seen
-        kept = self._better_exchanged(turned, plain)
-        exchange = exchange.copy()
-        for n in np.unique(who):
-            t, of = self._alive[n], who == n
-            says = exchange[of].sum(0) > np.maximum(1, kept[of].sum(0))
-            whole = bool(says[0] and says[1])
-            t.reversed += whole
-            for g in range(len(_GROUPS)):
-                if g < 2 and self._wrung(t):  # as many views as contradict are enough
-                    most = exchange[of, g].sum() >= max(1, kept[of, g].sum())
-                else:  # exchanging only shoulders or only hips would twist the trunk
-                    most = says[g] and (g > 1 or self._girdles is None or says[1 - g])
-                t.otherwise[g] = t.otherwise[g] + 1 if most else 0
-                if t.otherwise[g] > self._trial and not whole:
-                    self._turn(t, g)
-                    exchange[of, g] = kept[of, g]
-            if whole and 2 * t.reversed > len(t.seen):
-                for g in np.flatnonzero(says[: len(_GROUPS)]):
-                    t.otherwise[g] = len(t.seen) + 1
-                    self._turn(t, int(g))
-                    exchange[of, g] = kept[of, g]
-                t.reversed = len(t.seen) - t.reversed
-            t.exchanged[:] = False
-            t.exchanged[views[of]] = exchange[of]
-        out = seen.copy()
-        points = seen[views, who]
-        out[views, who] = np.where(exchange[:, self._group][..., None], points[:, self._twin], points)
-        return out
-
-    def _wrung(self, t: _Followed) -> bool:
-        """Decide whether the trunk is twisted so far that the left shoulder lies above the right hip.
-
-        t: the tracked person. False where the key points have no shoulders or hips.
-        """
-        if self._girdles is None:
-            return False
-        a, b, c, d = t.points[self._girdles]
-        size = float(np.linalg.norm(a - b) * np.linalg.norm(c - d))
-        return bool((a - b) @ (c - d) < _WRUNG * size)
-
-    def _repaired_births(self, seen: Array, which: NDArray[np.int64], expected: Array) -> Array:
-        """Correct left and right of the points (C, B, K, 3) of new people by what most of their views say: `expected`
-        (B, K, 3).
-
-        seen: (C, B, K, 3) px and confidence; which: (C, B) number of the candidate, -1 where a view does not see the
-            person; expected: (B, K, 3) m.
-        Returns: (C, B, K, 3) points with the sides exchanged in the views that the others contradict.
-        """
-        out = seen.copy()
-        for b in range(len(expected)):
-            plain, turned = (d[:, 0, 0] for d in self._both(seen[:, b][:, None], expected[b][None]))
-            exchange = self._better_exchanged(plain, turned)[:, self._group] & (which[:, b] >= 0)[:, None]
-            out[:, b] = np.where(exchange[..., None], seen[:, b][:, self._twin], seen[:, b])
-        return out
-
-    def _turn(self, t: _Followed, group: int) -> None:
-        """Exchange left and right of one person's group of points in all frames in which most views said so.
-
-        t: the tracked person, changed in place; group: index in _GROUPS.
-        """
-        of = self._group == group
-        t.points[of], t.motion[of] = t.points[self._twin][of], t.motion[self._twin][of]
-        t.stale[of] = t.stale[self._twin][of]
-        known = int(t.otherwise[group])  # unknown in the first frame
-        for back in range(1, known if known < len(t.seen) else len(t.seen) + 1):
-            t.seen[-back][:, of] = t.seen[-back][:, self._twin][:, of]
-            t.world[-back][of] = t.world[-back][self._twin][of]
-        t.otherwise[group] = 0
+        each = np.arange(len(expected))
+        plain, turned = (d[:, each, each] for d in self._both(seen, expected))
+        before = np.stack([t.exchanged for t in self._alive], 1)
+        exchange, kept = self._better_exchanged(plain, turned, before), self._better_exchanged(turned, plain)
+        for n, person in enumerate(self._alive):
+            person.exchanged = exchange[:, n]
+            person.votes += kept[:, n].sum(0) - exchange[:, n].sum(0)
+        return np.where(exchange[..., self._group][..., None], seen[:, :, self._twin], seen)
 
     def _born(self, found: Array, is_person: NDArray[np.bool_], free: NDArray[np.bool_]) -> list[list[tuple[int, int]]]:
         """Start new people from the remaining candidates; return (view, candidate) pairs of each.
@@ -573,6 +490,7 @@ class Association:
                 np.zeros((self._k, 3)),
                 np.where(np.isfinite(points[0, :, 0]), 0, far).astype(np.int64),
                 np.zeros((len(found), len(_GROUPS) + 1), dtype=np.bool_),
+                np.zeros(len(_GROUPS) + 1, dtype=np.int64),
                 np.zeros(len(self._limbs)),
                 np.zeros(len(self._limbs), dtype=np.int64),
                 needed,

@@ -1,45 +1,277 @@
-"""Check whether the key points of several calibrated views can be of one person, and find out what was misread.
+"""Find key points and cameras that were misread, by undoing each suspected fault as a trial.
 
-Normal errors of a detector and a calibration are some pixels; a wrong picture size, a wrong axis or exchanged sides
-give errors as large as the person. Such misreadings are tried one by one, and one is reported only where it explains
-the points far better.
+Normal errors of a detector and a calibration are some pixels; a wrong picture size, a wrong axis, exchanged cameras or
+mirrored pictures give errors as large as the person. A fault is confirmed where the views agree far better after it was
+undone. The measure is the distance of key points from their triangulation, in shares of the person's size, so that it
+is valid for any image size.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Generic, TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from hypose.cameras.camera import PARALLEL, CameraRig, triangulate, widest_angle
+from hypose.cameras.camera import PARALLEL, Camera, CameraRig, triangulate, widest_angle
+from hypose.evidence.keypoints import other_sides
 from hypose.geometry import Array, se3_inverse
 
-_FRAMES = 24
-_FINE = 0.06  # median distance from the other views' triangulation, in sizes of the person in that picture
-_DOUBTFUL = 0.025  # disagreement from which misreadings are tried
-_BETTER = 0.35  # largest share of the disagreement that a misreading may leave to be accepted
-_NO_BODY = 0.3
-_CONFIDENT = 0.2
-# m, of an adult
-_LENGTHS = (
-    *(
-        (f"{side}_{a}", f"{side}_{b}", length)
-        for side in ("left", "right")
-        for a, b, length in (
-            ("shoulder", "elbow", 0.30),
-            ("elbow", "wrist", 0.26),
-            ("hip", "knee", 0.42),
-            ("knee", "ankle", 0.42),
-            ("shoulder", "hip", 0.52),
-        )
-    ),
-    ("left_shoulder", "right_shoulder", 0.36),
-    ("left_hip", "right_hip", 0.24),
-    ("left_ear", "right_ear", 0.15),
+SeenT = TypeVar("SeenT")
+
+
+@dataclass(frozen=True)
+class Trial(Generic[SeenT]):
+    """A suspected fault that was undone as a trial.
+
+    kind, cure: as in `Finding`.
+    views: indices of the affected views; empty for all.
+    words: description of the fault.
+    rig: cameras after the cure.
+    seen: observations of the views after the cure: key points (C, T, K, 3), mask tracks or depth maps.
+    """
+
+    kind: str
+    views: tuple[int, ...]
+    words: str
+    cure: str
+    rig: CameraRig
+    seen: SeenT
+
+
+CONVENTIONS: tuple[tuple[str, Callable[[Camera], Array]], ...] = (
+    ("64 times too large (Qualisys coefficients of another version, divided by 64)", lambda c: c.distortion / 64),
+    ("64 times too small (Qualisys coefficients must not be divided by 64)", lambda c: c.distortion * 64),
+    ("of the opposite sign", lambda c: -c.distortion),
+    ("those of images that are already undistorted", lambda c: np.zeros(5)),
 )
-_SCALES = (0.25, 1 / 3, 0.375, 0.5, 2 / 3, 0.75, 4 / 3, 1.5, 2.0, 8 / 3, 3.0, 4.0)
+
+
+_TURNS = (
+    ("mirrored", "mirrored", (-1.0, 1.0), "mirror the video back (ffmpeg -i IN -vf hflip OUT)"),
+    ("turned", "upside down", (-1.0, -1.0), "turn the video back (ffmpeg -i IN -vf hflip,vflip OUT)"),
+    ("mirrored", "flipped top to bottom", (1.0, -1.0), "flip the video back (ffmpeg -i IN -vf vflip OUT)"),
+)
+"""Kind, words, factors of x and y about the middle of the picture, cure."""
+_SCALES = (0.25, 1 / 3, 0.5, 2 / 3, 0.75, 4 / 3, 1.5, 2.0, 3.0, 4.0)
+"""Usual factors between the sizes of stored and calibrated images."""
+_PLACES = (0.0, 0.5, 1.0)
+"""Tried places of a cropped image: the part of the missing columns and rows that is missing at its left and top."""
+
+
+def geometric_trials(
+    rig: CameraRig, seen: SeenT, turned: Callable[[int, Array], SeenT], ordered: Callable[[NDArray[np.int64]], SeenT]
+) -> Iterator[Trial[SeenT]]:
+    """Yield trials for mirrored or rotated images of one camera, exchanged views of two cameras, and inverted poses.
+
+    seen: observations of the views.
+    turned: function of view and factors (2,) that multiplies the view's positions about the picture's middle.
+    ordered: function that puts the views into another order.
+    """
+    for c, camera in enumerate(rig):
+        for kind, words, factor, cure in _TURNS:
+            cure = f"{cure}, or calibrate {camera.name} from such images"
+            yield Trial(kind, (c,), f"its images are {words}", cure, rig, turned(c, np.array(factor)))
+    for a, b in itertools.combinations(range(len(rig)), 2):
+        order = np.arange(len(rig))
+        order[[a, b]] = b, a
+        words = f"its video is that of camera {rig.names[b]} and the other way round"
+        cure = f'exchange camera = "{rig.names[a]}" and camera = "{rig.names[b]}" in recording.toml'
+        yield Trial("swapped", (a, b), words, cure, rig, ordered(order))
+    inverse = CameraRig(tuple(replace(c, camera_from_world=se3_inverse(c.camera_from_world)) for c in rig))
+    words = "the poses are those of the cameras in the world, not of the world in the cameras"
+    yield Trial("inverted", (), words, "invert every camera's rotation and translation", inverse, seen)
+
+
+def sizes(pixels: Array) -> Array:
+    """Compute the person's size in each view: the median over frames of the longer side.
+
+    pixels: (C, T, K, 3) px, and confidence.
+    Returns: (C,) px; 0 where no person is seen.
+    """
+    out = np.zeros(len(pixels))
+    for c, view in enumerate(pixels):
+        found = [np.ptp(p[p[:, 2] > 0.3, :2], axis=0).max() for p in view if (p[:, 2] > 0.3).sum() > 5]
+        out[c] = float(np.median(found)) if found else 0.0
+    return out
+
+
+def disagreement(rig: CameraRig, pixels: Array, views: Sequence[int] = ()) -> float:
+    """Compute the disagreement of key points with their triangulation, in shares of the person's size, at most 10.
+
+    It is the mean over `views` of the median distance in px. Points behind a camera count as far away.
+
+    pixels: (C, T, K, 3) distorted px, and confidence.
+    views: views that are judged; all by default.
+    Why: points are triangulated from the other views when these are at least two, so that a bad view does not affect
+        the points by which it is judged; else from all.
+    """
+    c = len(rig)
+    judged = list(views) or list(range(c))
+    others = [k for k in range(c) if k not in judged]
+    by = others if len(others) > 1 else list(range(c))
+    needed = sorted({*judged, *by})
+    uv, confidence = undistorted(CameraRig(tuple(rig[k] for k in needed)), pixels[needed])
+    at = {k: i for i, k in enumerate(needed)}
+    rows = [at[k] for k in by]
+    flat, seen = uv.reshape(len(needed), -1, 2), np.where(confidence > 0.3, confidence, 0.0).reshape(len(needed), -1)
+    points, _ = triangulate(CameraRig(tuple(rig[k] for k in by)), flat[rows], seen[rows])
+    known = np.isfinite(points).all(1)
+    out = []
+    for k in judged:
+        size = float(sizes(pixels[k : k + 1])[0])
+        use = known & (seen[at[k]] > 0)
+        if use.sum() > 20 and size > 0:
+            distance = np.linalg.norm(rig[k].project_pinhole(points[use]) - flat[at[k]][use], axis=1)
+            out.append(min(float(np.median(np.nan_to_num(distance, nan=1e6))) / size, 10.0))
+    return float(np.mean(out)) if out else float("nan")
+
+
+def undistorted(rig: CameraRig, pixels: Array) -> tuple[Array, Array]:
+    """Remove the lens distortion from key points.
+
+    pixels: (C, T, K, 3) distorted px, and confidence.
+    Returns: (C, T, K, 2) px, and confidence (C, T, K), 0 where the point cannot be undistorted.
+    """
+    uv = np.stack([c.undistort_points(p[..., :2]) for c, p in zip(rig, pixels, strict=True)])
+    far = 20 * rig.sizes.max()
+    fine = np.isfinite(uv).all(-1) & (np.abs(np.nan_to_num(uv)) < far).all(-1)
+    return np.where(fine[..., None], uv, 0.0), np.where(fine, pixels[..., 2], 0.0)
+
+
+def trials(
+    rig: CameraRig, pixels: Array, names: Sequence[str], stored: Sequence[tuple[int, int] | None]
+) -> Iterator[Trial[Array]]:
+    """Yield all suspected faults of a rig and its key points, each one undone.
+
+    pixels: (C, T, K, 3) distorted px, and confidence.
+    names: K names of the key points.
+    stored: width and height of each view's stored images, px; None where unknown.
+    """
+    twin, every = other_sides(names), tuple(range(len(rig)))
+
+    def moved(views: Sequence[int], change: Callable[[Camera, Array], Array], exchanged: bool = False) -> Array:
+        out = pixels.copy()
+        for c in views:
+            out[c, ..., :2] = np.where(pixels[c, ..., 2:] > 0, change(rig[c], pixels[c, ..., :2]), 0.0)
+            if exchanged:
+                out[c] = out[c][:, twin]
+        return out
+
+    def turned(views: Sequence[int], factor: ArrayLike, exchanged: bool) -> Array:
+        def change(camera: Camera, xy: Array) -> Array:
+            middle = (np.array(camera.size) - 1) / 2
+            return middle + np.asarray(factor) * (xy - middle)
+
+        return moved(views, change, exchanged)
+
+    def scaled(views: Sequence[int], factor: ArrayLike, offset: ArrayLike = 0.0) -> Array:
+        return moved(views, lambda _, xy: (xy + 0.5) * factor - 0.5 + offset)
+
+    # a mirrored picture exchanges left and right; a reversed axis alone does not
+    yield from geometric_trials(
+        rig, pixels, lambda c, factor: turned((c,), factor, bool(factor.prod() < 0)), lambda order: pixels[order]
+    )
+    known = [c for c in every if stored[c] is not None and stored[c] != rig[c].size]
+    cure = 'set keypoint_pixels = "image" in recording.toml'
+    for views in (*((c,) for c in every), every):
+        whose = "its" if len(views) == 1 else "the"
+        words = f"{whose} key points' y counts from the bottom of the images (or the videos are flipped)"
+        yield Trial(
+            "flipped", views, words, "write y as the image's height minus y", rig, turned(views, (1.0, -1.0), False)
+        )
+        words = f"x and y of {whose} key points are exchanged"
+        swapped = moved(views, lambda _, xy: xy[..., ::-1])
+        yield Trial("transposed", views, words, "exchange them in the files", rig, swapped)
+        for s in _SCALES if not set(views) & set(known) else ():
+            words = f"{whose} key points are in pixels of images {1 / s:.3g} times the calibrated size"
+            yield Trial("scaled", views, words, cure, rig, scaled(views, s))
+    for c in known:
+        (w, h), (given_w, given_h) = rig[c].size, stored[c] or rig[c].size
+        words = (
+            f"its key points are in pixels of the stored {given_w} x {given_h} images, not of the calibrated {w} x {h}"
+        )
+        yield Trial("scaled", (c,), words, cure, rig, scaled((c,), (w / given_w, h / given_h)))
+        cut_x, cut_y = max(w - given_w, 0), max(h - given_h, 0)
+        for left, top in sorted({(round(x * cut_x), round(y * cut_y)) for x in _PLACES for y in _PLACES} - {(0, 0)}):
+            words = f"its images were cut: {left} px are missing at the left and {top} px at the top"
+            cut = (
+                f"subtract ({left}, {top}) from the principal point of {rig.names[c]} and give its size as {stored[c]}"
+            )
+            # or the loader has stretched them to the calibrated size
+            for factor in ((1.0, 1.0), (given_w / w, given_h / h)):
+                yield Trial("cropped", (c,), words, cut, rig, scaled((c,), factor, (left, top)))
+    for shift in (1, len(rig) - 1) if len(rig) > 2 else ():
+        words = "the videos belong to other cameras: their order is shifted by one"
+        order = 'give each view its camera = "..." in recording.toml'
+        yield Trial("swapped", every, words, order, rig, pixels[np.roll(np.arange(len(rig)), shift)])
+    mirror, turn = (
+        "mirror the videos back (ffmpeg -i IN -vf hflip OUT)",
+        "turn the videos back (ffmpeg -vf hflip,vflip)",
+    )
+    yield Trial("mirrored", every, "all images are mirrored", mirror, rig, turned(every, (-1.0, 1.0), True))
+    yield Trial("turned", every, "all images are upside down", turn, rig, turned(every, (-1.0, -1.0), False))
+    lenses = [c for c in every if np.abs(rig[c].distortion).max(initial=0) > 0]
+    for views in ((), *((c,) for c in lenses)) if lenses else ():
+        whose = rig.names[views[0]] if views else "the calibration file"
+        lens = f"correct the distortion coefficients of {whose}, or calibrate the lens again"
+        for words, coefficients in CONVENTIONS:
+            cameras = [
+                replace(k, distortion=coefficients(k)) if c in (views or every) else k for c, k in enumerate(rig)
+            ]
+            words = f"its distortion coefficients are {words}"
+            yield Trial("distortion", views, words, lens, CameraRig(tuple(cameras)), pixels)
+
+
+def best_trial(
+    rig: CameraRig,
+    seen: SeenT,
+    trials: Callable[[CameraRig, SeenT], Iterator[Trial[SeenT]]],
+    measure: Callable[[CameraRig, SeenT, Sequence[int]], float],
+    few: Callable[[SeenT], SeenT],
+) -> tuple[Trial[SeenT] | None, float, float]:
+    """Find the trial after which the affected views agree best.
+
+    Trials that make the agreement of all views together worse are rejected.
+
+    seen: observations of the views: key points (C, T, K, 3) or mask tracks.
+    trials: function that yields the suspected faults of cameras and observations, each one undone.
+    measure: function of cameras, observations and view indices (none: all) that gives the disagreement of these views
+        with the others, in shares of the person's size.
+    few: function that selects the frames by which trials are compared.
+    Returns: the trial (None without one), and the disagreement before and after it.
+    """
+    some = few(seen)
+    all_before = measure(rig, some, ())
+    before: dict[tuple[int, ...], float] = {}
+    scored: list[tuple[float, float, int]] = []
+    for k, trial in enumerate(trials(rig, some)):
+        if trial.views not in before:
+            before[trial.views] = measure(rig, some, trial.views)
+        scored.append((measure(trial.rig, trial.seen, trial.views), before[trial.views], k))
+    # the camera with the largest disagreement is tested first, because its fault affects the others
+    worst = max((b for _, b, _ in scored), default=0.0)
+    order = sorted(scored, key=lambda x: x[0] / max(x[1], 1e-6))
+    for after, was, k in order[:6]:
+        if was < 0.5 * worst and after > 0.2 * was:
+            continue
+        trial = next(itertools.islice(trials(rig, seen), k, None))
+        if measure(trial.rig, few(trial.seen), ()) < all_before:
+            return trial, was, after
+    return None, all_before, all_before
+
+
+# ---- key points of a file ----
+
+_FRAMES = 24
+_FINE = 0.06  # largest disagreement of points that were read rightly
+_DOUBTFUL = 0.015  # disagreement from which misreadings are tried
+_BETTER = 0.35  # largest share of the disagreement that a misreading may leave to be accepted
+_CONFIDENT = 0.2
+_MISREADINGS = ("scaled", "flipped", "mirrored", "turned", "transposed")
 
 
 def misread(people: Sequence[Sequence[Array | None]], names: Sequence[str], rig: CameraRig) -> str | None:
@@ -48,91 +280,29 @@ def misread(people: Sequence[Sequence[Array | None]], names: Sequence[str], rig:
     rig: the calibrated cameras.
     people: per view and frame the people (P, K, 3), px of the calibrated, distorted cameras; None: no file.
     names: of the K points.
-    Returns: a part of a sentence that names the error; None where nothing is wrong, or it cannot be known.
+    Returns: a part of a sentence that names the error; None where nothing is wrong, it cannot be known, or the
+        calibration is wrong, which other checks report.
     """
     points = _one_person(people, len(names), len(rig))
-    if points is None:
+    if points is None or len(rig) < 2:
         return None
-    plain = _residual(points, rig)
-    found = _misread(points, plain, names, rig) if np.isfinite(plain) else None
-    if found is None:
-        return None
-    left, wrong = found
-    if _other_cameras(points, rig) < min(_FINE, _BETTER * plain, left):
-        return None  # the calibration is wrong, which other checks report
-    return wrong
-
-
-def _misread(points: Array, plain: float, names: Sequence[str], rig: CameraRig) -> tuple[float, str] | None:
-    """Find the misreading of one person's points (C, T, K, 3), whose views disagree by `plain`.
-
-    Returns: the remaining disagreement, and a part of a sentence that names the error; None.
-    """
+    plain = disagreement(rig, points)
     if plain > _DOUBTFUL:
-        limit = min(_FINE, _BETTER * plain)
-        found = min(((_residual(change(points), rig), what) for what, change in _readings(rig)), default=None)
-        if found is not None and found[0] < limit:
-            return found
-        # one view alone?
-        for c, name in enumerate(rig.names):
-            others = np.delete(np.arange(len(rig)), c)
-            if len(others) < 2 or not _residual(points[others], rig.select([rig.names[i] for i in others])) < _FINE:
-                continue
-            for what, change in _readings(rig):
-                one = points.copy()
-                one[c] = change(points)[c]
-                left = _residual(one, rig)
-                if left < limit:
-                    return left, f"in view {name} {what}"
-    world = _well_known(points, rig)
-    if plain < 2 * _FINE and _disproportion(world, names) > _NO_BODY:
-        return plain, "the bones between them have lengths that no body has, so the points must be in another order"
-    mirrored = sides_exchanged(world, names)
-    if mirrored and plain < 2 * _FINE:
-        return plain, "the person is mirrored: y counts upwards, or left and right are exchanged in the names"
+
+        def tried(cameras: CameraRig, seen: Array) -> Iterator[Trial[Array]]:
+            return trials(cameras, seen, names, [None] * len(cameras))
+
+        trial, _, after = best_trial(rig, points, tried, lambda r, p, _: disagreement(r, p), lambda p: p)
+        if trial is not None and after < min(_FINE, _BETTER * plain):
+            where = f"view {rig.names[trial.views[0]]}" if len(trial.views) == 1 else "all views"
+            return f"{where}: {trial.words}" if trial.kind in _MISREADINGS else None
+    uv, confidence = undistorted(rig, points)
+    uv, seen = uv.reshape(len(rig), -1, 2), np.where(confidence > _CONFIDENT, confidence, 0.0).reshape(len(rig), -1)
+    world, _ = triangulate(rig, uv, seen)
+    world[widest_angle(rig, uv, seen) < PARALLEL] = np.nan  # such as those of two cameras facing each other
+    if plain < 2 * _FINE and sides_exchanged(world.reshape(*points.shape[1:3], 3), names):
+        return "the person is mirrored: y counts upwards, or left and right are exchanged in the names"
     return None
-
-
-def _other_cameras(points: Array, rig: CameraRig) -> float:
-    """Compute the least disagreement with two views exchanged, or with all camera poses inverted.
-
-    points: (C, T, K, 3) px of the calibrated cameras and confidence; inf where nothing can be computed.
-    """
-    inverted = CameraRig(tuple(replace(c, camera_from_world=se3_inverse(c.camera_from_world)) for c in rig))
-    found = [_residual(points, inverted)]
-    for a, b in itertools.combinations(range(len(rig)), 2):
-        order = np.arange(len(rig))
-        order[[a, b]] = b, a
-        found.append(_residual(points[order], rig))
-    return min((f for f in found if np.isfinite(f)), default=float("inf"))
-
-
-def _readings(rig: CameraRig) -> list[tuple[str, Callable[[Array], Array]]]:
-    """List the misreadings that are tried: a part of a sentence, and a function that undoes the error in points (C, T,
-    K, 3).
-
-    rig: the calibrated cameras, whose picture sizes are used.
-    """
-    sizes = rig.sizes.astype(np.float64)[:, None, None]
-
-    def moved(scale: tuple[float, float], offset: tuple[int, int]) -> Callable[[Array], Array]:
-        def change(points: Array) -> Array:
-            out = points.copy()
-            out[..., :2] = (points[..., :2] + 0.5) * scale - 0.5 + np.array(offset) * (sizes - 1)
-            out[..., :2] = np.where(points[..., 2:] > 0, out[..., :2], 0)
-            return out
-
-        return change
-
-    found = [
-        ("y counts upwards", moved((1, -1), (0, 1))),
-        ("the pictures were mirrored", moved((-1, 1), (1, 0))),
-        ("x and y are exchanged", lambda p: p[..., [1, 0, 2]]),
-    ]
-    for s in _SCALES:
-        what = f"they are of pictures {1 / s:.3g} times the calibrated size"
-        found.append((what, moved((s, s), (0, 0))))
-    return found
 
 
 def _one_person(people: Sequence[Sequence[Array | None]], count: int, views: int) -> Array | None:
@@ -160,69 +330,6 @@ def _tallest(people: Array) -> Array | None:
     seen = people[..., 2] > _CONFIDENT
     height = np.array([np.ptp(p[s, 1]) if s.sum() > 1 else 0.0 for p, s in zip(people, seen, strict=True)])
     return people[height.argmax()] if height.max(initial=0.0) > 0 else None
-
-
-def _triangulated(points: Array, rig: CameraRig) -> tuple[Array, Array, Array]:
-    """Triangulate points; return world points (T, K, 3), undistorted pixels (C, T * K, 2) and weights (C, T * K).
-
-    points: (C, T, K, 3) px of the calibrated cameras and confidence; rig: the cameras.
-    """
-    uv = np.stack([c.undistort_points(p[..., :2].reshape(-1, 2)) for c, p in zip(rig, points, strict=True)])
-    weights = np.where(points[..., 2] > _CONFIDENT, points[..., 2], 0.0).reshape(len(points), -1)
-    weights = np.where(np.isfinite(uv).all(-1), weights, 0.0)
-    x, _ = triangulate(rig.pinhole(), np.nan_to_num(uv), weights)
-    return x.reshape(*points.shape[1:3], 3), uv, weights
-
-
-def _well_known(points: Array, rig: CameraRig) -> Array:
-    """Triangulate points (T, K, 3); NaN where all rays are nearly parallel, such as those of two cameras facing each
-    other.
-
-    points: (C, T, K, 3) px of the calibrated cameras and confidence; rig: the cameras.
-    """
-    x, uv, weights = _triangulated(points, rig)
-    met = widest_angle(rig, uv, weights) > PARALLEL
-    return np.where(met.reshape(x.shape[:2])[..., None], x, np.nan)
-
-
-def _residual(points: Array, rig: CameraRig) -> float:
-    """Compute the disagreement of the views with the common triangulation: the largest of the views' median distances.
-
-    points: (C, T, K, 3) px of the calibrated cameras and confidence.
-    Returns: the disagreement; NaN with one view, or where fewer than two views can be judged.
-    It is in units of the person's size in the picture.
-    """
-    if len(rig) < 2:
-        return float("nan")
-    world, uv, weights = _triangulated(points, rig)
-    used = (weights > 0) & ((weights > 0).sum(0) > 1)
-    found = []
-    for c, camera in enumerate(rig.pinhole()):
-        seen = points[c][..., 2] > _CONFIDENT
-        sizes = [float(np.ptp(p[s, :2], axis=0).max()) for p, s in zip(points[c], seen, strict=True) if s.sum() > 3]
-        if not used[c].any() or not sizes or np.median(sizes) < 1:
-            continue
-        again = camera.project_pinhole(world.reshape(-1, 3)[used[c]])
-        distance = np.nan_to_num(np.linalg.norm(again - uv[c][used[c]], axis=1), nan=1e6)
-        found.append(float(np.median(distance)) / float(np.median(sizes)))
-    return max(found) if len(found) > 1 else float("nan")
-
-
-def _disproportion(world: Array, names: Sequence[str]) -> float:
-    """Compute how far the bones are from an adult's proportions: mean deviation of the logarithms of their lengths.
-
-    world: (T, K, 3) points; lengths are medians over the frames. 0 where too few are seen.
-    """
-    at = {n: i for i, n in enumerate(names)}
-    found = []
-    for a, b, length in _LENGTHS:
-        if a in at and b in at:
-            d = np.linalg.norm(world[:, at[a]] - world[:, at[b]], axis=-1)
-            if np.isfinite(d).sum() >= 3:
-                found.append(np.log(max(1e-6, float(np.nanmedian(d))) / length))
-    if len(found) < 6:
-        return 0.0
-    return float(np.mean(np.abs(np.array(found) - np.median(found))))
 
 
 def sides_exchanged(world: Array, names: Sequence[str]) -> bool:

@@ -350,8 +350,8 @@ class PeopleTracker:
         stride = max(1, len(link.pairs) // 40)
         chosen = list(link.pairs)[::stride]
         both = np.stack([np.stack([target, body]) for _, body, target in chosen])
-        # on all joints, as in fuse._refit: the trunk is too small for its joints' constant errors (scenes A, B of the
-        # simulator, seeds 0 to 2: 49.6, 43.3 mm by the trunk, 44.8, 40.3 by all)
+        # on all joints: the trunk is too small for its joints' constant errors (scenes A, B of the simulator, seeds 0
+        # to 2: 49.6, 43.3 mm by the trunk, 44.8, 40.3 by all)
         found = register(both, iterations=8)
         if found.registered[1] and found.residual[1] < s.residual:
             link.motion, link.residual = found.common_from_sensor[1], float(found.residual[1])

@@ -1,8 +1,8 @@
 """Registration: find where the sensors stand relative to each other, from the skeletons that they report of one person.
 
 The method "published" registers every frame by the triangle of shoulders and torso (`by_triangles`). All other methods
-estimate one transform per sensor robustly from all joints of a window of frames (`register`), because registering every
-frame multiplies the jitter.
+estimate one transform per sensor robustly from all joints of many frames (`register`), because registering every frame
+multiplies the jitter.
 Source: Asteriadis et al. 2013, section 2.1, eq. 2-4. Deviations: R = V U^T is printed for H = sum reference . moving^T,
     which is the inverse rotation; moving to reference is U V^T. Three points make H of rank 2, so that half of all
     unguarded solutions are reflections; here the determinant is guarded (geometry.procrustes).
@@ -126,31 +126,22 @@ def by_triangles(last: Registration, positions: ArrayLike) -> Registration:
     return Registration(transforms, residual, last.registered | new)
 
 
-def register(
-    positions: ArrayLike,
-    state: ArrayLike | None = None,
-    *,
-    iterations: int = 15,
-    start: Registration | None = None,
-) -> Registration:
+def register(positions: ArrayLike, state: ArrayLike | None = None, *, iterations: int = 15) -> Registration:
     """Estimate one rigid transform per sensor from a window of frames, robustly.
 
     positions: (T, K, J, 3) m in the sensors' frames, NaN where missing.
     state: (T, K, J) joint states, which weigh the joints: tracked 1, inferred 1/2; None: all weigh 1.
     iterations: largest number of iterations of the weighted Procrustes solve.
-    start: registration from which to start, or None.
     Returns: the registration. A sensor that shares too few joints with the first is registered to a sensor already
-        registered; one that shares too few with all keeps the transform of `start`, or stays unregistered.
+        registered; one that shares too few with all stays unregistered.
     """
     s = np.asarray(positions, dtype=np.float64)
     sensors = s.shape[1]
     weight = np.asarray(np.isfinite(s).all(-1), dtype=np.float64)
     if state is not None:
         weight *= np.asarray(state) / TRACKED
-    transforms = np.tile(np.eye(4), (sensors, 1, 1)) if start is None else start.common_from_sensor.copy()
-    residual, done = np.full(sensors, np.nan), np.zeros(sensors, dtype=np.bool_)
-    done[0], residual[0] = True, 0.0
-    transforms[0] = np.eye(4)
+    transforms, residual, done = np.tile(np.eye(4), (sensors, 1, 1)), np.full(sensors, np.nan), np.arange(sensors) == 0
+    residual[0] = 0.0
     waiting = list(range(1, sensors))
     while waiting:
         shared = [
@@ -164,32 +155,22 @@ def register(
         both = weight[:, anchor] * weight[:, k]
         use = both > 0
         a = transform(transforms[anchor], s[:, anchor][use])
-        before = transforms[k] if start is not None and start.registered[k] else None
-        transforms[k], residual[k] = robust_motion(s[:, k][use], a, both[use], iterations, before)
+        transforms[k], residual[k] = robust_motion(s[:, k][use], a, both[use], iterations)
         done[k] = True
         waiting.remove(k)
-    if start is not None:
-        done |= start.registered
     return Registration(transforms, residual, done)
 
 
-def robust_motion(
-    moving: Array, target: Array, weight: Array, iterations: int, start: Array | None = None
-) -> tuple[Array, float]:
+def robust_motion(moving: Array, target: Array, weight: Array, iterations: int) -> tuple[Array, float]:
     """Estimate a rigid motion between corresponding points with Cauchy weights.
 
     moving, target: (N, 3) m.
     weight: (N,) weights of the pairs.
     iterations: largest number of weighted Procrustes solves; with 1 it is plain least squares.
-    start: (4, 4) known motion that gives the first weights; None: all pairs count by `weight`.
     Returns: target_from_moving (4, 4) and the median distance after it, m.
     """
     w, distance = weight, np.zeros(len(weight))
     motion = np.eye(4)
-    if start is not None:
-        off = np.linalg.norm(transform(start, moving) - target, axis=1)
-        if np.median(off) < 3 * _SCALE_M:  # else the sensor was moved
-            w, motion = lorentzian_weight((off / _SCALE_M) ** 2, weight), start
     for _ in range(iterations):
         before = motion
         motion = procrustes(moving, target, w)[0]
@@ -271,8 +252,3 @@ def alone(sensors: int) -> Registration:
     """Make the registration before any person was seen: only the first sensor is registered."""
     first = np.arange(sensors) == 0
     return Registration(np.tile(np.eye(4), (sensors, 1, 1)), np.where(first, 0.0, np.nan), first)
-
-
-def identity_registration(sensors: int) -> Registration:
-    """Make the registration of sensors that report in a common frame already: identity transforms."""
-    return Registration(np.tile(np.eye(4), (sensors, 1, 1)), np.zeros(sensors), np.ones(sensors, dtype=np.bool_))

@@ -1,6 +1,6 @@
 """Random forests of depth tests: a finished one (`Forest`), and one that grows with every sample (`GrowingForest`).
 
-A forest separates the background (class 0) from one or several gestures at a pixel. Source: Alcoverro 2014, sections
+A forest separates a gesture (class 1) from the background (class 0) at a pixel. Source: Alcoverro 2014, sections
 3.2 and 3.3.
 """
 
@@ -18,8 +18,8 @@ from hypose.compute.forests import GrowingArrays, PaddedDepth
 from hypose.errors import InputError
 from hypose.gestures.depth_pictures import check_settings
 
-MAX_CLASSES = 17
-"""Largest number of classes: the background and 16 gestures."""
+CLASSES = 2
+"""Number of classes of a forest: the background (0) and the gesture (1)."""
 
 
 @dataclass(frozen=True)
@@ -79,12 +79,12 @@ class ForestSettings:
 
 @dataclass(frozen=True)
 class Forest:
-    """Finished forest of nt trees with at most N nodes, for C classes.
+    """Finished forest of nt trees with at most N nodes.
 
     settings: with which it was grown.
     test: (nt, N, 5) int16, test of each node: two offsets and a threshold, mm.
     left: (nt, N) int16, number of the left child; -1 at a leaf.
-    seen: (nt, N, C) uint32, number of samples per class at each node.
+    seen: (nt, N, 2) uint32, number of samples per class at each node.
     size: (nt,) int32, number of nodes of each tree.
     """
 
@@ -94,40 +94,10 @@ class Forest:
     seen: NDArray[np.uint32]
     size: NDArray[np.int32]
 
-    @property
-    def classes(self) -> int:
-        """Number of classes, the background included."""
-        return self.seen.shape[2]
-
     @cached_property
     def packed(self) -> Packed:
         """Memory layout of the forest for scanning pictures."""
         return forest_votes.pack(self.test, self.left, self.seen, self.size)
-
-
-def new_arrays(settings: ForestSettings, classes: int, rng: np.random.Generator) -> GrowingArrays:
-    """Make the arrays of a growing forest that has only roots; each tree gets its own random numbers from rng.
-
-    Raises: InputError where the number of classes is not 2 to MAX_CLASSES.
-    """
-    if not 2 <= classes <= MAX_CLASSES:
-        raise InputError(f"A forest has {classes} classes; it must have 2 to {MAX_CLASSES}, the background included.")
-    nt, n, s, t = settings.trees, min(64, settings.most_nodes), min(8, settings.most_slots), settings.candidates
-    return GrowingArrays(
-        np.zeros((nt, n, 5), np.int16),
-        np.full((nt, n), -1, np.int16),
-        np.zeros((nt, n, classes), np.uint32),
-        np.zeros((nt, n), np.uint8),
-        np.full((nt, n), -1, np.int16),
-        np.ones(nt, np.int32),
-        np.tile(np.arange(s, dtype=np.int16), (nt, 1)),
-        np.full(nt, s, np.int32),
-        np.zeros((nt, s, t, 5), np.int16),
-        np.zeros((nt, s, t, classes), np.uint16),
-        np.zeros((nt, s, classes), np.int32),
-        rng.integers(0, 2**64, nt, dtype=np.uint64),
-        np.zeros(2, np.int64),
-    )
 
 
 class GrowingForest:
@@ -142,20 +112,29 @@ class GrowingForest:
         self.settings, self.arrays = settings, arrays
 
     @staticmethod
-    def new(settings: ForestSettings, classes: int, rng: np.random.Generator) -> GrowingForest:
-        """Make a forest that has learned nothing.
+    def new(settings: ForestSettings, rng: np.random.Generator) -> GrowingForest:
+        """Make a forest that has learned nothing, whose trees have only roots.
 
         settings: of its growth.
-        classes: number of classes, the background included.
         rng: gives each tree its own random numbers.
-        Raises: InputError where the number of classes is not 2 to MAX_CLASSES.
         """
-        return GrowingForest(settings, new_arrays(settings, classes, rng))
-
-    @property
-    def classes(self) -> int:
-        """Number of classes, the background included."""
-        return self.arrays.seen.shape[2]
+        nt, n, s, t = settings.trees, min(64, settings.most_nodes), min(8, settings.most_slots), settings.candidates
+        arrays = GrowingArrays(
+            np.zeros((nt, n, 5), np.int16),
+            np.full((nt, n), -1, np.int16),
+            np.zeros((nt, n, CLASSES), np.uint32),
+            np.zeros((nt, n), np.uint8),
+            np.full((nt, n), -1, np.int16),
+            np.ones(nt, np.int32),
+            np.tile(np.arange(s, dtype=np.int16), (nt, 1)),
+            np.full(nt, s, np.int32),
+            np.zeros((nt, s, t, 5), np.int16),
+            np.zeros((nt, s, t, CLASSES), np.uint16),
+            np.zeros((nt, s, CLASSES), np.int32),
+            rng.integers(0, 2**64, nt, dtype=np.uint64),
+            np.zeros(2, np.int64),
+        )
+        return GrowingForest(settings, arrays)
 
     @property
     def size(self) -> NDArray[np.int32]:

@@ -27,7 +27,7 @@ class LocaliseSettings:
     """Settings of the localisation. Raises InputError where one is outside its range.
 
     plan: pixels that are scanned.
-    majority: share of a class that a pixel needs to vote for it.
+    majority: share of the gesture that a pixel needs to vote for it.
     sigma_px: standard deviation of the Parzen kernel, px.
     adaptation_rate: share of the new frame in the density, alpha of eq. 3.4 (1 = no memory).
     disc_mm: radius of the disc over which the volume is summed, mm.
@@ -114,7 +114,7 @@ def localise(
 
     depth: (h, w) uint16 mm, 0 = hole.
     lens: of the depth camera.
-    forest_list: one two-class forest per gesture, or a single forest of several gestures.
+    forest_list: one forest per gesture.
     settings: of the localisation.
     scratch: memory of one stream, to pass in every frame; it holds the density of the last frames (eq. 3.4).
     Returns: one place per gesture, in the order of the gestures.
@@ -142,21 +142,14 @@ def densities(
     reach = forest_list[0].settings.reach_mm
     if any(f.settings.reach_mm != reach for f in forest_list):
         raise InputError("The forests have different reaches; train them with the same reach_mm.")
-    if len(forest_list) > 1 and any(f.classes != 2 for f in forest_list):
-        raise InputError("A forest of several gestures is used alone; give one forest per gesture, or that one.")
     if len(forest_list) > forest_votes.MOST_FORESTS:
         raise InputError(
             f"{len(forest_list)} forests are too many for one search; give at most {forest_votes.MOST_FORESTS}."
         )
     picture = scratch.picture = forests.pad_depth(depth, lens.fx, s.plan.near_mm, reach, scratch.picture)
-    if len(forest_list) > 1 or forest_list[0].classes == 2:
-        clips = [f.settings.clip for f in forest_list]
-        maps = forest_votes.scan(picture, [f.packed for f in forest_list], clips, s.plan)
-        majority = s.majority
-    else:
-        forest, majority = forest_list[0], 0.0  # the scan has already chosen the winning class
-        maps = forest_votes.scan_classes(picture, forest.packed, forest.settings.clip, s.plan)
-    return [forest_votes.parzen(picture, m, s.plan.stride, majority, s.sigma_px) for m in maps]
+    clips = [f.settings.clip for f in forest_list]
+    maps = forest_votes.scan(picture, [f.packed for f in forest_list], clips, s.plan)
+    return [forest_votes.parzen(picture, m, s.plan.stride, s.majority, s.sigma_px) for m in maps]
 
 
 def settle(

@@ -1,10 +1,10 @@
-"""Trained gestures as arrays and plain values: the content of a model file, and its check on loading."""
+"""A trained gesture as arrays and plain values: the content of a model file, and its check on loading."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from hypose.compute.forests import GrowingArrays
 from hypose.errors import InputError
-from hypose.gestures.forest import MAX_CLASSES, Forest, ForestSettings, GrowingForest
-from hypose.gestures.localise import LocaliseSettings
+from hypose.gestures.forest import CLASSES, ForestSettings, GrowingForest
 from hypose.gestures.online import Learner, LearnSettings
 
 _FORMAT, VERSION = "hypose-gesture", 2
@@ -38,32 +37,22 @@ def check_gesture_name(name: str) -> None:
 
 @dataclass(frozen=True)
 class GestureModel:
-    """Trained model of one or several gestures.
+    """Trained model of one gesture.
 
-    names: of gesture 1, 2, ...
-    forest: finished or still growing.
-    thresholds: score per gesture (cm^2), None = not known yet.
-    settings: of the localisation.
-    learner: state needed to continue the training (None for a finished forest).
+    name: of the gesture.
+    learner: the forest, and what is needed to continue its training.
+    threshold: score (cm^2) from which the gesture counts as shown; None: not known yet.
     history: sessions that it was trained on, plain values.
-    Raises: InputError where the numbers of names, thresholds and classes disagree, or a name is not valid.
+    Raises: InputError where the name is not valid.
     """
 
-    names: tuple[str, ...]
-    forest: Forest | GrowingForest
-    thresholds: tuple[float | None, ...]
-    settings: LocaliseSettings
-    learner: Learner | None = None
+    name: str
+    learner: Learner
+    threshold: float | None
     history: tuple[Mapping[str, Any], ...] = ()
 
     def __post_init__(self) -> None:
-        if len(self.names) != self.forest.classes - 1 or len(self.thresholds) != len(self.names):
-            raise InputError(
-                f"A model of {self.forest.classes - 1} gestures has {len(self.names)} names and {len(self.thresholds)} "
-                "thresholds; it needs one of each per gesture."
-            )
-        for name in self.names:
-            check_gesture_name(name)
+        check_gesture_name(self.name)
 
     def learned(self, content: str) -> bool:
         """Return whether the model has learned from the session with this content (a hash)."""
@@ -72,33 +61,22 @@ class GestureModel:
 
 def to_arrays(model: GestureModel) -> dict[str, NDArray]:
     """Convert a model to arrays for an .npz file: those of the forest, and "description", a JSON text."""
-    f = model.forest
-    growing = isinstance(f, GrowingForest)
-    if growing:
-        arrays = {name: np.asarray(a) for name, a in f.arrays._asdict().items()}
-    else:
-        arrays = {"test": f.test, "left": f.left, "seen": f.seen, "size": f.size}
-    look = model.settings
+    learner = model.learner
     value: dict[str, Any] = {
         "format": _FORMAT,
         "version": VERSION,
-        "growing": growing,
-        "names": list(model.names),
-        "thresholds": list(model.thresholds),
-        "forest": asdict(f.settings),
-        "look": {
-            **{k.name: getattr(look, k.name) for k in fields(look) if k.name != "plan"},
-            "plan": asdict(look.plan),
-        },
+        "growing": True,
+        "names": [model.name],
+        "thresholds": [model.threshold],
+        "forest": asdict(learner.forest.settings),
         "history": [dict(h) for h in model.history],
+        "learner": {
+            "random": learner.rng.bit_generator.state,
+            "strength": {} if learner.strength is None else {"1": learner.strength},
+            "settings": {k: v for k, v in asdict(learner.settings).items() if k != "look"},
+        },
     }
-    if model.learner is not None:
-        state = model.learner.rng.bit_generator.state
-        value["learner"] = {
-            "random": state,
-            "strength": {str(k): v for k, v in model.learner.strength.items()},
-            "settings": {k: v for k, v in asdict(model.learner.settings).items() if k != "look"},
-        }
+    arrays = {name: np.asarray(a) for name, a in learner.forest.arrays._asdict().items()}
     return {**arrays, "description": np.array(json.dumps(value, sort_keys=True))}
 
 
@@ -108,28 +86,18 @@ def from_arrays(arrays: Mapping[str, NDArray]) -> GestureModel:
     Raises: ValueError with a short reason where the arrays are not a model, or following them would leave an array.
     """
     value = _description(arrays)
+    names, thresholds = value.get("names"), value.get("thresholds")
+    if not isinstance(names, list) or not isinstance(thresholds, list) or len(names) != 1 or len(thresholds) != 1:
+        raise ValueError("it is not of one gesture")
+    if value.get("growing") is not True or not isinstance(names[0], str):
+        raise ValueError("it has no name, or no forest that grows")
     settings = _made(ForestSettings, value.get("forest"))
-    growing = value.get("growing") is True
-    names = GrowingArrays._fields if growing else ("test", "left", "seen", "size")
-    taken = {name: _array(arrays, name) for name in names}
+    taken = {name: _array(arrays, name) for name in GrowingArrays._fields}
     _check_trees(taken, settings)
-    if growing:
-        _check_growing(taken, settings)
-        forest: Forest | GrowingForest = GrowingForest(settings, GrowingArrays(**taken))
-    else:
-        forest = Forest(settings, taken["test"], taken["left"], taken["seen"], taken["size"])
-    look = dict(value.get("look") or {})
-    plan = _made(type(LocaliseSettings().plan), look.pop("plan", {}))
-    looking = replace(_made(LocaliseSettings, look), plan=plan)
-    learner = None
-    if growing and isinstance(forest, GrowingForest):
-        learner = _learner(value.get("learner"), forest)
-    thresholds = tuple(None if t is None else float(t) for t in value.get("thresholds") or ())
+    _check_growing(taken, settings)
+    learner = _learner(value.get("learner"), GrowingForest(settings, GrowingArrays(**taken)))
     history = tuple(h for h in value.get("history") or () if isinstance(h, dict))
-    given = value.get("names")
-    if not isinstance(given, list) or not all(isinstance(n, str) for n in given):
-        raise ValueError("it has no names of gestures")
-    return GestureModel(tuple(given), forest, thresholds, looking, learner, history)
+    return GestureModel(names[0], learner, None if thresholds[0] is None else float(thresholds[0]), history)
 
 
 def _description(arrays: Mapping[str, NDArray]) -> dict[str, Any]:
@@ -182,7 +150,7 @@ def _check_trees(a: Mapping[str, NDArray], s: ForestSettings) -> None:
     nt, n = left.shape
     if nt != s.trees or n < 1 or test.shape != (nt, n, 5) or seen.shape[:2] != (nt, n) or size.shape != (nt,):
         raise ValueError("its arrays do not fit each other")
-    if not 2 <= seen.shape[2] <= MAX_CLASSES:
+    if seen.shape[2] != CLASSES:
         raise ValueError(f"it has {seen.shape[2]} classes")
     if size.min() < 1 or size.max() > n:
         raise ValueError("it has more nodes than it holds")
@@ -237,13 +205,12 @@ def _learner(value: Any, forest: GrowingForest) -> Learner:
     if not isinstance(value, dict):
         raise ValueError("it has no training state")
     settings, strength = _made(LearnSettings, value.get("settings")), value.get("strength")
-    if not isinstance(strength, dict) or not all(
-        k.isdigit() and isinstance(v, int | float) and np.isfinite(v) for k, v in strength.items()
-    ):
-        raise ValueError("its strengths are not valid")
+    reached = strength.get("1") if isinstance(strength, dict) else np.nan
+    if reached is not None and not (isinstance(reached, int | float) and np.isfinite(reached)):
+        raise ValueError("its strength is not valid")
     rng = np.random.default_rng()
     try:
         rng.bit_generator.state = value["random"]
     except (TypeError, ValueError, KeyError, OverflowError):
         raise ValueError("its random numbers are not valid") from None
-    return Learner(forest, rng, settings, {int(k): float(v) for k, v in strength.items()})
+    return Learner(forest, rng, settings, reached)

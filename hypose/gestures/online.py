@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from hypose.compute.forest_votes import ScanPlan
 from hypose.compute.forests import DepthImage, pad_depth
-from hypose.errors import InputError
 from hypose.gestures.depth_pictures import DepthLens, check_settings, surface_depth
 from hypose.gestures.forest import ForestSettings, GrowingForest
 from hypose.gestures.localise import Localisation, LocaliseSettings, Scratch, localise
 
-BACKGROUND = 0
+BACKGROUND, GESTURE = 0, 1
+"""Classes of pixels."""
 Pixels = tuple[NDArray[np.int64], NDArray[np.int64]]
 """Rows (S,) and columns (S,) of pixels."""
 
@@ -62,7 +62,7 @@ class Example:
 
     depth: (h, w) uint16 mm, 0 = hole.
     lens: of the depth camera.
-    gesture: number of the gesture that is shown, from 1; 0 for none.
+    gesture: 1 where the gesture is shown, 0 for other movement.
     x, y: pixel of the gesture.
     """
 
@@ -142,14 +142,14 @@ class PixelSampler:
 class Taught:
     """Pixels that were learned from one frame.
 
-    learned: number of pixels per class, (C,).
-    mined: places at which hard negatives were learned.
-    maxima: best place of each gesture before learning.
+    learned: number of pixels of the background and of the gesture.
+    found: best place of the gesture before learning; None where it was not searched.
+    mined: whether hard negatives were learned at that place.
     """
 
-    learned: tuple[int, ...]
-    mined: tuple[Localisation, ...]
-    maxima: tuple[Localisation, ...]
+    learned: tuple[int, int]
+    found: Localisation | None
+    mined: bool
 
 
 @dataclass
@@ -159,133 +159,111 @@ class Learner:
     forest: the forest.
     rng: the random generator.
     settings: how many pixels are learned.
-    strength: per gesture, the moving average of the maxima in frames that show it (cm^2).
+    strength: moving average of the maxima in frames that show the gesture, cm^2; None before the first.
     scratch: memory of the localisation.
     """
 
     forest: GrowingForest
     rng: np.random.Generator
     settings: LearnSettings = field(default_factory=LearnSettings)
-    strength: dict[int, float] = field(default_factory=dict)
+    strength: float | None = None
     scratch: Scratch = field(default_factory=Scratch)
 
     @staticmethod
     def new(
-        rng: np.random.Generator,
-        forest: ForestSettings | None = None,
-        settings: LearnSettings | None = None,
-        gestures: int = 1,
+        rng: np.random.Generator, forest: ForestSettings | None = None, settings: LearnSettings | None = None
     ) -> Learner:
         """Make a learner with an untrained forest.
 
         rng: for the forest and the choice of pixels.
         forest: settings of the forest; None: the defaults.
         settings: how many pixels are learned; None: the defaults.
-        gestures: number of gestures of the forest.
         """
-        grown = GrowingForest.new(forest or ForestSettings(), gestures + 1, rng)
-        return Learner(grown, rng, settings or LearnSettings())
+        return Learner(GrowingForest.new(forest or ForestSettings(), rng), rng, settings or LearnSettings())
 
-    def show(
-        self, depth: DepthImage, lens: DepthLens, gesture: int, x: float, y: float, *, mine: bool = True
-    ) -> Taught | None:
-        """Learn a frame in which a gesture is shown.
+    def show(self, depth: DepthImage, lens: DepthLens, x: float, y: float, *, mine: bool = True) -> Taught | None:
+        """Learn a frame in which the gesture is shown.
 
         depth: (h, w) uint16 mm, 0 = hole.
         lens: of the depth camera.
-        gesture: number of the gesture, from 1.
         x, y: pixel of the gesture.
         mine: whether to learn hard negatives elsewhere in the frame too.
         Returns: what was learned; None where no depth within the range of the scan is measured at that pixel.
-        Raises: InputError where there is no such gesture.
         """
-        if not 1 <= gesture < self.forest.classes:
-            raise InputError(f"There is no gesture {gesture}; this forest has 1 to {self.forest.classes - 1}.")
-        s = self.settings
-        draw = self._draw
+        s, draw = self.settings, self._draw
         surface = draw.surface(depth, x, y)
         if surface is None:
             return None
-        scale = lens.fx / surface
-        maxima = self._take(depth, lens, mine)
-        clear = (x, y, s.clear_mm * scale)
-        counts = [0] * self.forest.classes
-        self._learn(draw.inside(depth, x, y, scale, surface, s.positives), gesture, counts)
-        self._learn(draw.anywhere(depth, s.random if mine else s.many, clear), BACKGROUND, counts)
-        if mine:
-            self._learn(draw.rim(depth, x, y, scale), BACKGROUND, counts)
-        mined = []
-        for found in maxima:
-            old = self.strength.get(found.gesture, found.score)
-            if found.gesture == gesture:
-                self.strength[gesture] = 0.9 * old + 0.1 * found.score
-            if np.hypot(found.x - x, found.y - y) > clear[2] and self._mine(depth, lens, found, counts):
-                mined.append(found)
-        return Taught(tuple(counts), tuple(mined), maxima)
+        scale, others, hard = lens.fx / surface, 0, 0
+        found, clear = self._take(depth, lens, mine), (x, y, s.clear_mm * scale)
+        positives = self._learn(draw.inside(depth, x, y, scale, surface, s.positives), GESTURE)
+        others += self._learn(draw.anywhere(depth, s.random if mine else s.many, clear), BACKGROUND)
+        if found is not None:
+            others += self._learn(draw.rim(depth, x, y, scale), BACKGROUND)
+            old = found.score if self.strength is None else self.strength
+            self.strength = 0.9 * old + 0.1 * found.score
+            if np.hypot(found.x - x, found.y - y) > clear[2]:
+                hard = self._mine(depth, lens, found)
+        return Taught((others + hard, positives), found, hard > 0)
 
     def reject(self, depth: DepthImage, lens: DepthLens, *, mine: bool = True) -> Taught:
-        """Learn a frame in which no gesture is shown.
+        """Learn a frame in which the gesture is not shown.
 
         depth: (h, w) uint16 mm, 0 = hole.
         lens: of the depth camera.
-        mine: True: hard negatives at every maximum and a few random ones; False: random ones only.
+        mine: True: hard negatives at the maximum and a few random ones; False: random ones only.
         Returns: what was learned.
         Deviations: a few random negatives accompany the hard ones; the number of hard ones is proportional to the
-        maximum relative to the maxima that gestures reach.
+        maximum relative to the maxima that the gesture reaches.
         """
-        counts = [0] * self.forest.classes
-        maxima = self._take(depth, lens, mine)
-        mined = tuple(f for f in maxima if self._mine(depth, lens, f, counts))
+        found = self._take(depth, lens, mine)
+        hard = 0 if found is None else self._mine(depth, lens, found)
         number = self.settings.few if mine else self.settings.many
-        self._learn(self._draw.anywhere(depth, number, None), BACKGROUND, counts)
-        return Taught(tuple(counts), mined, maxima)
+        others = self._learn(self._draw.anywhere(depth, number, None), BACKGROUND)
+        return Taught((others + hard, 0), found, hard > 0)
 
     @property
     def _draw(self) -> PixelSampler:
         return PixelSampler(self.rng, self.settings)
 
-    def _take(self, depth: DepthImage, lens: DepthLens, look: bool) -> tuple[Localisation, ...]:
+    def _take(self, depth: DepthImage, lens: DepthLens, look: bool) -> Localisation | None:
         """Pad a picture for learning.
 
         depth: (h, w) uint16 mm.
         lens: of the depth camera.
-        look: whether to localise the gestures too.
-        Returns: best place of each gesture; empty where `look` is False.
+        look: whether to localise the gesture too.
+        Returns: best place of the gesture; None where `look` is False.
         """
         s = self.settings.look
         if look:
-            return tuple(localise(depth, lens, [self.forest], s, self.scratch))
+            return localise(depth, lens, [self.forest], s, self.scratch)[0]
         reach_mm = self.forest.settings.reach_mm
         self.scratch.picture = pad_depth(depth, lens.fx, s.plan.near_mm, reach_mm, self.scratch.picture)
-        return ()
+        return None
 
-    def _mine(self, depth: DepthImage, lens: DepthLens, found: Localisation, counts: list[int]) -> bool:
-        """Learn hard negatives at a place where the forest finds a gesture that is not there.
+    def _mine(self, depth: DepthImage, lens: DepthLens, found: Localisation) -> int:
+        """Learn hard negatives at a place where the forest finds the gesture although it is not there.
 
         depth: (h, w) uint16 mm.
         lens: of the depth camera.
-        found: the place; their number is proportional to its score.
-        counts: number of learned pixels per class, which is increased.
-        Returns: whether any pixel was learned.
+        found: the place; the number of negatives is proportional to its score.
+        Returns: number of pixels that were learned.
         """
         surface = surface_depth(depth, found.x, found.y)
         if found.score <= 0 or surface is None:
-            return False
-        most = max(self.strength.get(found.gesture, found.score), 1e-3)
+            return 0
+        most = max(found.score if self.strength is None else self.strength, 1e-3)
         number = int(np.ceil(self.settings.hard * min(1.0, found.score / most)))
         radius = self.settings.box_mm * lens.fx / surface
-        return self._learn(self._draw.ring(depth, found.x, found.y, (0.0, radius), number), BACKGROUND, counts) > 0
+        return self._learn(self._draw.ring(depth, found.x, found.y, (0.0, radius), number), BACKGROUND)
 
-    def _learn(self, pixels: Pixels, label: int, counts: list[int]) -> int:
-        """Learn pixels of the padded picture as one class.
+    def _learn(self, pixels: Pixels, label: int) -> int:
+        """Learn pixels of the padded picture as one class; return their number.
 
         pixels: rows and columns.
         label: the class.
-        counts: number of learned pixels per class, which is increased.
-        Returns: number of pixels.
         """
         (rows, columns), picture = pixels, self.scratch.picture
         if len(rows) and picture is not None:
             self.forest.learn(picture, rows, columns, np.full(len(rows), label, np.int32))
-            counts[label] += len(rows)
         return len(rows)

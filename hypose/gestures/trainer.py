@@ -287,7 +287,7 @@ class Trainer:
                 self._segment, self._before = instruction.segment, self._snapshot()
             if learn:
                 taught = self.learn(instruction.learn, depth, lens, box)
-                found = None if taught is None or not taught.maxima else taught.maxima[0]
+                found = None if taught is None else taught.found
         elif instruction.phase == "test":
             found = localise(depth, lens, [self.learner.forest], self.learner.settings.look, self.learner.scratch)[0]
         return Feedback(instruction, box, taught, found, self.threshold)
@@ -314,10 +314,10 @@ class Trainer:
         learner, shows = self.learner, kind == "gesture"
         look = learner.settings.look
         # the score is that before the frame is learned, as with hard negatives
-        found = None if mine else localise(depth, lens, [learner.forest], look, learner.scratch)[0]
-        taught = learner.show(depth, lens, 1, *at, mine=mine) if shows else learner.reject(depth, lens, mine=mine)
-        if taught is not None:
-            score = (found or taught.maxima[0]).score
+        before = None if mine else localise(depth, lens, [learner.forest], look, learner.scratch)[0]
+        taught = learner.show(depth, lens, *at, mine=mine) if shows else learner.reject(depth, lens, mine=mine)
+        if taught is not None and (found := taught.found or before) is not None:
+            score = found.score
             session = replace(self.session, phase="positive" if shows else "negative")
             self.session = update_maximum(session, self.settings, score)
             if shows:

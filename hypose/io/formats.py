@@ -59,7 +59,7 @@ class Format:
     """A file format.
 
     name: names of the programs that use it.
-    suffixes: ends of its files' names, in lower case; "/" for a folder, "" for a name without a dot.
+    suffixes: ends of its files' names, in lower case; "/" for a folder.
     read: reader of a source, which may take more arguments, the same in a whole table; None where it is only written.
     sniff: test whether a source with such a name has this format, by its content.
     write: writer, with the same arguments in a whole table; None where it is only read.
@@ -79,8 +79,7 @@ class Format:
         """Test whether a name has one of the suffixes; folders must exist."""
         if path.is_dir():
             return "/" in self.suffixes
-        name = path.name.lower()
-        return any(name.endswith(s) if s else "." not in name for s in self.suffixes)
+        return path.name.lower().endswith(self.suffixes)
 
 
 @dataclass(frozen=True)
@@ -128,7 +127,7 @@ class FormatTable:
     def listing(self) -> str:
         """List the endings of readable files."""
         endings = dict.fromkeys(s for f in self.formats if f.read is not None for s in f.suffixes if s[:1] in "./")
-        return ", ".join({"/": "a folder", "": "no ending"}.get(s, s) for s in endings)
+        return ", ".join("a folder" if s == "/" else s for s in endings)
 
 
 _TABLES = (

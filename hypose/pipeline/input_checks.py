@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from hypose.body.default_body import human
 from hypose.calibration.diagnose_masks import focal_by_masks, focal_by_points, focal_findings
 from hypose.calibration.diagnose_person import height_findings, up_by_cameras, wrong_set, wrong_way_up
-from hypose.calibration.diagnose_points import best_trial, disagreement, gross_finding, late_views, timing_findings
+from hypose.calibration.diagnose_points import late_views, timing_findings, undo_point_faults
 from hypose.calibration.diagnostics import gross_silhouettes
 from hypose.calibration.findings import INVALID, Finding, Limits, depth_findings
 from hypose.calibration.sync_motion import mask_tracks
@@ -24,6 +24,7 @@ from hypose.cameras.camera import PARALLEL, triangulate, widest_angle
 from hypose.errors import EvidenceError, HyposeError
 from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes, pieces_of
+from hypose.evidence.keypoint_check import disagreement
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.track_loop import FrameList, FrameSource
 from hypose.tracking.subject import shape_from_keypoints
@@ -118,12 +119,11 @@ def _by_points(keypoints: Sequence[Keypoints], height: float | None, o: Limits) 
         return
     apart, agreed = disagreement(rig, pixels), True
     if apart > SETTINGS.look_scatter:
-        trial, before, after = best_trial(rig, pixels, names, [None] * len(rig), 1)
-        agreed = trial is not None and before > o.gross and after < o.gross_cured * before
-        if trial is not None and agreed:
-            yield gross_finding(rig, trial, before, after)
-            rig, pixels = trial.rig, trial.seen  # check the rest with points that agree
-        else:
+        # the rest is checked with points that agree
+        undone, rig, pixels = undo_point_faults(rig, pixels, names, [None] * len(rig), o, most=1)
+        yield from undone
+        agreed = bool(undone)
+        if not agreed:
             text = f"All cameras: the views' key points disagree by {100 * apart:.0f} % of the person's size"
             yield Finding("scatter", (), text, "run hypose check, which looks for the cause camera by camera", apart)
     flat = pixels.reshape(len(rig), -1, 3)

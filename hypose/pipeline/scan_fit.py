@@ -19,21 +19,20 @@ from hypose.body.body import Body
 from hypose.body.skin_weights import vertex_normals
 from hypose.errors import InputError
 from hypose.evidence.terms import DepthTerm
-from hypose.geometry import Array, rotation_between, so3_exp, so3_log
+from hypose.geometry import Array, rotation_between, so3_exp
 from hypose.tracking.shape_refinement import ShapeSettings, refine_shape
+from hypose.tracking.starts import KNOWN_POSES, known_pose
 
 
 @dataclass(frozen=True)
 class ScanSettings:
     """Settings of fitting the template to a scan.
 
-    arms: direction of the straight left arm in each pose that a scan may be taken in, model frame.
     up: up axes that a file may have, each with a factor on its score; the larger, the less likely.
     compared: number of samples by which stances are compared.
     turns: headings that are tried, a quarter turn apart.
     normals: m of distance, as a share of the stature, that a normal in the opposite direction counts like.
     farthest: distances are cut off there, as a share of the stature.
-    elbows: share of the bend of the elbows at rest that the arms keep, since people relax their elbows.
     within, tried: stances with a score within this factor of the best, and at most so many, are fitted.
     rough, fine: iterations of the first fit of each stance, and of the fit of the best.
     thinned: each so-many-th sample is used in the first fit.
@@ -43,14 +42,6 @@ class ScanSettings:
         squeezed to a pole 10.
     """
 
-    arms: Mapping[str, tuple[float, float, float]] = field(
-        default_factory=lambda: {
-            "a": (0.75, 0.0, -0.66),
-            "t": (1.0, 0.0, 0.0),
-            "standing": (0.18, 0.0, -1.0),
-            "hands-up": (0.35, 0.0, 1.0),
-        }
-    )
     up: Mapping[str, float] = field(
         default_factory=lambda: {"+z": 1.0, "+y": 1.1, "-y": 1.25, "-z": 1.25, "+x": 1.25, "-x": 1.25}
     )
@@ -58,7 +49,6 @@ class ScanSettings:
     turns: int = 4
     normals: float = 1 / 12
     farthest: float = 0.2
-    elbows: float = -0.7
     within: float = 1.6
     tried: int = 4
     rough: ShapeSettings = ShapeSettings(iterations=(4,), coarse=(4.0,))
@@ -70,8 +60,6 @@ class ScanSettings:
 
 
 SCAN = ScanSettings()
-SCAN_POSES = tuple(SCAN.arms)
-"""Poses in which a person may be scanned: A-pose, T-pose, standing with hanging arms, hands up."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +75,7 @@ class ScanPose:
     """Orientation and arm pose of a scan.
 
     upright_from_file: (3, 3) rotation after which z is up and the person faces -y.
-    arms: name of the arm pose, one of SCAN_POSES.
+    arms: name of the arm pose, one of KNOWN_POSES.
     score: mean distance to the template, as a share of the stature.
     up: up axis of the file, such as '+y'.
     """
@@ -136,26 +124,6 @@ def surface_samples(vertices: ArrayLike, faces: ArrayLike, count: int, rng: np.r
     return ScanSamples(points, normal[chosen] / np.maximum(double[chosen], 1e-30)[:, None])
 
 
-def scan_pose(body: Body, name: str) -> Array:
-    """Return the pose (D,) of SCAN_POSES by name, with nearly straight arms, at the origin, facing -y.
-
-    Raises: InputError with the list of poses for an unknown name.
-    """
-    if name not in SCAN.arms:
-        raise InputError(f"There is no scan pose {name!r}; the poses are auto, {', '.join(SCAN_POSES)}.")
-    s, pose = body.skeleton, np.zeros(body.skeleton.dof)
-    joints = s.rest_joints
-    for side, mirror in (("left", 1.0), ("right", -1.0)):
-        shoulder, elbow, wrist = (s.joint(f"{side}_{n}") for n in ("shoulder", "elbow", "wrist"))
-        upper, fore = joints[elbow] - joints[shoulder], joints[wrist] - joints[elbow]
-        pose[s.dofs_of(f"{side}_shoulder")] = so3_log(
-            rotation_between(upper, np.array(SCAN.arms[name]) * (mirror, 1, 1))
-        )
-        bend = np.arccos(np.clip(upper @ fore / np.linalg.norm(upper) / np.linalg.norm(fore), -1, 1))
-        pose[s.dofs_of(f"{side}_elbow")] = SCAN.elbows * bend
-    return s.clamp(pose)
-
-
 def find_stances(surface: ScanSamples, template: Body) -> list[ScanPose]:
     """Find the possible orientations and arm poses of a scan.
 
@@ -166,8 +134,8 @@ def find_stances(surface: ScanSamples, template: Body) -> list[ScanPose]:
     step = max(1, len(surface.points) // SCAN.compared)
     points, normals = surface.points[::step], surface.normals[::step]
     models = {}
-    for name in SCAN_POSES:
-        v = template.skin(scan_pose(template, name))
+    for name in KNOWN_POSES:
+        v = template.skin(known_pose(template, name))
         n = vertex_normals(v, template.coarse.faces)
         models[name] = (_boxed(v)[0], n)
     out = []
@@ -208,7 +176,7 @@ def fit_template(surface: ScanSamples, template: Body, stances: list[ScanPose]) 
     trials = []
     for stance in [s for s in stances if s.score < SCAN.within * stances[0].score][: SCAN.tried]:
         points, normals = surface.points @ stance.upright_from_file.T, surface.normals @ stance.upright_from_file.T
-        pose = scan_pose(light, stance.arms)
+        pose = known_pose(light, stance.arms)
         v, x = light.skin(pose), prior_mean()
         ratio = np.ptp(points[:, 2]) / np.ptp(v[:, 2])
         x[entity("scale")] = np.log(ratio)

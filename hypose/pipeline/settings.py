@@ -110,7 +110,6 @@ class PipelineSettings:
     engine_misses: Shares of lost pictures of a camera that are reported, in steps.
     eyes_room_s, eyes_room_pictures: Time (s) and pictures from which the empty room is learned.
     eyes_other_shape: Relative difference of a picture's aspect ratio from the calibration's that is accepted.
-    eyes_damaged: Damaged pictures in a row that are reported.
     eyes_quality: JPEG quality of the pictures that are passed on.
     eyes_look_s: Time after which a thread that waits for the other process checks whether to continue, s.
     eyes_closing_s: Time in which the other process may close its cameras, s.
@@ -136,14 +135,12 @@ class PipelineSettings:
     live_ease_s: Time constant of the transition from one body to another, s.
     live_window_s, live_every_s, live_audit_hz: Time (s) that a frame is judged with; time (s) between two judgements;
         rate of audited frames. `hypose track` also uses later frames; live tracking cannot.
-    live_together_m, live_together_s: Two bodies whose roots stay nearer than this (m) for this time (s) are one person.
     live_rig_usual_rate: Rate of cameras that do not report one, Hz.
     search_slowly_hz: Rate at which a start is searched and a body is fitted, Hz.
     search_gap_s: Time without pictures after which the motion before is not continued, s.
     search_decide, search_longest: Instants that decide on a start; most instants that are kept during a search.
     search_plain: Mean IoU from which a start is accepted.
     search_least_area: Least share of a picture that a person takes.
-    search_stride: Distance that a person walks between two searched frames, m.
     search_again_s, search_seldom_s: Time after which another person is searched again, s: doubled after each failure,
         and at most.
     processes_switch_s: Longest wait of a thread that takes or sends pictures for one that computes, s. Python's own 5
@@ -364,7 +361,6 @@ class PipelineSettings:
     eyes_room_s: float = 2.0
     eyes_room_pictures: int = 12
     eyes_other_shape: float = 0.01
-    eyes_damaged: int = 5
     eyes_quality: int = 85
     eyes_look_s: float = 0.2
     eyes_closing_s: float = 5.0
@@ -395,8 +391,6 @@ class PipelineSettings:
     live_window_s: float = 1.5
     live_every_s: float = 0.2
     live_audit_hz: float = 10.0
-    live_together_m: float = 0.2
-    live_together_s: float = 0.3
     live_rig_usual_rate: float = 30.0
     search_slowly_hz: float = 12.5
     search_gap_s: float = 1.0
@@ -404,7 +398,6 @@ class PipelineSettings:
     search_longest: int = 250
     search_plain: float = 0.5
     search_least_area: float = 0.002
-    search_stride: float = 0.4
     search_again_s: float = 2.0
     search_seldom_s: float = 60.0
     processes_switch_s: float = 0.0005

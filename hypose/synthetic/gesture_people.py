@@ -7,14 +7,12 @@ hypose/assets/LICENSE-assets.md.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import least_squares
 
 from hypose.body.skin_weights import vertex_normals
 from hypose.geometry import Array, so3_exp
@@ -22,7 +20,7 @@ from hypose.geometry import Array, so3_exp
 SIDES = ("left", "right")
 FINGERS = ("thumb", "index", "middle", "ring", "pinky")
 # flexion (degrees) of the three joints of index, middle, ring and little finger
-_FLEXION: dict[str, tuple[tuple[float, float, float], ...]] = {
+FLEXION: dict[str, tuple[tuple[float, float, float], ...]] = {
     "flat": ((3, 3, 3),) * 4,
     "spread": ((0, 2, 2),) * 4,
     "relaxed": ((25, 30, 20),) * 4,
@@ -42,7 +40,7 @@ _THUMB: dict[str, tuple[float, float, float]] = {
     "claw": (20, 20, 30),
     "grip": (30, 20, 25),
 }
-HAND_SHAPES = tuple(_FLEXION)
+HAND_SHAPES = tuple(FLEXION)
 _CLOTH_M = 0.008
 
 
@@ -117,7 +115,9 @@ class GesturePerson:
     faces: (F, 3).
     weights: (V, 51) float32 skinning weights.
     ends: (2, 5, 3) m, finger tips of the left and right hand.
-    fitted: cache of fitted thumbs.
+    thumbs: (2, 2, 8) pose of the left and right thumb that touches the index finger ("ok") or lies on the folded middle
+        finger ("fist"): rotation vector of its root and two flexions, rad, and logarithms of the factors of the index
+        finger's three flexions (0 for "fist"). Fitted by scripts/bake_gesture_people.py.
     """
 
     name: str
@@ -128,7 +128,7 @@ class GesturePerson:
     faces: NDArray[np.int32]
     weights: NDArray[np.float32]
     ends: Array
-    fitted: dict[tuple[str, str], Array] = field(default_factory=dict, compare=False, repr=False)
+    thumbs: Array
 
     def joint(self, name: str) -> Array:
         """Return the position (3,) m of a joint at rest."""
@@ -160,18 +160,15 @@ class GesturePerson:
         noise = (
             np.zeros((5, 3)) if rng is None else rng.normal(0, min(jitter_deg, 2.5) if touches else jitter_deg, (5, 3))
         )
-        flexion = np.array(_FLEXION[kind], dtype=np.float64)
+        flexion = np.array(FLEXION[kind], dtype=np.float64)
         spread = np.deg2rad(12 if kind == "spread" else 0)
         if not touches:
             thumb = self._open_thumb(side, np.array(_THUMB[kind]) + noise[4])
         else:
-            target = kind if kind == "ok" else "fist"
-            if (side, target) not in self.fitted:
-                self.fitted[side, target] = _fit_thumb(self, side, target)
-            x = self.fitted[side, target]
+            x = self.thumbs[SIDES.index(side), 0 if kind == "ok" else 1]
             if kind == "ok":
                 flexion[0] *= np.exp(x[5:8])
-            thumb = _thumb_of(self, side, x if rng is None else np.r_[x[:3] + rng.normal(0, 0.03, 3), x[3:]])
+            thumb = thumb_of(self, side, x if rng is None else np.r_[x[:3] + rng.normal(0, 0.03, 3), x[3:]])
         return HandShape(np.deg2rad(flexion + noise[:4] * [1, 0.7, 0.5]), spread, thumb)
 
     def _open_thumb(self, side: str, degrees: Array) -> Array:
@@ -219,6 +216,7 @@ def load_people() -> tuple[GesturePerson, ...]:
                 faces,
                 weights,
                 data["finger_ends"][k].astype(np.float64),
+                data["thumbs"][k],
             )
         )
     return tuple(out)
@@ -322,7 +320,7 @@ class Puppet:
         return out.astype(np.float32, copy=False)
 
 
-def _thumb_of(person: GesturePerson, side: str, x: Array) -> Array:
+def thumb_of(person: GesturePerson, side: str, x: Array) -> Array:
     """Compute the rotations of the thumb's joints relative to the hand.
 
     person, side: whose hand.
@@ -337,54 +335,3 @@ def _thumb_of(person: GesturePerson, side: str, x: Array) -> Array:
     for flex in x[3:5]:
         out.append(out[-1] @ rotation_about(axis, float(flex)))
     return np.stack(out)
-
-
-def _chain_end(person: GesturePerson, side: str, finger: int, rotations: Sequence[Array]) -> Array:
-    """Compute the tip of a finger with the hand at rest.
-
-    person, side: whose hand.
-    finger: 0 (thumb) to 4.
-    rotations: of the finger's three segments, each relative to the hand (not to the segment before).
-    Returns: (3,) m, in the body's frame.
-    """
-    at = [person.joint(f"{side}_{FINGERS[finger]}_{k}") for k in (1, 2, 3)]
-    at.append(person.ends[SIDES.index(side), finger])
-    out = at[0]
-    for k in range(3):
-        out = out + rotations[k] @ (at[k + 1] - at[k])
-    return out
-
-
-def _fit_thumb(person: GesturePerson, side: str, kind: str) -> Array:
-    """Fit the angles by which the thumb touches the index finger's tip, or lies on the folded middle finger.
-
-    person, side: whose hand.
-    kind: "ok" (touches the index finger) or "fist".
-    Returns: (8,) rotation vector of the thumb's root and two flexions, rad, and logarithms of the factors of the index
-        finger's three flexions (0 for "fist").
-    """
-    along, palm, _ = person.hand_axes(side)
-    axis = np.cross(along, palm)
-    flexion = np.deg2rad(np.array(_FLEXION[kind]))
-    middle = [rotation_about(axis, a) for a in np.cumsum(flexion[1])]
-    joints = [person.joint(f"{side}_middle_{k}") for k in (1, 2, 3)]
-    second = joints[0] + middle[0] @ (joints[1] - joints[0])
-    third = second + middle[1] @ (joints[2] - joints[1])
-    on_finger = 0.5 * (second + third) + 0.014 * palm + 0.006 * middle[1] @ palm
-
-    def residual(x: Array) -> Array:
-        end = _chain_end(person, side, 0, list(_thumb_of(person, side, x)))
-        if kind == "ok":
-            bends = np.cumsum(flexion[0] * np.exp(x[5:8]))
-            end = end - _chain_end(person, side, 1, [rotation_about(axis, a) for a in bends])
-        else:
-            end = end - on_finger
-        return np.r_[end * 100, 0.15 * x[:3], 0.3 * (x[3:5] - 0.3), 0.8 * x[5:]]
-
-    best = None
-    for start in (np.zeros(3), 0.8 * palm, -0.8 * palm, 0.8 * along, -0.8 * along):
-        fit = least_squares(residual, np.r_[start, 0.3, 0.3, 0, 0, 0])
-        if best is None or fit.cost < best.cost:
-            best = fit
-    assert best is not None
-    return best.x

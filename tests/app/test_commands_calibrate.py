@@ -41,10 +41,10 @@ def test_a_board_that_is_not_found_leaves_a_sheet(hypose, pictures, tmp_path):
 
 
 def test_conversion(hypose, pictures, tmp_path):
-    for name in ("x.toml", "y/extri.yml"):
-        assert hypose("calibrate", "--convert", pictures / "lenses.toml", "--out", tmp_path / name)[0] == 0
-        back = read_any(tmp_path / name)[0]
-        np.testing.assert_allclose(back.positions, make_rig().positions, atol=1e-9)
+    assert hypose("calibrate", "--convert", pictures / "lenses.toml", "--out", tmp_path / "x.toml")[0] == 0
+    np.testing.assert_allclose(read_any(tmp_path / "x.toml")[0].positions, make_rig().positions, atol=1e-9)
+    code, _, err = hypose("calibrate", "--convert", pictures / "lenses.toml", "--out", tmp_path / "extri.yml")
+    assert code == 2 and "name the calibration .toml" in err
 
 
 def test_points(hypose, pictures, tmp_path):

@@ -18,7 +18,6 @@ from hypose.app.studio.job_kinds import plan_job
 from hypose.app.studio.recordings import Recordings
 from hypose.app.studio.view_bundle import json_values
 from hypose.errors import InputError
-from hypose.io.file_names import file_name
 from hypose.io.files import claimed
 from hypose.io.keypoints.detectors import OwnDetector
 from hypose.io.recordings.recording import load_recording
@@ -83,16 +82,6 @@ def test_detected_key_points_stay_in_the_folder_and_are_found_again(tiny, tmp_pa
     detect_keypoints(load_recording(recording), detector, recording / "keypoints")
     assert written() and all(p.is_relative_to(recording / "keypoints") for p in written())
     assert all(v.keypoints is not None for v in load_recording(recording).views)
-
-
-def test_converted_cameras_stay_in_the_folder(hypose, masks, tmp_path):
-    toml = masks / "calibration.toml"
-    toml.write_text(toml.read_text().replace('name = "cam2"', 'name = "../../escaped"'))
-    before = everything(tmp_path)
-    code, out, _ = hypose("calibrate", "--convert", toml, "--out", tmp_path / "c" / "d" / "x.pickle")
-    new = everything(tmp_path) - before
-    assert code == 0 and {p.parent for p in new} == {tmp_path / "c" / "d"}
-    assert sorted(p.stem for p in new) == sorted(["cam1", file_name("../../escaped"), "cam3", "cam4"])
 
 
 def test_the_studio_begins_no_job_that_writes_outside(masks, tmp_path):

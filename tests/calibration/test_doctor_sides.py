@@ -8,9 +8,8 @@ import pytest
 from benchmarks.synthetic.mono_motions import body_motion
 from benchmarks.synthetic.spoilt_keypoints import close_up, noisy
 from hypose.calibration.diagnose_person import wrong_way_up
-from hypose.calibration.diagnose_points import mirrored_names
 from hypose.cameras.camera import triangulate
-from hypose.evidence.keypoints import BODY_25
+from hypose.evidence.keypoints import BODY_25, other_sides
 from hypose.synthetic.corruptions import keypoint_places
 from hypose.synthetic.scenes import camera_rig as named_rig
 from hypose.synthetic.subjects import load_subjects
@@ -49,7 +48,7 @@ def exchanged(pixels):
 @pytest.mark.parametrize("motion", ["walk", "captured-punch"])
 def test_sides_are_exchanged_only_where_they_are(motion, spoil):
     pixels = seen(points(motion, 1), 1, spoil)
-    twin = mirrored_names(BODY_25)
+    twin = other_sides(BODY_25)
     rows = np.linspace(0, pixels.shape[1] - 1, 12).astype(int)  # as many as are looked at before tracking
     for frames in (pixels, pixels[:, rows]):
         assert not exchanged(frames) and exchanged(frames[:, :, twin])

@@ -4,7 +4,7 @@ import pytest
 from hypose.errors import InputError
 from hypose.evidence.frame import SensorJoints
 from hypose.fusion import joints as jt
-from hypose.fusion.register import check_same_person, identity_registration, measured_joint_depth, register
+from hypose.fusion.register import check_same_person, measured_joint_depth, register
 from tests.fusion.people import in_reference, moving_person, seen, sensor_poses
 
 
@@ -81,4 +81,4 @@ def test_a_sensor_that_reports_a_point_is_refused(rng):
     positions = rng.normal(size=(20, 2, 15, 3))
     positions[:, 1] = [0.0, 0.0, 2.0]
     with pytest.raises(InputError, match="'b' reports all joints at one point"):
-        check_same_person(positions, identity_registration(2), ("a", "b"))
+        check_same_person(positions, register(positions), ("a", "b"))

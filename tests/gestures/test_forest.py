@@ -51,7 +51,7 @@ def test_memory_stays_within_its_bounds_and_slots_are_never_shared():
 
 def test_holes_and_pixels_nearer_than_the_border_allows_teach_nothing():
     rng = np.random.default_rng(0)
-    forest = GrowingForest.new(ForestSettings(), 2, rng)
+    forest = GrowingForest.new(ForestSettings(), rng)
     depth = np.zeros((64, 64), np.uint16)
     depth[32:] = 300
     forest.learn(padded(depth), np.arange(64), np.full(64, 5), np.ones(64, int))

@@ -6,9 +6,7 @@ import pytest
 from hypose.compute.forest_votes import ScanPlan
 from hypose.errors import InputError
 from hypose.gestures.depth_pictures import DepthLens, millimetres
-from hypose.gestures.forest import ForestSettings
 from hypose.gestures.localise import LocaliseSettings, localise
-from hypose.gestures.online import Learner
 
 from .toys import LENS, grown, toy
 
@@ -71,22 +69,3 @@ def test_what_is_no_picture_is_refused(picture):
 def test_lenses_that_cannot_be_are_refused():
     with pytest.raises(InputError, match="lens"):
         DepthLens(0.0, 0.0, 1.0, 1.0)
-
-
-def test_one_forest_of_several_gestures_finds_each():
-    rng = np.random.default_rng(2)
-    learner = Learner.new(rng, ForestSettings(alpha=80, candidates=40), gestures=2)
-    for k in range(120):
-        depth, (x, y), (a, b, side) = toy(rng, int(rng.integers(900, 1600)))
-        if k % 2:
-            learner.show(depth, LENS, 1, x, y, mine=False)
-        elif a + side < 150 and b + side < 200:
-            learner.show(depth, LENS, 2, b + side / 2, a + side / 2, mine=False)
-    several, hits = learner.forest.freeze(), 0
-    for _ in range(8):
-        depth, (x, y), (a, b, side) = toy(rng, 1200, holes=False)
-        disc, square = localise(depth, LENS, [several])
-        assert [disc.gesture, square.gesture] == [1, 2]
-        hits += np.hypot(disc.x - x, disc.y - y) < 8
-        hits += np.hypot(square.x - b - side / 2, square.y - a - side / 2) < 8 or a + side >= 150 or b + side >= 200
-    assert hits >= 13

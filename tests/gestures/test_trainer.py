@@ -82,9 +82,9 @@ def test_the_threshold_lies_between_movement_and_the_gesture():
 def test_positives_are_learned_where_the_surface_is():
     e = toy_examples(1, 3)[0]
     learner = Learner.new(np.random.default_rng(0))
-    taught = learner.show(e.depth, LENS, 1, e.x, e.y)
+    taught = learner.show(e.depth, LENS, e.x, e.y)
     assert taught is not None and taught.learned[1] == learner.settings.positives
-    assert learner.show(np.zeros_like(e.depth), LENS, 1, e.x, e.y) is None
+    assert learner.show(np.zeros_like(e.depth), LENS, e.x, e.y) is None
 
 
 def test_hard_negatives_are_taken_at_the_maximum_and_in_proportion_to_it():
@@ -92,9 +92,10 @@ def test_hard_negatives_are_taken_at_the_maximum_and_in_proportion_to_it():
     teach(learner, toy_examples(60, 5))
     shown = toy_examples(1, 8)[0]
     strong = learner.reject(shown.depth, LENS)  # calling the gesture itself movement is the worst of errors
-    found = strong.mined[0]
+    assert strong.mined
+    found = strong.found
     assert np.hypot(found.x - shown.x, found.y - shown.y) < 8
-    settings, strength = learner.settings, learner.strength[1]
+    settings, strength = learner.settings, learner.strength
     expected = int(np.ceil(settings.hard * min(1.0, found.score / strength)))
     assert strong.learned[0] <= expected + settings.few
     assert strong.learned[0] >= 0.8 * expected

@@ -52,7 +52,7 @@ def samples(rng, where, square, n=12):
 def grown(frames=120, seed=0, **settings):
     """A forest that has learned the disc."""
     rng = np.random.default_rng(seed)
-    forest = GrowingForest.new(ForestSettings(**{"alpha": 100, "candidates": 40, **settings}), 2, rng)
+    forest = GrowingForest.new(ForestSettings(**{"alpha": 100, "candidates": 40, **settings}), rng)
     more(forest, rng, frames)
     return forest
 

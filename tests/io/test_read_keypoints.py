@@ -164,14 +164,14 @@ def exchanged(points):
 @pytest.mark.parametrize(
     ("change", "views", "message"),
     [
-        (flipped, ALL, r"y counts upwards"),
-        (scaled(0.5), ALL, r"they are of pictures 0\.5 times the calibrated size"),
-        (scaled(1 / 3), ALL, r"they are of pictures 0\.333 times the calibrated size"),
-        (scaled(2), ALL, r"they reach \(\d+, \d+\) px, the pictures are|of pictures 2 times the calibrated size"),
-        (flipped, 2, r"in view .* y counts upwards"),
-        (scaled(0.5), 2, r"in view .* they are of pictures 0\.5 times"),
+        (flipped, ALL, r"all views: .* y counts from the bottom"),
+        (scaled(0.5), ALL, r"all views: .* images 0\.5 times the calibrated size"),
+        (scaled(1 / 3), ALL, r"all views: .* images 0\.333 times the calibrated size"),
+        (scaled(2), ALL, r"they reach \(\d+, \d+\) px, the pictures are|images 2 times the calibrated size"),
+        (flipped, 2, r"view .* y counts from the bottom"),
+        (scaled(0.5), 2, r"view .* images 0\.5 times"),
         (exchanged, ALL, r"the person is mirrored"),
-        (lambda p: p[..., [1, 0, 2]], ALL, r"x and y are exchanged|they reach"),
+        (lambda p: p[..., [1, 0, 2]], ALL, r"x and y of the key points are exchanged|they reach"),
     ],
 )
 def test_misread_positions_are_refused(tmp_path, change, views, message):

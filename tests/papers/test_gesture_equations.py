@@ -170,7 +170,7 @@ class Tree:
 
 def test_algorithm_6_an_online_forest_grows_as_printed(rng):
     settings = ForestSettings(trees=2, alpha=25, candidates=12, deepest=4)
-    forest = GrowingForest.new(settings, 2, rng)
+    forest = GrowingForest.new(settings, rng)
     trees = [Tree(state, settings, 2) for state in forest.arrays.random]
     for _ in range(25):
         depth, (x, y), square = toy(rng, 1000)

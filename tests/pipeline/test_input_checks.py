@@ -9,10 +9,9 @@ import pytest
 from benchmarks.synthetic.noisy_masks import noisy_scene
 from benchmarks.synthetic.spoilt_keypoints import noisy, spoilt
 from hypose.calibration.diagnose_masks import focal_by_points, focal_findings
-from hypose.calibration.diagnose_points import mirrored_names
 from hypose.cameras.camera import CameraRig, triangulate
 from hypose.evidence.frame import Keypoints, Silhouettes
-from hypose.evidence.keypoints import BODY_25, BODY_25B
+from hypose.evidence.keypoints import BODY_25, BODY_25B, other_sides
 from hypose.geometry import se3
 from hypose.pipeline.input_checks import check_inputs, sentences
 from hypose.pipeline.track_loop import FrameList
@@ -106,7 +105,7 @@ def test_exchanged_and_mirrored_cameras_are_named(frames):
 
     def mirrored(points):
         points[2, :, 0] = width - 1 - points[2, :, 0]
-        points[2] = points[2, mirrored_names(BODY_25)]  # who looks into a mirror lifts the other hand
+        points[2] = points[2, other_sides(BODY_25)]  # who looks into a mirror lifts the other hand
         return points
 
     found = check_inputs(FrameList(with_points(frames, mirrored)), "keypoints")
@@ -121,7 +120,7 @@ def test_exchanged_names_are_found_by_the_face_where_there_are_no_feet(frames):
         return points
 
     assert kinds(with_points(frames, bare)) == []
-    assert kinds(with_points(frames, lambda p: bare(p)[:, mirrored_names(BODY_25)])) == ["sides"]
+    assert kinds(with_points(frames, lambda p: bare(p)[:, other_sides(BODY_25)])) == ["sides"]
 
 
 @pytest.mark.parametrize("evidence", ["silhouettes", "keypoints", "both"])

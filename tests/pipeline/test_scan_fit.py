@@ -5,17 +5,15 @@ import pytest
 
 from benchmarks.synthetic.scans import scan_of
 from hypose.body.default_body import human
-from hypose.errors import InputError
 from hypose.geometry import so3_exp
 from hypose.pipeline.scan_fit import (
-    SCAN_POSES,
     find_stances,
     fit_template,
-    scan_pose,
     surface_samples,
     unposed,
 )
 from hypose.synthetic.subjects import load_subjects
+from hypose.tracking.starts import KNOWN_POSES, known_pose
 
 Y_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
 
@@ -35,7 +33,7 @@ def test_joints_of_a_scanned_person(name, arms, rng):
     assert fit.body.stature == pytest.approx(subject.stature, abs=0.03)
 
 
-@pytest.mark.parametrize("arms", SCAN_POSES)
+@pytest.mark.parametrize("arms", KNOWN_POSES)
 def test_stances_are_found_in_any_axes(arms, rng):
     subject = load_subjects()["neutral"]
     vertices, _ = scan_of(subject, arms, 0.0, rng)
@@ -52,13 +50,8 @@ def test_stances_are_found_in_any_axes(arms, rng):
 
 def test_undoing_a_pose_is_the_inverse_of_skinning(rng):
     body = human()
-    pose = scan_pose(body, "t")
+    pose = known_pose(body, "t")
     pose[:6] = [0.3, -0.2, 1.0, 0.1, 0.2, 2.0]
     posed = body.skin(pose, body.fine)
     rest = unposed(body, pose, posed, body.fine.dense_weights(19))
     np.testing.assert_allclose(rest, body.fine.vertices, atol=2e-5)  # skinning works in float32
-
-
-def test_unknown_poses_are_named():
-    with pytest.raises(InputError, match="auto, a, t, standing, hands-up"):
-        scan_pose(human(), "sitting")

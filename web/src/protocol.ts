@@ -121,8 +121,6 @@ export type GestureRequest =
   | {
       t: "start"; mode: "train"; gesture: string; source: string; resume?: Id | null; rounds?: number;
       seconds?: Partial<PhaseSeconds>; seed?: number; fast?: boolean;
-      /** Gestures that are taught after it; then all are tried. */
-      then?: string[];
     }
   | { t: "start"; mode: "run"; models: Id[]; source: string; seed?: number; fast?: boolean }
   | { t: "command"; command: GestureCommand }
@@ -137,11 +135,9 @@ export type GestureRequest =
 /** [time, score, high, low, threshold, phase] */
 export type HistoryRow = [number, number | null, number | null, number | null, number | null, string];
 export interface GestureSession {
-  mode: "train" | "run"; gesture: string; gestures: string[]; models: Id[]; source: string; title: string; size: [number, number];
-  rounds: number; seconds: PhaseSeconds; rate: number | null; folder: string | null; resumed: string | null;
-  /** Gestures that are taught after this one, and how many were taught before it. */
-  then: string[]; before: number;
-  history: HistoryRow[];
+  mode: "train" | "run"; gestures: string[]; models: Id[]; source: string; title: string; size: [number, number];
+  rounds: number; seconds: PhaseSeconds; folder: string | null; resume: Id | null;
+  history: HistoryRow[]; judged: GestureJudged | null;
 }
 export interface GestureEvent { kind: "start" | "end"; gesture: string; time: number; x: number; y: number; score: number }
 export interface GestureFound { gesture: string; score: number; x: number; y: number; threshold: number | null }
@@ -151,12 +147,12 @@ export interface GestureStep {
   position: [number, number, number] | null; learned: number[] | null; mined: [number, number][];
   score: number | null; high: number | null; low: number | null; threshold: number | null; manual: boolean;
   detected: boolean;
-  counts: { gesture: number; negative: number; pixels: number[]; nodes: number; segments: number };
+  counts: { gesture: number; negative: number; pixels: number; nodes: number; segments: number };
   events: GestureEvent[]; found?: GestureFound[]; ms: Record<string, number>;
 }
 export interface GestureJudged {
-  t: "judged"; on: "held-back" | "test"; ap: number | null; frames: number; positives: number; precision: number[]; recall: number[];
-  scores: number[]; at: { precision: number; recall: number } | null; false_per_min: number | null; tested_s: number;
+  t: "judged"; on: "segments" | "test"; ap: number | null; frames: number; positives: number; precision: number[]; recall: number[];
+  scores: number[]; false_per_min: number | null; tested_s: number;
 }
 export type GestureMessage =
   | { t: "hello"; session: GestureSession | null }

@@ -63,8 +63,8 @@ await walk(
         const j = data.header.joint_names.indexOf(joint);
         const tile = cameras.tiles.find((t) => t.overlay === overlay);
         const box = tile.canvas.getBoundingClientRect();
-        const scale = box.width / overlay.camera.size[0];
-        return { x: box.x, y: box.y, scale, from: [pixels[2 * j], pixels[2 * j + 1]] };
+        const [x, y] = tile.zoom.toScreen([-0.5, -0.5]);
+        return { x: box.x + x, y: box.y + y, scale: tile.zoom.scale, from: [pixels[2 * j], pixels[2 * j + 1]] };
       }, [camera, joint]);
       const screen = ([x, y]) => [at.x + (x + 0.5) * at.scale, at.y + (y + 0.5) * at.scale];
       await page.mouse.move(...screen(at.from));

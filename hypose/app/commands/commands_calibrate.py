@@ -19,7 +19,8 @@ from hypose.calibration.from_points import PointCalibration, calibrate_from_poin
 from hypose.calibration.views import count_corners, find_sources
 from hypose.cameras.camera import CameraRig
 from hypose.errors import CalibrationError, InputError
-from hypose.io.calibrations.calibration_formats import read_any, write_any, writer_of
+from hypose.io.calibrations.calibration_formats import read_any
+from hypose.io.calibrations.calibration_text import check_toml, write_calibration
 from hypose.io.files import check_writable
 from hypose.options import named_values
 
@@ -27,7 +28,7 @@ from hypose.options import named_values
 def calibrate(c: CalibrateCommand) -> None:
     """Calibrate cameras, or convert a calibration, and write the file (`hypose calibrate`)."""
     target = c.out or Path("calibration.toml")
-    writer_of(target)
+    check_toml(target)
     given = [bool(c.sources), c.points is not None, c.convert is not None]
     if sum(given) != 1 or (c.from_person and len(c.sources) != 1):
         raise InputError(
@@ -45,8 +46,8 @@ def calibrate(c: CalibrateCommand) -> None:
             rig = _from_points(c.points, c.intrinsics)
         else:
             rig = _from_boards(c, c.sheet or target.with_suffix(".png"))
-    for path in write_any(rig, target):
-        say(f"Calibration: {path}")
+    write_calibration(rig, target)
+    say(f"Calibration: {target}")
 
 
 def _board_of(c: CalibrateCommand) -> Board:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from click.exceptions import Exit
 
-from hypose.app.commands.console import Stages, ended_by_signals, print_note, print_notes, say, stopping
+from hypose.app.commands.console import Stages, counted, ended_by_signals, print_note, print_notes, say, stopping
 from hypose.app.options import LiveCommand
 from hypose.errors import InputError
 from hypose.options import MOST_FRAMES, ListenHost, Option, Seed, Threads, named_values
@@ -89,7 +89,7 @@ def live(c: LiveCommand) -> None:
         engine.failed is not None and not interrupted
     ):  # an interrupt may stop the other processes first, which is no failure
         raise engine.failed
-    say(f"{status.poses} poses. {_summary(status)}")
+    say(f"{counted(status.poses, 'pose')}. {_summary(status)}")
 
 
 def _finds_people(wanted: bool | None, roomless: bool) -> bool:
@@ -154,7 +154,7 @@ GESTURE_COMMANDS = {
     "Commands": {
         "record": ("commands_live:record", "Record a session with its prompts, to train from later."),
         "train": ("commands_live:gesture_train", "Teach a gesture, live or from recorded sessions."),
-        "run": ("commands_live:gesture_run", "Watch for gestures: events as JSON lines, OSC, commands."),
+        "run": ("commands_live:gesture_run", "Watch for gestures: events as JSON lines, OSC, WebSocket."),
         "eval": ("commands_live:gesture_evaluate", "Judge a model on a recorded session."),
     }
 }
@@ -227,7 +227,7 @@ def gesture_train(
     old = growing_model(resume, gesture) if resume is not None else None
     if out.exists() and not (resume is not None and resume.exists() and out.samefile(resume)):
         replaced_model(out, gesture, print_note)
-    learner = old.learner if old is not None and old.learner is not None else new_learner(seed)
+    learner = new_learner(seed) if old is None else old.learner
     if recording:
         model = learn_recordings([read_recording(r) for r in recording], gesture, learner, passes, print_note, old)
     else:
@@ -235,10 +235,10 @@ def gesture_train(
         print_note(_LETTERS)
         about = {"record": record_to, "commands": typed_commands(), "say": print_note, "model": old}
         model = run_session(opened, gesture, learner, settings, **about)
-    if old is not None and model.thresholds == (None,):  # only the gesture, or only movement, was seen this time
-        model = replace(model, thresholds=old.thresholds)
+    if old is not None and model.threshold is None:  # only the gesture, or only movement, was seen this time
+        model = replace(model, threshold=old.threshold)
     save_model(model, out)
-    say(f"{gesture}: {int(model.forest.size.sum())} nodes, threshold {in_cm2(model.thresholds[0])}")
+    say(f"{gesture}: {int(model.learner.forest.size.sum())} nodes, threshold {in_cm2(model.threshold)}")
     say(f"Model: {out}")
 
 
@@ -247,9 +247,6 @@ def gesture_run(
     source: SourceOption = "simulated",
     osc: Annotated[str | None, Option("HOST:PORT to send scores and events to by OSC.")] = None,
     ws: Annotated[int | None, Option("Port of this computer to serve them by WebSocket.", 0, 65535)] = None,
-    command: Annotated[
-        str | None, Option("Program to run at each start, {gesture} replaced; with {event}, at ends too.")
-    ] = None,
     threshold: Annotated[
         float | None, Option("cm² instead of the models' own.", 0, 1_000_000, above=True, unit="cm²")
     ] = None,
@@ -267,18 +264,18 @@ def gesture_run(
     from hypose.app.live.osc import OscTarget
     from hypose.app.live.servers import SocketListeners
     from hypose.gestures.events import EventSettings
+    from hypose.gestures.localise import LocaliseSettings
     from hypose.pipeline.gesture_files import load_model
 
     loaded = [load_model(m) for m in models]
     least = gesture_job.thresholds(loaded, threshold)
     limits = [EventSettings(t, hold_s=hold, refractory_s=rest) for t in least]
-    names, settings = [n for m in loaded for n in m.names], gesture_job.looking(loaded, adaptation_rate)
+    names, settings = [m.name for m in loaded], LocaliseSettings(adaptation_rate=adaptation_rate)
     with stopping(), contextlib.ExitStack() as opened:
         target = None if osc is None else opened.enter_context(contextlib.closing(OscTarget(osc)))
         listeners = None
         if ws is not None:
             listeners = opened.enter_context(contextlib.closing(SocketListeners(ws, gesture_job.WAITING)))
-        begun = None if command is None else gesture_job.EventCommand(command, names)
         pictures = open_source(source, names[0], seed)
         for k, watched in enumerate(gesture_job.watch(pictures, loaded, settings, limits, print_note), 1):
             for event in watched.events:
@@ -288,8 +285,6 @@ def gesture_run(
             if listeners is not None:
                 for line in gesture_job.gesture_lines(watched, names):
                     listeners.post(line)
-            if begun is not None:
-                begun.run(watched)
             if frames and k >= frames:
                 break
 
@@ -335,7 +330,7 @@ def view(
     threads: Threads = None,
 ) -> None:
     """Open the studio: results in 3D with their pictures, corrections by clicks, gestures, new recordings."""
-    from hypose.app.studio.server import NOT_BUILT, STATIC_FOLDER, StudioOptions, run_server
+    from hypose.app.studio.server import NOT_BUILT, STATIC_FOLDER, run_server
 
     if not what.exists():
         raise InputError(f"{what} does not exist; give a results folder, a recording, or a folder that holds such.")
@@ -352,7 +347,7 @@ def view(
 
             webbrowser.open(page)
 
-    run_server(StudioOptions(root, host, port, token), ready)
+    run_server(root, host, port, token, ready)
 
 
 def _place(what: Path) -> tuple[Path, str]:

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import json
-import os
 import queue
-import shlex
-import shutil
-import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +20,7 @@ from hypose.compute.forest_votes import ScanPlan
 from hypose.errors import EvidenceError, InputError
 from hypose.gestures.depth_pictures import surface_depth
 from hypose.gestures.events import Event, EventSettings, EventState, average_precision, detect_events
-from hypose.gestures.forest import Forest, ForestSettings, GrowingForest
+from hypose.gestures.forest import Forest
 from hypose.gestures.localise import Localisation, LocaliseSettings, Scratch, localise
 from hypose.gestures.model import GestureModel
 from hypose.gestures.online import Learner
@@ -66,19 +62,17 @@ def typed_commands() -> Callable[[], list[Command]]:
 
 def new_learner(seed: int) -> Learner:
     """Make a learner with the usual settings."""
-    return Learner.new(np.random.default_rng(seed), ForestSettings())
+    return Learner.new(np.random.default_rng(seed))
 
 
 def growing_model(path: Path, gesture: str) -> GestureModel:
     """Load the model of a gesture to train it further.
 
-    Raises: InputError where it is finished or of another gesture.
+    Raises: InputError where it is of another gesture.
     """
     model = load_model(path)
-    if model.learner is None:
-        raise InputError(f"{path} is a finished forest; only a growing one can be resumed.")
-    if model.names != (gesture,):
-        raise InputError(f"{path} is of {', '.join(model.names)}, not of {gesture}; give the model of that gesture.")
+    if model.name != gesture:
+        raise InputError(f"{path} is of {model.name}, not of {gesture}; give the model of that gesture.")
     return model
 
 
@@ -91,10 +85,10 @@ def replaced_model(path: Path, gesture: str, say: _Say) -> None:
         old = load_model(path)
     except InputError:
         raise InputError(f"{path} is there already, and no model that can be read; give another file.") from None
-    if old.names != (gesture,):
-        raise InputError(f"{path} is the model of {', '.join(old.names)}, not of {gesture}; give another file.")
-    how = "" if old.learner is None else f"; to go on with it, stop and add --resume {path}"
-    say(f"note: {path} holds a model of {gesture} already, which will be replaced{how}.")
+    if old.name != gesture:
+        raise InputError(f"{path} is the model of {old.name}, not of {gesture}; give another file.")
+    how = f"to go on with it, stop and add --resume {path}"
+    say(f"note: {path} holds a model of {gesture} already, which will be replaced; {how}.")
 
 
 def run_session(
@@ -149,8 +143,7 @@ def _model(gesture: str, trainer: Trainer, old: GestureModel | None, entries: Se
     entries: what was learned this time, for the history of the model.
     """
     history = (*(() if old is None else old.history), *entries)
-    learner = trainer.learner
-    return GestureModel((gesture,), learner.forest, (trainer.final_threshold(),), LocaliseSettings(), learner, history)
+    return GestureModel(gesture, trainer.learner, trainer.final_threshold(), history)
 
 
 def _range(plan: ScanPlan) -> str:
@@ -273,7 +266,7 @@ def watch(
     """Localise the gestures of all models in every frame of a source, and yield the result of each frame.
 
     source: depth pictures; closed at the end.
-    settings: of the localisation (`looking`).
+    settings: of the localisation.
     limits: settings of the events, per gesture.
     say: prints a sentence when no depth is near enough.
     Raises: EvidenceError at the end of a source without usable depth.
@@ -302,27 +295,12 @@ def watch(
 def loaded_forests(models: Sequence[GestureModel]) -> list[Forest]:
     """Return the forests of the models.
 
-    Raises: InputError where the models cannot be used together.
+    Raises: InputError where two models are of the same gesture.
     """
-    if len(models) > 1 and any(len(m.names) > 1 for m in models):
-        raise InputError("A model of several gestures is used alone; give one model per gesture, or that one.")
-    names = [n for m in models for n in m.names]
+    names = [m.name for m in models]
     if len(set(names)) < len(names):
         raise InputError(f"Two models are for the same gesture ({', '.join(names)}); give one of each.")
-    return [m.forest.freeze() if isinstance(m.forest, GrowingForest) else m.forest for m in models]
-
-
-def looking(models: Sequence[GestureModel], adaptation_rate: float = 1.0) -> LocaliseSettings:
-    """Return the settings with which all models localise.
-
-    adaptation_rate: share of the new frame in the density; 1: no temporal recursion.
-    Raises: InputError where the models have different settings.
-    """
-    settings = replace(models[0].settings, adaptation_rate=adaptation_rate)
-    if any(replace(m.settings, adaptation_rate=adaptation_rate) != settings for m in models):
-        names = ", ".join(n for m in models for n in m.names)
-        raise InputError(f"The models of {names} were made to look differently; run them one by one.")
-    return settings
+    return [m.learner.forest.freeze() for m in models]
 
 
 def thresholds(models: Sequence[GestureModel], given: float | None) -> list[float]:
@@ -331,17 +309,14 @@ def thresholds(models: Sequence[GestureModel], given: float | None) -> list[floa
     given: replaces those of the models; None: theirs.
     Raises: InputError names the gesture that has none.
     """
-    out = []
-    for m in models:
-        for name, t in zip(m.names, m.thresholds, strict=True):
-            value = given if given is not None else t
-            if value is None or value <= 0:
-                raise InputError(
-                    f"The model of {name!r} has no threshold yet: its session ended before gesture and movement were "
-                    "seen; train on, or give --threshold."
-                )
-            out.append(float(value))
-    return out
+    out = [m.threshold if given is None else given for m in models]
+    for m, value in zip(models, out, strict=True):
+        if value is None or value <= 0:
+            raise InputError(
+                f"The model of {m.name!r} has no threshold yet: its session ended before gesture and movement were "
+                "seen; train on, or give --threshold."
+            )
+    return [float(value) for value in out if value is not None]
 
 
 def evaluate_model(model: GestureModel, recording: GestureRecording) -> dict[str, float]:
@@ -350,16 +325,13 @@ def evaluate_model(model: GestureModel, recording: GestureRecording) -> dict[str
     Returns: numbers of frames and of frames with the gesture (positives); average precision with the place within 10 px
         (ap_10px) and 5 cm (ap_5cm); where the model has a threshold: threshold_cm2, and the shares of the gesture's
         frames that are found within 5 cm (found_share) and of other frames above the threshold (false_share).
-    Raises: InputError where the recording has no usable frames, or the model has several gestures.
+    Raises: InputError where the recording has no usable frames.
     """
-    name = model.names[0]
-    if len(model.names) > 1:
-        raise InputError("A model of several gestures cannot be judged here; give a model of one gesture.")
-    number, forest = recording.number(name), loaded_forests([model])[0]
-    scratch, plan, rows, measured = Scratch(), model.settings.plan, [], 0
+    number, forest = recording.number(model.name), model.learner.forest.freeze()
+    scratch, plan, rows, measured = Scratch(), ScanPlan(), [], 0
     for f in recording.learned():
         depth, shows = recording.picture(f), f.phase == "positive" and f.gesture == number
-        found = localise(depth, recording.lens, [forest], model.settings, scratch)[0]
+        found = localise(depth, recording.lens, [forest], None, scratch)[0]
         off = float(np.hypot(found.x - f.x, found.y - f.y)) if shows else np.inf
         surface = surface_depth(depth, f.x, f.y) if shows else None
         measured += surface is not None and plan.near_mm <= surface <= plan.far_mm
@@ -370,14 +342,14 @@ def evaluate_model(model: GestureModel, recording: GestureRecording) -> dict[str
     s, e, m = np.array(rows).T
     shown = np.isfinite(e)
     if shown.any() and not measured:
-        raise InputError(_NOTHING.format(gesture=name, where=_range(plan)))
+        raise InputError(_NOTHING.format(gesture=model.name, where=_range(plan)))
     out = {
         "frames": float(len(s)),
         "positives": float(shown.sum()),
         "ap_10px": average_precision(s, e <= 10, int(shown.sum())),
         "ap_5cm": average_precision(s, m <= 0.05, int(shown.sum())),
     }
-    t = model.thresholds[0]
+    t = model.threshold
     if t is not None:
         out["threshold_cm2"] = t
         out["found_share"] = float(((s >= t) & (m <= 0.05))[shown].mean()) if shown.any() else 0.0
@@ -388,8 +360,6 @@ def evaluate_model(model: GestureModel, recording: GestureRecording) -> dict[str
 # ---- outputs -------------------------------------------------------------------------------------------------------
 
 
-MOST_COMMANDS = 8
-"""Most commands that run at a time; further ones are left out."""
 WAITING = 256
 """Most texts that wait for a slow listener."""
 
@@ -438,38 +408,3 @@ def gesture_lines(watched: Watched, names: Sequence[str]) -> list[str]:
     scores = {names[f.gesture - 1]: round(f.score, 3) for f in watched.found}
     frame = json.dumps({"time": round(watched.time, 4), "scores": scores})
     return [frame, *(event_line(e, names) for e in watched.events)]
-
-
-class EventCommand:
-    """Command that runs when a gesture starts, with {gesture} replaced by its name; with {event} in it, also at ends
-    (start, end). It runs without a shell, and nothing waits for it.
-
-    text: the command and its arguments, quoted as in a shell.
-    names: of the gestures, by their number minus 1.
-    Raises: InputError where there is no such program.
-    """
-
-    def __init__(self, text: str, names: Sequence[str]) -> None:
-        try:
-            self._words = shlex.split(text, posix=os.name != "nt")
-        except ValueError as error:
-            raise InputError(f"--command {text!r} cannot be read ({error}); close its quotes.") from None
-        if not self._words or shutil.which(self._words[0]) is None:
-            raise InputError(f"--command {text!r}: there is no such program; give one that runs in this terminal.")
-        self._names, self._ends = list(names), "{event}" in text
-        # the user's own program may import modules from its folder
-        self._environment = {k: v for k, v in os.environ.items() if k != "PYTHONSAFEPATH"}
-        self.running: list[subprocess.Popen[bytes]] = []
-
-    def run(self, watched: Watched) -> None:
-        """Run the command for the starts in one frame, and for the ends if it has {event}.
-
-        While MOST_COMMANDS of them run, further events are left out.
-        """
-        self.running = [p for p in self.running if p.poll() is None]
-        for e in watched.events:
-            if (e.kind == "start" or self._ends) and len(self.running) < MOST_COMMANDS:
-                name = self._names[e.gesture - 1]
-                words = [w.replace("{gesture}", name).replace("{event}", e.kind) for w in self._words]
-                nowhere = subprocess.DEVNULL
-                self.running.append(subprocess.Popen(words, stdin=nowhere, stdout=nowhere, env=self._environment))

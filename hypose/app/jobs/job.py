@@ -6,24 +6,33 @@ Each step writes its files before the next begins, so that a job that ends early
 from __future__ import annotations
 
 import contextlib
+import html
 import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
 
-from hypose.app.commands.console import ProgressCall, each, ignore
+import click
+import numpy as np
+from click.exceptions import Exit
+
+from hypose.app.commands.console import ProgressCall, Stages, counted, each, ignore, print_notes, say, stopping
 from hypose.app.options import TrackCommand
-from hypose.app.reports.overlay import PictureRows, write_overlay
+from hypose.app.reports.overlay import PictureRows, Shown, colour_of, write_overlay
 from hypose.app.reports.report import picture_rows, report_html
-from hypose.app.reports.summary import DESCRIPTIONS
+from hypose.app.reports.summary import CONTENT_POLICY, DESCRIPTIONS, page, require_found, summarize
 from hypose.app.studio.view_bundle import Rivals, in_recording
 from hypose.body.body import Body
 from hypose.body.motion import Motion
+from hypose.calibration.findings import REVIEW, Finding
 from hypose.compute.warming import warm_up
 from hypose.errors import InputError
-from hypose.io.files import check_writable, read_json
+from hypose.io.files import check_writable, claimed, read_json
+from hypose.io.motions.c3d import joint_residuals, write_c3d
 from hypose.io.motions.export import export_motion, known_formats
+from hypose.io.motions.gltf import write_people_glb
 from hypose.io.motions.results import (
     ResultsFolder,
     load_body,
@@ -37,14 +46,18 @@ from hypose.io.motions.results import (
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording, load_recording
 from hypose.io.sensors.skeleton_streams import SkeletonRecording
-from hypose.pipeline.assessment import ASSESSMENT_FILE, Assessment
+from hypose.pipeline.assessment import ASSESSMENT_FILE, EXIT_UNTRUSTED, UNTRUSTED, Assessment
 from hypose.pipeline.first_frame import SubjectOptions
-from hypose.pipeline.one_camera import POINT_STARTS, clicks_of, depth_note, one_view
+from hypose.pipeline.frame_anomalies import in_words
+from hypose.pipeline.one_camera import POINT_STARTS, clicks_of, depth_note
 from hypose.pipeline.passes import MODES
-from hypose.pipeline.run import TrackResult
+from hypose.pipeline.person_paths import Wanted, said_of_places
+from hypose.pipeline.recorded_frames import check_views, frames_wanted, one_view, people_frames
+from hypose.pipeline.run import PeopleResult, TrackResult, track_people
 from hypose.pipeline.subject_from_motion import load_subject, subject_file
-from hypose.pipeline.track import track_person
-from hypose.pipeline.track_options import TrackOptions, check_views, frames_wanted
+from hypose.pipeline.track import chosen_people, keypoint_people, track_person, wanted_of
+from hypose.pipeline.track_options import TrackOptions
+from hypose.tracking.contacts import runs
 from hypose.tracking.recipes import citation_of
 
 if TYPE_CHECKING:
@@ -115,20 +128,18 @@ def job_of(command: TrackCommand, recording: Recording | None = None) -> TrackJo
 class Outcome:
     """Result of a job.
 
+    motion: of the person, or of the first of several.
     complete: every frame was tracked.
-    files: paths in the order of writing.
     notes: for the user.
     truth: comparison with the true motion, if there is one.
-    assessment: of the motion; None for an incomplete one.
+    assessment: of the motion; of several people the worst.
     """
 
     motion: Motion
-    body: Body
     complete: bool
-    files: tuple[Path, ...]
     notes: tuple[str, ...]
-    truth: Truth | None = None
-    assessment: Assessment | None = None
+    truth: Truth | None
+    assessment: Assessment
 
 
 def choose_frames(recording: Recording, text: str | None) -> Recording:
@@ -155,40 +166,53 @@ def choose_frames(recording: Recording, text: str | None) -> Recording:
 
 
 def run_job(job: TrackJob, progress: ProgressCall = ignore, seconds: Mapping[str, float] | None = None) -> Outcome:
-    """Track the recording of a job, and write all files of its results folder: motion, motion files, overlay, report.
+    """Track the person of a job, or several, and write all files: motions, motion files, overlay, reports.
 
+    A single person's files lie in the results folder. Several people have a folder each in it, and next to these the
+    files of all people together.
     seconds: time per stage, filled by the progress while this runs, for the report.
     Returns: the outcome; after a KeyboardInterrupt while tracking it is incomplete, with checkpoint and partial motion
         written.
     Raises: KeyboardInterrupt in any other stage; InputError where the input cannot be used.
     """
-    recording, results, options = job.recording, job.results, job.options
+    recording, results, several = job.recording, job.results, job.command.people is not None
     check_job(job)
-    check_views(recording, options.of_picture)
     check_writable(results.path)
     record = record_of(job)
-    compile_before(progress, *_kernels(recording, options))
-    finished = finished_before(job, record) if job.command.resume else None
-    with FrameStream(recording, frames_wanted(recording, options), progress=progress) as source:
-        if finished is None:
-            tracked = _track(job, options, source, record, progress)
-            save_body(tracked.body, results.file("body.npz"))
-            results.write_json("provenance.json", tracked.motion.provenance)
-        else:
-            tracked = finished
-        notes = (*recording.notes, *source.notes, *tracked.notes)
-        files = [results.motion, results.file("body.npz"), results.file("provenance.json")]
-        assessment = _assessment(tracked, results, finished is not None)
-        files.append(results.file(ASSESSMENT_FILE))
-        if tracked.modes is not None:
-            files.insert(1, results.file(MODES))
-        truth = job.truth(tracked.motion, tracked.body) if job.truth is not None else None
-        if not tracked.complete:
-            return Outcome(tracked.motion, tracked.body, False, tuple(files), notes, truth)
-        about = {"notes": notes, "seconds": seconds or {}, "truth": truth, "assessment": assessment}
-        files += export_and_report(job, tracked, source, files, progress, **about)
-    remove_stale(results, files)
-    return Outcome(tracked.motion, tracked.body, True, tuple(files), notes, truth, assessment)
+    compile_before(progress, *(() if several else _kernels(recording, job.options)))
+    before = finished_before(job, record) if job.command.resume and not several else None
+    with _frames(job, progress) as source:
+        found, absent = _track(job, source, record, progress) if before is None else _alone(before)
+        people, notes = found.people, (*recording.notes, *source.notes, *found.notes)
+        first = people[0]
+        for one in people:
+            _save(_folder(job, one), one)
+        truth = job.truth(first.motion, first.body) if job.truth is not None else None
+        if found.complete:
+            for one in people:
+                said = (*notes, *one.notes)
+                _export_and_report(job, one, source, progress, notes=said, seconds=seconds or {}, truth=truth)
+            if several:
+                _together(job, people, source, notes, progress)
+    assessment = first.assessment
+    if several:
+        assessment = worst_assessment(people, absent)
+        results.write_json(ASSESSMENT_FILE, assessment.document())
+    said = (f"{one.name}: {n}" if one.name else n for one in people for n in one.notes)
+    return Outcome(first.motion, found.complete, (*notes, *said), truth, assessment)
+
+
+def _frames(job: TrackJob, progress: ProgressCall) -> FrameStream:
+    """Open the frames of a job: those of all people for --people."""
+    recording, options = job.recording, job.options
+    if job.command.people is not None:
+        return people_frames(recording, options, progress)
+    return FrameStream(recording, frames_wanted(recording, options), progress=progress)
+
+
+def _alone(tracked: TrackResult) -> tuple[PeopleResult, str]:
+    """Make the result of a single person, who has no name; see `_track`."""
+    return PeopleResult((tracked,), tracked.complete), ""
 
 
 def compile_before(progress: ProgressCall, *parts: str) -> None:
@@ -209,53 +233,61 @@ def _kernels(recording: Recording, options: TrackOptions) -> tuple[str, ...]:
     return masks if all(view.masks is not None for view in recording.views) else (*masks, "pictures")
 
 
-def _assessment(tracked: TrackResult, results: ResultsFolder, before: bool) -> Assessment:
-    """Assess what was tracked, and write assessment.json.
-
-    before: the motion is of an earlier run, whose assessment is loaded where possible.
-    """
-    if before:
-        with contextlib.suppress(InputError, ValueError, KeyError, TypeError):
-            return Assessment.of_document(read_json(results.file(ASSESSMENT_FILE), "an assessment"))
-    results.write_json(ASSESSMENT_FILE, tracked.assessment.with_joints(tracked.motion))
-    return tracked.assessment
-
-
 def _track(
-    job: TrackJob, options: TrackOptions, source: FrameStream, record: Mapping[str, Any], progress: ProgressCall
-) -> TrackResult:
-    """Track the person of a job, together with the skeletons of sensors where there are any.
+    job: TrackJob, source: FrameStream, record: Mapping[str, Any], progress: ProgressCall
+) -> tuple[PeopleResult, str]:
+    """Track the people of a job; a single person together with the skeletons of sensors where there are any.
 
     source: frames of the recording.
     record: provenance of the run.
+    Returns: the people whose results are wanted; and the sentence that the one person who was asked for by name is not
+        among them, "" otherwise. Without that person all are returned.
     """
+    options, recording, rate = job.options, job.recording, job.recording.frame_rate
+    about = {"results": job.results, "record": record, "progress": progress}
+    if job.command.people is not None:
+        wanted = wanted_of(recording)
+        count, only = chosen_people(job.command.people, wanted)
+        points = keypoint_people(recording, source.rig) if options.looks_at != "silhouettes" else None
+        about |= {"resume": job.command.resume, "points": points, "count": count, "wanted": wanted}
+        found = track_people(source, rate, options, **about)
+        shown = tuple(p for p in found.people if only in (None, p.name))
+        return replace(found, people=shown or found.people), _absent(found, [w for w in wanted if w.name == only])
     if (skeletons := job.skeletons) is not None:
         from hypose.pipeline.sensor_skeletons import fuse_mixture, skeletons_at_frames
 
-        return fuse_mixture(
-            source,
-            job.recording.frame_rate,
-            lambda motion: skeletons_at_frames(skeletons, motion),
-            options,
-            progress=progress,
-            results=job.results,
-            record=record,
+        return _alone(
+            fuse_mixture(source, rate, lambda motion: skeletons_at_frames(skeletons, motion), options, **about)
         )
-    return track_person(
-        source,
-        options,
-        results=job.results,
-        record=record,
-        resume=job.command.resume,
-        progress=progress,
-        command=f"hypose track {shlex.quote(str(job.recording.folder))} --people all",
+    command = f"hypose track {shlex.quote(str(recording.folder))} --people all"
+    return _alone(track_person(source, options, resume=job.command.resume, command=command, **about))
+
+
+def _absent(found: PeopleResult, only: Sequence[Wanted]) -> str:
+    """Return the sentence that the one person who was asked for by name was not found; "" where there is none."""
+    for why in said_of_places(only, len(found.people) + found.others):
+        return f"who of several people is {only[0].name} is not known: {why}"
+    names = [p.name for p in found.people]
+    if not only or only[0].name in names:
+        return ""
+    return (
+        f"{only[0].not_found}; the results are those of {', '.join(names)} instead: "
+        "correct place and time of the [[person]] in recording.toml"
     )
 
 
 def check_job(job: TrackJob) -> None:
     """Raise InputError for faults of a job that would otherwise show after minutes of work."""
     options = job.options
+    check_views(job.recording, options.of_picture)
     split_names(job.command.formats)
+    if job.command.people is not None:
+        if options.subject is not None:
+            raise InputError(
+                "--subject is one person's body; name the bodies of several people in recording.toml, as "
+                "body = ... in their [[person]]."
+            )
+        chosen_people(job.command.people, wanted_of(job.recording))
     if options.of_picture:
         clicks_of(options.start, job.recording)
     else:
@@ -276,13 +308,14 @@ def check_job(job: TrackJob) -> None:
 
 def record_of(job: TrackJob) -> dict[str, Any]:
     """Build the provenance of a run: everything that influences the result."""
-    recording, options = job.recording, job.options
+    recording, options, people = job.recording, job.options, job.command.people
     frames = recording.frames
     settings = {
         **options.settings(),
         "frames": [frames.start, frames.stop],
         "frame_rate": recording.frame_rate,
         "views": [v.name for v in recording.views],
+        **({} if people is None else {"people": people}),
     }
     inputs = {**recording.inputs, **({} if job.skeletons is None else job.skeletons.inputs)}
     toml = recording.folder / "recording.toml"
@@ -317,51 +350,73 @@ def finished_before(job: TrackJob, record: Mapping[str, Any]) -> TrackResult | N
             return None
         modes = load_modes(results.file(MODES))
         notes = (*notes, depth_note(motion, modes))
-    return TrackResult(motion, load_body(body), True, notes, modes)
+    judged = None
+    with contextlib.suppress(InputError, ValueError, KeyError, TypeError):
+        judged = Assessment.of_document(read_json(results.file(ASSESSMENT_FILE), "an assessment"))
+    return TrackResult(motion, load_body(body), True, notes, modes, judged=judged)
 
 
-def export_and_report(
+_SAVED = ("motion.npz", MODES, "body.npz", "provenance.json", ASSESSMENT_FILE)
+"""Files that exist before the motion files of a person are written; MODES with one camera only."""
+
+
+def _save(results: ResultsFolder, one: TrackResult) -> None:
+    """Write body, provenance and assessment of one person; the motion is there already."""
+    motion = one.motion
+    save_body(one.body, results.file("body.npz"))
+    results.write_json("provenance.json", motion.provenance)
+    there = {"there": _there(one)} if one.name else {}
+    results.write_json(ASSESSMENT_FILE, {**one.assessment.with_joints(motion), **there})
+
+
+def _folder(job: TrackJob, one: TrackResult) -> ResultsFolder:
+    """Return the results folder of one person; a single person, without a name, has that of the job."""
+    return ResultsFolder(job.results.path / one.name)
+
+
+def _there(one: TrackResult) -> list[list[int]]:
+    """List the rows [first, one after the last] of the motion in which a person is present."""
+    return [[r.start, r.stop] for r in runs(one.there)]
+
+
+def _export_and_report(
     job: TrackJob,
-    tracked: TrackResult,
+    one: TrackResult,
     source: FrameStream,
-    written: Sequence[Path],
     progress: ProgressCall,
     **about: Any,  # noqa: ANN401 (fields of the report)
-) -> list[Path]:
-    """Write motion files, overlay and report of a tracked person, where they are wanted.
+) -> None:
+    """Write motion files, overlay and report of one person, where they are wanted, and delete files of earlier runs.
+    Several people have one overlay of all, which is not written here.
 
     source: frames of the recording.
-    written: files that exist already.
-    about: fields of `ViewResult` for the report: notes, assessment, title, ...
-    Returns: paths of the new files.
+    about: fields of `ViewResult` for the report.
     """
-    motion, body, results, recording = tracked.motion, tracked.body, job.results, job.recording
-    files: list[Path] = []
+    motion, body, modes = one.motion, one.body, one.modes
+    recording, results = job.recording, _folder(job, one)
+    files = [results.file(n) for n in _SAVED if n != MODES or modes is not None]
     for name in each(progress, "export", job.formats):
         files += export_motion(motion, body, results.path, (name,))
-    video, reported = job.command.overlay, job.command.report
-    if not (video or reported):
-        return files
-    modes, report, path = tracked.modes, results.file("report.html"), results.file("overlay.mp4")
-    view = in_recording(
-        recording,
-        motion,
-        body,
-        citation=citation_of(job.options.recipe, job.options.refine),
-        complete=tracked.complete,
-        first_frame=recording.frames.start,
-        rivals=Rivals.of_motion(motion) if modes is None else Rivals.of(modes.joints, modes.weights),
-        **about,
-    )
-    wanted = picture_rows(view, video) if reported else PictureRows(video)
-    drawn = write_overlay(path, recording, source, motion, body, wanted, progress)
-    files += [path] if video else []
-    if reported:
-        progress("report", 0, 1)
-        listed = [(p.name, DESCRIPTIONS.get(p.name, ""), 0) for p in (*written, *files, report)]
-        files.append(results.write_text("report.html", report_html(replace(view, files=listed), drawn)))
-        progress("report", 1, 1)
-    return files
+    video, reported = job.command.overlay and not one.name, job.command.report
+    files += [results.file("overlay.mp4")] * video + [results.file("report.html")] * reported
+    if video or reported:
+        view = in_recording(
+            recording,
+            motion,
+            body,
+            **about,
+            title=f"{recording.name}: {one.name}" if one.name else recording.name,
+            citation=citation_of(job.options.recipe, job.options.refine),
+            first_frame=recording.frames.start,
+            rivals=Rivals.of_motion(motion) if modes is None else Rivals.of(modes.joints, modes.weights),
+            assessment=one.assessment,
+            files=[(p.name, DESCRIPTIONS.get(p.name, ""), 0) for p in files],
+        )
+        wanted, people = picture_rows(view, video) if reported else PictureRows(video), [Shown("", motion, body)]
+        drawn = write_overlay(results.file("overlay.mp4"), recording, source, people, wanted, progress)
+        for _ in each(progress, "report", [view] * reported):
+            results.write_text("report.html", report_html(view, drawn))
+    remove_stale(results, files)
 
 
 def remove_stale(results: ResultsFolder, written: Sequence[Path]) -> None:
@@ -374,3 +429,166 @@ def remove_stale(results: ResultsFolder, written: Sequence[Path]) -> None:
         if name not in keep:
             with contextlib.suppress(OSError):
                 results.file(name).unlink(missing_ok=True)
+
+
+# ---- several people together -----------------------------------------------------------------------------------------
+
+
+def worst_assessment(people: Sequence[TrackResult], absent: str = "") -> Assessment:
+    """Combine the assessments of several people: the worst word, with the sentences and frames of those who have it.
+
+    absent: sentence that the person who was asked for was not found; then the results are not to be trusted.
+    """
+    if absent:
+        return Assessment(UNTRUSTED, (Finding("absent", (), absent),))
+    assessments = {p.name: p.assessment for p in people}
+    order = ("good", "look", UNTRUSTED)
+    word = max((v.word for v in assessments.values()), key=order.index)
+    found = [
+        Finding("person", (), f"{name}: {v.sentence}", severity=REVIEW)
+        for name, v in assessments.items()
+        if v.word == word and v.because
+    ]
+    frames = tuple(r for v in assessments.values() if v.word == word for r in v.frames)
+    return Assessment(word, tuple(found), () if word == UNTRUSTED else frames)
+
+
+def _together(
+    job: TrackJob, people: Sequence[TrackResult], source: FrameStream, notes: Sequence[str], progress: ProgressCall
+) -> None:
+    """Write overlay, C3D, GLB, people.json and index page of all people, and delete files of earlier runs.
+
+    source: frames of the recording with all people.
+    notes: for people.json and the page.
+    """
+    results, files = job.results, [job.results.file(ASSESSMENT_FILE)]
+    if job.command.overlay:
+        files.append(results.file("overlay.mp4"))
+        shown = [Shown(p.name, p.motion, p.body, p.there) for p in people]
+        write_overlay(files[-1], job.recording, source, shown, PictureRows(), progress)
+    if "c3d" in job.formats:
+        files.append(write_people_c3d(results.file("motion.c3d"), people))
+    if "glb" in job.formats:
+        files.append(results.file("motion.glb"))
+        write_people_glb(files[-1], [(p.name, p.motion, p.body) for p in people])
+    about = [
+        {"name": p.name, "folder": p.name, "assessment": p.assessment.word, "there": _there(p)}
+        | {"stature": p.body.stature}
+        for p in people
+    ]
+    results.write_json("people.json", {"people": about, "notes": list(notes)})
+    if job.command.report:
+        files.append(results.write_text("report.html", _index(job, people, notes)))
+    remove_stale(results, files)
+
+
+def write_people_c3d(path: Path, people: Sequence[TrackResult]) -> Path:
+    """Write the joint centres of all people as one C3D with subjects; return its path.
+
+    Points are named NAME:JOINT. The residual of a point is its standard deviation (mm), 0 where it was not measured;
+    points of absent people are marked as not seen.
+    """
+    subjects = [p.name.replace(" ", "-").replace(":", "-") for p in people]
+    names = [f"{s}:{j}" for s, p in zip(subjects, people, strict=True) for j in p.motion.skeleton.joint_names]
+    points = [np.where(p.there[:, None, None], p.motion.joints, np.nan) for p in people]
+    residuals = np.concatenate([joint_residuals(p.motion) for p in people], 1)
+    rate = people[0].motion.frame_rate
+    write_c3d(path, names, np.concatenate(points, 1), rate, residuals, subjects=subjects)
+    return path
+
+
+def _index(job: TrackJob, people: Sequence[TrackResult], notes: Sequence[str]) -> str:
+    """Build the page with links to the reports of all people.
+
+    notes: sentences at the end of the page.
+    """
+    rows = []
+    for k, p in enumerate(people):
+        b, g, r = colour_of(k)
+        there = in_words(runs(p.there)) if not p.there.all() else "all frames"
+        cells = (
+            f'<span style="color:rgb({r},{g},{b})">&#9632;</span>',
+            f'<a href="{html.escape(quote(p.name), quote=True)}/report.html">{html.escape(p.name)}</a>',
+            f"{p.body.stature:.2f} m",
+            html.escape(there),
+            html.escape(p.assessment.sentence),
+        )
+        rows.append("<tr>" + "".join(f"<td>{c}</td>" for c in cells) + "</tr>")
+    film = '<p><video src="overlay.mp4" controls></video></p>' if job.command.overlay else ""
+    said = "".join(f"<li>{html.escape(n)}</li>" for n in notes)
+    heads = "".join(f"<th>{h}</th>" for h in ("", "person", "height", "there", "assessment"))
+    body = f"<h1>{html.escape(job.recording.name)}</h1><table><tr>{heads}</tr>{''.join(rows)}</table>"
+    return page(job.recording.name, f"{body}{film}<ul>{said}</ul>", policy=f"{CONTENT_POLICY}; media-src 'self'")
+
+
+# ---- with progress --------------------------------------------------------------------------------------------------
+
+
+def track_shown(job: TrackJob) -> None:
+    """Run a job with progress and print its outcome; after an interruption, print what was kept and how to continue,
+    and exit with code 130.
+    """
+    with stopping(lambda: _kept(job)), claimed(job.results.path), Stages() as progress:
+        outcome = run_job(job, progress, progress.seconds)
+        if not outcome.complete:
+            raise KeyboardInterrupt
+    _report_outcome(job, outcome, progress.seconds)
+
+
+def _kept(job: TrackJob) -> str:
+    """Return the sentence on what an interrupted run has kept, and how to continue."""
+    results, total = job.results, len(job.recording.frames)
+    again = [a for a in click.get_current_context().find_root().obj or [] if a != "--resume"]
+    command = f"hypose {shlex.join([*again, '--resume'])}" if again[:1] == ["track"] else "the same command"
+    several = job.command.people is not None
+    motions = sorted(results.path.glob("*/motion.npz")) if several else [results.motion]
+    motions, where = [m for m in motions if m.exists()], results.path if several else results.motion
+    if results.checkpoint.exists():
+        if not motions:
+            kept = f"Kept: body and start of the person, in {results.checkpoint}"
+            return f"Stopped before the first frame was tracked. {kept}. Go on with: {command}"
+        done = f"{len(load_motion(motions[0]))} of {total} frames"
+        return f"Stopped. Kept: {done} in {where}, and the state of the tracker. Go on with: {command}"
+    if several and motions:
+        return f"Stopped. The motions that were complete are in {where}. Go on with: {command}"
+    if motions:
+        return f"Stopped. The motion is complete in {results.motion}. Write the other files with: {command}"
+    return f"Stopped before the first frame was tracked, so nothing was kept. Start again with: {command}"
+
+
+def _report_outcome(job: TrackJob, outcome: Outcome, seconds: Mapping[str, float]) -> None:
+    """Print the closing lines of a job, and exit with code 3 where its result is not to be trusted.
+
+    seconds: time per stage.
+    Raises: EvidenceError where the person was found in no frame.
+    """
+    s = summarize(outcome.motion)
+    print_notes(outcome.notes)
+    views, reported = len(job.recording.rig), int(outcome.motion.n_views.max(initial=0))
+    of = f"{reported} of {views}" if 0 < reported < views else f"{views}"  # largest number of views used in a frame
+    of += " view" if of == "1" else " views"
+    parts = [f"{counted(s.frames, 'frame')} in {of}", f"{s.lost} lost", f"{s.extrapolated} extrapolated"]
+    if s.iou == s.iou:
+        parts.append(f"mean IoU {s.iou:.3f}")
+    if s.sd_mm == s.sd_mm:
+        parts.append(f"median joint sd {s.sd_mm:.1f} mm")
+    if seconds.get("track"):
+        parts.append(f"{s.frames / seconds['track']:.1f} frames/s")
+    say(f"{job.recording.name}: " + ", ".join(parts))
+    if outcome.truth is not None:
+        say(f"Mean joint error: {outcome.truth.mean_mm:.1f} mm over {len(outcome.truth.names)} joints", "bold")
+    say(f"Results: {job.results.path}")
+    if job.command.report:
+        say(f"Report:  {job.results.file('report.html')}")
+    require_found(outcome.motion, job.recording.name, job.results.path)
+    print_assessments({"": outcome.assessment})
+
+
+def print_assessments(assessments: Mapping[str, Assessment]) -> None:
+    """Print the assessments by people's names ("" for a single person); exit with code 3 where one is not to be
+    trusted.
+    """
+    for name, assessment in assessments.items():
+        say(f"Assessment{' on ' if name else ''}{name}: {assessment.sentence}", "bold")
+    if any(assessment.word == UNTRUSTED for assessment in assessments.values()):
+        raise Exit(EXIT_UNTRUSTED)

@@ -18,10 +18,9 @@ from click.exceptions import Exit
 from hypose.app.commands.commands_check import keep_offsets
 from hypose.app.commands.console import Stages, print_note, print_notes, print_table, say, stopping
 from hypose.app.jobs.checking import write_image
-from hypose.app.jobs.job import choose_frames, job_of, recording_of
-from hypose.app.jobs.people_job import track_shown
+from hypose.app.jobs.job import choose_frames, job_of, recording_of, track_shown
 from hypose.app.options import CalibrateCommand, SubjectCommand, TrackCommand
-from hypose.app.reports.result_pictures import Canvas, Drawing, open_images
+from hypose.app.reports.result_pictures import Canvas, Drawing, DrawnBody, open_images
 from hypose.body.default_body import human
 from hypose.calibration.from_person import PersonCalibration, calibrate_from_person
 from hypose.cameras.camera import CameraRig
@@ -46,6 +45,7 @@ from hypose.io.recordings.recording import Recording, load_recording
 from hypose.io.recordings.recording_people import candidates_of
 from hypose.pipeline.detect_keypoints import detect_keypoints, wants_detector
 from hypose.pipeline.mesh_subject import subject_from_mesh
+from hypose.pipeline.recorded_frames import check_views
 from hypose.pipeline.recording_diagnostics import window
 from hypose.pipeline.subject_from_motion import (
     AnthropometryOptions,
@@ -53,7 +53,6 @@ from hypose.pipeline.subject_from_motion import (
     estimate_subject,
     save_subject,
 )
-from hypose.pipeline.track_options import check_views
 from hypose.tracking.starts import KNOWN_POSES
 
 _MOST_SECONDS = 60
@@ -212,8 +211,8 @@ def _picture(path: Path, recording: Recording, source: FrameStream, found: Subje
                 (found.body, found.poses, found.iou, "after"),
             ):
                 title = f"frame {number}, {what}: mean IoU {float(np.nanmean(iou[k])):.3f}"
-                drawing = Drawing(body.skin(poses[k], body.fine), body.joints(poses[k]), frame.silhouettes, title)
-                rows.append(canvas.draw(pictures, body, drawing).copy())
+                drawn = DrawnBody(body, body.skin(poses[k], body.fine), body.joints(poses[k]))
+                rows.append(canvas.draw(pictures, Drawing(frame.silhouettes, title, (drawn,))).copy())
     write_image(path, np.concatenate(rows))
     return path
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from hypose import __version__
 from hypose.app.reports import charts
-from hypose.app.reports.overlay import OverlayRows, PictureRows, still_rows, write_overlay
+from hypose.app.reports.overlay import OverlayRows, PictureRows, Shown, still_rows, write_overlay
 from hypose.app.reports.result_pictures import jpeg
 from hypose.app.reports.summary import page, picture_of, subject_rows, summarize
 from hypose.app.studio.view_bundle import ViewResult, view_bundle
@@ -62,7 +62,7 @@ def drawn_of(result: ViewResult, recording: Recording | None) -> OverlayRows:
     settings = motion.provenance.get("settings")
     masks = wanted.stills and not (isinstance(settings, Mapping) and settings.get("evidence") == "keypoints")
     with FrameStream(recording, None if masks else FrameSettings(silhouettes=None)) as stream:
-        return write_overlay("", recording, stream, motion, body, wanted)
+        return write_overlay("", recording, stream, [Shown("", motion, body)], wanted)
 
 
 def picture_rows(result: ViewResult, video: bool) -> PictureRows:

@@ -9,13 +9,14 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.body import Body, Mesh
+from hypose.body.skeleton import Skeleton
 from hypose.cameras.camera import Camera
 from hypose.compute.parts import covered, projected
 from hypose.errors import InputError, visible
@@ -180,12 +181,12 @@ def jpeg(image: Image, width: int, quality: int = 82) -> bytes:
     return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
 
 
-def draw_skeleton(image: Image, camera: Camera, body: Body, joints: Array) -> None:
+def draw_skeleton(image: Image, camera: Camera, skeleton: Skeleton, joints: Array) -> None:
     """Draw bones between joint centres: the left side orange, the right side blue, the middle white.
 
     image: (h, w, 3) BGR picture that is changed.
     camera: camera whose pixels are those of the image (`as_shown`).
-    body: body with the names and parents of the joints.
+    skeleton: gives the names and parents of the joints.
     joints: (J, 3) m, world; bones to joints that are NaN or behind the camera are left out.
     """
     uv = camera.project(joints)
@@ -193,7 +194,7 @@ def draw_skeleton(image: Image, camera: Camera, body: Body, joints: Array) -> No
     seen = np.isfinite(uv.sum(1))
     uv[~seen] = 0
     at = _fixed(uv)[:, 0].tolist()
-    for b, (name, a) in enumerate(zip(body.skeleton.joint_names, body.skeleton.parents.tolist(), strict=True)):
+    for b, (name, a) in enumerate(zip(skeleton.joint_names, skeleton.parents.tolist(), strict=True)):
         if a >= 0 and seen[a] and seen[b]:
             colour = _LEFT if name.startswith("left") else _RIGHT if name.startswith("right") else _MIDDLE
             cv2.line(image, at[a], at[b], (20, 20, 20), width + 2, cv2.LINE_AA, _SHIFT)
@@ -214,32 +215,42 @@ def put_text(image: Image, text: str, x: int, y: int, colour: tuple[int, int, in
 
 
 @dataclass(frozen=True)
+class DrawnBody:
+    """Body of one person in one frame.
+
+    vertices, joints: (V, 3) of the body's fine mesh and (J, 3), m, world.
+    colour: BGR.
+    """
+
+    body: Body
+    vertices: Array
+    joints: Array
+    colour: tuple[int, int, int] = BODY
+
+
+@dataclass(frozen=True)
 class Drawing:
     """Content of one frame to draw.
 
-    vertices, joints: (V, 3) of the body's fine mesh and (J, 3), m, world; None: not drawn.
     silhouettes: masks of the frame; None: not drawn.
     title: text of the title bar.
-    alarm: whether the title bar and the body are red.
-    others: further bodies, each with vertices (V, 3) m, world, and colour (BGR).
+    people: bodies to draw.
+    alarm: whether the title bar is red.
     """
 
-    vertices: Array | None
-    joints: Array | None
     silhouettes: Silhouettes | None
     title: str
+    people: tuple[DrawnBody, ...] = ()
     alarm: bool = False
-    others: tuple[tuple[Body, Array, tuple[int, int, int]], ...] = ()
 
 
-def draw_view(out: Image, image: Image | None, camera: Camera, index: int, body: Body | None, what: Drawing) -> None:
-    """Draw one view of a frame into a picture: the recorded image, tinted bodies, outline of the mask, skeleton.
+def draw_view(out: Image, image: Image | None, camera: Camera, index: int, what: Drawing) -> None:
+    """Draw one view of a frame into a picture: the recorded image, tinted bodies, outline of the mask, skeletons.
 
     out: (h, w, 3) BGR picture that is overwritten.
     image: recorded picture (BGR) of any size; None: the view has none, and the text "no image" on grey takes its place.
     camera: camera whose pixels are those of `out` (`as_shown`).
     index: index of the view, which selects the mask in `what.silhouettes`.
-    body: body to which the vertices and joints of `what` belong; None: only the other bodies are drawn.
     what: content of the frame; its title is not used.
     """
     if image is None:
@@ -250,16 +261,14 @@ def draw_view(out: Image, image: Image | None, camera: Camera, index: int, body:
         cv2.resize(image, camera.size, out, interpolation=how)
     else:
         out[:] = image
-    if body is not None and what.vertices is not None:
-        draw_body(out, camera, what.vertices, body.fine, ALARM if what.alarm else BODY)
-    for other, vertices, colour in what.others:
-        draw_body(out, camera, vertices, other.fine, colour)
+    for person in what.people:
+        draw_body(out, camera, person.vertices, person.body.fine, person.colour)
     s = what.silhouettes
     if s is not None:
         outlines = mask_outline(camera, s.rig[index], s.masks[index])
         cv2.polylines(out, outlines, True, _MASK, 1, cv2.LINE_AA, _SHIFT)
-    if body is not None and what.joints is not None:
-        draw_skeleton(out, camera, body, what.joints)
+    for person in what.people:
+        draw_skeleton(out, camera, person.body.skeleton, person.joints)
 
 
 def _write_labels(shown: Image, view: ViewSettings, index: int, what: Drawing) -> None:
@@ -288,48 +297,60 @@ class Canvas:
         about = zip(recording.views, recording.rig, boxes, strict=True)
         self._cameras = [as_shown(view, camera, box[2:]) for view, camera, box in about]
 
-    def draw(self, images: Sequence[Image | None], body: Body | None, what: Drawing) -> Image:
+    def draw(self, images: Sequence[Image | None], what: Drawing) -> Image:
         """Draw all views of one frame under the title bar.
 
         images: recorded pictures by view; None where there is none.
-        body, what: as for `draw_view`.
+        what: content of the frame.
         Returns: (h, w, 3) BGR of `size`, valid until the next call.
         """
         for c, (image, tile, camera) in enumerate(zip(images, self._tiles, self._cameras, strict=True)):
-            draw_view(tile, image, camera, c, body, what)
+            draw_view(tile, image, camera, c, what)
             _write_labels(tile, self._views[c], c, what)
         self._whole[:_BAR] = (30, 30, 150) if what.alarm else _GREY
         put_text(self._whole, what.title, 8, 18)
         return self._whole[: self.size[1], : self.size[0]]
 
 
-def draw_close_ups(
-    images: Sequence[Image | None], recording: Recording, body: Body, what: Drawing, side: int = 300, columns: int = 4
-) -> Image:
-    """Draw every view of one frame, cut to a square of `side` px around the body, in rows of `columns` squares.
+def close_up(
+    image: Image, camera: Camera, points: Array, size: tuple[int, int], room: float = 1.2
+) -> tuple[Image, Camera]:
+    """Cut a picture to the person.
+
+    image: (h, w, 3) BGR.
+    camera: camera whose pixels are those of the image.
+    points: (N, 3) m, world, of the person; the whole picture is shown where none of them is in front of the camera.
+    size: (width, height) of the cut picture, px.
+    room: size of the part that is shown, relative to that of the points.
+    Returns: the cut picture, grey beyond the borders of the image, and the camera whose pixels are those of it.
+    """
+    uv = camera.project(points)
+    uv = uv[np.isfinite(uv).all(1)]
+    low, high = (uv.min(0), uv.max(0)) if len(uv) else (np.zeros(2), np.array(camera.size, dtype=float))
+    scale = float(np.clip((size / np.maximum(room * (high - low), 1.0)).min(), 0.1, 2.5))
+    corner = (low + high) / 2 - np.array(size) / (2 * scale)
+    cut = np.array([[scale, 0, -scale * corner[0]], [0, scale, -scale * corner[1]], [0, 0, 1]])
+    near = cv2.warpAffine(image, cut[:2], size, flags=cv2.INTER_AREA, borderValue=(40, 40, 40))
+    return np.asarray(near, np.uint8), replace(camera, K=cut @ camera.K, size=size)
+
+
+def draw_close_ups(images: Sequence[Image | None], recording: Recording, what: Drawing) -> Image:
+    """Draw every view of one frame, cut to a square of 300 px around the first person, in rows of four squares.
 
     images: recorded pictures by view; None where there is none.
-    body, what: as for `draw_view`.
-    Returns: (h, w, 3) BGR; the square of a view is grey without a picture, or without vertices in `what`.
+    what: content of the frame.
+    Returns: (h, w, 3) BGR; the square of a view is grey without a picture, or without a person in `what`.
     """
+    side = 300
     cells = []
     for c, (image, view, camera) in enumerate(zip(images, recording.views, recording.rig, strict=True)):
         cell = np.full((side, side, 3), 40, np.uint8)
-        if image is not None and what.vertices is not None:
-            full = image.shape[1], image.shape[0]
-            uv = as_shown(view, camera, full).project(what.vertices)
-            uv = uv[np.isfinite(uv).all(1)]
-            low, high = (uv.min(0), uv.max(0)) if len(uv) else (np.zeros(2), np.array(full, dtype=float))
-            scale = float(np.clip(side / max(1.2 * float((high - low).max()), 1.0), 0.1, 2.5))
-            w, h = (max(2, round(n * scale)) for n in full)
-            shown = np.empty((h, w, 3), np.uint8)
-            draw_view(shown, image, as_shown(view, camera, (w, h)), c, body, what)
-            x, y = np.rint(scale * 0.5 * (low + high) - side / 2).astype(int).tolist()
-            x0, y0, x1, y1 = max(x, 0), max(y, 0), min(x + side, w), min(y + side, h)
-            if x0 < x1 and y0 < y1:
-                cell[y0 - y : y1 - y, x0 - x : x1 - x] = shown[y0:y1, x0:x1]
+        if image is not None and what.people:
+            shown = as_shown(view, camera, image.shape[1::-1])
+            near, cut = close_up(image, shown, what.people[0].vertices, (side, side))
+            draw_view(cell, near, cut, c, what)
         _write_labels(cell, view, c, what)
         cells.append(cell)
-    columns = min(columns, len(cells))
+    columns = min(4, len(cells))
     cells += [np.full_like(cells[0], 255)] * (-len(cells) % columns)
     return np.concatenate([np.concatenate(cells[i : i + columns], 1) for i in range(0, len(cells), columns)])

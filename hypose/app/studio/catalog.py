@@ -15,7 +15,7 @@ import zipfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from hypose.errors import InputError
 from hypose.io.file_names import text_of
@@ -69,11 +69,13 @@ class Catalog:
         """List all items of the last search."""
         return list(self._items.values())
 
-    def find(self, kind: Kind, id: str) -> Item:
-        """Find an item by its id.
+    def find(self, kind: Kind, id: Any) -> Item:
+        """Find an item by the id that a request gives.
 
-        Raises: NotFound where it does not exist, or no longer.
+        Raises: InputError where the id is no text; NotFound where the item does not exist, or no longer.
         """
+        if not isinstance(id, str):
+            raise InputError(f"Say which {kind} is meant.")
         item = self._items.get(id)
         if item is None or item.kind != kind or not item.path.exists():
             self._look(fresh=True)

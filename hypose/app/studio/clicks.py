@@ -301,14 +301,12 @@ def _recording(value: Mapping[str, Any], catalog: Catalog) -> Item:
     value: the request.
     Raises: InputError where it names neither.
     """
-    given = value.get("recording")
-    if isinstance(given, str):
-        return catalog.find("recording", given)
-    if isinstance(value.get("result"), str):
-        folder = catalog.recording_of(catalog.find("result", value["result"]).path)
-        if folder is not None:
-            return catalog.find("recording", catalog.id_of("recording", folder))
-    raise InputError("Say in which recording the joints were clicked.")
+    if value.get("recording") is not None:
+        return catalog.find("recording", value["recording"])
+    folder = catalog.recording_of(catalog.find("result", value.get("result")).path)
+    if folder is None:
+        raise InputError("The result is in no recording's folder, so there are no pictures to click in.")
+    return catalog.find("recording", catalog.id_of("recording", folder))
 
 
 def _body(

@@ -1,13 +1,12 @@
 """Process the frames of a gesture session: teach a gesture (all is recorded and saved), or watch for gestures; each
-frame gives the message that the page shows. A forest is tested during its training on held-back frames, and on movement
-before it is learned.
+frame gives the message that the page shows. A forest is judged by frames that it has not learned yet.
 """
 
 from __future__ import annotations
 
-import threading
 import time as clock
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -29,142 +28,60 @@ from hypose.gestures.events import (
     detect_events,
     precision_recall,
 )
-from hypose.gestures.forest import Forest
-from hypose.gestures.localise import Localisation, LocaliseSettings, Scratch, densities, localise, settle
+from hypose.gestures.localise import Localisation, LocaliseSettings, Scratch, densities, settle
 from hypose.gestures.model import GestureModel
 from hypose.gestures.trainer import Command, Feedback, SessionSettings, Trainer, advance
 from hypose.pipeline.gesture_files import SessionWriter, content_of, save_model
 
 PHASES = ("do_gesture", "positive", "release", "negative")
 """Phases of a training session, in their order."""
-_KEPT = 40
-"""Frames of each kind that are kept for testing; every frame has the same chance."""
+_JUDGED_S, _MOST_JUDGED = 1.0, 120
+"""Time at the beginning of a segment in which frames are judged, s, and most of the latest ones that count."""
 _WINDOW_S = 60.0
 """Time of movement over which false alarms are counted, s."""
 _POINTS = 100
 """Most points of a curve that are reported."""
+BOX_M = 0.1
+"""Half side of the box on the page, at the surface in it, m."""
+_ADAPTATION_RATE = 0.8
+"""Share of the new frame in the density while watching, as in `hypose gesture run`."""
+_TEST = 0
+"""Number of the segment of frames of the test."""
+_Step = tuple[dict[str, Any], NDArray[np.float32] | None]
+"""Result of a frame for the page: the step message (without seq), and the map of votes where wanted."""
 
 
-class HeldBack:
-    """Frames on which a forest is tested while it is trained: held-back ones, in a thread of its own, so that the
-    session does not wait, and those of the test phase.
+class Judge:
+    """Judgement of a forest by frames before it learns them: those at the beginning of a segment, which differ most
+    from learned ones, and those of the test.
 
     lens: of the depth camera.
     """
 
     def __init__(self, lens: DepthLens) -> None:
-        self._lens, self._keep = lens, np.random.default_rng(0)
-        # by whether the gesture is done: depth, its pixel (None: it is not done), segment
-        self._frames: dict[bool, list[tuple[DepthImage, tuple[float, float] | None, int]]] = {True: [], False: []}
-        self._count = {True: 0, False: 0}
-        self._tested: list[tuple[float, float]] = []
-        self._busy: threading.Thread | None = None
-        self._result: dict[str, Any] | None = None
+        self._lens = lens
+        self._frames: list[tuple[int, float, float]] = []  # segment, score (cm^2), error (m)
+        self._state, self._clock = EventState(), 0.0
+        self._last: float | None = None
+        self._alarms: list[float] = []
 
-    def keep(self, depth: DepthImage, at: tuple[float, float] | None, segment: int) -> None:
-        """Hold back a frame of a training segment; every frame of its kind has the same chance to stay.
-
-        depth: (h, w) uint16 mm.
-        at: pixel of the gesture; None for other movement.
-        segment: number of its segment.
-        """
-        kept, shown = self._frames[at is not None], at is not None
-        self._count[shown] += 1
-        if len(kept) < _KEPT:
-            kept.append((depth, at, segment))
-        elif (place := int(self._keep.integers(self._count[shown]))) < _KEPT:
-            kept[place] = depth, at, segment
-
-    def test(self, depth: DepthImage, at: tuple[float, float] | None, found: Localisation) -> None:
-        """Add a frame of the test phase.
+    def see(self, depth: DepthImage, at: tuple[float, float] | None, found: Localisation, segment: int = _TEST) -> None:
+        """Add a frame.
 
         depth: (h, w) uint16 mm.
         at: true pixel of the gesture; None: it is not done.
         found: place that the forest found.
+        segment: number of its segment; _TEST: it is of the test.
         """
-        self._tested.append(self._judged(depth, at, found))
+        error = np.nan
+        if at is not None:
+            z = surface_depth(depth, *at)
+            far = np.inf if z is None else z / 1000 / self._lens.fx
+            error = float(np.hypot(found.x - at[0], found.y - at[1])) * far
+        self._frames.append((segment, found.score, error))
 
-    def drop(self, undone: tuple[int, ...]) -> None:
-        """Remove the frames of segments that were undone."""
-        self._frames = {shown: [k for k in kept if k[2] not in undone] for shown, kept in self._frames.items()}
-
-    def begin(self, forest: Forest) -> None:
-        """Start testing the held-back frames with the current forest, unless a test is running."""
-        if self._busy is None or not self._busy.is_alive():
-            self._busy = threading.Thread(target=self._look, args=(forest, sum(self._frames.values(), [])), daemon=True)
-            self._busy.start()
-
-    def _look(self, forest: Forest, frames: list[tuple[DepthImage, tuple[float, float] | None, int]]) -> None:
-        """Test a forest on held-back frames (depth, pixel or None, segment), and keep the result."""
-        scratch = Scratch()
-        found = [(d, at, localise(d, self._lens, [forest], None, scratch)[0]) for d, at, _ in frames]
-        self._result = _curve([self._judged(*f) for f in found]) | {"on": "held-back"}
-
-    def _judged(self, depth: DepthImage, at: tuple[float, float] | None, found: Localisation) -> tuple[float, float]:
-        """Return the score of a frame and its error, m: NaN where the gesture is not done, infinite where no depth is
-        measured at its pixel. Arguments as in `test`.
-        """
-        if at is None:
-            return found.score, np.nan
-        z = surface_depth(depth, *at)
-        far = np.inf if z is None else z / 1000 / self._lens.fx
-        return found.score, float(np.hypot(found.x - at[0], found.y - at[1])) * far
-
-    def result(self, threshold: float | None) -> dict[str, Any] | None:
-        """Return the newest result once; None where there is no new one.
-
-        threshold: cm^2, at which precision and recall are reported; None: not known yet.
-        It is of the test phase once that has both kinds of frames, else of the held-back frames.
-        """
-        new, self._result = self._result, None
-        if {bool(np.isnan(error)) for _, error in self._tested} == {True, False}:
-            new = _curve(self._tested) | {"on": "test"}
-        return None if new is None else new | {"at": _at(new, threshold)}
-
-
-def _curve(seen: list[tuple[float, float]]) -> dict[str, Any]:
-    """Compute the curve of precision over recall, in the form of the page.
-
-    seen: score (cm^2) and error (m; NaN where the gesture is not done) of each frame.
-    Returns: empty lists where all frames are of one kind.
-    """
-    scores, errors = np.array(seen).reshape(-1, 2).T
-    correct, positives = errors <= RADIUS_M, int((~np.isnan(errors)).sum())
-    out: dict[str, Any] = {"frames": len(seen), "positives": positives, "ap": None}
-    if not positives or positives == len(seen):
-        return out | {"precision": [], "recall": [], "scores": []}
-    precision, recall = precision_recall(scores, correct, positives)
-    ranked = scores[np.lexsort((correct, -scores))]
-    ranked = ranked[ranked > 0]
-    pick = np.unique(np.linspace(0, len(ranked) - 1, min(_POINTS, len(ranked))).astype(int))
-    return out | {
-        "ap": average_precision(scores, correct, positives),
-        "precision": precision[pick].round(4).tolist(),
-        "recall": recall[pick].round(4).tolist(),
-        "scores": ranked[pick].round(3).tolist(),
-    }
-
-
-def _at(curve: dict[str, Any], threshold: float | None) -> dict[str, float] | None:
-    """Return precision and recall at a threshold, cm^2; None without a threshold or a curve."""
-    if threshold is None or not curve["scores"]:
-        return None
-    passed = sum(s >= threshold for s in curve["scores"])
-    if not passed:
-        return {"precision": 1.0, "recall": 0.0}
-    return {"precision": curve["precision"][passed - 1], "recall": curve["recall"][passed - 1]}
-
-
-class FalseAlarms:
-    """Counter of events in movement that the forest has not learned yet, over the last minute."""
-
-    def __init__(self) -> None:
-        self._state, self._clock = EventState(), 0.0
-        self._last: float | None = None
-        self._starts: list[float] = []
-
-    def see(self, time: float, found: Localisation, threshold: float | None, hold_s: float) -> None:
-        """Count the events of a frame of other movement, before it is learned.
+    def move(self, time: float, found: Localisation, threshold: float | None, hold_s: float) -> None:
+        """Count the events of a frame of other movement as false alarms.
 
         time: s.
         found: place that the forest found.
@@ -176,17 +93,38 @@ class FalseAlarms:
         elif self._last is not None:  # another segment: an event that was going on has ended
             self._state = EventState()
         self._last = time
-        if threshold is None or threshold <= 0:
-            return
-        settings = [EventSettings(threshold, hold_s=hold_s)] * found.gesture
-        self._state, events = detect_events(self._state, [found], self._clock, settings)
-        self._starts += [self._clock for e in events if e.kind == "start"]
+        if threshold is not None and threshold > 0:
+            settings = [EventSettings(threshold, hold_s=hold_s)] * found.gesture
+            self._state, events = detect_events(self._state, [found], self._clock, settings)
+            self._alarms += [self._clock for e in events if e.kind == "start"]
 
-    def reported(self) -> dict[str, float | None]:
-        """Return false_per_min and tested_s."""
+    def reported(self, undone: Collection[int] = ()) -> dict[str, Any]:
+        """Return the judgement for the page: of the frames of the test once these are of both kinds, else of the latest
+        frames of segments.
+
+        undone: numbers of segments that do not count.
+        Returns: numbers of frames, and of those with the gesture (positives); average precision (ap; None where all
+            frames are of one kind) and its curve; false_per_min, alarms per minute of the last minute of other
+            movement (None before 5 s of it), and tested_s, how long that was, s.
+        """
+        tested = [f for f in self._frames if f[0] == _TEST]
+        test = {bool(np.isnan(error)) for _, _, error in tested} == {True, False}
+        seen = tested if test else [f for f in self._frames if f[0] not in (_TEST, *undone)][-_MOST_JUDGED:]
+        scores, errors = np.array([f[1:] for f in seen]).reshape(-1, 2).T
+        correct, positives = errors <= RADIUS_M, int((~np.isnan(errors)).sum())
         seconds = min(self._clock, _WINDOW_S)
-        recent = sum(t > self._clock - _WINDOW_S for t in self._starts)
-        return {"false_per_min": recent * 60 / seconds if seconds > 5 else None, "tested_s": round(seconds, 1)}
+        recent = sum(t > self._clock - _WINDOW_S for t in self._alarms)
+        out = {"on": "test" if test else "segments", "frames": len(seen), "positives": positives, "ap": None}
+        out |= {"precision": [], "recall": [], "scores": [], "tested_s": round(seconds, 1)}
+        out |= {"false_per_min": recent * 60 / seconds if seconds > 5 else None}
+        if 0 < positives < len(seen):
+            precision, recall = precision_recall(scores, correct, positives)
+            ranked = scores[np.lexsort((correct, -scores))]
+            ranked = ranked[ranked > 0]
+            pick = np.unique(np.linspace(0, len(ranked) - 1, min(_POINTS, len(ranked))).astype(int))
+            out |= {"ap": average_precision(scores, correct, positives), "scores": ranked[pick].round(3).tolist()}
+            out |= {"precision": precision[pick].round(4).tolist(), "recall": recall[pick].round(4).tolist()}
+        return out
 
 
 @dataclass
@@ -225,18 +163,6 @@ class Controls:
         return kind in ("box", "threshold", "hold", "map")
 
 
-BOX_M = 0.1
-"""Half side of the box on the page, at the surface in it, m."""
-_ADAPTATION_RATE = 0.8
-"""Share of the new frame in the density while watching, as in `hypose gesture run`."""
-_HELD_EVERY = 5
-"""Of so many seconds of training, one second is held back."""
-
-
-_Step = tuple[dict[str, Any], NDArray[np.float32] | None]
-"""Result of a frame for the page: the step message (without seq), and the map of votes where wanted."""
-
-
 class Training:
     """Training of one gesture: all is recorded and saved. Only the session's thread may call it; `save` also after that
     thread has ended.
@@ -262,21 +188,19 @@ class Training:
         folder: Path,
         model: Path,
     ) -> None:
-        self.folder, self.path, self.names = folder, model, [gesture]
+        self.folder: Path | None = folder
+        self.path, self.names = model, [gesture]
         self._source, self._knows = source, knows
         self._old = growing_model(old, gesture) if old is not None else None
         learner = (self._old.learner if self._old is not None else None) or new_learner(seed)
         self.trainer = Trainer(learner, settings)
         self.reported = {"rounds": settings.rounds, "seconds": {p: getattr(settings, f"{p}_s") for p in PHASES}}
         self._writer = SessionWriter(folder, self.names, source.lens, source.size, self.reported)
-        self._held, self._alarms = HeldBack(source.lens), FalseAlarms()
-        self._scratch, self._events = Scratch(), EventState()
+        self._judge, self._scratch, self._events = Judge(source.lens), Scratch(), EventState()
         self._final: float | None = None  # the threshold that a saved model gets, found when the test begins
         self._place = (source.size[0] / 2, 0.45 * source.size[1])
-        self._frames, self._pixels = {"gesture": 0, "negative": 0}, [0, 0]
-        self._before: tuple[int, dict[str, int], list[int]] = (0, {}, [])  # a segment, and the counts when it began
+        self._learned: Counter[tuple[int, str]] = Counter()  # frames and pixels by segment
         self._seconds = 0.0
-        self._judged_at = -10.0
 
     @property
     def asks(self) -> str:
@@ -296,29 +220,23 @@ class Training:
         commands: of the page since the last picture.
         fresh: False: only the commands are new, the picture was processed before.
         """
-        trainer, before, lens = self.trainer, self.trainer.session, self._source.lens
+        trainer, before = self.trainer, self.trainer.session
         self._place = (taken.box if self._knows else controls.box) or self._place
-        session, instruction = advance(before, trainer.settings, taken.time, commands)
-        kept = instruction.learn is not None and int(taken.time - session.entered) % _HELD_EVERY == _HELD_EVERY - 1
+        instruction = advance(before, trainer.settings, taken.time, commands)[1]
         # where the source knows the truth, a picture must show the kind of movement to be learned
         sure = instruction.learn is None or not self._knows
         usable = fresh and (sure or (taken.box is not None) == (instruction.learn == "gesture"))
-        if session.segment != self._before[0]:
-            self._before = (session.segment, dict(self._frames), list(self._pixels))
         began = clock.perf_counter()
-        f = trainer.frame(taken.time, taken.depth, lens, self._place, commands, learn=usable and not kept)
+        f = trainer.frame(taken.time, taken.depth, self._source.lens, self._place, commands, learn=usable)
         learned = clock.perf_counter()
         found, density = self._look(taken, f, controls.map)
         looked = clock.perf_counter()
         self._seconds += learned - began
-        if "undo" in commands and trainer.session.undone != before.undone:
-            self._held.drop(trainer.session.undone)
-            _, self._frames, self._pixels = self._before
         if instruction.phase == "test" and before.phase != "test":
             self._final = trainer.final_threshold()
         threshold, events = self._threshold(controls), []
         if fresh:
-            self._count(taken, f, found, usable and kept, threshold, controls.hold_s)
+            self._count(taken, f, found, usable, threshold, controls.hold_s)
             if self.asks == "test" and threshold is not None and threshold > 0:
                 settings = [EventSettings(threshold, hold_s=controls.hold_s)]
                 self._events, events = detect_events(self._events, [found], taken.time, settings)
@@ -336,41 +254,43 @@ class Training:
         wanted: the map of votes is wanted.
         Returns: the place of the gesture, and the map or None.
         """
-        maxima = f.taught.maxima if f.taught is not None else ()
-        if maxima and not wanted:
-            return maxima[0], None
+        known = f.taught.found if f.taught is not None else None
+        if known is not None and not wanted:
+            return known, None
         look = LocaliseSettings() if f.instruction.phase == "test" else self.trainer.learner.settings.look
         lens, forest = self._source.lens, self.trainer.learner.forest
         maps = densities(taken.depth, lens, [forest], look, self._scratch)
-        found = maxima[0] if maxima else settle(maps, taken.depth, lens, look, self._scratch)[0]
+        found = known or settle(maps, taken.depth, lens, look, self._scratch)[0]
         return found, maps[0][0] if wanted else None
 
     def _threshold(self, controls: Controls) -> float | None:
         return controls.threshold or (self._final if self.asks == "test" else None) or self.trainer.threshold
 
     def _count(
-        self, taken: Taken, f: Feedback, found: Localisation, kept: bool, threshold: float | None, hold_s: float
+        self, taken: Taken, f: Feedback, found: Localisation, usable: bool, threshold: float | None, hold_s: float
     ) -> None:
-        """Count and record a new frame, and hold it back for testing where `kept`.
+        """Count, judge and record a new frame.
 
         taken, f: the picture, and what the trainer did with it.
         found: place of the gesture.
+        usable: the picture shows what it was asked for.
         threshold: cm^2 or None; hold_s: s. Both count false alarms.
         """
-        kind, phase = f.instruction.learn, f.instruction.phase
-        if kind is not None and f.taught is not None:
-            self._frames[kind] += 1
-            self._pixels = [a + b for a, b in zip(self._pixels, f.taught.learned, strict=True)]
-        if kept:
-            self._held.keep(taken.depth, self._place if kind == "gesture" else None, f.instruction.segment)
-        if phase == "test" and self._source.clear():
-            self._held.test(taken.depth, taken.box, found)
+        session, i = self.trainer.session, f.instruction
+        if i.learn is not None and f.taught is not None:
+            self._learned[i.segment, i.learn] += 1
+            self._learned[i.segment, "pixels"] += sum(f.taught.learned)
+        both_known = None not in session.before  # the segment began with a forest that knew gesture and movement
+        if i.learn is not None and usable and both_known and taken.time - session.entered < _JUDGED_S:
+            self._judge.see(taken.depth, self._place if i.learn == "gesture" else None, found, i.segment)
+        if i.phase == "test" and self._source.clear():
+            self._judge.see(taken.depth, taken.box, found)
         if self.paused:
             return
-        if phase == "negative":
-            self._alarms.see(taken.time, found, threshold, hold_s)
-        used = "free" if kind is not None and f.taught is None else phase
-        self._writer.add(taken.time, taken.depth, used, f.instruction.segment, int(kind == "gesture"), self._place)
+        if i.phase == "negative":
+            self._judge.move(taken.time, found, threshold, hold_s)
+        used = "free" if i.learn is not None and f.taught is None else i.phase
+        self._writer.add(taken.time, taken.depth, used, i.segment, int(i.learn == "gesture"), self._place)
 
     def _message(
         self, taken: Taken, f: Feedback, found: Localisation, threshold: float | None, c: Controls
@@ -386,63 +306,49 @@ class Training:
         z = surface_depth(taken.depth, *self._place)
         half = BOX_M * self._source.lens.fx / (2.0 if z is None else z / 1000)
         return {
-            "t": "step",
-            "time": round(taken.time, 3),
+            **_step(taken, found, threshold, c),
             "phase": i.phase,
             "prompt": i.prompt,
             "left_s": None if i.left_s == float("inf") else round(i.left_s, 2),
             "round": s.round + 1,
             "paused": s.paused is not None,
             "box": [round(self._place[0], 1), round(self._place[1], 1), round(half, 1)],
-            "cross": [round(found.x, 1), round(found.y, 1)] if found.score > 0 else None,
-            "position": _position(found),
             "learned": None if f.taught is None else list(f.taught.learned),
-            "mined": [] if f.taught is None else [[round(m.x, 1), round(m.y, 1)] for m in f.taught.mined],
-            "score": round(found.score, 3),
+            "mined": [[round(found.x, 1), round(found.y, 1)]] if f.taught is not None and f.taught.mined else [],
             "high": _rounded(s.high),
             "low": _rounded(s.low),
-            "threshold": _rounded(threshold),
-            "manual": c.threshold is not None,
-            "detected": threshold is not None and found.score >= threshold,
             "counts": {
-                **self._frames,
-                "pixels": list(self._pixels),
+                **{what: self._sum(what) for what in ("gesture", "negative", "pixels")},
                 "nodes": int(self.trainer.learner.forest.size.sum()),
                 "segments": s.segment - len(s.undone),
             },
         }
 
-    def judged(self, time: float, controls: Controls) -> dict[str, Any] | None:
-        """Return the newest test result, about once per second of the session; None where there is no new one.
+    def _sum(self, what: str) -> int:
+        """Sum what was learned ("gesture", "negative" frames or "pixels") in segments that were not undone."""
+        undone = self.trainer.session.undone
+        return sum(n for (segment, kind), n in self._learned.items() if kind == what and segment not in undone)
 
-        time: of the last picture, s.
-        """
-        if abs(time - self._judged_at) < 1.0:
-            return None
-        self._judged_at = time
-        result = self._held.result(self._threshold(controls))
-        if self.asks != "test" and not self.paused:
-            self._held.begin(self.trainer.learner.forest.freeze())
-        return None if result is None else {"t": "judged", **result, **self._alarms.reported()}
+    def judged(self) -> dict[str, Any] | None:
+        """Return the judgement of the forest."""
+        return {"t": "judged", **self._judge.reported(self.trainer.session.undone)}
 
     def save(self, controls: Controls) -> Path | None:
         """Write the model; return its path, or None where nothing has been learned yet."""
-        if not sum(self._frames.values()):
+        frames = self._sum("gesture") + self._sum("negative")
+        if not frames or self.folder is None:
             return None
         threshold = controls.threshold or self._final or self.trainer.final_threshold()
         if threshold is None and self._old is not None:  # only one of gesture and movement was seen this time
-            threshold = self._old.thresholds[0]
+            threshold = self._old.threshold
         entry: Mapping[str, Any] = {
             "session": self.folder.name,
-            "frames_learned": sum(self._frames.values()),
+            "frames_learned": frames,
             "computing_s": round(self._seconds, 3),
             "content": content_of(self.folder),
         }
-        learner, old = self.trainer.learner, () if self._old is None else self._old.history
-        look = LocaliseSettings()
-        save_model(
-            GestureModel(tuple(self.names), learner.forest, (threshold,), look, learner, (*old, entry)), self.path
-        )
+        old = () if self._old is None else self._old.history
+        save_model(GestureModel(self.names[0], self.trainer.learner, threshold, (*old, entry)), self.path)
         return self.path
 
     def close(self) -> None:
@@ -454,16 +360,16 @@ class Watching:
     """Search for the gestures of all models; nothing is learned or written.
 
     source: of the pictures.
-    models: of one gesture each, or one of several gestures.
+    models: of one gesture each.
     """
 
     reported: dict[str, Any] = {"rounds": 0, "seconds": {}}
-    folder = None
+    folder: Path | None = None
     asks = "free"
 
     def __init__(self, source: GestureSource, models: Sequence[GestureModel]) -> None:
         self._lens = source.lens
-        self.names = [n for m in models for n in m.names]
+        self.names = [m.name for m in models]
         self._forests, self._limits = loaded_forests(models), thresholds(models, None)
         self._look = LocaliseSettings(adaptation_rate=_ADAPTATION_RATE)
         self._scratch, self._state, self.paused = Scratch(), EventState(), False
@@ -482,27 +388,19 @@ class Watching:
             settings = [EventSettings(t, hold_s=controls.hold_s) for t in limits]
             self._state, events = detect_events(self._state, found, taken.time, settings)
         best = max(found, key=lambda f: f.score / limits[f.gesture - 1])
-        limit = limits[best.gesture - 1]
         message = {
-            "t": "step",
-            "time": round(taken.time, 3),
+            **_step(taken, best, limits[best.gesture - 1], controls),
             "phase": "test",
             "prompt": "Paused" if self.paused else "Watching",
             "left_s": None,
             "round": 0,
             "paused": self.paused,
             "box": None,
-            "cross": [round(best.x, 1), round(best.y, 1)] if best.score > 0 else None,
-            "position": _position(best),
             "learned": None,
             "mined": [],
-            "score": round(best.score, 3),
             "high": None,
             "low": None,
-            "threshold": _rounded(limit),
-            "manual": controls.threshold is not None,
-            "detected": best.score >= limit,
-            "counts": {"gesture": 0, "negative": 0, "pixels": [], "nodes": 0, "segments": 0},
+            "counts": {"gesture": 0, "negative": 0, "pixels": 0, "nodes": 0, "segments": 0},
             "found": [
                 {
                     "gesture": self.names[f.gesture - 1],
@@ -518,8 +416,8 @@ class Watching:
         }
         return message, maps[best.gesture - 1][0] if controls.map else None
 
-    def judged(self, time: float, controls: Controls) -> dict[str, Any] | None:
-        """Return None: nothing is tested while watching."""
+    def judged(self) -> dict[str, Any] | None:
+        """Return None: nothing is judged while watching."""
         return None
 
     def save(self, controls: Controls) -> Path | None:
@@ -528,6 +426,25 @@ class Watching:
 
     def close(self) -> None:
         """Do nothing; there is nothing to close."""
+
+
+def _step(taken: Taken, found: Localisation, threshold: float | None, c: Controls) -> dict[str, Any]:
+    """Return the part of the step message on the place that was found in a picture.
+
+    threshold: cm^2; None: not known yet.
+    c: settings of the page.
+    """
+    where = None if found.position is None else [round(float(v), 3) for v in found.position]
+    return {
+        "t": "step",
+        "time": round(taken.time, 3),
+        "cross": [round(found.x, 1), round(found.y, 1)] if found.score > 0 else None,
+        "position": where,
+        "score": round(found.score, 3),
+        "threshold": _rounded(threshold),
+        "manual": c.threshold is not None,
+        "detected": threshold is not None and found.score >= threshold,
+    }
 
 
 def _shown(events: Sequence[Event], names: Sequence[str]) -> list[dict[str, Any]]:
@@ -543,11 +460,6 @@ def _shown(events: Sequence[Event], names: Sequence[str]) -> list[dict[str, Any]
         }
         for e in events
     ]
-
-
-def _position(found: Localisation) -> list[float] | None:
-    """Return the place of a gesture in the camera's frame of reference, rounded, m; None where it is not measured."""
-    return None if found.position is None else [round(float(v), 3) for v in found.position]
 
 
 def _rounded(value: float | None) -> float | None:

@@ -29,16 +29,8 @@ _HALF_M = 0.22
 _NEAREST_MM, _FARTHEST_MM = 500, 4200
 """Range of the colours, mm; nearer and farther depths have the colour of the end."""
 _JPEG_QUALITY = 75
-# from near to far: BGR, light enough to stand out on both themes' stages
-_COLOURS = (
-    (0.00, (196, 243, 255)),
-    (0.18, (110, 214, 250)),
-    (0.36, (104, 168, 214)),
-    (0.55, (138, 116, 120)),
-    (0.78, (108, 72, 52)),
-    (1.00, (58, 36, 26)),
-)
-_HOLE = (22, 15, 12)
+_FARTHEST_LEVEL = 40
+"""Level of the farthest depth in the colour map, of 255; level 0, black, shows holes."""
 
 
 def depth_jpeg(depth: DepthImage) -> bytes:
@@ -48,7 +40,7 @@ def depth_jpeg(depth: DepthImage) -> bytes:
 
 def coloured(depth: DepthImage) -> NDArray[np.uint8]:
     """Convert a depth picture (h, w) uint16 mm to colours (h, w, 3) BGR; holes are dark."""
-    return cv2.applyColorMap(np.take(_levels(), depth), _palette())  # type: ignore[return-value] - uint8, as it says
+    return cv2.applyColorMap(np.take(_levels(), depth), cv2.COLORMAP_INFERNO)  # type: ignore[return-value] - uint8, as it says
 
 
 def map_png(density: NDArray[np.float32], full: float) -> bytes:
@@ -64,20 +56,11 @@ def map_png(density: NDArray[np.float32], full: float) -> bytes:
 
 @cache
 def _levels() -> NDArray[np.uint8]:
-    """Return the colour level of each depth in mm: 0 = hole, then from near to far."""
-    mm = np.arange(1 << 16)
-    level = 1 + np.rint(254 * np.clip((mm - _NEAREST_MM) / (_FARTHEST_MM - _NEAREST_MM), 0, 1))
+    """Return the level of each depth in mm in the colour map: 0 = hole, else the brighter the nearer."""
+    far = np.clip((np.arange(1 << 16) - _NEAREST_MM) / (_FARTHEST_MM - _NEAREST_MM), 0, 1)
+    level = np.rint(255 - (255 - _FARTHEST_LEVEL) * far).astype(np.uint8)
     level[0] = 0
-    return level.astype(np.uint8)
-
-
-@cache
-def _palette() -> NDArray[np.uint8]:
-    """Return the colours (256, 1, 3) BGR of the levels of `_levels`."""
-    at, colours = zip(*_COLOURS, strict=True)
-    share = np.linspace(0, 1, 255)
-    rows = np.stack([np.interp(share, at, [c[k] for c in colours]) for k in range(3)], 1)
-    return np.concatenate([[_HOLE], np.rint(rows)]).astype(np.uint8)[:, None]
+    return level
 
 
 def sessions_shown(catalog: Catalog) -> list[dict[str, Any]]:
@@ -107,7 +90,7 @@ def _facts_of_model(path: Path, changed: float) -> dict[str, Any] | None:
         model = load_model(path)
     except HyposeError:
         return None
-    return {"gestures": model.names, "growing": model.learner is not None, "thresholds": model.thresholds}
+    return {"gestures": [model.name], "growing": True, "thresholds": [model.threshold]}
 
 
 def sources_shown(catalog: Catalog) -> list[dict[str, Any]]:
@@ -151,7 +134,7 @@ def gesture_thumbnail(model: Path) -> bytes | None:
         if folder == model.parent or not (folder / "session.json").is_file():
             continue
         recording = read_recording(folder)
-        shown = [f for f in recording.learned() if f.gesture and recording.gestures[f.gesture - 1] in learned.names]
+        shown = [f for f in recording.learned() if f.gesture and recording.gestures[f.gesture - 1] == learned.name]
         if not shown:
             continue
         frame = shown[len(shown) // 2]

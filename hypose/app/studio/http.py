@@ -6,7 +6,6 @@ Every WebSocket message, request and address is read by these functions; their I
 
 from __future__ import annotations
 
-import asyncio
 import inspect
 import re
 import secrets
@@ -29,8 +28,6 @@ from hypose.errors import HyposeError, InputError
 from hypose.json_text import parse_json
 
 MAX_JSON = 1 << 20
-_BODY_S = 30.0
-"""Time a request may take from one piece of its body to the next, s."""
 _SLICE = 1 << 18
 """Bytes of a block that are sent at once."""
 _DEEPEST = 16
@@ -42,15 +39,7 @@ class NotNow(InputError):
     """Error: the request cannot be done in the present state."""
 
 
-class TooLarge(InputError):
-    """Error: the request is too large."""
-
-
-class TooSlow(InputError):
-    """Error: the announced data did not arrive in time."""
-
-
-_STATUS: tuple[tuple[type[HyposeError], int], ...] = ((NotFound, 404), (NotNow, 409), (TooSlow, 408), (TooLarge, 413))
+_STATUS: tuple[tuple[type[HyposeError], int], ...] = ((NotFound, 404), (NotNow, 409))
 
 
 def answer(value: Any, status: int = 200) -> JSONResponse:
@@ -114,21 +103,17 @@ def route(path: str, call: Callable[..., Any], method: str = "GET", status: int 
 async def _body_of(request: Request) -> dict[str, Any]:
     """Read the JSON object of a request.
 
-    Raises: TooSlow where a piece of it does not arrive; InputError where it breaks off.
+    Raises: InputError where it breaks off or is too large.
     """
-    data, pieces = bytearray(), aiter(request.stream())
-    while True:
-        try:
-            async with asyncio.timeout(_BODY_S):
-                data += await anext(pieces)
-        except StopAsyncIteration:
-            return object_of(data or b"{}", "request")
-        except ClientDisconnect:
-            raise InputError("The request broke off; send it again.") from None
-        except TimeoutError:
-            raise TooSlow(f"Nothing came of the request's body for {_BODY_S:.0f} s; send it again.") from None
-        if len(data) > MAX_JSON:
-            raise TooLarge(f"The request is larger than {MAX_JSON >> 20} MiB; send less at once.")
+    data = bytearray()
+    try:
+        async for piece in request.stream():
+            data += piece
+            if len(data) > MAX_JSON:
+                raise InputError(f"The request is larger than {MAX_JSON >> 20} MiB; send less at once.")
+    except ClientDisconnect:
+        raise InputError("The request broke off; send it again.") from None
+    return object_of(data or b"{}", "request")
 
 
 # ---- fields ----

@@ -105,7 +105,7 @@ class Hub:
         """
         if self.listens(topic):
             message = struct.pack("<BBHId", kind, 0, 0, seq & 0xFFFFFFFF, time) + data
-            self._later(lambda: [page.show(kind, message) for page in self._pages[topic]])
+            self._later(lambda: [page.put(message, kind) for page in self._pages[topic]])
 
     def _later(self, call: Any) -> None:
         with contextlib.suppress(RuntimeError):  # the loop has ended
@@ -119,24 +119,19 @@ class _Page:
     def __init__(self, ws: WebSocket) -> None:
         self._ws = ws
         self._texts: dict[Hashable, str] = {}
-        self._pictures: dict[int, bytes] = {}
+        self._pictures: dict[Hashable, bytes] = {}
         self._unanswered: set[int] = set()
         self._awake, self._numbers = asyncio.Event(), itertools.count()
 
-    def put(self, text: str, key: Hashable = None) -> None:
-        """Queue a text."""
-        key = next(self._numbers) if key is None else ("newest", key)
-        self._texts.pop(key, None)
-        self._texts[key] = text
-        self._awake.set()
+    def put(self, message: str | bytes, key: Hashable = None) -> None:
+        """Queue a text, or a picture with its header, which is sent when the page has drawn the last ones.
 
-    def show(self, kind: int, message: bytes) -> None:
-        """Queue a picture; it is sent when the page has drawn the last ones.
-
-        kind: type of the picture, of which only the newest waits.
-        message: header and file.
+        key: of messages with the same one only the newest waits; None: all wait.
         """
-        self._pictures[kind] = message
+        queue: dict[Hashable, Any] = self._texts if isinstance(message, str) else self._pictures
+        key = next(self._numbers) if key is None else ("newest", key)
+        queue.pop(key, None)
+        queue[key] = message
         self._awake.set()
 
     async def talk(self, topic: Topic) -> None:
@@ -175,7 +170,11 @@ class _Page:
             if received["type"] == "websocket.disconnect":
                 raise WebSocketDisconnect(received.get("code", 1005))
             try:
-                message = _message(received.get("text"))
+                if received.get("text") is None:
+                    raise InputError("The message is binary; send JSON as text.")
+                message = object_of(received["text"], "message")
+                if not isinstance(message.get("t"), str):
+                    raise InputError('The message has no "t" that says what it is; send one.')
                 if message["t"] == "ack":
                     self._unanswered.discard(whole(message.get("seq"), "the picture's number", 0, 2**32 - 1))
                     self._awake.set()
@@ -183,16 +182,6 @@ class _Page:
                     await asyncio.shield(topic.heard(message))
             except HyposeError as error:
                 self.put(_text({"t": "error", "error": str(error)}))
-
-
-def _message(received: str | None) -> dict[str, Any]:
-    """Parse a message of a page: an object whose "t" names its type."""
-    if received is None:
-        raise InputError("The message is binary; send JSON as text.")
-    message = object_of(received, "message")
-    if not isinstance(message.get("t"), str):
-        raise InputError('The message has no "t" that says what it is; send one.')
-    return message
 
 
 def _text(message: Message) -> str:

@@ -17,7 +17,7 @@ from typing import Any
 from hypose.app import options
 from hypose.app.commands import commands_recordings, commands_results
 from hypose.app.jobs.correct import read_correction
-from hypose.app.studio.catalog import Catalog, Item
+from hypose.app.studio.catalog import Catalog, Item, Kind
 from hypose.errors import HyposeError, InputError
 from hypose.io.files import read_json, read_toml
 from hypose.io.recordings.recording import Recording
@@ -79,6 +79,8 @@ _KINDS: Mapping[str, tuple[str, Callable[..., Any], str]] = {
 JOB_KINDS = tuple(_KINDS)
 _OWN = {"track": ("name",), "correct": ("start",)}
 """Values of a page that are no options of the command: the name of the result, the clicks to start from."""
+_OF: Mapping[str, Kind] = {"export": "result", "correct": "result", "fuse": "skeletons"}
+"""What a job works on, where that is no recording."""
 _CLICKS = "clicks:"
 """Prefix of a start that is the name of saved clicks."""
 
@@ -148,41 +150,41 @@ def plan_job(kind: str, request: Mapping[str, Any], catalog: Catalog) -> Plan:
     unknown = [str(o)[:40] for o in given if o not in known]
     if unknown:
         raise InputError(f"The job {kind} has no option {unknown[0]!r}; it has {', '.join(known)}.")
+    arguments = _arguments(kind, given)
     if kind == "demo":
         out = free_folder(catalog.root, "demo")
         result = catalog.id_of("result", out / "results" / "default")
-        command = ("demo", "--out", str(out), *_arguments(kind, given))
-        return Plan(command, title, catalog.id_of("recording", out), result)
+        return Plan(("demo", "--out", str(out), *arguments), title, catalog.id_of("recording", out), result)
+    of = _OF.get(kind, "recording")
+    item = catalog.find(of, request.get(of))
+    path, name = str(item.path), item.path.name
     if kind == "export":
-        item = catalog.find("result", _id(request, "result"))
-        return Plan(("export", str(item.path), *_arguments(kind, given)), title.format(item.path.name), None, item.id)
+        return Plan(("export", path, *arguments), title.format(name), None, item.id)
     if kind == "fuse":
-        item = catalog.find("skeletons", _id(request, "skeletons"))
         out = _inside(catalog, item, fused_in(item.path))
-        command = ("fuse", str(item.path), "--out", str(out))
-        return Plan(command, title.format(item.path.name), None, catalog.id_of("result", out))
+        return Plan(("fuse", path, "--out", str(out)), title.format(name), None, catalog.id_of("result", out))
     if kind == "correct":
-        return _correct(catalog.find("result", _id(request, "result")), given, catalog)
-    item = catalog.find("recording", _id(request, "recording"))
+        return _correct(item, given, catalog)
     for folder in ("results", "results/silhouettes", "subject"):
         _inside(catalog, item, item.path / folder)
-    title, path = title.format(item.path.name), str(item.path)
-    if kind == "calibrate":
-        boards = [str(p) for p in board_files(item.path) if catalog.contains(p)]
-        if not boards:
-            return Plan(("calibrate", path, "--from-person", *_arguments(kind, given)), title, item.id)
-        made = ("--out", str(item.path / CALIBRATION), "--sheet", str(item.path / "results" / "calibration.png"))
-        return Plan(("calibrate", *boards, *_arguments(kind, given), *made), title, item.id)
-    if kind == "in_step":
+    if kind == "track":
+        return _track(item, given, title.format(name), catalog)
+    command, makes = (kind, path, *arguments), None
+    boards = [str(p) for p in board_files(item.path) if catalog.contains(p)]
+    if kind == "calibrate" and boards:
+        sheet = item.path / "results" / "calibration.png"
+        made = ("--out", str(item.path / CALIBRATION), "--sheet", str(sheet))
+        command = ("calibrate", *boards, *arguments, *made)
+    elif kind == "calibrate":
+        command = ("calibrate", path, "--from-person", *arguments)
+    elif kind == "refine":
+        command = ("check", path, "--refine", *arguments)
+    elif kind == "in_step":
         if "offsets" not in given:
             raise InputError("Say by how many frames each view is late.")
-        out = free_folder(item.path.parent, f"{item.path.name}-in-step")
-        command = ("sync", path, *_arguments(kind, given), "--out", str(_inside(catalog, item, out)))
-        return Plan(command, title, item.id, makes=catalog.id_of("recording", out))
-    if kind == "track":
-        return _track(item, given, title, catalog)
-    command = ("check", path, "--refine") if kind == "refine" else (kind, path)
-    return Plan((*command, *_arguments(kind, given)), title, item.id, resumable=kind == "keypoints")
+        out = _inside(catalog, item, free_folder(item.path.parent, f"{name}-in-step"))
+        command, makes = ("sync", path, *arguments, "--out", str(out)), catalog.id_of("recording", out)
+    return Plan(command, title.format(name), item.id, resumable=kind == "keypoints", makes=makes)
 
 
 def _inside(catalog: Catalog, item: Item, out: Path) -> Path:
@@ -248,10 +250,14 @@ def _waits_for_user(finding: Mapping[str, Any], masked: Set[str]) -> bool:
 
 def uncalibrated(folder: Path) -> bool:
     """Return whether the cameras of a recording are not calibrated yet and are found from a board or the person."""
+    return not (folder / CALIBRATION).is_file() and described(folder).get("calibration") == CALIBRATION
+
+
+def described(folder: Path) -> dict[str, Any]:
+    """Read the values of folder/recording.toml; empty where it is missing or invalid."""
     with contextlib.suppress(HyposeError):
-        lost = not (folder / CALIBRATION).is_file()
-        return lost and read_toml(folder / "recording.toml").get("calibration") == CALIBRATION
-    return False
+        return read_toml(folder / "recording.toml")
+    return {}
 
 
 def found_offsets(folder: Path, names: Sequence[str]) -> list[float] | None:
@@ -294,43 +300,22 @@ def board_files(folder: Path) -> list[Path]:
 
     Returns: paths, made absolute from the folder; empty where recording.toml is missing, invalid, or names none.
     """
-    with contextlib.suppress(HyposeError):
-        views = read_toml(folder / "recording.toml").get("view", [])
-        return [folder / v["board"] for v in views if isinstance(v, dict) and isinstance(v.get("board"), str)]
-    return []
-
-
-def with_result_name(kind: str, request: Mapping[str, Any], catalog: Catalog) -> Mapping[str, Any]:
-    """Complete a request so that it means the same when it is planned again: a new track gets a free name, so that it
-    does not overwrite an older result.
-
-    kind: of the job; requests of others than "track" are returned as they are.
-    request: of the page.
-    catalog: of the served folder.
-    """
-    given = request.get("options") or {}
-    if kind != "track" or not isinstance(given, dict):
-        return request
-    folder = catalog.find("recording", _id(request, "recording")).path / "results"
-    return {**request, "options": {**given, "name": free_folder(folder, _result_name(given)).name}}
-
-
-def _result_name(given: Mapping[str, Any]) -> str:
-    """Return the name for a track's result: the given name, else the recipe, else "default"."""
-    name = given.get("name") or given.get("recipe") or "default"
-    if not isinstance(name, str) or not is_name(name):
-        raise InputError(f"{str(name)[:40]!r} is no name for a result; use letters, digits, -, _ and dots between.")
-    return name
+    views = described(folder).get("view", [])
+    return [folder / v["board"] for v in views if isinstance(v, dict) and isinstance(v.get("board"), str)]
 
 
 def _track(item: Item, given: Mapping[str, Any], title: str, catalog: Catalog) -> Plan:
-    """Plan `hypose track` of a recording.
+    """Plan `hypose track` of a recording, into a new folder, so that no older result is overwritten.
 
     item: the recording.
-    given: options of the page; its start may be the name of saved clicks, its subject is True or False.
+    given: options of the page; its name, or that of its recipe, is the folder's, with a number where that exists; its
+        start may be the name of saved clicks, its subject is True or False.
     title: for the page.
     """
-    out = _inside(catalog, item, item.path / "results" / _result_name(given))
+    name = given.get("name") or given.get("recipe") or "default"
+    if not isinstance(name, str) or not is_name(name):
+        raise InputError(f"{str(name)[:40]!r} is no name for a result; use letters, digits, -, _ and dots between.")
+    out = _inside(catalog, item, free_folder(item.path / "results", name))
     paths = ["--out", str(out)]
     if isinstance(start := given.get("start"), str) and start.startswith(_CLICKS):
         paths += ["--start", str(_clicked(item.path, start))]
@@ -372,14 +357,6 @@ def _clicked(folder: Path, start: str) -> Path:
     if not is_name(name) or not path.is_file():
         raise InputError(f"There are no clicks saved as {name[:40]!r} in {folder.name}; save them first.")
     return path
-
-
-def _id(request: Mapping[str, Any], name: str) -> str:
-    """Return the id that a request gives as `name`; InputError where it gives none."""
-    value = request.get(name)
-    if not isinstance(value, str):
-        raise InputError(f"Say which {name} is meant.")
-    return value
 
 
 def is_name(text: str) -> bool:

@@ -7,9 +7,9 @@ import base64
 import contextlib
 import json
 import shutil
-import threading
 import time
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +30,7 @@ from hypose.errors import InputError
 from hypose.fusion.align import AlignSettings
 from hypose.fusion.joints import COMMON, PARENT
 from hypose.fusion.live import LiveSettings
-from hypose.io.videos.camera_sources import CameraImage, is_device
+from hypose.io.videos.camera_sources import is_device
 from hypose.pipeline.live.capture import CaptureOptions
 from hypose.pipeline.live.engine import LiveEngine, LiveResult, LiveStatus, LiveTrackingOptions
 from hypose.pipeline.live.live_rig import LiveRig, live_rig
@@ -84,47 +84,51 @@ class LiveTopic(Topic):
     or describes the run.
     """
 
-    acts: tuple[str, ...] = ()
-    """Names of the methods that a page may call in addition to start and stop."""
+    joints: Mapping[str, Any] = {}
+    """Names and parents of the joints, for pages."""
 
     def __init__(self, hub: Hub, catalog: Catalog) -> None:
         self._hub, self._catalog = hub, catalog
         self._changing = asyncio.Lock()  # of two pages that start at the same time the second one is refused
+        self._running: Message | None = None
+        self._parts = contextlib.AsyncExitStack()  # ends the parts of the run, the last one first
+        self._words: list[str] = []  # sentences for the pages on how the run ended
+
+    def hello(self) -> Message:
+        """Return the state, and names and parents of the joints."""
+        return {"t": "hello", "running": self._running or False, **self.joints}
 
     async def heard(self, message: dict[str, Any]) -> None:
-        """Handle start, stop or one of the acts."""
-        kind = message["t"]
-        if kind == "stop":
-            await self.stop()
-        elif kind == "start":
-            async with self._changing:
-                if self.hello()["running"]:
-                    raise NotNow("It is running already; stop it first.")
-                await self._start(message)
-            self._hub.post(self.name, self.hello())
-        elif kind in self.acts:
-            getattr(self, kind)()
-        else:
-            known = ", ".join(["start", *self.acts])
-            raise InputError(f"There is nothing to {kind[:20]!r} here; {known} or stop.")
+        """Handle start or stop."""
+        if message["t"] == "stop":
+            return await self.stop()
+        if message["t"] != "start":
+            raise InputError(f"There is nothing to {message['t'][:20]!r} here; start or stop.")
+        async with self._changing:
+            if self._running is not None:
+                raise NotNow("It is running already; stop it first.")
+            self._words = []
+            async with contextlib.AsyncExitStack() as parts:  # undo the beginning where a later part fails
+                self._running = await self._start(message, parts)
+                self._parts = parts.pop_all()
+        self._hub.post(self.name, self.hello())
 
     async def stop(self, why: str = "") -> None:
-        """Stop and inform the pages; why: the sentence for them where `_stop` returns none."""
+        """Stop and inform the pages; why: the sentence for them where there is no other."""
         async with self._changing:
-            said = await self._stop() or why
-        if said:
+            running, self._running = self._running, None
+            await self._parts.aclose()
+        if running is not None and (said := " ".join(self._words) or why):
             self._hub.post(self.name, {"t": "said", "text": said})
         self._hub.post(self.name, self.hello())
 
-    async def _start(self, message: Message) -> None:
+    async def _start(self, message: Message, parts: contextlib.AsyncExitStack) -> Message:
         """Start as a page requests.
 
+        parts: gets what ends each part that was started.
+        Returns: description of the run.
         Raises: InputError names the value that is not possible.
         """
-        raise NotImplementedError
-
-    async def _stop(self) -> str | None:
-        """Stop; return a sentence for the page, or None."""
         raise NotImplementedError
 
 
@@ -132,23 +136,9 @@ class FuseTopic(LiveTopic):
     """Topic of the live fusion of skeletons from several depth sensors."""
 
     name = "fuse"
+    joints = {"joints": COMMON, "parents": PARENT.tolist()}
 
-    def __init__(self, hub: Hub, catalog: Catalog) -> None:
-        super().__init__(hub, catalog)
-        self._server: LiveServer | None = None
-        self._tasks: list[asyncio.Task[None]] = []
-        self._simulated = False
-
-    def hello(self) -> Message:
-        """Return the state, and names and parents of the joints."""
-        running: Any = False
-        if (s := self._server) is not None:
-            o = s.options
-            running = {"udp": s.udp_port, "ws": s.ws_port, "simulated": self._simulated, "osc": o.osc}
-            running |= {"record": _reported(o.record)}
-        return {"t": "hello", "running": running, "joints": COMMON, "parents": PARENT.tolist()}
-
-    async def _start(self, message: Message) -> None:
+    async def _start(self, message: Message, parts: contextlib.AsyncExitStack) -> Message:
         """Open the ports on this computer, and the recording where wanted; `simulated`: number of simulated sensors
         that send to it.
         """
@@ -170,72 +160,60 @@ class FuseTopic(LiveTopic):
             if record is not None:
                 shutil.rmtree(record, ignore_errors=True)  # nothing was recorded there
             raise
-        self._server, self._simulated = server, seen is not None
-        self._tasks = [asyncio.ensure_future(self._tell(server))]
+        parts.push_async_callback(self._end, server)
+        works = [self._tell(server)]
         if seen is not None:
-            sending = simulated_sensors.send(seen, server.take, np.random.default_rng(1))
-            self._tasks.append(asyncio.ensure_future(sending))
+            works.append(simulated_sensors.send(seen, server.take, np.random.default_rng(1)))
+        parts.push_async_callback(_cancel, [asyncio.ensure_future(work) for work in works])
+        running = {"udp": server.udp_port, "ws": server.ws_port, "simulated": seen is not None, "osc": osc}
+        return running | {"record": _reported(record)}
 
     async def _tell(self, server: LiveServer) -> None:
         """Forward the messages of the fusion server to the pages."""
         queue: asyncio.Queue[str] = asyncio.Queue(_WAITING)
-        server.outbox.queues.add(queue)
-        while True:
-            line = await queue.get()
-            self._hub.post(self.name, line.replace('"type":', '"t":', 1), key=line.partition(",")[0])
+        server.sockets.queues.add(queue)
+        try:
+            while True:
+                line = await queue.get()
+                self._hub.post(self.name, line.replace('"type":', '"t":', 1), key=line.partition(",")[0])
+        finally:
+            server.sockets.queues.discard(queue)
 
-    async def _stop(self) -> str | None:
-        """Close the ports; return the sentence on the recording."""
-        server, self._server = self._server, None
-        for task in self._tasks:
-            task.cancel()
-        await asyncio.gather(*self._tasks, return_exceptions=True)
-        self._tasks = []
-        if server is None:
-            return None
+    async def _end(self, server: LiveServer) -> None:
+        """Close the ports and complete the recording."""
         await server.stop()
-        record = _reported(server.options.record)
-        return record and (server.unrecorded or f"Recorded as {record}.")
+        if (record := _reported(server.options.record)) is not None:
+            self._words.append(server.unrecorded or f"Recorded as {record}.")
 
 
-@dataclass
-class _Following:
-    """Running live tracking: the engine, its listeners, and its description for pages."""
-
-    engine: LiveEngine
-    outputs: PoseOutputs
-    pictures: _Pictures
-    recorder: LiveRecorder | None
-    reported: Message
+async def _cancel(tasks: Sequence[asyncio.Task[None]]) -> None:
+    """Cancel tasks and wait for their end."""
+    for task in tasks:
+        task.cancel()
+    await asyncio.gather(*tasks, return_exceptions=True)
 
 
 class CameraTopic(LiveTopic):
     """Topic of live tracking with calibrated cameras, with small pictures and masks."""
 
     name = "cameras"
-    acts = ("room",)
 
     def __init__(self, hub: Hub, catalog: Catalog) -> None:
         super().__init__(hub, catalog)
-        self._following: _Following | None = None
+        skeleton = human().skeleton
+        self.joints = {"joints": skeleton.joint_names, "parents": [int(p) for p in skeleton.parents]}
+        self._engine: LiveEngine | None = None
         self._watching: asyncio.Task[None] | None = None
 
-    def hello(self) -> Message:
-        """Return the state, and names and parents of the joints."""
-        s, f = human().skeleton, self._following
-        joints = {"joints": s.joint_names, "parents": [int(p) for p in s.parents]}
-        return {"t": "hello", "running": False if f is None else f.reported, **joints}
-
-    def room(self) -> None:
-        """Learn the empty room again.
-
-        Raises: NotNow where no cameras are running.
-        """
-        if self._following is None:
+    async def heard(self, message: dict[str, Any]) -> None:
+        """Handle start, stop, or room: learn the empty room again."""
+        if message["t"] != "room":
+            return await super().heard(message)
+        if self._running is None or self._engine is None:
             raise NotNow("The empty room is learnt while the cameras run; start them.")
-        self._following.engine.learn_room()
+        self._engine.learn_room()
 
-    async def _start(self, message: Message) -> None:
+    async def _start(self, message: Message, parts: contextlib.AsyncExitStack) -> Message:
         """Start live tracking. The message has these fields:
 
         recording: id of a recording with calibrated cameras.
@@ -244,7 +222,7 @@ class CameraTopic(LiveTopic):
         people: most people that are tracked.
         record, osc, vmc: as for the fusion.
         """
-        recording = self._catalog.find("recording", text(message.get("recording"), "recording", 200, "choose one"))
+        recording = self._catalog.find("recording", message.get("recording"))
         sources = _sources(message.get("sources") or {})
         countdown = request_number(message.get("countdown", 5), "the countdown", 0, 600)
         rate = request_number(message["rate"], "the rate", 1, 240) if message.get("rate") else None
@@ -255,62 +233,53 @@ class CameraTopic(LiveTopic):
         cameras = await run_in_threadpool(live_rig, recording.path, sources, rate, not recorded)
         names = tuple(v.name for v in cameras.views)
         record = recording_folder(self._catalog, _FOLDER, "cameras") if recorded else None
+        outputs = PoseOutputs(names, cameras.rate, ws=ws, osc=osc, vmc=vmc, clock=time.monotonic)
+        parts.push_async_callback(run_in_threadpool, outputs.close)
+        pictures = _Pictures(self._hub, self.name, cameras)
+        parts.callback(pictures.close)
+        listeners: list[Any] = [outputs, pictures]
         recorder = None
-        async with contextlib.AsyncExitStack() as undone:  # undo the beginning where a later part fails
-            outputs = PoseOutputs(names, cameras.rate, ws=ws, osc=osc, vmc=vmc, clock=time.monotonic)
-            undone.push_async_callback(run_in_threadpool, outputs.close)
-            if record is not None:
-                recorder = LiveRecorder(record, cameras.rig, cameras.views, cameras.silhouettes, cameras.height)
-                undone.push_async_callback(run_in_threadpool, recorder.close)
-            pictures = _Pictures(self._hub, self.name, cameras)
-            undone.callback(pictures.close)
-            eyes = CaptureOptions(cameras.rate, countdown, cameras.silhouettes)
-            how = LiveTrackingOptions(eyes, LivePersonOptions(height=cameras.height), people, pictures=True)
-            listeners = [outputs, pictures, *([recorder] if recorder else [])]
-            engine = LiveEngine(cameras.rig, cameras.views, how, listeners)
-            undone.push_async_callback(run_in_threadpool, engine.stop)
-            await run_in_threadpool(engine.start)
-            undone.pop_all()
+        if record is not None:
+            recorder = LiveRecorder(record, cameras.rig, cameras.views, cameras.silhouettes, cameras.height)
+            parts.push_async_callback(self._recorded, recorder)
+            listeners.append(recorder)
+        eyes = CaptureOptions(cameras.rate, countdown, cameras.silhouettes)
+        how = LiveTrackingOptions(eyes, LivePersonOptions(height=cameras.height), people, pictures=True)
+        self._engine = LiveEngine(cameras.rig, cameras.views, how, listeners)
+        parts.push_async_callback(self._end, self._engine)
+        await run_in_threadpool(self._engine.start)
+        self._watching = asyncio.ensure_future(self._watch(self._engine, recorder))
         port = outputs.listeners.port if outputs.listeners is not None else 0
-        reported = {"recording": recording.id, "cameras": names, "ws": port, "osc": osc, "vmc": vmc}
-        reported |= {"record": _reported(record), "played": not sources}
-        self._following = _Following(engine, outputs, pictures, recorder, reported)
-        self._watching = asyncio.ensure_future(self._watch(self._following))
+        running = {"recording": recording.id, "cameras": names, "ws": port, "osc": osc, "vmc": vmc}
+        return running | {"record": _reported(record), "played": not sources}
 
-    async def _watch(self, following: _Following) -> None:
+    async def _watch(self, engine: LiveEngine, recorder: LiveRecorder | None) -> None:
         """Stop the run when all files are over or it has failed, and report that, and a failed recorder."""
-        recorder, reported = following.recorder, False
-        while not following.engine.ended.is_set():
+        reported = False
+        while not engine.ended.is_set():
             await asyncio.sleep(0.2)
             if recorder is not None and recorder.failed and not reported:
                 reported = True
                 self._hub.post(self.name, {"t": "said", "text": recorder.failed})
-        if self._following is following:
+        if self._running is not None and self._engine is engine:
             await self.stop("All videos are over.")
 
-    async def _stop(self) -> str | None:
-        """Stop the engine, then its listeners."""
-        f, self._following = self._following, None
-        if f is None:
-            return None
-        await run_in_threadpool(f.engine.stop)
-        await run_in_threadpool(f.outputs.close)
-        f.pictures.close()
-        said = [] if f.engine.failed is None else [f"It ended: {str(f.engine.failed).rstrip('.')}."]
-        if f.recorder is not None:
-            said.append(await run_in_threadpool(_recorded, f.recorder))
-        return " ".join(said) or None
+    async def _end(self, engine: LiveEngine) -> None:
+        """Stop the engine; note why it failed."""
+        await run_in_threadpool(engine.stop)
+        if engine.failed is not None:
+            self._words.append(f"It ended: {str(engine.failed).rstrip('.')}.")
 
-
-def _recorded(recorder: LiveRecorder) -> str:
-    """Finish a recording; return the sentence for the page."""
-    try:
-        if not recorder.close():
-            return "Nothing was recorded: no instant was seen after the empty room was known."
-    except InputError as error:
-        return str(error)
-    without = f", without {recorder.left_out} instants" if recorder.left_out else ""
-    return f"Recorded as {_reported(recorder.folder)}{without}."
+    async def _recorded(self, recorder: LiveRecorder) -> None:
+        """Complete a recording; note what it holds."""
+        try:
+            kept = await run_in_threadpool(recorder.close)
+        except InputError as error:
+            self._words.append(str(error))
+            return
+        without = f", without {recorder.left_out} instants" if recorder.left_out else ""
+        nothing = "Nothing was recorded: no instant was seen after the empty room was known."
+        self._words.append(f"Recorded as {_reported(recorder.folder)}{without}." if kept else nothing)
 
 
 def _sources(value: Any) -> dict[str, str]:
@@ -334,11 +303,9 @@ class _Pictures:
         self._hub, self._topic = hub, topic
         self._cameras = tuple(v.name for v in cameras.views)
         self._places = [np.linalg.inv(c.camera_from_world).round(4).tolist() for c in cameras.rig]
-        self._newest: LiveResult | None = None
         self._drawn = -np.inf
-        self._wake, self._ended = threading.Event(), False
-        self._thread = threading.Thread(target=self._draw, name="pictures", daemon=True)
-        self._thread.start()
+        self._drawing, self._pool = Future[None](), ThreadPoolExecutor(1, "pictures")
+        self._drawing.set_result(None)
 
     def seen(self, seen: LiveResult) -> None:
         """Send the poses of an instant, and let pictures be drawn where they are due."""
@@ -349,9 +316,8 @@ class _Pictures:
         if people:
             first = {k: people[0][k] for k in ("n", "time", "latency_ms")}
             self._hub.post(self._topic, {"t": "frame", **first, "people": people}, key="frame")
-        if now - self._drawn >= PICTURES_S:
-            self._drawn, self._newest = now, seen
-            self._wake.set()
+        if now - self._drawn >= PICTURES_S and self._drawing.done() and self._hub.listens(self._topic):
+            self._drawn, self._drawing = now, self._pool.submit(self._draw, seen)
 
     def status(self, status: LiveStatus) -> None:
         """Send the state of the run."""
@@ -365,19 +331,13 @@ class _Pictures:
 
     def close(self) -> None:
         """Stop drawing pictures."""
-        self._ended = True
-        self._wake.set()
-        self._thread.join(5)
+        self._pool.shutdown()
 
-    def _draw(self) -> None:
-        """Send pictures of the newest instant whenever they are due; the work of the thread."""
-        while not self._ended:
-            self._wake.wait()
-            self._wake.clear()
-            if (seen := self._newest) is not None and self._hub.listens(self._topic):
-                views = zip(self._cameras, seen.sight.jpegs, seen.sight.views, strict=True)
-                pictures = [{"name": n, "jpeg": _picture(j, None if v is None else v[0])} for n, j, v in views]
-                self._hub.post(self._topic, {"t": "pictures", "cameras": pictures}, key="pictures")
+    def _draw(self, seen: LiveResult) -> None:
+        """Send pictures of an instant."""
+        views = zip(self._cameras, seen.sight.jpegs, seen.sight.views, strict=True)
+        pictures = [{"name": n, "jpeg": _picture(j, None if v is None else v[0])} for n, j, v in views]
+        self._hub.post(self._topic, {"t": "pictures", "cameras": pictures}, key="pictures")
 
 
 def _picture(jpeg: bytes | None, bits: np.ndarray | None) -> str | None:
@@ -387,9 +347,9 @@ def _picture(jpeg: bytes | None, bits: np.ndarray | None) -> str | None:
     bits: mask (h, w / 8), eight pixels per byte, or None.
     Returns: None without a picture.
     """
-    image = None if jpeg is None else CameraImage(0.0, None, jpeg).picture((_WIDTH, 1))
-    if image is None:
+    if jpeg is None:
         return None
+    image = np.asarray(cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR))
     size = _WIDTH, max(1, round(_WIDTH * image.shape[0] / image.shape[1]))
     small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
     if bits is not None:

@@ -7,8 +7,8 @@ from __future__ import annotations
 import contextlib
 import json
 import re
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager
+import threading
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, cast
@@ -20,8 +20,15 @@ from numpy.typing import NDArray
 from hypose.app.studio.catalog import Catalog, Item, NotFound
 from hypose.app.studio.http import request_choice, text, whole
 from hypose.app.studio.http import request_number as number_of
-from hypose.app.studio.job_kinds import CALIBRATION, board_files, found_offsets, next_step, read_found, uncalibrated
-from hypose.app.studio.lru_cache import LruCache
+from hypose.app.studio.job_kinds import (
+    CALIBRATION,
+    board_files,
+    described,
+    found_offsets,
+    next_step,
+    read_found,
+    uncalibrated,
+)
 from hypose.app.studio.view_pictures import OpenRecording
 from hypose.calibration.views import find_sources
 from hypose.errors import HyposeError, InputError
@@ -39,18 +46,18 @@ from hypose.io.recordings.recording import (
 from hypose.json_text import parse_json
 
 # ---- edits ---------------------------------------------------------------------------------------------------------
-# Correct faults that a check has found by a change of recording.toml; its other lines stay unchanged.
-#
-# Every change is tried: where the recording cannot be read with it, the old text is restored, and a sentence says why.
+# Correct faults that a check has found by a change of recording.toml; its other lines stay unchanged. The text is split
+# into tables: the lines of the recording itself, then of each [table] with its header.
 
 
 _KINDS = (
     "accept_scaled", "leave_out", "take_back", "background", "board", "height", "use_refined", "keypoint_lag",
     "keypoint_pixels", "image_shift",
 )  # fmt: skip
-_AWAY = "#left out# "
-"""Prefix of every line of a view that is left out, so that it can be restored."""
+_VIEW, _AWAY = "[[view]]", "[[left_out]]"
+"""Headers of the table of a view, and of one that is left out."""
 _REFINED = "results/calibration_refined*.toml"
+_Tables = list[list[str]]
 
 
 def edit_recording(folder: Path, recording: Recording | None, asked: dict[str, Any], catalog: Catalog) -> None:
@@ -65,28 +72,60 @@ def edit_recording(folder: Path, recording: Recording | None, asked: dict[str, A
         first; height and board are not checked in this way.
     """
     what = request_choice(asked.get("what"), "way to repair", _KINDS)
-    path = described(folder, recording)
+    path = _description(folder, recording)
     before = read_text(path, "a recording.toml")
+    tables = _tables_of(before)
     if what == "use_refined":
-        return _try(path, before, _with_calibration(before, newest_refined_calibration(folder)))
-    if what == "take_back":
-        return _try(path, before, "\n".join(line.removeprefix(_AWAY) for line in before.split("\n")))
-    if what == "keypoint_pixels":
-        return _try(path, before, _at_top(before, "keypoint_pixels", "image"))
-    if what == "height":
+        tables[0] = _with_calibration(tables[0], newest_refined_calibration(folder))
+    elif what == "take_back":
+        for lines in tables[1:]:
+            lines[0] = lines[0].replace(_AWAY, _VIEW)
+    elif what == "keypoint_pixels":
+        tables[0] = _set(tables[0], "keypoint_pixels", "image")
+    elif what == "height":
         metres = number_of(asked.get("metres"), "the height of the person (m)", 0.4, 2.8)
-        return write_text(path, _at_top(before, "subject_height", metres))
-    if what == "keypoint_lag":
+        tables[0] = _set(tables[0], "subject_height", metres)
+    elif what == "keypoint_lag":
         frames = whole(asked.get("frames"), "the frames by which the key points are moved", -10_000, 10_000)
         lag = frames + (0 if recording is None else recording.keypoint_lag)
-        return _try(path, before, _at_top(before, "keypoint_lag", lag))
-    names = _names(path, recording)
+        tables[0] = _set(tables[0], "keypoint_lag", lag)
+    else:
+        _edit_view(tables, read_toml(path).get("view", []), what, asked, recording, folder, catalog)
+    write_text(path, "\n".join(line for lines in tables for line in lines))
+    if what not in ("height", "board"):
+        try:
+            load_recording(folder)
+        except HyposeError as error:
+            write_text(path, before)
+            raise InputError(f"That does not repair it: {error}") from None
+
+
+def _edit_view(
+    tables: _Tables,
+    parsed: Sequence[Mapping[str, Any]],
+    what: str,
+    asked: Mapping[str, Any],
+    recording: Recording | None,
+    folder: Path,
+    catalog: Catalog,
+) -> None:
+    """Change the table of one view; arguments as in `edit_recording`.
+
+    tables: of recording.toml; the table is changed in place.
+    parsed: values of the views.
+    """
+    views = [k for k, lines in enumerate(tables) if _header(lines) == _VIEW]
+    if len(views) != len(parsed):
+        raise InputError("The views are not written as [[view]] in recording.toml; change it by hand.")
+    names = [str(v.get("name") or f"view{k}") for k, v in enumerate(parsed, 1)]
     name = request_choice(asked.get("view"), "view", names)
     number, value = names.index(name), cast(Any, True)
+    lines = tables[views[number]]
     if what == "leave_out":
         if len(names) < 2:
             raise InputError(f"{name} is the only view; a recording needs one.")
-        return _try(path, before, _changed(before, number, lambda b: [_AWAY + t if t.strip() else t for t in b]))
+        lines[0] = lines[0].replace(_VIEW, _AWAY)
+        return
     if what == "image_shift":
         old = (0.0, 0.0) if recording is None else recording.views[number].image_shift
         by = (number_of(asked.get(k), f"the shift of the pictures in {k} (px)", -1e4, 1e4) for k in ("x", "y"))
@@ -94,9 +133,7 @@ def edit_recording(folder: Path, recording: Recording | None, asked: dict[str, A
     if what in ("background", "board"):
         room = catalog.inside(text(asked.get("path"), "file of a view", 1000, "choose one"), folder)
         value = (room.relative_to(folder) if room.is_relative_to(folder) else room).as_posix()
-    line = f"{what} = {toml_value(value)}"
-    after = _changed(before, number, lambda b: [*_set_aside(b, what), line])
-    _try(path, before, after) if what != "board" else write_text(path, after)
+    tables[views[number]] = _set(lines, what, value)
 
 
 def tick_findings(folder: Path, numbers: Sequence[Any]) -> None:
@@ -108,32 +145,11 @@ def tick_findings(folder: Path, numbers: Sequence[Any]) -> None:
         write_text(folder / "results" / "check.json", json.dumps({**found, "stale": True}))
 
 
-def described(folder: Path, recording: Recording | None) -> Path:
+def _description(folder: Path, recording: Recording | None) -> Path:
     """Return the path of a recording's recording.toml; for a Pose2Sim project without one, write it first."""
     if not (folder / "recording.toml").is_file() and recording is not None:
         write_recording(recording, folder)
     return folder / "recording.toml"
-
-
-def _names(path: Path, recording: Recording | None) -> list[str]:
-    """Return the names of the views, also of a recording that cannot be read."""
-    if recording is not None:
-        return [v.name for v in recording.views]
-    tables = read_toml(path).get("view", [])
-    return [str(t.get("name", t.get("camera", k))) for k, t in enumerate(tables, 1) if isinstance(t, dict)]
-
-
-def excluded_views(folder: Path) -> list[str]:
-    """List the names of the views that were left out of a recording."""
-    try:
-        lines = read_text(folder / "recording.toml", "a recording.toml").split("\n")
-    except InputError:
-        return []
-    away = [line.removeprefix(_AWAY) for line in lines if line.startswith(_AWAY)]
-    found = [re.match(r"""\s*(?:name|camera)\s*=\s*["'](.+?)["']""", line) for line in away]
-    blocks = sum(line.strip() == "[[view]]" for line in away)
-    names = list(dict.fromkeys(m[1] for m in found if m))
-    return names if len(names) == blocks else [f"{blocks} views"] if blocks else []
 
 
 def newest_refined_calibration(folder: Path) -> str | None:
@@ -142,76 +158,44 @@ def newest_refined_calibration(folder: Path) -> str | None:
     return files[-1].relative_to(folder).as_posix() if files else None
 
 
-def _try(path: Path, before: str, after: str) -> None:
-    """Write a changed text, and restore the old one where the recording cannot be read with it.
-
-    path: of recording.toml.
-    before, after: old and new text.
-    Raises: InputError says why it cannot be read.
-    """
-    write_text(path, after)
-    try:
-        load_recording(path.parent)
-    except HyposeError as error:
-        write_text(path, before)
-        raise InputError(f"That does not repair it: {error}") from None
+def _tables_of(text: str) -> _Tables:
+    """Split a TOML text into the lines of its tables, the first without a header."""
+    tables: _Tables = [[]]
+    for line in text.split("\n"):
+        if line.lstrip().startswith("["):
+            tables.append([])
+        tables[-1].append(line)
+    return tables
 
 
-def _changed(whole: str, number: int, change: Callable[[list[str]], list[str]]) -> str:
-    """Return the text of a recording.toml with the lines of one view changed.
-
-    whole: the text.
-    number: of the view, from 0.
-    change: gets the view's lines and returns the new ones.
-    Raises: InputError where the views are not written as [[view]].
-    """
-    lines = whole.split("\n")
-    heads = [i for i, line in enumerate(lines) if line.split("#")[0].strip() == "[[view]]"]
-    if number >= len(heads):
-        raise InputError("The views are not written as [[view]] in recording.toml; change it by hand.")
-    first = heads[number]
-    following = (i for i in range(first + 1, len(lines)) if lines[i].lstrip().startswith("["))
-    stop = next(following, len(lines))
-    while stop > first + 1 and not lines[stop - 1].strip():
-        stop -= 1
-    return "\n".join([*lines[:first], *change(lines[first:stop]), *lines[stop:]])
+def _header(lines: Sequence[str]) -> str:
+    """Return the header of a table, without a comment; "" where it is empty."""
+    return lines[0].split("#")[0].strip() if lines else ""
 
 
-def _at_top(whole: str, key: str, value: Any) -> str:
-    """Return the text of a recording.toml with a key of the recording itself set.
-
-    whole: the text.
-    key: of the recording; an older line of it is removed.
-    value: of the key.
-    """
-    lines = whole.split("\n")
-    end = next((i for i, line in enumerate(lines) if line.lstrip().startswith("[")), len(lines))
-    return "\n".join([f"{key} = {toml_value(value)}", *_set_aside(lines[:end], key), *lines[end:]])
+def _set(lines: Sequence[str], key: str, value: Any) -> list[str]:
+    """Return the lines of a table with a key set; an older line of it is removed."""
+    at = int(_header(lines).startswith("["))
+    others = [line for line in lines[at:] if not re.match(rf"\s*{key}\s*=", line)]
+    return [*lines[:at], f"{key} = {toml_value(value)}", *others]
 
 
-def _set_aside(lines: list[str], key: str) -> list[str]:
-    """Return lines without those that set a key."""
-    return [line for line in lines if not re.match(rf"\s*{key}\s*=", line)]
+def _with_calibration(lines: Sequence[str], name: str | None) -> list[str]:
+    """Return the lines of the recording itself with another calibration, in metres with z up; the old ones become
+    comments.
 
-
-def _with_calibration(whole: str, name: str | None) -> str:
-    """Return the text with another calibration, in metres with z up; the old lines become comments.
-
-    whole: text of a recording.toml.
     name: path of the calibration, relative to the recording.
     Raises: InputError where it is None.
     """
     if name is None:
         raise InputError("There is no refined calibration yet; refine it first.")
-    lines = whole.split("\n")
-    end = next((i for i, line in enumerate(lines) if line.lstrip().startswith("[")), len(lines))
     old = re.compile(r"\s*(calibration|calibration_unit|world_up)\s*=")
-    head = [f"# before: {line.strip()}" if old.match(line) else line for line in lines[:end]]
-    return "\n".join([f"calibration = {toml_value(name)}", *head, *lines[end:]])
+    kept = [f"# before: {line.strip()}" if old.match(line) else line for line in lines]
+    return [f"calibration = {toml_value(name)}", *kept]
 
 
 _OPEN, _QUALITY = 128 << 20, 85
-"""Most bytes of all open recordings; JPEG quality."""
+"""Most bytes of all open recordings, beyond which only the last used one stays open; JPEG quality."""
 _EDGE = (70, 60, 255)  # BGR; the same pink as in the report
 
 
@@ -219,16 +203,15 @@ class Recordings:
     """Open recordings, for several threads."""
 
     def __init__(self, catalog: Catalog) -> None:
-        self._catalog = catalog
-        # the last used one stays, however large it is, since backgrounds take seconds to make
-        self._open: LruCache[OpenRecording] = LruCache(_OPEN, lambda o: o.held, OpenRecording.close)
+        self._catalog, self._lock = catalog, threading.Lock()
+        self._open: dict[Hashable, OpenRecording] = {}  # the last used one is last
 
     def load(self, item: Item) -> Recording:
         """Load the recording of an item.
 
         Raises: InputError names the cause.
         """
-        with self._opened(item) as opened:
+        with self.opened(item.path) as opened:
             return opened.recording
 
     def shown(self, item: Item, results: Sequence[str]) -> dict[str, Any]:
@@ -243,7 +226,7 @@ class Recordings:
             "sync": read_found(item.path, "sync.json"),
             "check": read_found(item.path, "check.json"),
             "subject": read_subject(item.path),
-            "left_out": excluded_views(item.path),
+            "left_out": _excluded_views(item.path),
             "refined": _unused(item.path),
             "starts": sorted(p.stem for p in (item.path / "starts").glob("*.json")),
         }
@@ -304,7 +287,7 @@ class Recordings:
         settings: of the mask, texts by their names.
         Raises: NotFound or InputError where there is no such picture.
         """
-        with self._opened(item) as opened:
+        with self.opened(item.path) as opened:
             r = opened.recording
             if camera not in r.rig.names:
                 raise NotFound(f"{r.name} has no camera {camera[:40]!r}; it has {', '.join(r.rig.names)}.")
@@ -325,21 +308,43 @@ class Recordings:
     def save_settings(self, item: Item, settings: Mapping[str, Any]) -> dict[str, Any]:
         """Write the table [silhouettes] into recording.toml, without a change of other lines; return all settings."""
         options = silhouette_options("The settings", settings)
-        path = described(item.path, self.load(item))
+        path = _description(item.path, self.load(item))
         read_toml(path)
-        text = without_table(read_text(path, "a recording.toml"), "silhouettes").rstrip("\n")
-        write_text(path, "\n".join([text, *silhouette_lines(options)]) + "\n")
+        tables = _tables_of(read_text(path, "a recording.toml"))
+        kept = [line for lines in tables if _header(lines) != "[silhouettes]" for line in lines]
+        write_text(path, "\n".join(["\n".join(kept).rstrip("\n"), *silhouette_lines(options)]) + "\n")
         return asdict(options)
 
-    def drop(self) -> None:
-        """Release the files that are not in use."""
-        self._open.drop()
+    @contextlib.contextmanager
+    def opened(self, folder: Path, frames: tuple[int, int] | None = None) -> Iterator[OpenRecording]:
+        """Open a recording, or return the open one; it stays open while the block runs, and then as long as there is
+        memory for it.
 
-    def _opened(self, item: Item) -> AbstractContextManager[OpenRecording]:
-        return self._open.use(
-            (item.id, _stamp(item.path)),
-            lambda: OpenRecording(load_recording(item.path, uncalibrated=uncalibrated(item.path))),
-        )
+        folder: of the recording.
+        frames: first frame and end of the rows; None: all frames.
+        """
+        key = folder, frames, _stamp(folder)
+        opened = self._open.get(key)
+        if opened is None:  # reading it may take seconds, which others need not wait for; it opens no video yet
+            opened = OpenRecording(load_recording(folder, uncalibrated=uncalibrated(folder)), frames)
+        with self._lock:
+            opened = self._open.pop(key, opened)
+            self._open[key] = opened
+            opened.users += 1
+        try:
+            yield opened
+        finally:
+            with self._lock:
+                opened.users -= 1
+                for unused in [k for k, o in self._open.items() if not o.users][:-1]:
+                    if sum(o.held for o in self._open.values()) > _OPEN:
+                        self._open.pop(unused).close()
+
+    def drop(self) -> None:
+        """Close the recordings that are not in use, since some systems cannot move open files."""
+        with self._lock:
+            for unused in [k for k, o in self._open.items() if not o.users]:
+                self._open.pop(unused).close()
 
 
 def _draw_mask(image: Image, mask: Mask, shown: str) -> Image:
@@ -374,17 +379,6 @@ def _with_query(options: SilhouetteSettings, settings: Mapping[str, str]) -> Sil
     return silhouette_options("The settings", table)
 
 
-def without_table(text: str, name: str) -> str:
-    """Return a TOML text without the table of this name."""
-    out, inside = [], False
-    for line in text.splitlines():
-        if line.lstrip().startswith("["):
-            inside = line.split("#")[0].strip() == f"[{name}]"
-        if not inside:
-            out.append(line)
-    return "\n".join(out) + "\n"
-
-
 def board_of(folder: Path) -> dict[str, Any] | None:
     """Describe the calibration by a board: cameras with clips of the board (none where they are calibrated from the
     person), whether they are calibrated, and the time (s) of the contact sheet, None without one. None where neither
@@ -398,12 +392,16 @@ def board_of(folder: Path) -> dict[str, Any] | None:
     return {"cameras": names, "calibrated": calibrated, "sheet": made} if names or uncalibrated(folder) else None
 
 
+def _excluded_views(folder: Path) -> list[str]:
+    """List the names of the views that were left out of a recording."""
+    away = described(folder).get("left_out", [])
+    return [str(v.get("name") or v.get("camera")) for v in away if isinstance(v, dict)]
+
+
 def _unused(folder: Path) -> str | None:
     """Return a refined calibration that the recording does not use yet."""
     found = newest_refined_calibration(folder)
-    with contextlib.suppress(HyposeError):
-        return found if read_toml(folder / "recording.toml").get("calibration") != found else None
-    return None
+    return found if described(folder).get("calibration") != found else None
 
 
 def read_subject(folder: Path) -> dict[str, Any] | None:

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import io
 import shutil
 import socket
 import threading
 import zipfile
-from collections.abc import AsyncIterator, Callable, Iterator
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import AsyncIterator, Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 from urllib.parse import quote
 
 import numpy as np
@@ -47,7 +44,7 @@ from hypose.app.studio.http import (
     token_for,
 )
 from hypose.app.studio.hub import MAX_MESSAGE, Hub
-from hypose.app.studio.job_kinds import forms, fused_in, is_name
+from hypose.app.studio.job_kinds import forms, fused_in
 from hypose.app.studio.jobs import Jobs
 from hypose.app.studio.live_topics import CameraTopic, FuseTopic
 from hypose.app.studio.recordings import Recordings, edit_recording, tick_findings
@@ -60,30 +57,21 @@ STATIC_FOLDER = Path(__file__).parent / "static"
 MOST_CONNECTIONS = 256
 
 
-@dataclass(frozen=True)
-class StudioOptions:
-    """Options of the studio.
+class Studio:
+    """State of a server: the catalog, jobs, topics and open files; `app` is the ASGI application.
 
     root: folder that is served.
-    host, port: address; port 0: any free one.
-    token: None: one is made where other computers can connect.
+    host: address of this computer on which it is served.
+    token: that pages must show; None: one is made where other computers can connect.
     """
 
-    root: Path
-    host: str = "127.0.0.1"
-    port: int = 8765
-    token: str | None = None
-
-
-class Studio:
-    """State of a server: the catalog, jobs, topics and open files; `app` is the ASGI application."""
-
-    def __init__(self, options: StudioOptions) -> None:
-        self.token = token_for(options.host, options.token)
-        self.catalog = Catalog(options.root)
+    def __init__(self, root: Path, host: str = "127.0.0.1", token: str | None = None) -> None:
+        self.token = token_for(host, token)
+        self.catalog = Catalog(root)
         self.hub = Hub()
         self.jobs = Jobs(self.catalog, self.hub)
-        self.results, self.recordings = Results(self.catalog), Recordings(self.catalog)
+        self.recordings = Recordings(self.catalog)
+        self.results = Results(self.catalog, self.recordings)
         self.gestures = GestureTopic(self.hub, self.catalog)
         self.fusion, self.cameras = FuseTopic(self.hub, self.catalog), CameraTopic(self.hub, self.catalog)
         for topic in (self.jobs, self.gestures, self.fusion, self.cameras):
@@ -133,18 +121,9 @@ class Studio:
         yield
         await self.fusion.stop()
         await self.cameras.stop()
-        await run_in_threadpool(self.close)
-
-    def let_go(self) -> None:
-        """Close open files of results and recordings, since some systems cannot move open files."""
-        self.results.drop()
+        await self.jobs.close()
+        await run_in_threadpool(self.gestures.close)
         self.recordings.drop()
-
-    def close(self) -> None:
-        """Stop jobs and sessions, keep their work, and close all files."""
-        self.gestures.close()
-        self.jobs.close()
-        self.let_go()
 
 
 def _warm() -> None:
@@ -230,16 +209,18 @@ def open_port(host: str, port: int) -> socket.socket:
     return opened
 
 
-def run_server(options: StudioOptions, ready: Callable[[str], None]) -> None:
+def run_server(root: Path, host: str, port: int, token: str | None, ready: Callable[[str], None]) -> None:
     """Serve until Ctrl-C or SIGTERM; ready(address) is called when the page can be opened.
 
+    root, host, token: as for `Studio`.
+    port: 0: any free one.
     Raises: InputError where the port cannot be used.
     """
-    opened = open_port(options.host, options.port)
-    studio = Studio(options)
-    token = f"?token={quote(studio.token)}" if studio.token else ""
-    host = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}.get(options.host, options.host)
-    ready(f"http://{host}:{opened.getsockname()[1]}/{token}")
+    opened = open_port(host, port)
+    studio = Studio(root, host, token)
+    query = f"?token={quote(studio.token)}" if studio.token else ""
+    host = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}.get(host, host)
+    ready(f"http://{host}:{opened.getsockname()[1]}/{query}")
     with contextlib.suppress(KeyboardInterrupt):
         make_server(studio).run(sockets=[opened])
 
@@ -253,7 +234,6 @@ _UNTRUSTED = (
 """Content security policy of pages from the served folder: they can show themselves, but reach neither the server nor
 anything else.
 """
-_T = TypeVar("_T")
 _Body = dict[str, Any]
 
 
@@ -269,7 +249,6 @@ def routes(studio: Studio) -> list[Route]:
         *_of_jobs(studio),
         *_of_recordings(studio, item_of),
         *_of_results(studio, item_of),
-        *_of_folders(studio, item_of),
         route(
             "/api/models/{id}/thumbnail.jpg", lambda r: jpeg_answer(gesture_thumbnail(item_of("model", r).path), 600)
         ),
@@ -280,77 +259,39 @@ def routes(studio: Studio) -> list[Route]:
 ItemOf = Callable[[Kind, Request], Item]
 
 
-def _of_folders(studio: Studio, item_of: ItemOf) -> list[Route]:
-    """Build the routes that rename recordings and results, and delete results.
-
-    item_of: finds the item of a kind that a request's address names.
-    """
-    catalog = studio.catalog
-
-    @contextlib.contextmanager
-    def changing(item: Item, what: str) -> Iterator[None]:
-        """Prepare the change of an item's folder: refuse it while a job uses the item, and close all open files."""
-        if item.path == catalog.root:
-            raise InputError(f"{item.path.name} is the folder that is served; change it from outside.")
-        if any(studio.jobs.needs(i.id) for i in catalog.every() if i.path.is_relative_to(item.path)):
-            raise NotNow(f"A job is at work on {item.path.name}; stop it first.")
-        studio.let_go()
-        try:
-            yield
-        except OSError as error:
-            raise InputError(f"{item.path.name} cannot be {what} ({(error.strerror or str(error)).lower()}).") from None
-        catalog.items(item.kind, fresh=True)
-
-    def delete(request: Request) -> Any:
-        item = item_of("result", request)
-        if any(i.path != item.path and i.path.is_relative_to(item.path) for i in catalog.every()):
-            raise InputError(f"Other recordings or results lie in {item.path.name}; delete it from outside.")
-        with changing(item, "deleted"):
-            shutil.rmtree(item.path)  # links in it are removed, not followed
-        return {"name": item.path.name}
-
-    def rename(kind: Kind, request: Request, body: _Body) -> Any:
-        item, name = item_of(kind, request), body.get("name")
-        if not isinstance(name, str) or not is_name(name):
-            raise InputError(f"{str(name)[:40]!r} is no name; use letters, digits, -, _ and dots between.")
-        place = item.path.with_name(name)
-        if place != item.path and place.exists():
-            raise NotNow(f"There is {name} already; choose another name.")
-        with changing(item, "renamed"):
-            item.path.rename(place)
-        return {"id": catalog.id_of(kind, place), "kind": kind, "name": name, "path": catalog.shown(place)}
-
-    return [
-        route("/api/recordings/{id}/name", partial(rename, "recording"), "POST"),
-        route("/api/results/{id}/name", partial(rename, "result"), "POST"),
-        route("/api/results/{id}", delete, "DELETE"),
-    ]
-
-
 def _of_jobs(studio: Studio) -> list[Route]:
     """Build the routes that list, start, stop, resume and show jobs."""
     jobs = studio.jobs
 
-    def start(request: Request, body: _Body) -> Any:
-        return jobs.start(text(body.get("kind"), "kind of job", 40, "say which is to be started"), body).shown()
+    async def start(request: Request, body: _Body) -> Any:
+        return (await jobs.start(text(body.get("kind"), "kind of job", 40, "say which is to be started"), body)).shown()
+
+    async def cancel(request: Request, _: _Body) -> Any:
+        return jobs.cancel(request.path_params["id"]).shown()
+
+    async def resume(request: Request, _: _Body) -> Any:
+        return jobs.resume(request.path_params["id"]).shown()
 
     def view(request: Request) -> Response:
         job = jobs.find(request.path_params["id"])
-        return block_answer(studio.results.so_far(job.plan, job.began, studio.recordings))
+        return block_answer(studio.results.so_far(job.plan, job.began))
 
     return [
         route("/api/jobs", lambda request: [j.shown() for j in jobs.every()]),
         route("/api/jobs", start, "POST", 201),
         route("/api/job-forms", lambda request: forms()),
         route("/api/jobs/{id}", lambda request: jobs.find(request.path_params["id"]).shown()),
-        route("/api/jobs/{id}/cancel", lambda r, _: jobs.cancel(r.path_params["id"]).shown(), "POST"),
-        route("/api/jobs/{id}/resume", lambda r, _: jobs.resume(r.path_params["id"]).shown(), "POST", 201),
+        route("/api/jobs/{id}/cancel", cancel, "POST"),
+        route("/api/jobs/{id}/resume", resume, "POST", 201),
         route("/api/jobs/{id}/view", view),
     ]
 
 
 def _of_recordings(studio: Studio, item_of: ItemOf) -> list[Route]:
-    """Build the routes of recordings and folders; item_of as in `_of_folders`."""
+    """Build the routes of recordings and folders.
+
+    item_of: finds the item of a kind that a request's address names.
+    """
     catalog, recordings = studio.catalog, studio.recordings
 
     def one(request: Request) -> Any:
@@ -360,7 +301,7 @@ def _of_recordings(studio: Studio, item_of: ItemOf) -> list[Route]:
 
     def picture(request: Request) -> Response:
         query = {k: v for k, v in request.query_params.items() if k != "token"}
-        frame, width = digits(request.path_params["frame"], "The frame"), digits(query.pop("width", "640"), "The width")
+        frame, width = request.path_params["frame"], digits(query.pop("width", "640"), "The width")
         mask = request_choice(query.pop("mask", "none"), "way to show a mask", _MASKS)
         item = item_of("recording", request)
         return jpeg_answer(recordings.picture(item, request.path_params["camera"], frame, width, mask, query), 60)
@@ -409,43 +350,26 @@ def _of_recordings(studio: Studio, item_of: ItemOf) -> list[Route]:
         route("/api/recordings", make, "POST", 201),
         route("/api/recordings/{id}", one),
         route("/api/recordings/{id}/repair", edited, "POST"),
-        route("/api/recordings/{id}/image/{camera}/{frame}.jpg", picture),
+        route("/api/recordings/{id}/image/{camera}/{frame:int}.jpg", picture),
         route("/api/recordings/{id}/file/{name:path}", file),
         route("/api/recordings/{id}/mask-settings", settings, "POST"),
     ]
 
 
 def _of_results(studio: Studio, item_of: ItemOf) -> list[Route]:
-    """Build the routes of results; item_of as in `_of_folders`."""
+    """Build the routes of results; item_of as in `_of_recordings`."""
     catalog, results = studio.catalog, studio.results
-    blocks, gaits = asyncio.Lock(), asyncio.Lock()  # slow answers are made one at a time
-
-    async def in_turn(turn: asyncio.Lock, request: Request, make: Callable[[Item], _T]) -> _T | None:
-        """Make an answer when it is its turn; return None where the client has disconnected meanwhile."""
-        item = item_of("result", request)
-        async with turn:
-            return None if await request.is_disconnected() else await run_in_threadpool(make, item)
-
-    async def view(request: Request) -> Response:
-        return block_answer(await in_turn(blocks, request, results.block))
-
-    async def gait(request: Request) -> Response:
-        data = await in_turn(gaits, request, results.gait)
-        return Response(data or b"null", media_type="application/json", headers={"Cache-Control": "no-store"})
-
-    def row_of(request: Request) -> int:
-        return digits(request.path_params["row"], "The row")
 
     def pictures(request: Request) -> Response:
         width = digits(request.query_params.get("width", "640"), "The width")
         with results.pictures(item_of("result", request)) as opened:
-            data = opened.row(row_of(request), width)
+            data = opened.row(request.path_params["row"], width)
         # a row of a result does not change while a page is open
         return Response(data, media_type="application/octet-stream", headers={"Cache-Control": "private, max-age=60"})
 
     def outlines(request: Request) -> Any:
         with results.pictures(item_of("result", request)) as opened:
-            return {"views": opened.outlines(row_of(request))}
+            return {"views": opened.outlines(request.path_params["row"])}
 
     def opensim(request: Request) -> Response:
         item, packed = item_of("result", request), io.BytesIO()
@@ -456,31 +380,44 @@ def _of_results(studio: Studio, item_of: ItemOf) -> list[Route]:
         headers = {"Content-Disposition": 'attachment; filename="opensim.zip"'}
         return Response(packed.getvalue(), media_type="application/zip", headers=headers)
 
+    def delete(request: Request) -> Any:
+        item = item_of("result", request)
+        inside = [i for i in catalog.every() if i.path != item.path and i.path.is_relative_to(item.path)]
+        if inside or item.path == catalog.root:
+            raise InputError(f"{item.path.name} is served itself, or others lie in it; delete it from outside.")
+        if studio.jobs.needs(item.id):
+            raise NotNow(f"A job is at work on {item.path.name}; stop it first.")
+        studio.recordings.drop()  # some systems cannot delete open files
+        try:
+            shutil.rmtree(item.path)  # links in it are removed, not followed
+        except OSError as error:
+            raise InputError(
+                f"{item.path.name} cannot be deleted ({(error.strerror or str(error)).lower()})."
+            ) from None
+        catalog.items("result", fresh=True)
+        return {"name": item.path.name}
+
     def small(request: Request) -> Response:
         return jpeg_answer(results.thumbnail(item_of("result", request)), 600)
 
     def file(request: Request) -> Response:
         return _file(item_of("result", request).path, request.path_params["name"], DESCRIPTIONS, catalog)
 
-    def export(request: Request, body: _Body) -> Any:
-        item = item_of("result", request)
-        return studio.jobs.start("export", {"result": item.id, "options": {"formats": body.get("formats")}}).shown()
-
     return [
         route("/api/results", lambda request: [results.head(i) for i in catalog.items("result")]),
-        route("/api/results/{id}/view", view),
-        route("/api/results/{id}/pictures/{row}", pictures),
-        route("/api/results/{id}/outlines/{row}", outlines),
+        route("/api/results/{id}", delete, "DELETE"),
+        route("/api/results/{id}/view", lambda r: block_answer(results.block(item_of("result", r)))),
+        route("/api/results/{id}/pictures/{row:int}", pictures),
+        route("/api/results/{id}/outlines/{row:int}", outlines),
         route("/api/results/{id}/thumbnail.jpg", small),
         route("/api/results/{id}/files/{name}", file),
         route("/api/results/{id}/opensim.zip", opensim),
-        route("/api/results/{id}/gait", gait),
-        route("/api/results/{id}/export", export, "POST", 201),
+        route("/api/results/{id}/gait", lambda r: results.gait(item_of("result", r))),
     ]
 
 
 def _of_clicks(studio: Studio, item_of: ItemOf) -> list[Route]:
-    """Build the routes of clicked joints; item_of as in `_of_folders`."""
+    """Build the routes of clicked joints; item_of as in `_of_recordings`."""
     catalog, recordings = studio.catalog, studio.recordings
 
     def body(request: Request) -> Response:

@@ -15,15 +15,13 @@ from functools import partial
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from hypose.app.reports.result_pictures import as_shown, jpeg, mask_outline
-from hypose.app.studio.lru_cache import LruCache
 from hypose.cameras.camera import Camera
 from hypose.errors import InputError
 from hypose.evidence.frame import Silhouettes
 from hypose.evidence.silhouettes import SilhouetteSettings
-from hypose.geometry import Array, Image, Mask
+from hypose.geometry import Image, Mask
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.object_masks import ObjectMasks
 from hypose.io.recordings.recording import Recording, ViewSettings
@@ -33,9 +31,6 @@ from hypose.io.videos.video import VideoReader, open_capture, open_video
 
 _DECODED_AHEAD = 24  # frames ahead that are faster decoded than reached by seeking
 _TRIAL = 10  # the frame at which seeking is tested
-_CACHE_BYTES = 16 << 20
-_LENSES = 32 << 20
-"""Most bytes of the undistortion maps of one recording."""
 _PER_PIXEL, _PER_LENS_PIXEL, _PER_WORKING_PIXEL = 40, 8, 60
 """Approximate memory of an open video per pixel of its frames, of an undistortion map, and of a view's masks per pixel
 of the working size, bytes.
@@ -106,6 +101,7 @@ class OpenRecording:
 
     recording: the recording.
     frames: first frame and end of the rows; None: all frames, so that a row is a frame.
+    users: number of users at present.
     """
 
     def __init__(self, recording: Recording, frames: tuple[int, int] | None = None) -> None:
@@ -113,17 +109,18 @@ class OpenRecording:
         self._first, self._end = frames or (0, recording.n_frames)
         self._readers: dict[int, AnyFrame] = {}
         self._last: dict[int, tuple[int, Image]] = {}  # row and picture that each reader read last
-        self._lenses: LruCache[Preparer] = LruCache(_LENSES, lambda p: _PER_LENS_PIXEL * math.prod(p.size))
-        self._jpegs: LruCache[bytes] = LruCache(_CACHE_BYTES, len)
+        self._lenses: dict[int, Preparer] = {}  # of the size that each view was asked for last
+        self.users = 0
         self._stream: FrameStream | None = None
         self._lock, self._mask_lock = threading.RLock(), threading.Lock()
 
     @property
     def held(self) -> int:
         """Approximate memory in use, bytes."""
-        videos = sum(math.prod(self.recording.rig[v].size) for v in self._readers)
+        videos = sum(math.prod(self.recording.rig[v].size) for v in list(self._readers))
+        lenses = sum(math.prod(p.size) for p in list(self._lenses.values()))
         working = 0 if self._stream is None else sum(math.prod(c.size) for c in self._stream.rig)
-        return self._jpegs.held + self._lenses.held + _PER_PIXEL * videos + _PER_WORKING_PIXEL * working
+        return _PER_LENS_PIXEL * lenses + _PER_PIXEL * videos + _PER_WORKING_PIXEL * working
 
     def read(self, view: int, row: int) -> Image | None:
         """Read the stored picture of a view, or its masks where it has only these; the last one of each view is kept.
@@ -149,15 +146,13 @@ class OpenRecording:
         Raises: InputError where the view has no such frame.
         """
         v = self.recording.views[view]
-        with self._lock, self._lenses.use((view, small.size), lambda: self._lens(view, small)) as lens:
+        with self._lock:
             stored = self.read(view, row)
             if stored is None:
                 raise InputError(f"{v.name} has no frame {row}.")
-            return lens(stored)
-
-    def _lens(self, view: int, small: Camera) -> Preparer:
-        """Make the map from stored pictures of a view to the pinhole camera `small`."""
-        return Preparer(self.recording.rig[view], small, self.recording.views[view].image_shift)
+            if view not in self._lenses or self._lenses[view].size != small.size:
+                self._lenses[view] = Preparer(self.recording.rig[view], small, v.image_shift)
+            return self._lenses[view](stored)
 
     def mask(self, view: int, row: int, settings: SilhouetteSettings) -> Mask:
         """Compute the mask that tracking would get with other settings.
@@ -178,14 +173,9 @@ class OpenRecording:
         """
         self.check(row, width)
         views = range(len(self.recording.views))
-
-        def make() -> bytes:
-            with self._lock, ThreadPoolExecutor(len(views)) as pool:
-                files = list(pool.map(partial(self._jpeg, row=row, width=width), views))
-            return struct.pack(f"<{1 + len(files)}I", len(files), *map(len, files)) + b"".join(files)
-
-        with self._jpegs.use((row, width), make) as data:
-            return data
+        with self._lock, ThreadPoolExecutor(len(views)) as pool:
+            files = list(pool.map(partial(self._jpeg, row=row, width=width), views))
+        return struct.pack(f"<{1 + len(files)}I", len(files), *map(len, files)) + b"".join(files)
 
     def _jpeg(self, view: int, row: int, width: int) -> bytes:
         """Encode the picture of a view in a row, at most `width` px wide; empty where there is none."""
@@ -196,14 +186,14 @@ class OpenRecording:
             image = (image // 3 + 40).astype(np.uint8)
         return jpeg(image, width)
 
-    def seen(self, row: int, points: Array) -> tuple[Image, Array] | None:
-        """Return the picture (BGR) of the first view that has one in `row`, and the pixels (N, 2) of points (N, 3) m,
-        world, in it; None where no view has one.
+    def first_picture(self, row: int) -> tuple[Image, Camera] | None:
+        """Return the picture (BGR) of the first view that has one in `row`, and the camera whose pixels are those of
+        it; None where no view has one.
         """
         with self._lock:
             for k, (view, camera) in enumerate(zip(self.recording.views, self.recording.rig, strict=True)):
                 if (image := self.read(k, row)) is not None:
-                    return image, as_shown(view, camera, (image.shape[1], image.shape[0])).project(points)
+                    return image, as_shown(view, camera, image.shape[1::-1])
         return None
 
     def outlines(self, row: int) -> list[list[list[float]]]:
@@ -221,7 +211,8 @@ class OpenRecording:
             for c, (view, camera) in enumerate(zip(self.recording.views, self.recording.rig, strict=True)):
                 shown = as_shown(view, camera, camera.size)
                 lines = mask_outline(shown, silhouettes.rig[c], silhouettes.masks[c])
-                found[c] = [_pixels(line) for line in lines]
+                # OpenCV's 1/16 px; every second point is enough for a screen
+                found[c] = [np.round(x[:: 2 if len(x) > 60 else 1, 0] / 16, 1).ravel().tolist() for x in lines]
         return found
 
     def check(self, row: int, width: int = 640) -> None:
@@ -245,9 +236,3 @@ class OpenRecording:
             self._readers.clear()
             self._last.clear()
             self._stream = None
-
-
-def _pixels(line: NDArray[np.int32]) -> list[float]:
-    """Convert OpenCV's 1/16 px to numbers, every second point, which is enough for a screen."""
-    step = 2 if len(line) > 60 else 1
-    return (np.round(line[::step, 0] / 16, 1)).ravel().tolist()

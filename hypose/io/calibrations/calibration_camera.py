@@ -187,21 +187,6 @@ def rescaled(camera: Camera, factor: float) -> Camera:
     return replace(camera, camera_from_world=pose)
 
 
-def plain_lenses(rig: CameraRig, program: str) -> list[Array]:
-    """Get the five coefficients (k1 k2 p1 p2 k3) of each camera's lens, for a program that supports no others.
-
-    program: name of the program, for the error message.
-    Raises: CalibrationError where a lens is a fisheye or has more coefficients.
-    """
-    out = []
-    for camera in rig:
-        if camera.fisheye or np.any(camera.distortion[5:]):
-            what = "fisheye lens" if camera.fisheye else f"lens of {len(camera.distortion)} coefficients"
-            raise CalibrationError(f"Camera {camera.name} has a {what}, which {program} cannot hold; write .toml.")
-        out.append(np.concatenate([camera.distortion, np.zeros(5)])[:5])
-    return out
-
-
 def _checked(
     where: str, name: str, k: Array, distortion: Array, rotation: Array, translation: Array, size: Array, fisheye: bool
 ) -> Camera:

@@ -1,13 +1,7 @@
-"""Calibration files of all known programs: the table of their formats, reading and writing.
-
-The file's name determines the format that is written: camera_array.toml is Caliscope's (nested tables); a .toml with
-anipose or freemocap in its name is theirs (millimetres); any other .toml is in metres; .yml gives EasyMocap's intri.yml
-and extri.yml, and .pickle gives OpenCap's (one file per camera), in the folder of the given name.
-"""
+"""Calibration files of all known programs: the table of their formats, and reading. Only TOML is written."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -20,20 +14,14 @@ from hypose.io.calibrations.calibration_systems import (
     read_opencap,
     read_qualisys,
     read_vicon,
-    write_opencap,
 )
 from hypose.io.calibrations.calibration_text import (
     easymocap_pair,
     lens_files,
     parse_document,
-    plain_files,
-    read_biocv,
     read_easymocap,
-    read_projections,
     read_tables,
-    write_calibration_toml,
-    write_caliscope,
-    write_easymocap,
+    write_calibration,
 )
 from hypose.io.calibrations.camera_tables import tables_of
 from hypose.io.file_names import natural_key
@@ -45,24 +33,15 @@ def _is_xml_with(source: Source, *places: str) -> bool:
     return isinstance(root, Element) and any(root.find(place) is not None for place in places)
 
 
-_PLAIN_LENSES = "no fisheye lens, at most five distortion coefficients"
 CALIBRATIONS = FormatTable(
     "a calibration",
     "give a calibration that a program has exported, or run hypose calibrate",
     (
         Format(
-            "Caliscope",
-            ("camera_array.toml",),
-            read_tables,
-            write=write_caliscope,
-            limits=_PLAIN_LENSES,
-            precision=1e-9,
-        ),
-        Format(
-            "hypose, Pose2Sim, anipose, FreeMoCap",
+            "hypose, Pose2Sim, anipose, FreeMoCap, Caliscope",
             (".toml",),
             read_tables,
-            write=write_calibration_toml,
+            write=write_calibration,
             precision=1e-9,
         ),
         Format(
@@ -70,9 +49,6 @@ CALIBRATIONS = FormatTable(
             (".yml", ".yaml", "/"),
             read_easymocap,
             lambda source: easymocap_pair(source.path),
-            write_easymocap,
-            f"{_PLAIN_LENSES}; camera names of letters, digits, - and _",
-            1e-9,
         ),
         Format("OpenCV, Kalibr, ROS, MC-Calib", (".yml", ".yaml"), read_tables),
         Format("OpenCV, ROS (one file per camera)", ("/",), read_tables, lens_files),
@@ -82,9 +58,6 @@ CALIBRATIONS = FormatTable(
             (".pickle", ".pkl", "/"),
             read_opencap,
             lambda source: opencap_files(source.path),
-            write_opencap,
-            _PLAIN_LENSES,
-            1e-9,
         ),
         Format(
             "CMU Panoptic, XRMoCap, 3 x 4 projections",
@@ -105,13 +78,10 @@ CALIBRATIONS = FormatTable(
             lambda source: _is_xml_with(source, "Camera[@DEVICEID]", "Camera/KeyFrames"),
         ),
         Format("OptiTrack Motive", (".mcal", ".xml"), read_motive, lambda source: _is_xml_with(source, ".//Camera")),
-        Format("BioCV", (".calib", ".txt", "", "/"), read_biocv, lambda source: plain_files(source.path)),
-        Format("3 x 4 projections", (".txt",), read_projections),
     ),
     parse_document,
 )
-"""Calibrations: readers of a source that add cameras to a `RigFile`; writers of a rig to a path, which return the
-written files."""
+"""Calibrations: readers of a source that add cameras to a `RigFile`; the writer of a rig to a path."""
 
 
 def read_any(path: str | Path, unit: str = "auto") -> tuple[CameraRig, tuple[str, ...]]:
@@ -130,22 +100,6 @@ def read_any(path: str | Path, unit: str = "auto") -> tuple[CameraRig, tuple[str
         return rig.rig()
     except InputError as error:
         raise CalibrationError(str(error)) from None
-
-
-def writer_of(path: Path) -> Callable[[CameraRig, Path], list[Path]]:
-    """Find the writer for a file's name; InputError where there is none."""
-    write = next((f.write for f in CALIBRATIONS.formats if f.write is not None and f.fits(path)), None)
-    if write is None:
-        raise InputError(f"{path} cannot be written: name the calibration .toml, .yml or .pickle.")
-    return write
-
-
-def write_any(rig: CameraRig, path: str | Path) -> list[Path]:
-    """Write a rig in the format that the file's name gives, and return the written files.
-
-    Files of EasyMocap and OpenCap are written to the folder of the given name.
-    """
-    return writer_of(Path(path))(rig, Path(path))
 
 
 def find_calibration(folder: Path) -> Path | None:

@@ -21,13 +21,12 @@ from typing import Any
 
 import numpy as np
 
-from hypose.cameras.camera import CameraRig
 from hypose.errors import CalibrationError
-from hypose.geometry import Array, so3_log
-from hypose.io.calibrations.calibration_camera import RigFile, numbers, plain_lenses
+from hypose.geometry import Array
+from hypose.io.calibrations.calibration_camera import RigFile, numbers
 from hypose.io.calibrations.calibration_text import scalar
-from hypose.io.file_names import file_name, natural_key, text_of
-from hypose.io.files import read_bytes, write_bytes
+from hypose.io.file_names import natural_key, text_of
+from hypose.io.files import read_bytes
 from hypose.io.formats import Source
 
 Element = ElementTree.Element
@@ -319,26 +318,3 @@ def read_opencap(source: Source, rig: RigFile) -> None:
             numbers(where, content, ("translation",), (3,)) / 1000,
             numbers(where, content, ("imageSize",), (2,))[::-1],
         )
-
-
-def write_opencap(rig: CameraRig, path: Path) -> list[Path]:
-    """Write one OpenCap pickle per camera to the folder of the given name, and return the files.
-
-    They are as OpenCap and Pose2Sim read them: millimetres, in the world of an upright board.
-    """
-    out = []
-    for camera, lens in zip(rig, plain_lenses(rig, "OpenCap's files"), strict=True):
-        rotation = camera.camera_from_world[:3, :3] @ _UP_FROM_BOARD
-        content = {
-            "distortion": lens[None],
-            "intrinsicMat": camera.K,
-            "imageSize": np.array([[camera.size[1]], [camera.size[0]]], dtype=np.float64),
-            "rotation": rotation,
-            "translation": 1000 * camera.camera_from_world[:3, 3:],
-            "rotation_EulerAngles": so3_log(rotation)[:, None],
-        }
-        file = path.parent / f"{file_name(camera.name)}.pickle"
-        # protocol 3 and the old name of numpy's core: programs with numpy 1 read it too
-        write_bytes(file, pickle.dumps(content, 3).replace(b"numpy._core", b"numpy.core"))
-        out.append(file)
-    return out

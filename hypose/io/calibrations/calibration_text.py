@@ -17,12 +17,6 @@ TOML (hypose, Pose2Sim, anipose, FreeMoCap, Caliscope), one table per camera; Ca
 JSON (CMU Panoptic, XRMoCap and relatives), YAML (OpenCV, Kalibr, ROS, MC-Calib) and OpenCV's XML: the same tables in
 other spellings, see `camera_tables`; a list, or a table by name, at the top or under "cameras". Panoptic Studio writes
 centimetres, and names panel and node of every camera. EasyMocap has a pair intri.yml and extri.yml.
-
-Plain numbers: BioCV's files and 3 x 4 projection matrices. BioCV: one file per camera (no ending, or .calib): width,
-height, K in three lines, a line, [R | t] in three or four lines (camera_from_world, mm), and in the last line the
-distortion k1 k2 p1 p2 k3. Projection matrices: lines of four numbers, three for each camera, or twelve numbers in one
-line; a line of one word before them names the camera. Source: the BioCV dataset (University of Bath), as Pose2Sim
-converts it.
 """
 
 from __future__ import annotations
@@ -43,13 +37,10 @@ from hypose.io.calibrations.calibration_camera import (
     MAX_FILE_BYTES,
     RigFile,
     as_numbers,
-    decomposed,
-    numbers,
-    plain_lenses,
 )
 from hypose.io.calibrations.camera_tables import add_cameras, strange_keys, tables_of, unit_of
 from hypose.io.file_names import natural_key, text_of
-from hypose.io.files import open_file, read_bytes, read_json, read_toml, text_lines, toml_key, toml_lines, write_text
+from hypose.io.files import open_file, read_bytes, read_json, read_toml, toml_key, toml_lines, write_text
 from hypose.io.formats import Source
 
 _KIND = "a calibration"
@@ -153,11 +144,12 @@ def read_easymocap(source: Source, rig: RigFile) -> None:
     add_cameras(rig, tables)
 
 
-def write_calibration(rig: CameraRig, path: str | Path, unit: str = "m") -> None:
-    """Write a rig as a TOML file that hypose, Pose2Sim and anipose read.
+def write_calibration(rig: CameraRig, path: str | Path) -> None:
+    """Write a rig as a TOML file in metres that hypose, Pose2Sim and anipose read.
 
-    unit: unit of its translations, m or mm.
+    Raises: InputError where the name of the file does not end in .toml.
     """
+    check_toml(path)
     lines = []
     for camera in rig:
         pose = camera.camera_from_world
@@ -167,41 +159,18 @@ def write_calibration(rig: CameraRig, path: str | Path, unit: str = "m") -> None
             "matrix": camera.K,
             "distortions": np.ravel(camera.distortion),
             "rotation": so3_log(pose[:3, :3]),
-            "translation": pose[:3, 3] * (1000 if unit == "mm" else 1),
+            "translation": pose[:3, 3],
             "fisheye": camera.fisheye,
         }
         lines += [f"[{toml_key(camera.name)}]", *toml_lines(table), ""]
-    lines += ["[metadata]", *toml_lines({"adjusted": False, "error": 0.0, "unit": unit}), ""]
+    lines += ["[metadata]", *toml_lines({"adjusted": False, "error": 0.0, "unit": "m"}), ""]
     write_text(path, "\n".join(lines))
 
 
-def write_calibration_toml(rig: CameraRig, path: Path) -> list[Path]:
-    """Write the TOML format that the file's name gives (hypose, anipose or FreeMoCap), and return the files."""
-    write_calibration(rig, path, "mm" if re.search("anipose|freemocap", path.name, re.IGNORECASE) else "m")
-    return [path]
-
-
-def write_caliscope(rig: CameraRig, path: Path) -> list[Path]:
-    """Write Caliscope's camera_array.toml: numbered tables, the rotation as a matrix, metres."""
-    lines = []
-    for i, (camera, lens) in enumerate(zip(rig, plain_lenses(rig, "Caliscope's file"), strict=True)):
-        table = {
-            "cam_id": i,
-            "name": camera.name,
-            "rotation_count": 0,
-            "error": 0.0,
-            "exposure": 0,
-            "grid_count": 0,
-            "ignore": False,
-            "size": [int(s) for s in camera.size],
-            "matrix": camera.K,
-            "distortions": lens,
-            "translation": camera.camera_from_world[:3, 3],
-            "rotation": camera.camera_from_world[:3, :3],
-        }
-        lines += [f"[cameras.{i}]", *toml_lines(table), ""]
-    write_text(path, "\n".join(lines))
-    return [path]
+def check_toml(path: str | Path) -> None:
+    """Check that the name of a calibration to be written ends in .toml; InputError otherwise."""
+    if Path(path).suffix.lower() != ".toml":
+        raise InputError(f"{path} cannot be written: name the calibration .toml.")
 
 
 # ---- YAML and XML --------------------------------------------------------------------------------------------------
@@ -301,113 +270,3 @@ def scalar(text: str) -> float | str:
         return float(text.replace(".", ""))
     plain = re.fullmatch(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?", text, re.IGNORECASE | re.ASCII)
     return float(text) if plain and len(text) < 64 else text
-
-
-def write_easymocap(rig: CameraRig, path: Path) -> list[Path]:
-    """Write EasyMocap's intri.yml and extri.yml (metres) to the folder of the given name, and return the files.
-
-    Raises: CalibrationError where a lens or a name cannot be stored in them.
-    """
-    names = "%YAML:1.0\n---\nnames:\n" + "".join(f'  - "{c.name}"\n' for c in rig)
-    intrinsics, extrinsics = [names], [names]
-    for c, lens in zip(rig, plain_lenses(rig, "EasyMocap's files"), strict=True):
-        if not re.fullmatch(r"[A-Za-z0-9_-]+", c.name):
-            raise CalibrationError(
-                f"The camera name {c.name!r} cannot stand in EasyMocap's files; use letters, digits, - and _."
-            )
-        pose = c.camera_from_world
-        intrinsics += [_yaml_matrix(f"K_{c.name}", c.K), _yaml_matrix(f"dist_{c.name}", lens[None])]
-        intrinsics += [f"H_{c.name}: {c.size[1]}\n", f"W_{c.name}: {c.size[0]}\n"]
-        extrinsics += [
-            _yaml_matrix(f"R_{c.name}", so3_log(pose[:3, :3])[:, None]),
-            _yaml_matrix(f"Rot_{c.name}", pose[:3, :3]),
-            _yaml_matrix(f"T_{c.name}", pose[:3, 3:]),
-        ]
-    out = [path.parent / name for name in _PAIRS[0]]
-    for file, parts in zip(out, (intrinsics, extrinsics), strict=True):
-        write_text(file, "".join(parts))
-    return out
-
-
-def _yaml_matrix(key: str, value: Array) -> str:
-    """Format a matrix as an entry of OpenCV's YAML."""
-    rows, columns = value.shape
-    texts = [repr(float(v)) for v in value.ravel()]
-    data = ", ".join(t if "." in t or "e" in t or "n" in t else f"{t}." for t in texts)
-    return f"{key}: !!opencv-matrix\n   rows: {rows}\n   cols: {columns}\n   dt: d\n   data: [ {data} ]\n"
-
-
-# ---- plain numbers -------------------------------------------------------------------------------------------------
-
-_MAX_PLAIN_BYTES = 1_000_000
-_MOST_LINES = 10_000
-
-
-def plain_files(path: Path) -> list[Path]:
-    """List the files of a folder that have BioCV's layout, in natural order; a file is itself if it has."""
-    files = [p for p in path.iterdir() if p.is_file()] if path.is_dir() else [path]
-    found = [p for p in files if p.suffix.lower() in ("", ".calib", ".txt") and not p.name.startswith(".")]
-    small = [p for p in found if p.stat().st_size < _MAX_PLAIN_BYTES]
-    return sorted((p for p in small if _is_biocv(p)), key=lambda p: natural_key(p.name))
-
-
-def read_biocv(source: Source, rig: RigFile) -> None:
-    """Add the cameras of a folder of BioCV files, or of one of them; translations are in millimetres."""
-    rig.unit = "mm" if rig.unit == "auto" else rig.unit
-    for file in plain_files(source.path):
-        rows = _rows(file)
-        pose, size = np.array(rows[6:9]), np.array([rows[0][0], rows[1][0]])
-        lens = [r for r in rows[9:] if r and r != [0.0, 0.0, 0.0, 1.0]][-1]
-        lens = numbers(str(file), {"the last line": lens}, ("the last line",), (5,), (4,), (8,))
-        name = text_of(file.stem if file.suffix.lower() == ".calib" else file.name)
-        rig.add(name, np.array(rows[2:5]), lens, pose[:, :3], pose[:, 3], size)
-
-
-def read_projections(source: Source, rig: RigFile) -> None:
-    """Add the cameras of a text file of projection matrices.
-
-    Raises: CalibrationError where the file is not valid.
-    """
-    for name, values in _projections(source.path).items():
-        where = rig.where(name)
-        k, rotation, translation = decomposed(numbers(where, {"P": values}, ("P",), (3, 4)), where)
-        rig.add(name, k, None, rotation, translation, None)
-
-
-def _rows(path: Path) -> list[list[float]]:
-    """Parse lines as numbers; lines with anything else are empty."""
-    rows = []
-    for line in text_lines(path, _KIND, _MAX_PLAIN_BYTES)[:_MOST_LINES]:
-        try:
-            rows.append([float(c) for c in line.replace(",", " ").split()])
-        except ValueError:
-            rows.append([])
-    return rows
-
-
-def _is_biocv(path: Path) -> bool:
-    try:
-        rows = _rows(path)
-    except InputError:
-        return False
-    return len(rows) > 9 and [len(r) for r in rows[:5]] == [1, 1, 3, 3, 3] and [len(r) for r in rows[6:9]] == [4] * 3
-
-
-def _projections(path: Path) -> dict[str, list[float]]:
-    """Read the twelve numbers of each projection matrix by the camera's name."""
-    found: dict[str, list[float]] = {}
-    name: str | None = None
-    for line, values in zip(text_lines(path, _KIND, _MAX_PLAIN_BYTES), _rows(path), strict=False):
-        cells = line.replace(",", " ").split()
-        if not values:
-            name = text_of(cells[0].rstrip(":")) if len(cells) == 1 and not line.startswith("#") else name
-            continue
-        if name is None or len(found.get(name, ())) == 12:
-            name = f"cam_{len(found)}"
-        found.setdefault(name, []).extend(values)
-        if len(values) not in (4, 12) or len(found[name]) > 12:
-            raise CalibrationError(
-                f"{path}: a line has {len(values)} numbers; projection matrices need three lines of four numbers for "
-                "each camera, or twelve in one."
-            )
-    return found

@@ -101,6 +101,7 @@ RECORDING_KEYS: dict[str, type | tuple[type, ...]] = {
     "subject_height": (int, float),
     "subject_mass": (int, float),
     "view": list,
+    "left_out": list,
     "person": list,
     "silhouettes": dict,
 }

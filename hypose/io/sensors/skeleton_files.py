@@ -14,7 +14,6 @@ skeleton.csv: sensor,frame,person,joint,x,y,z,state, one row per joint; absent r
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -24,12 +23,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.errors import InputError
-from hypose.geometry import Array, so3_exp
+from hypose.geometry import Array
 from hypose.io.file_names import text_of
 from hypose.io.files import (
     MAX_TEXT_BYTES,
     RecordingFolder,
-    bounded_lines,
     csv_rows,
     numbers_of,
     read_json,
@@ -41,7 +39,6 @@ from hypose.io.motions.results import to_json
 from hypose.io.sensors.depth import read_depth_png, sample_depth
 from hypose.io.sensors.skeleton_streams import (
     MAX_JOINTS,
-    MISSING_MARK,
     SKELETON_UNITS,
     SkeletonRecording,
     StreamRows,
@@ -304,128 +301,7 @@ class FolderWriter:
             write_text(path, "\n".join([*kept, ""]))
 
 
-# ---- skeleton tables -----------------------------------------------------------------------------------------------
-# Skeleton tables of other programs: CSV of several Kinects (KinectMultiTrack), and NTU RGB+D .skeleton files.
-#
-# Sources: the logger of KinectMultiTrack (C.-J. Wu, 2015): one row per skeleton, columns named <Joint>_X, _Y, _Z in
-# metres, -9999 = missing. NTU RGB+D (Shahroudy et al. 2016): plain numbers, per frame a number of bodies, per body a
-# line of ten values, the number of joints and a line of twelve values per joint; 25 Kinect v2 joints at 30 frames/s.
-
-
-KINECT_V2 = tuple(
-    "SpineBase SpineMid Neck Head ShoulderLeft ElbowLeft WristLeft HandLeft ShoulderRight ElbowRight WristRight "
-    "HandRight HipLeft KneeLeft AnkleLeft FootLeft HipRight KneeRight AnkleRight FootRight SpineShoulder HandTipLeft "
-    "ThumbLeft HandTipRight ThumbRight".split()
-)
-"""The 25 joints of Kinect v2 in the order of its SDK and of NTU files."""
-NTU_RATE = 30.0
-
-
-def read_kinect_csv(source: Source) -> SkeletonRecording:
-    """Read a CSV of KinectMultiTrack (.csv or .csv.gz): one stream per Kinect_Id, people by Person_Id.
-
-    Times are those of Tracker_Time (one clock, ms), shifted to start at 0. No tracking state is logged, so a joint that
-    is present counts as tracked.
-    The logger moves every skeleton into the frame of the first row's sensor, by the angle and distance at which the
-    person first stood in front of each sensor (Skeleton_Init_Angle, Skeleton_Init_Dist). This is undone, so the
-    positions are in each sensor's own frame, m.
-
-    Raises: InputError where columns are missing or a line cannot be used.
-    """
-    path = source.path
-    header, lines = csv_rows(path, source.kind)
-    at = {name: i for i, name in enumerate(header)}
-    starts = [i for i, c in enumerate(header) if c.endswith("_X")]
-    joints = tuple(header[i][:-2] for i in starts)
-    wrong = [c for i, c in zip(starts, joints, strict=True) if header[i : i + 3] != [f"{c}_{x}" for x in "XYZ"]]
-    if not 1 <= len(joints) <= MAX_JOINTS or wrong or len(set(joints)) < len(joints):
-        raise InputError(
-            f"{path} needs columns <Joint>_X, <Joint>_Y, <Joint>_Z of 1 to {MAX_JOINTS} joints; export it "
-            "with such a first line."
-        )
-    sensor_column = at[next((n for n in at if n.startswith("Kinect_Id") or n == "Kinect#"), "Kinect_Id")]
-    person_column = at.get("Person_Id", at.get("Skeleton_Id"))
-    time_column, turned = at["Tracker_Time"], [at[n] for n in ("Skeleton_Init_Angle", "Skeleton_Init_Dist") if n in at]
-    turns: dict[str, Array] = {}
-    sensors: dict[str, StreamRows] = {}
-    for number, cells in lines:
-        with numbers_of(f"{path}: line {number}"):
-            time = float(cells[time_column]) * 1e-3
-            person = int(float(cells[person_column])) if person_column is not None else 0
-            values = np.array([[float(c) for c in cells[i : i + 3]] for i in starts])
-            turn = np.array([float(cells[i]) for i in turned])
-        if not math.isfinite(time):
-            raise InputError(f"{path}: line {number} has no time; Tracker_Time must be a number.")
-        name = cells[sensor_column]
-        if len(turn) == 2:
-            own, known = turns.setdefault(name, turn), (values > MISSING_MARK).all(1)
-            values[known] = _before_own_sensor(values[known], next(iter(turns.values())), own)
-        sensors.setdefault(name, StreamRows(name, joints)).add(time, person, values, np.full(len(joints), 2))
-    # seconds since the year 1 would lose microseconds in later arithmetic
-    zero = min((t for rows in sensors.values() for t in rows.times), default=0.0)
-    for rows in sensors.values():
-        rows.times = [t - zero for t in rows.times]
-    title = path.name.removesuffix(".gz").removesuffix(".csv")
-    return checked_recording(title, list(sensors.values()), str(path), {path.name: path})
-
-
-def _before_own_sensor(points: Array, first: Array, own: Array) -> Array:
-    """Move points (N, 3), m, from the first sensor's frame back to their own sensor's frame.
-
-    first, own: initial angle about the vertical, rad, and distance, m, of the person, for the first and the own sensor.
-    """
-    moved = (points - [0.0, 0.0, first[1]]) @ so3_exp(np.array([0.0, own[0] - first[0], 0.0]))
-    return np.asarray(moved + [0.0, 0.0, own[1]])
-
-
-_NTU_NAME = re.compile(r"(S\d{3})C(\d{3})(P\d{3}R\d{3}A\d{3})", re.IGNORECASE)
-
-
-def read_ntu(source: Source) -> SkeletonRecording:
-    """Read NTU RGB+D .skeleton files of one action, one file per camera. Joints at zero count as missing.
-
-    Raises: InputError where the files are of several actions or one is damaged.
-    """
-    paths = source.files(".skeleton")
-    named = [_NTU_NAME.search(p.name) for p in paths]
-    actions = {(m[1] + m[3]).upper() if m else p.stem for p, m in zip(paths, named, strict=True)}
-    if len(paths) > 1 and len(actions) > 1:
-        raise InputError(
-            f"The folder {paths[0].parent} holds {len(actions)} different actions ({', '.join(sorted(actions)[:3])}, "
-            "...); give the files of one action, which differ in the camera (C001, C002, C003) only."
-        )
-    sensors = [_ntu_rows(p, f"C{m[2]}" if m else text_of(p.stem)) for p, m in zip(paths, named, strict=True)]
-    return checked_recording(actions.pop(), sensors, str(paths[0].parent), {p.name: p for p in paths})
-
-
-def _ntu_rows(path: Path, name: str) -> StreamRows:
-    rows, ids = StreamRows(name, KINECT_V2), dict[str, int]()
-    lines = (line.split() for line in bounded_lines(path, "an NTU RGB+D .skeleton file"))
-
-    def cells(count: int) -> list[str]:
-        found = next(lines, [])
-        if len(found) != count:
-            raise ValueError(f"a line has {len(found)} values in place of {count}")
-        return found
-
-    with numbers_of(str(path)):
-        frames = int(cells(1)[0])
-    for frame in range(frames):
-        with numbers_of(f"{path}, frame {frame}"):
-            bodies = int(cells(1)[0])
-            for _ in range(bodies):
-                person, joints = cells(10)[0], int(cells(1)[0])
-                if joints != len(KINECT_V2):
-                    raise ValueError(f"a body has {joints} joints, Kinect v2 has {len(KINECT_V2)}")
-                values = np.array([cells(12) for _ in KINECT_V2], dtype=np.float64)
-                xyz, state = values[:, :3], values[:, 11]
-                state = np.where(np.isin(state, (0, 1, 2)), state, 0).astype(np.uint8)
-                state[(xyz == 0).all(1)] = 0
-                if state.any():
-                    rows.add(frame / NTU_RATE, ids.setdefault(person, len(ids)), xyz, state)
-        if not bodies:
-            rows.empty.append(frame / NTU_RATE)
-    return rows
+# ---- other formats -------------------------------------------------------------------------------------------------
 
 
 def read_azure(source: Source) -> SkeletonRecording:
@@ -479,18 +355,11 @@ SKELETONS = FormatTable(
             "positions in steps of 0.01 mm, times of 1 us",
             1e-5,
         ),
-        Format("NTU RGB+D", ("/", ".skeleton", ".skeleton.gz"), read_ntu, lambda source: source.files(".skeleton")),
         Format(
             "Azure Kinect (offline_processor)",
             ("/", ".json"),
             read_azure,
             lambda source: any("joint_names" in _json(file) for file in source.files(".json")[:1]),
-        ),
-        Format(
-            "KinectMultiTrack",
-            (".csv", ".csv.gz"),
-            read_kinect_csv,
-            lambda source: any("Kinect" in c for c in source.header),
         ),
         Format("lines of hypose", (".jsonl", ".ndjson", ".jsonl.gz", ".ndjson.gz"), read_lines),
     ),

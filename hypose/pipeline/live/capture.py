@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import multiprocessing
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -38,7 +37,7 @@ from hypose.io.sensors.depth import DEPTH_PNG, open_depth_camera
 from hypose.io.videos.camera_sources import CameraImage, CameraSource, open_camera
 from hypose.pipeline.live.background_models import DepthViewBackground, NetworkRoom, ViewBackground
 from hypose.pipeline.live.feeds import CameraFeed, FeedStatus, newest_instant
-from hypose.pipeline.live.processes import belong_to_parent, deaf_to_ctrl_c, punctual
+from hypose.pipeline.live.processes import belong_to_parent, punctual, start_process
 from hypose.pipeline.settings import SETTINGS
 
 
@@ -140,7 +139,7 @@ class Capture:
 
     def __init__(self, rig: CameraRig, views: Sequence[LiveView], options: CaptureOptions) -> None:
         self._views, self._options, self.small = tuple(views), options, live_working_rig(rig, views)
-        self._sizes, self._wrong, self._damaged = tuple(c.size for c in rig), [""] * len(views), [0] * len(views)
+        self._sizes, self._wrong = tuple(c.size for c in rig), [""] * len(views)
         self._arrived = threading.Condition()
         network = replace(open_network(), people=options.network) if options.network else None
         begin = time.monotonic() + 0.3
@@ -214,7 +213,7 @@ class Capture:
             for c, shot in enumerate(shots)
         ]
         views = tuple(None if task is None else task.result() for task in tasks)
-        jpegs = tuple(None if shot is None or not question.pictures else _jpeg(shot) for shot in shots)
+        jpegs = tuple(None if shot is None or not question.pictures else stored(shot.picture) for shot in shots)
         arrival = max(s.arrival for s in shots if s is not None)
         depths = tuple(
             r.seen if isinstance(r, DepthViewBackground) and v is not None else None
@@ -276,16 +275,11 @@ class Capture:
         return np.packbits(mask, axis=1), outline
 
     def _picture(self, view: int, shot: CameraImage) -> NDArray[Any] | None:
-        """Decode a picture; None where it is damaged, or of another shape than calibrated (a turned telephone, a wide
+        """Get the picture of a view; None where it is of another shape than calibrated (a turned telephone, a wide
         picture of a camera calibrated with a narrow one).
         """
-        image, (cw, ch), name = shot.picture(self._rooms[view].size), self._sizes[view], self._views[view].name
-        self._damaged[view] = self._damaged[view] + 1 if image is None else 0
-        if image is None:
-            if self._damaged[view] >= SETTINGS.eyes_damaged:
-                self._wrong[view] = f"{name} sends pictures that cannot be read; look what the address shows."
-            return None
-        w, h = shot.size or (image.shape[1], image.shape[0])
+        image, (cw, ch), name = shot.picture, self._sizes[view], self._views[view].name
+        h, w = image.shape[:2]
         wrong = not self._views[view].stretched and abs(w * ch - h * cw) > SETTINGS.eyes_other_shape * h * cw
         turned = abs(w * cw - h * ch) <= SETTINGS.eyes_other_shape * h * ch
         self._wrong[view] = (
@@ -358,10 +352,6 @@ def any_depth(views: Sequence[LiveView]) -> bool:
     return any(v.depth for v in views)
 
 
-def _jpeg(shot: CameraImage) -> bytes | None:
-    return shot.data if isinstance(shot.data, bytes) else stored(shot.data)
-
-
 def stored(image: NDArray[Any]) -> bytes | None:
     """Encode a picture as JPEG, or a depth map (H, W) m as 16-bit PNG in millimetres; None where that fails."""
     if image.ndim == 2:
@@ -390,13 +380,8 @@ class CaptureProcess:
     def __init__(
         self, rig: CameraRig, views: Sequence[LiveView], options: CaptureOptions, stop: threading.Event | None = None
     ) -> None:
-        context = multiprocessing.get_context("spawn")
         self._stop, self._closing_s = stop or threading.Event(), 0.0
-        self._pipe, there = context.Pipe()
-        self._process = context.Process(target=_see, args=(there, rig, tuple(views), options), daemon=True)
-        with deaf_to_ctrl_c():
-            self._process.start()
-        there.close()
+        self._process, self._pipe = start_process(_see, rig, tuple(views), options)
         opened = self._received(math.inf)  # opening a camera has a time limit of its own
         if isinstance(opened, HyposeError):
             self._process.join(5)

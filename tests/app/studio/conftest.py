@@ -10,7 +10,7 @@ import urllib.request
 import pytest
 from websockets.sync.client import connect
 
-from hypose.app.studio.server import Studio, StudioOptions, make_server, open_port
+from hypose.app.studio.server import Studio, make_server, open_port
 from tests import missing
 from tests.app.studio.browser import build
 from tests.conftest import HANG_S
@@ -65,7 +65,7 @@ def until(socket, kind, wanted=lambda message: True):
 
 @contextlib.contextmanager
 def serving(root, **options):
-    studio, port = Studio(StudioOptions(root, **options)), open_port("127.0.0.1", 0)
+    studio, port = Studio(root, **options), open_port("127.0.0.1", 0)
     server = make_server(studio)
     thread = threading.Thread(target=server.run, kwargs={"sockets": [port]}, daemon=True)
     thread.start()

@@ -18,11 +18,11 @@ def test_taught_in_the_page(page, tmp_path, monkeypatch):
     with serving(root) as client:
         go(WEB / "tests" / "gesture_taught.walk.mjs", client.address, root, pictures, timeout=3600)
     first, model = load_model(root / "first.npz"), load_model(root / "gestures" / "tee.npz")
-    assert first.thresholds[0] is not None
+    assert first.threshold is not None
 
     # the second session went on with the first one's trees
     assert [h["session"] for h in model.history] == ["tee", "tee-2"]
-    assert model.forest.size.sum() >= first.forest.size.sum()
+    assert model.learner.forest.size.sum() >= first.learner.forest.size.sum()
 
     # everything that was shown is on disk, with what was taken back
     recorded = read_recording(root / "gestures" / "tee")

@@ -67,7 +67,7 @@ def test_a_closed_page_loses_nothing_and_resuming_grows_the_same_forest(root):
         with client.socket("/ws/gesture") as socket:
             page = Page(socket)
             assert page.hello["session"] is None
-            assert start(page)["gesture"] == "tee"
+            assert start(page)["gestures"] == ["tee"]
             with client.socket("/ws/gesture") as second:
                 assert Page(second).hello["session"]["source"] == "simulated:0"  # another page sees the same
             page.until("step", phase="negative")
@@ -86,7 +86,7 @@ def test_a_closed_page_loses_nothing_and_resuming_grows_the_same_forest(root):
         before = load_model(root / model["path"])
         with client.socket("/ws/gesture") as socket:
             page = Page(socket)
-            assert start(page, resume=model["id"], rounds=1)["resumed"] == "tee"
+            assert start(page, resume=model["id"], rounds=1)["resume"] == model["id"]
             page.until("step", phase="test")
             page.send(t="stop")
             page.until("ended")
@@ -136,10 +136,12 @@ def test_a_session_that_cannot_be_is_refused_in_a_sentence(root):
             {"rounds": 10**9},
             {"seconds": {"positive": -1}},
             {"mode": "run", "models": []},
-            {"then": ["tee"]},
-            {"then": ["../x"]},
-            {"then": "ok"},
-            {"then": ["ok"] * 9},
+            {"mode": "dance"},
+            {"source": None},
+            {"gesture": " "},
+            {"rounds": 0},
+            {"seconds": {"positive": "x"}},
+            {"seed": -1},
         ):
             page.send(**{"t": "start", "mode": "train", "gesture": "tee", "source": "simulated:0", **change})
             assert page.until("error")["error"].endswith(".")

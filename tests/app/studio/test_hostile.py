@@ -8,7 +8,6 @@ import socket
 import pytest
 from websockets.exceptions import ConnectionClosed
 
-from hypose.app.studio.lru_cache import LruCache
 from tests.app.studio.conftest import serving
 from tests.conftest import HANG_S
 
@@ -162,12 +161,6 @@ def test_answers_to_a_page_that_has_broken_the_rules_go_nowhere(studio, log, pat
     assert log == []
 
 
-def test_a_body_that_does_not_come_is_not_waited_for(studio, monkeypatch):
-    monkeypatch.setattr("hypose.app.studio.http._BODY_S", 0.05)
-    head = f"POST /api/jobs HTTP/1.1\r\nHost: 127.0.0.1:{studio.port}\r\nContent-Length: 100\r\n\r\n{{".encode()
-    assert raw(studio.port, head).startswith(b"HTTP/1.1 408")
-
-
 def test_two_pages_that_start_the_fusion_at_once_start_one(own_studio):
     with own_studio.socket("/ws/fuse") as one, own_studio.socket("/ws/fuse") as other:
         for ws in (one, other):
@@ -181,31 +174,3 @@ def test_two_pages_that_start_the_fusion_at_once_start_one(own_studio):
         one.send('{"t": "stop"}')
         while json.loads(one.recv(HANG_S)).get("running") is not False:
             pass
-
-
-# ---- what is kept ----
-
-
-def test_what_is_kept_is_bounded_in_bytes():
-    gone, now = [], [0.0]
-    kept = LruCache(100, len, gone.append, idle_s=60, clock=lambda: now[0])
-
-    def used(size):
-        with kept.use(size, lambda: bytes(size)) as value:
-            return value
-
-    first = used(60)
-    assert used(60) is first and gone == []
-    used(50)
-    assert gone == [first]  # 110 bytes are too many; what was used longest ago goes
-    with kept.use(30, lambda: bytes(30)):
-        used(90)
-        assert sorted(map(len, gone)) == [50, 60]  # never what is in use, though it is too much
-    used(10)
-    now[0] = 59.0
-    used(20)
-    now[0] = 61.0
-    kept.tidy()
-    assert len(gone[-1]) == 10
-    kept.drop()
-    assert len(gone[-1]) == 20

@@ -7,11 +7,9 @@ import numpy as np
 import pytest
 
 from hypose.app.studio.catalog import Catalog
-from hypose.app.studio.job_kinds import JOB_KINDS, plan_job, with_result_name
-from hypose.app.studio.jobs import NAME, read_jobs, write_jobs
+from hypose.app.studio.job_kinds import JOB_KINDS, plan_job
 from hypose.errors import InputError
 from hypose.io.motions.results import load_motion
-from tests.app.studio.conftest import serving
 from tests.bundles import read_bundle
 from tests.conftest import HANG_S
 
@@ -40,22 +38,18 @@ def test_options_become_the_command(folder):
     assert plan_job("demo", {}, catalog).arguments == ("demo", "--out", str(folder / "demo"))
 
 
-def test_a_track_takes_a_name_that_is_free_and_keeps_it(folder):
-    """Nothing that was tracked is written over, and a track that is planned again (to be resumed) is the same."""
+def test_a_track_takes_a_name_that_is_free(folder):
+    """Nothing that was tracked is written over."""
     catalog = Catalog(folder)
     (item,) = catalog.items("recording")
-    asked = with_result_name("track", {"recording": item.id}, catalog)
-    assert asked["options"]["name"] == "default-2"
-    again = with_result_name("track", {"recording": item.id, "options": {"name": "default"}}, catalog)
-    assert again["options"]["name"] == "default-2"
-    made = plan_job("track", asked, catalog)
+
+    def planned(**options):
+        return plan_job("track", {"recording": item.id, "options": options}, catalog).folder
+
+    assert planned() == planned(name="default") == item.path / "results" / "default-2"
     (item.path / "results" / "default-2").mkdir()
-    assert plan_job("track", asked, catalog) == made and made.folder == item.path / "results" / "default-2"
-    assert with_result_name("track", asked, catalog)["options"]["name"] == "default-3"
-    assert (
-        with_result_name("track", {"recording": item.id, "options": {"recipe": "hpf"}}, catalog)["options"]["name"]
-        == "hpf"
-    )
+    assert planned(name="default-2").name == "default-3"
+    assert planned(recipe="hpf").name == "hpf"
 
 
 @pytest.mark.parametrize(
@@ -116,7 +110,8 @@ def test_an_export_runs_and_tells(own_studio, folder):
     (folder / "walk/results/default/motion.trc").unlink()
     with own_studio.socket("/ws/jobs") as ws:
         assert json.loads(ws.recv(HANG_S))["t"] == "jobs"
-        job = own_studio.get(f"/api/results/{own_studio.result}/export", {"formats": ["trc"]}, status=201)
+        asked = {"kind": "export", "result": own_studio.result, "options": {"formats": ["trc"]}}
+        job = own_studio.get("/api/jobs", asked, status=201)
         assert job["state"] in ("queued", "running") and job["command"].endswith("--formats=trc")
         reported = []
         while not reported or reported[-1]["t"] != "files":
@@ -149,55 +144,6 @@ def test_jobs_wait_for_each_other_and_can_be_called_off(own_studio):
     check = own_studio.get(f"/api/recordings/{recording}")["check"]
     assert check["healthy"] and check["facts"] and check["page"] == "check.html" and len(check["views"]) == 4
     assert own_studio.ask(f"/api/recordings/{recording}/file/check.html")[0] == 200
-
-
-def test_the_list_outlives_the_server(folder):
-    with serving(folder) as client:
-        result = client.result
-        ask = {"kind": "export", "result": result, "options": {"formats": ["fbx"]}}
-        failed = wait(client, client.get("/api/jobs", ask, status=201)["id"], "failed")
-        recording = client.recording
-        check = client.get("/api/jobs", {"kind": "check", "recording": recording}, status=201)
-    with serving(folder) as client:
-        jobs = {j["id"]: j for j in client.get("/api/jobs")}
-        assert jobs[failed["id"]] == failed
-        assert jobs[check["id"]]["state"] == "cancelled" and jobs[check["id"]]["title"] == "Check walk"
-
-
-def test_what_a_list_of_jobs_says_is_planned_again_and_never_run_as_it_stands(folder):
-    catalog = Catalog(folder)
-    (item,) = catalog.items("recording")
-    shown = {
-        **{"id": "a" * 12, "kind": "track", "title": "Track walk", "command": "hypose track / --out /", "lines": []},
-        **{"recording": item.id, "result": None, "makes": None, "state": "running", "stages": []},
-        **{"error": None, "created": 1.0, "began": 2.0, "ended": None},
-    }
-    record = {"job": shown, "request": {"recording": item.id, "options": {"recipe": "no-such"}}, "resumable": True}
-    bad = [{**record, "job": {**shown, "kind": "rm"}}, {**record, "request": 3}, {"job": {"id": "x"}}, 7, None]
-    gone = {**record, "job": {**shown, "id": "b" * 12}, "request": {"recording": "0" * 12}}
-    (folder / NAME).write_text(json.dumps([record, *bad, gone]))
-    with serving(folder) as client:
-        found = {j["id"]: j for j in client.get("/api/jobs")}
-        assert set(found) == {"a" * 12, "b" * 12}
-        job = found["a" * 12]
-        assert job["state"] == "failed" and "server ended" in job["error"] and job["resumable"]
-        resumed = client.get(f"/api/jobs/{job['id']}/resume", {}, status=201)
-        out = item.path / "results" / "no-such"
-        assert resumed["command"] == f"hypose track {item.path} --recipe=no-such --out {out} --resume"
-        assert client.get(f"/api/jobs/{'b' * 12}/resume", {}, status=404)["error"]
-        client.ask(f"/api/jobs/{resumed['id']}/cancel", {})
-    for text in ("", "[", "{}", "[[]]", "[" * 100_000):
-        (folder / NAME).write_text(text)
-        assert read_jobs(catalog) == []
-
-
-def test_a_list_of_jobs_is_neither_read_nor_written_through_a_link(folder, tmp_path):
-    outside = tmp_path / "outside.json"
-    outside.write_text("[]")
-    (folder / NAME).unlink(missing_ok=True)  # a studio on the served folder may have left its own
-    (folder / NAME).symlink_to(outside)
-    write_jobs(Catalog(folder), [])
-    assert (folder / NAME).is_symlink() and read_jobs(Catalog(folder)) == []
 
 
 @pytest.mark.slow

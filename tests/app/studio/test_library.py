@@ -1,4 +1,4 @@
-"""Results are deleted for good, recordings and results renamed; never what a job is at work on."""
+"""Results are deleted for good; never what a job is at work on."""
 
 import shutil
 
@@ -31,28 +31,17 @@ def test_a_result_in_which_others_lie_is_not_deleted(own_studio, folder):
     place = folder / "walk" / "results" / "default"
     shutil.copytree(place, place / "inner")
     outer = next(r for r in state_of(own_studio)[1] if r["path"] == "walk/results/default")
-    assert "lie in default" in own_studio.get(f"/api/results/{outer['id']}", method="DELETE", status=400)["error"]
+    assert "others lie in it" in own_studio.get(f"/api/results/{outer['id']}", method="DELETE", status=400)["error"]
     assert (place / "motion.npz").is_file()
 
 
-def test_names_are_changed_and_kept_apart(own_studio, folder):
-    (recording,), (result,) = state_of(own_studio)
-    renamed = own_studio.get(f"/api/results/{result['id']}/name", {"name": "first-try"})
-    assert (folder / "walk" / "results" / "first-try" / "motion.npz").is_file() and renamed["id"] != result["id"]
-    own_studio.get(f"/api/recordings/{recording['id']}/name", {"name": "monday"})
-    (recording,), (result,) = state_of(own_studio)
-    assert recording["path"] == "monday" and result["path"] == "monday/results/first-try"
-    (folder / "tuesday").mkdir()
-    for name, status in (("tuesday", 409), ("../x", 400), ("", 400), (".x", 400), (7, 400)):
-        assert own_studio.get(f"/api/recordings/{recording['id']}/name", {"name": name}, status=status)["error"]
-    assert (folder / "monday").is_dir()
-
-
 def test_what_a_job_is_at_work_on_stays(own_studio):
-    (recording,), (result,) = state_of(own_studio)
-    job = own_studio.get("/api/jobs", {"kind": "check", "recording": recording["id"]}, status=201)
-    renaming = own_studio.get(f"/api/recordings/{recording['id']}/name", {"name": "other"}, status=409)
-    assert "stop it first" in renaming["error"]
+    _, (result,) = state_of(own_studio)
+    job = own_studio.get(
+        "/api/jobs", {"kind": "export", "result": result["id"], "options": {"formats": ["trc"]}}, status=201
+    )
+    refused = own_studio.get(f"/api/results/{result['id']}", method="DELETE", status=409)
+    assert "stop it first" in refused["error"]
     own_studio.get(f"/api/jobs/{job['id']}/cancel", {})
 
 

@@ -8,6 +8,7 @@ import threading
 import time
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -15,7 +16,6 @@ from hypose.app.studio import live_topics
 from hypose.errors import InputError
 from hypose.io.recordings.frames import working_rig
 from hypose.io.recordings.recording import load_recording
-from hypose.io.videos.camera_sources import CameraImage
 from hypose.pipeline.live.capture import CaptureOptions
 from hypose.pipeline.live.engine import LiveStatus
 from hypose.synthetic.write_recording import write_scene
@@ -70,7 +70,7 @@ def test_a_person_is_followed_recorded_and_shown(served_live, followed):
         status = until(socket, "status", lambda m: m["poses"] > 0)
         assert status["phase"] == "following" and all(s["alive"] for s in status["sensors"])
         pictures = until(socket, "pictures", lambda m: all(c["jpeg"] for c in m["cameras"]))["cameras"]
-        shown = CameraImage(0.0, None, base64.b64decode(pictures[0]["jpeg"])).picture()
+        shown = cv2.imdecode(np.frombuffer(base64.b64decode(pictures[0]["jpeg"]), np.uint8), cv2.IMREAD_COLOR)
         assert shown is not None and shown.shape[1] == 320
         socket.send(json.dumps({"t": "start", "recording": walk_of(client)}))
         assert "running already" in until(socket, "error")["error"]
@@ -84,7 +84,7 @@ def test_a_person_is_followed_recorded_and_shown(served_live, followed):
     "more, why",
     [
         ({"t": "room"}, "learnt while the cameras run"),
-        ({"t": "dance"}, "start, room or stop"),
+        ({"t": "dance"}, "start or stop"),
         ({"recording": "nothing"}, "There is no recording"),
         ({"sources": {"cam1": "/etc/passwd"}}, "give the number of a camera of this computer"),
         ({"sources": {"cam9": "0", "cam1": "0"}}, "There is no camera cam9"),

@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from hypose.app.studio.recordings import without_table
+from hypose.app.studio.catalog import Catalog
+from hypose.app.studio.recordings import Recordings
 from hypose.app.studio.view_pictures import OpenRecording
 from hypose.io.motions.results import load_body, load_motion
 from hypose.io.recordings.recording import load_recording
@@ -79,11 +80,6 @@ def test_mask_settings_are_kept_in_the_recording_and_used(own_studio, folder):
     assert (folder / "walk" / "recording.toml").read_text() == before
     for bad in ({"threshold": -1}, {"treshold": 4}, {"shadow": 1}, {"shadow_range": [0.5]}):
         assert "settings" in own_studio.get(f"/api/recordings/{id}/mask-settings", bad, status=400)["error"]
-
-
-def test_a_table_is_taken_out_of_a_text_and_nothing_else():
-    text = "a = 1\n[silhouettes]\nb = 2\n\n[[view]]\nc = 3\n[silhouettes] # again\nd = 4\n"
-    assert without_table(text, "silhouettes") == "a = 1\n[[view]]\nc = 3\n"
 
 
 @pytest.fixture(scope="module")
@@ -186,3 +182,19 @@ def test_points_of_the_picture_as_recorded_have_the_lens_taken_out(own_studio, f
     second = own_studio.get(f"/api/recordings/{id}/starts", {**saved, "until": 6}, status=201)
     assert second["name"] == "arm-2" and (folder / "walk" / "starts" / "arm.json").read_text() == before
     assert json.loads((folder / "walk" / "starts" / "arm-2.json").read_text())["until"] == 6
+
+
+def test_open_recordings_are_bounded_in_bytes(folder, monkeypatch):
+    recordings = Recordings(Catalog(folder))
+    with recordings.opened(folder / "walk") as first, recordings.opened(folder / "walk") as again:
+        assert again is first
+    with recordings.opened(folder / "walk") as kept:
+        assert kept is first
+    monkeypatch.setattr("hypose.app.studio.recordings._OPEN", -1)
+    with recordings.opened(folder / "walk", (0, 4)) as part, recordings.opened(folder / "walk", (2, 4)) as other:
+        assert part is not first and other is not part
+    with recordings.opened(folder / "walk", (2, 4)) as last:
+        assert last is other  # the last used one stays, the others went
+    with recordings.opened(folder / "walk") as opened:
+        assert opened is not first
+    recordings.drop()

@@ -74,7 +74,7 @@ def test_what_lies_beside_a_motion_is_read_again_when_it_changes(own_studio, fol
         ("/api/results/0123456789ab/view", 404),
         ("/api/results/..%2f..%2f..%2fetc%2fpasswd/view", 404),
         ("/api/results/RESULT/pictures/8", 400),
-        ("/api/results/RESULT/pictures/-1", 400),
+        ("/api/results/RESULT/pictures/-1", 404),
         ("/api/results/RESULT/pictures/1?width=100000", 400),
         ("/api/results/RESULT/files/..%2fcalibration.toml", 404),
         ("/api/results/RESULT/files/checkpoint.npz", 404),
@@ -143,7 +143,7 @@ def test_an_oversized_message_ends_the_connection(studio):
                 while True:
                     ws.recv(HANG_S)
             assert closed.value.rcvd.code == 1009
-    assert studio.ask("/api/fit-clicks", data=b"[" * (2 << 20))[0] == 413
+    assert studio.ask("/api/fit-clicks", data=b"[" * (2 << 20))[0] == 400
     assert studio.ask("/api/fit-clicks", data=b"[" * 9000)[0] == 400
 
 
@@ -195,7 +195,7 @@ def test_a_recording_with_results_opens_in_view(folder, monkeypatch, capsys):
 
     def opened(path):
         monkeypatch.setattr(studio_server, "STATIC_FOLDER", folder)
-        monkeypatch.setattr(studio_server, "run_server", lambda options, ready: ready("http://here/"))
+        monkeypatch.setattr(studio_server, "run_server", lambda *given: given[-1]("http://here/"))
         view(path, port=0, no_browser=True)
         return capsys.readouterr().out.split("#/")[1].split("/")[0].strip()
 

@@ -13,7 +13,6 @@ import pytest
 
 from hypose.evidence.background import from_frames
 from hypose.evidence.pose_network import CROP, DetectorOutput, LandmarkOutput, PoseNetwork
-from hypose.io.videos.camera_sources import CameraImage
 from hypose.pipeline.live.capture import CaptureOptions, CaptureProcess, CaptureRequest, LiveView
 from hypose.pipeline.settings import SETTINGS
 from hypose.synthetic.scenes import camera_rig
@@ -124,19 +123,6 @@ def test_nobody_waits_for_cameras_that_are_being_opened_when_it_is_to_stop(camer
         eyes.close()
         held[0][0].close()
     assert not eyes._process.is_alive()
-
-
-def test_pictures_that_cannot_be_read_are_told(begun, cameras, tmp_path, rng, monkeypatch):
-    whole = CameraImage.picture
-    monkeypatch.setattr(
-        CameraImage, "picture", lambda shot, least: whole(shot, least) if shot.size == (160, 120) else None
-    )
-    sizes = {"cam1": (160, 120), "cam2": (320, 240)}
-    views = [LiveView(c.name, folder(tmp_path / c.name, sizes[c.name], rng), background=room(c)) for c in cameras]
-    eyes = begun(cameras, views, CaptureOptions(RATE))
-    assert looked(eyes, lambda s: s.words != ()).words == (
-        "cam2 sends pictures that cannot be read; look what the address shows.",
-    )
 
 
 def test_where_a_network_finds_people_no_empty_room_is_learnt(begun, cameras, tmp_path, rng, monkeypatch):

@@ -59,8 +59,8 @@ def test_a_folder_of_maps_is_played_at_its_pace(tmp_path):
     source = open_depth_camera(f"depth:{tmp_path}", 20.0, begin)
     shots = [source.read() for _ in range(3)]
     assert shots[-1].arrival - begin >= 0.1
-    assert [round(float(s.data.mean())) for s in shots] == [1, 2, 3]
-    assert shots[0].size == (6, 4)
+    assert [round(float(s.picture.mean())) for s in shots] == [1, 2, 3]
+    assert shots[0].picture.shape == (4, 6)
     with pytest.raises(StreamEnded, match="is over"):
         source.read()
 

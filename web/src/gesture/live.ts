@@ -36,6 +36,7 @@ export function take(live: Live, message: GestureMessage): boolean {
       const connected = live.connected;
       Object.assign(live, emptyLive(), { connected, session: message.session });
       live.history = [...message.session.history];
+      live.judged = message.session.judged;
       return true;
     }
     case "step":

@@ -2,7 +2,7 @@ import { h, setText, sharpCanvas } from "../ui/dom";
 import { colour } from "../ui/theme";
 import type { Live } from "./live";
 
-/** What was learned, how good that is on what was kept from it, and what was seen: the column beside the picture. */
+/** What was learned, how good that is on what was not learned yet, and what was seen: the column beside the picture. */
 export class Numbers {
   readonly learned = h("dl", { class: "facts" });
   readonly good = h("dl", { class: "facts" });
@@ -13,7 +13,7 @@ export class Numbers {
   private shownLog = "";
 
   constructor() {
-    this.canvas = sharpCanvas("Precision over recall on frames that were kept from the forest", (g, w, hgt) => this.draw(g, w, hgt));
+    this.canvas = sharpCanvas("Precision over recall on frames that were not learned yet", (g, w, hgt) => this.draw(g, w, hgt));
     this.canvas.canvas.classList.add("curve");
     this.curve = this.canvas.canvas;
   }
@@ -25,16 +25,16 @@ export class Numbers {
     facts(this.learned, [
       ["Frames of the gesture", counts ? String(counts.gesture) : "–"],
       ["Frames of other movement", counts ? String(counts.negative) : "–"],
-      ["Pixels learned", counts ? sum(counts.pixels) : "–"],
+      ["Pixels learned", counts ? counts.pixels.toLocaleString("en") : "–"],
       ["Nodes of the forest", counts ? counts.nodes.toLocaleString("en") : "–"],
     ]);
     const j = live.judged;
-    const at = j?.at;
+    const at = atThreshold(live);
     facts(this.good, [
       ["Average precision", j && j.ap !== null ? j.ap.toFixed(2) : "–", j && j.ap !== null ? grade(j.ap) : ""],
       ["Precision, recall", at ? `${percent(at.precision)}, ${percent(at.recall)}` : "–"],
       ["False alarms per minute", j && j.false_per_min !== null ? j.false_per_min.toFixed(1) : "–"],
-      ["Measured on", j && j.positives ? `${j.positives} + ${j.frames - j.positives} ${j.on === "test" ? "frames of the test" : "kept frames"}` : "nothing yet"],
+      ["Measured on", j && j.positives ? `${j.positives} + ${j.frames - j.positives} ${j.on === "test" ? "frames of the test" : "new frames"}` : "nothing yet"],
     ]);
     if (j !== judgedBefore) this.canvas.redraw();
     this.showLog(live);
@@ -99,10 +99,11 @@ export class Numbers {
     g.moveTo(x(0), y(j.precision[0] ?? 1));
     j.recall.forEach((r, k) => g.lineTo(x(r), y(j.precision[k]!)));
     g.stroke();
-    if (!j.at) return;
+    const at = this.live && atThreshold(this.live);
+    if (!at) return;
     g.fillStyle = colour("accent");
     g.beginPath();
-    g.arc(x(j.at.recall), y(j.at.precision), 5, 0, 2 * Math.PI);
+    g.arc(x(at.recall), y(at.precision), 5, 0, 2 * Math.PI);
     g.fill();
   }
 }
@@ -118,6 +119,13 @@ function facts(list: HTMLElement, rows: [string, string, string?][]): void {
   });
 }
 
-const sum = (values: readonly number[]): string => values.reduce((a, b) => a + b, 0).toLocaleString("en");
+/** Precision and recall at the threshold; null before either is known. */
+function atThreshold({ judged, step }: Live): { precision: number; recall: number } | null {
+  const threshold = step?.threshold ?? null;
+  if (!judged?.scores.length || threshold === null) return null;
+  const last = judged.scores.filter((s) => s >= threshold).length - 1;
+  return last < 0 ? { precision: 1, recall: 0 } : { precision: judged.precision[last]!, recall: judged.recall[last]! };
+}
+
 const percent = (share: number): string => `${Math.round(100 * share)} %`;
 const grade = (ap: number): string => (ap >= 0.75 ? "good" : ap >= 0.4 ? "warn" : "bad");

@@ -35,14 +35,12 @@ export class Prompt {
     const sees = !!step && state === "test" && (found ? found.length > 0 : step.detected);
     const shown = sees ? "sees" : state;
     if (this.element.dataset["state"] !== shown) this.element.dataset["state"] = shown;
-    const name = session?.gesture ?? "";
+    const name = session?.gestures[0] ?? "";
     setText(this.words, words(state, sees ? (found ?? [name]).join(", ") : "", step?.prompt ?? "", session?.mode === "run"));
     setText(this.hint, hint(state, session?.gestures ?? []));
     const left = state === "ended" || state === "test" ? null : (step?.left_s ?? null);
     setText(this.count, left === null ? "" : String(Math.ceil(left)));
-    const all = session ? session.before + 1 + session.then.length : 1;
-    const which = all > 1 && session ? `${name.replaceAll("_", " ")}, ${session.before + 1} of ${all} · ` : "";
-    setText(this.round, !session || session.mode === "run" || !step ? "" : `${which}round ${Math.min(step.round, session.rounds)} of ${session.rounds}`);
+    setText(this.round, !session || session.mode === "run" || !step ? "" : `round ${Math.min(step.round, session.rounds)} of ${session.rounds}`);
     this.fill(live);
     if (step && state !== "paused" && state !== "ended") this.sound(step.phase, left);
   }

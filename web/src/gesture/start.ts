@@ -7,13 +7,10 @@ import { PHASES } from "./live";
 
 const USUAL: PhaseSeconds = { do_gesture: 3, positive: 5, release: 2, negative: 8 };
 const NEW = "";
-const MOST_THEN = 7;
 
 interface Wish {
   source: string;
   gesture: string;
-  /** Gestures that are taught after it in the same session. */
-  then: string[];
   resume: string;
   rounds: number;
   seconds: PhaseSeconds;
@@ -34,7 +31,6 @@ export function startPage(state: State, begin: (request: GestureRequest) => void
   const wish: Wish = {
     source: usable(state.sources, memory.get("gesture.source")) ?? kinds[0]?.sources[0]?.value ?? "",
     gesture: memory.get("gesture.name") ?? "tee",
-    then: [],
     resume: NEW,
     rounds: 10,
     seconds: { ...USUAL },
@@ -45,14 +41,13 @@ export function startPage(state: State, begin: (request: GestureRequest) => void
     event.preventDefault();
     memory.set("gesture.source", wish.source);
     memory.set("gesture.name", wish.gesture);
-    const { source, gesture, then, rounds, seconds, fast } = wish;
-    begin({ t: "start", mode: "train", source, gesture, then, rounds, seconds, fast, resume: wish.resume || null });
+    const { source, gesture, rounds, seconds, fast } = wish;
+    begin({ t: "start", mode: "train", source, gesture, rounds, seconds, fast, resume: wish.resume || null });
   });
   const draw = (): void => form.replaceChildren(...teachFields(state, kinds, wish, draw));
   draw();
   const goOn = (model: ModelEntry): void => {
     wish.gesture = model.gestures[0] ?? "tee";
-    wish.then = [];
     wish.resume = model.id;
     draw();
     form.querySelector<HTMLElement>("button[type=submit]")?.focus();
@@ -76,10 +71,9 @@ function teachFields(state: State, kinds: Kind[], wish: Wish, draw: () => void):
   const source = chosen?.sources.find((s) => s.value === wish.source);
   const gestures = source?.gestures ?? [];
   if (gestures.length && !gestures.includes(wish.gesture)) wish.gesture = gestures[0]!;
-  wish.then = wish.then.filter((g) => g !== wish.gesture && (!gestures.length || gestures.includes(g)));
   const total = h("span", { class: "dim number" });
   const showTotal = (): void => {
-    const seconds = (1 + wish.then.length) * wish.rounds * Object.values(wish.seconds).reduce((a, b) => a + b, 0);
+    const seconds = wish.rounds * Object.values(wish.seconds).reduce((a, b) => a + b, 0);
     total.textContent = `${minutes(seconds)} in all`;
   };
   const learn = h("div", { class: "row" });
@@ -94,7 +88,6 @@ function teachFields(state: State, kinds: Kind[], wish: Wish, draw: () => void):
     h("div", { class: "kinds", role: "radiogroup", "aria-label": "Source" }, ...kinds.map((k) => kindCard(k, k === chosen, wish, draw))),
     ...(chosen && chosen.sources.length > 1 ? [field("Which one", sourceSelect(chosen, wish, draw))] : []),
     field("Gesture", gestures.length ? gestureSelect(gestures, wish, draw) : gestureName(wish, showLearn)),
-    field("And then", ...thenFields(gestures, wish, draw)),
     field("Learn", learn),
     field("Rounds", number("Rounds", wish.rounds, 1, 100, 1, (n) => {
       wish.rounds = n;
@@ -163,31 +156,6 @@ function gestureSelect(gestures: readonly string[], wish: Wish, changed: () => v
     wish.gesture = value;
     changed();
   });
-}
-
-/** The gestures that come after the first one, each of which can be taken away, and what adds one. */
-function thenFields(gestures: readonly string[], wish: Wish, draw: () => void): HTMLElement[] {
-  const told = (name: string): string => name.replaceAll("_", " ");
-  const add = (name: string): void => {
-    if (!name || name === wish.gesture || wish.then.includes(name)) return;
-    wish.then.push(name);
-    draw();
-  };
-  const chips = wish.then.map((name) =>
-    button(told(name), () => {
-      wish.then = wish.then.filter((g) => g !== name);
-      draw();
-    }, { icon: "close", title: `Not ${told(name)}` }),
-  );
-  if (wish.then.length >= MOST_THEN) return chips;
-  if (!gestures.length) {
-    const input = h("input", { type: "text", maxlength: 64, pattern: "[A-Za-z0-9_\\-]+", placeholder: "another one", "aria-label": "Another gesture", title: "Letters, digits, - and _" });
-    input.addEventListener("change", () => input.validity.valid && add(input.value.trim()));
-    return [...chips, input];
-  }
-  const left = gestures.filter((g) => g !== wish.gesture && !wish.then.includes(g));
-  const choices = [{ value: NEW, label: wish.then.length ? "another one…" : "no other; or choose…" }, ...left.map((g) => ({ value: g, label: told(g) }))];
-  return [...chips, select("Another gesture", choices, NEW, add)];
 }
 
 function gestureName(wish: Wish, changed: () => void): HTMLElement {

@@ -182,7 +182,7 @@ export class Trainer {
       h(
         "div",
         { class: "row" },
-        again ? button("Teach it more", () => this.leave({ t: "start", mode: "train", gesture: session.gesture, source, resume: saved.model, rounds: session.rounds, seconds: session.seconds }), { icon: "plus" }) : null,
+        again ? button("Teach it more", () => this.leave({ t: "start", mode: "train", gesture: session.gestures[0]!, source, resume: saved.model, rounds: session.rounds, seconds: session.seconds }), { icon: "plus" }) : null,
         again ? button("Watch for it", () => this.leave({ t: "start", mode: "run", models: [saved.model], source }), { icon: "play" }) : null,
         button("Another gesture", () => this.leave(null), { kind: "primary" }),
       ),

@@ -37,6 +37,16 @@ export class Zoom {
     ];
   }
 
+  /** So many times larger than the whole picture, with this place of the picture in the middle as far as the picture
+   * reaches. */
+  look(times: number, [x, y]: XY): void {
+    this.factor = Math.min(MOST, Math.max(1, times));
+    [x, y].forEach((at, k) => {
+      const most = Math.max(0, (this.picture[k]! * this.scale - this.screen[k]!) / 2);
+      this.offset[k] = Math.min(most, Math.max(-most, (this.picture[k]! / 2 - 0.5 - at) * this.scale));
+    });
+  }
+
   /** The whole picture. */
   fit(): void {
     this.factor = 1;

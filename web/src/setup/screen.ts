@@ -5,7 +5,6 @@ import type { OpenScreen } from "../router";
 import { button } from "../ui/buttons";
 import { h } from "../ui/dom";
 import { icon } from "../ui/icons";
-import { itemMenu } from "../ui/library";
 import { shell } from "../ui/shell";
 import { toast } from "../ui/toast";
 import { JobCard } from "./card";
@@ -111,7 +110,6 @@ class Home {
           h("span", { class: "grow" }, h("b", {}, r.name), r.path === r.name ? null : h("span", { class: "dim" }, r.path)),
           h("span", { class: "dim" }, r.results.length ? `${r.results.length} ${r.results.length === 1 ? "result" : "results"}` : "not tracked yet"),
         ),
-        itemMenu("recordings", r, () => void this.reload(new AbortController().signal)),
       ),
     );
     this.list.replaceChildren(

@@ -12,6 +12,9 @@ const GAP = 4;
 const WIDTHS = [240, 320, 480, 640, 960, 1280, 1920];
 const CLOSER = 1.3; // by one press of a key
 const STEP_PX = 40;
+const ROOM = 1.3; // of a close-up: its side is so many times the person's
+const SAMPLED = 40; // rows in which the person is measured for it
+const MOST_CLOSE_PX = 960; // width of pictures for close-ups
 
 interface Tile {
   box: HTMLElement;
@@ -19,6 +22,10 @@ interface Tile {
   note: HTMLElement;
   overlay: Overlay;
   image: ImageBitmap | null;
+  /** What is shown of the picture. */
+  zoom: Zoom;
+  /** How many times larger than the whole picture the person fills the tile. */
+  near: number;
 }
 
 /** Something that is done with the pointer in the pictures; x, y, px: pixels of the calibrated size, px per one of the
@@ -52,8 +59,6 @@ export class CameraPane {
   private beside: Beside | null = null;
   private besideSkin: Skin | null = null;
   private enlarged = -1;
-  /** What is shown of the enlarged picture. */
-  private readonly zoom = new Zoom();
   private shownWidth = 480;
   private width = 480;
   private wanted = 0;
@@ -65,7 +70,7 @@ export class CameraPane {
     private readonly source: Source,
     private readonly failed: (message: string) => void,
   ) {
-    this.shown = { body: true, skeleton: true, rivals: true, masks: false, ...(JSON.parse(memory.get("overlays") ?? "{}") as object) };
+    this.shown = { body: true, skeleton: true, rivals: true, masks: false, close: true, ...(JSON.parse(memory.get("overlays") ?? "{}") as object) };
     this.skin = data.coarse ? new Skin(data, data.coarse) : null;
     this.tiles = data.header.cameras.map((camera, i) => {
       const canvas = h("canvas", { role: "img", "aria-label": `Picture of ${camera.name}` });
@@ -78,7 +83,8 @@ export class CameraPane {
       });
       const box = h("div", { class: "tile" }, canvas, h("span", { class: "tile-name" }, camera.name), note, enlarge);
       box.addEventListener("dblclick", () => !this.editing && this.enlarge(this.enlarged === i ? -1 : i));
-      const tile: Tile = { box, canvas, note, overlay: new Overlay(data, camera, this.skin), image: null };
+      const overlay = new Overlay(data, camera, this.skin);
+      const tile: Tile = { box, canvas, note, overlay, image: null, zoom: new Zoom(), near: nearness(data, overlay) };
       this.listen(tile, i);
       return tile;
     });
@@ -97,9 +103,11 @@ export class CameraPane {
       this.shown[what] = on;
       memory.set("overlays", JSON.stringify(this.shown));
       if (what === "masks") void this.needOutlines();
+      if (what === "close") this.need();
       this.draw();
     };
     const made = [
+      toggle("Close-up", this.shown.close, change("close"), { icon: "fit", title: "Close-up of the person in the pictures" }),
       toggle("Body", this.shown.body, change("body"), { icon: "body", title: "Body on the pictures" }),
       toggle("Skeleton", this.shown.skeleton, change("skeleton"), { icon: "skeleton", title: "Skeleton on the pictures" }),
     ];
@@ -129,16 +137,12 @@ export class CameraPane {
   }
 
   private listen(tile: Tile, index: number): void {
-    const { canvas, overlay } = tile;
-    const at = (event: PointerEvent): [number, number, number] => {
-      if (this.enlarged === index) return [...this.zoom.toPicture([event.offsetX, event.offsetY]), 1 / this.zoom.scale];
-      const px = overlay.camera.size[0] / canvas.clientWidth;
-      return [event.offsetX * px - 0.5, event.offsetY * px - 0.5, px];
-    };
+    const { canvas, overlay, zoom } = tile;
+    const at = (event: PointerEvent): [number, number, number] => [...zoom.toPicture([event.offsetX, event.offsetY]), 1 / zoom.scale];
     let held: "joint" | XY | null = null;
     canvas.addEventListener("pointerdown", (event) => {
       if (event.button === 0 && this.editing?.down(index, overlay, ...at(event))) held = "joint";
-      else if (this.enlarged === index && this.zoom.times > 1) held = [event.clientX, event.clientY];
+      else if (this.enlarged === index && zoom.times > 1) held = [event.clientX, event.clientY];
       else return;
       canvas.setPointerCapture(event.pointerId);
       event.preventDefault();
@@ -166,7 +170,7 @@ export class CameraPane {
     }, { passive: false });
     canvas.addEventListener("keydown", (event) => {
       const [dx, dy] = PANS[event.key] ?? [0, 0];
-      if (this.zoom.times === 1 || !(dx || dy) || event.ctrlKey || event.metaKey || event.altKey) return;
+      if (this.enlarged !== index || zoom.times === 1 || !(dx || dy) || event.ctrlKey || event.metaKey || event.altKey) return;
       this.pan(STEP_PX * dx, STEP_PX * dy);
       event.preventDefault();
     });
@@ -180,20 +184,23 @@ export class CameraPane {
   }
 
   private zoomBy(factor: number, at?: XY): void {
-    this.zoom.by(factor, at);
-    this.tiles[this.enlarged]!.canvas.toggleAttribute("data-closer", this.zoom.times > 1);
+    const { zoom, canvas } = this.tiles[this.enlarged]!;
+    zoom.by(factor, at);
+    canvas.toggleAttribute("data-closer", zoom.times > 1);
     this.need();
     this.draw();
   }
 
   private pan(dx: number, dy: number): void {
-    this.zoom.move(dx, dy);
+    this.tiles[this.enlarged]!.zoom.move(dx, dy);
     this.draw();
   }
 
   /** Pictures as large as they are shown. */
   private need(): void {
-    const wide = this.shownWidth * this.zoom.times;
+    const one = this.tiles[this.enlarged];
+    const nearest = this.shown.close ? Math.max(...this.tiles.map((t) => t.near)) : 1;
+    const wide = one ? this.shownWidth * one.zoom.times : Math.min(this.shownWidth * nearest, Math.max(this.shownWidth, MOST_CLOSE_PX));
     this.width = WIDTHS.find((x) => x >= wide) ?? 1920;
     this.show(this.wanted);
   }
@@ -209,8 +216,8 @@ export class CameraPane {
   enlarge(index: number): void {
     if (index >= this.tiles.length) return;
     this.enlarged = index;
-    this.zoom.fit();
     this.tiles.forEach((t, i) => {
+      t.zoom.fit();
       t.box.hidden = index >= 0 && i !== index;
       t.canvas.removeAttribute("data-closer");
       // an enlarged picture is moved with the keys once it has the focus
@@ -318,7 +325,7 @@ export class CameraPane {
       tile.box.style.height = tile.canvas.style.height = `${hgt}px`;
       tile.canvas.width = Math.round(w * ratio);
       tile.canvas.height = Math.round(hgt * ratio);
-      if (i === this.enlarged) [this.zoom.picture, this.zoom.screen] = [size, [w, hgt]];
+      [tile.zoom.picture, tile.zoom.screen] = [size, [w, hgt]];
     });
     this.shownWidth = best.w * ratio;
     this.need();
@@ -336,7 +343,9 @@ export class CameraPane {
       const c = tile.canvas.getContext("2d", { alpha: false });
       if (!c || tile.box.hidden) return;
       const { width, height } = tile.canvas;
-      const [times, [left, top]] = this.placed(i, width);
+      if (this.enlarged < 0) this.look(tile, row);
+      const { times, screen } = tile.zoom;
+      const [left, top] = tile.zoom.toScreen([-0.5, -0.5]).map((at) => (at * width) / screen[0]) as XY;
       c.setTransform(1, 0, 0, 1, 0, 0);
       if (!tile.image || times > 1) {
         c.fillStyle = "#22282e";
@@ -353,12 +362,11 @@ export class CameraPane {
     });
   }
 
-  /** How many times larger than the tile a picture is drawn, and where it begins (px of the canvas). */
-  private placed(index: number, width: number): [number, XY] {
-    if (index !== this.enlarged || this.zoom.times === 1) return [1, [0, 0]];
-    const ratio = width / this.zoom.screen[0];
-    const [x, y] = this.zoom.toScreen([-0.5, -0.5]);
-    return [this.zoom.times, [x * ratio, y * ratio]];
+  /** Turns a small picture to the person, where close-ups are wanted and the person is in it. */
+  private look(tile: Tile, row: number): void {
+    const found = this.shown.close ? extent(tile.overlay.pixelsOf(row)) : null;
+    if (found) tile.zoom.look(tile.near, [(found[0] + found[2]) / 2, (found[1] + found[3]) / 2]);
+    else tile.zoom.fit();
   }
 
   private empty(): HTMLElement {
@@ -371,6 +379,27 @@ export class CameraPane {
       h("p", {}, "and open that recording's folder."),
     );
   }
+}
+
+/** Left, top, right and bottom of points (x, y, x, y, ...); null where none is known. */
+function extent(pixels: Float32Array): [number, number, number, number] | null {
+  const out: [number, number, number, number] = [Infinity, Infinity, -Infinity, -Infinity];
+  for (let i = 0; i < pixels.length; i += 2) {
+    const [x, y] = [pixels[i]!, pixels[i + 1]!];
+    if (Number.isNaN(x + y)) continue;
+    [out[0], out[1], out[2], out[3]] = [Math.min(out[0], x), Math.min(out[1], y), Math.max(out[2], x), Math.max(out[3], y)];
+  }
+  return out[0] < out[2] ? out : null;
+}
+
+/** How many times larger than the whole picture the person may be shown in all frames. */
+function nearness(data: ViewData, overlay: Overlay): number {
+  let near = Infinity;
+  for (let row = 0; row < data.frames; row += Math.max(1, Math.floor(data.frames / SAMPLED))) {
+    const found = extent(overlay.pixelsOf(row));
+    if (found) near = Math.min(near, overlay.camera.size[0] / (ROOM * (found[2] - found[0])), overlay.camera.size[1] / (ROOM * (found[3] - found[1])));
+  }
+  return Math.max(1, Math.min(near, 6));
 }
 
 /** Where the picture goes when one looks to the left, right, up or down. */

@@ -103,7 +103,7 @@ class Library {
         h("span", { class: "number" }, `${result.frames} frames · ${clock(seconds, 0.1)}`),
         h("span", {}, new Date(1000 * result.changed).toLocaleString(undefined, { dateStyle: "medium", timeStyle: "short" })),
       ),
-      itemMenu("results", result, () => void this.reload(), [
+      itemMenu(result, () => void this.reload(), [
         ...(recording ? [h("a", { role: "menuitem", href: `#/setup/${recording.id}` }, "Its recording")] : []),
       ]),
     );

@@ -10,6 +10,8 @@ export interface Shown {
   skeleton: boolean;
   rivals: boolean;
   masks: boolean;
+  /** Small pictures are cut to the person. */
+  close: boolean;
 }
 
 /** Draws a result over the pictures of one camera. Pixels are those of the calibrated size. */

@@ -1,4 +1,5 @@
 import { address, get, getBytes, post } from "../api";
+import type { Job } from "../protocol";
 import { readBundle, type ViewData } from "../lib/bundle";
 import type { Gait } from "./cycles";
 
@@ -64,7 +65,7 @@ export class ServerSource implements Source {
   }
 
   async export(formats: readonly string[]): Promise<string> {
-    return (await post<{ id: string }>(`${this.path}/export`, { formats })).id;
+    return (await post<Job>("/api/jobs", { kind: "export", result: this.id, options: { formats } })).id;
   }
 }
 const KEPT_ROWS = 60;
