@@ -148,33 +148,8 @@ def _forward_kinematics(poses, tree, rotations, centres):
 
 
 @kernel
-def skin_batch(rotations, centres, tree, mesh, out):
-    """Skin the mesh of N poses in float64 by linear blend skinning.
-
-    rotations, centres: (N, J, 3, 3) and (N, J, 3) m, joint frames in the world.
-    tree, mesh: of the body.
-    out: (N, V, 3) gets the vertices, m, world.
-    """
-    for n in range(rotations.shape[0]):
-        for v in range(mesh.vertices.shape[0]):
-            px = py = pz = 0.0
-            for k in range(mesh.skin_count[v]):
-                j = mesh.skin_index[v, k]
-                w = np.float64(mesh.skin_weight[v, k])
-                x = mesh.vertices[v, 0] - tree.joints[j, 0]
-                y = mesh.vertices[v, 1] - tree.joints[j, 1]
-                z = mesh.vertices[v, 2] - tree.joints[j, 2]
-                r = rotations[n, j]
-                c = centres[n, j]
-                px += w * (c[0] + r[0, 0] * x + r[0, 1] * y + r[0, 2] * z)
-                py += w * (c[1] + r[1, 0] * x + r[1, 1] * y + r[1, 2] * z)
-                pz += w * (c[2] + r[2, 0] * x + r[2, 1] * y + r[2, 2] * z)
-            out[n, v, 0], out[n, v, 1], out[n, v, 2] = px, py, pz
-
-
-@kernel
 def bone_map(rotation, centre, joint, out):
-    """Compute the map out (12,) f4, row by row (3, 4), that carries a vertex of the resting body with a joint.
+    """Compute the map out (12,), row by row (3, 4), that carries a vertex of the resting body with a joint.
 
     rotation, centre: frame of the joint, (3, 3) and (3,).
     joint: (3,) its centre at rest.
@@ -189,14 +164,14 @@ def bone_map(rotation, centre, joint, out):
 
 @kernel
 def skin_vertices(maps, mesh, chosen, out):
-    """Skin some vertices of one pose in float32 by linear blend skinning.
+    """Skin some vertices of one pose by linear blend skinning, in the numbers of the maps.
 
-    maps: (J, 12) f4 of `bone_map`.
+    maps: (J, 12) f4 or f8 of `bone_map`.
     mesh: of the body.
     chosen: indices of the vertices.
-    out: (V, 3) f4 m gets them; other rows stay.
+    out: (V, 3) m gets them; other rows stay.
     """
-    b = np.empty(12, np.float32)
+    b = np.empty(12, maps.dtype)
     for n in range(chosen.shape[0]):
         v = chosen[n]
         w = mesh.skin_weight[v, 0]
@@ -227,6 +202,16 @@ def skin_about_root(rotations, centres, tree, mesh, out):
     for j in range(n_joints):
         bone_map(rotations[j], centres[j], tree.joints[j], maps[j])
     skin_vertices(maps, mesh, np.arange(mesh.vertices.shape[0]), out)
+
+
+@kernel
+def _skin(rotations, centres, tree, mesh, out):
+    """Skin N poses in float64; see `skin`."""
+    maps, every = np.empty((tree.parents.shape[0], 12)), np.arange(mesh.vertices.shape[0])
+    for n in range(rotations.shape[0]):
+        for j in range(maps.shape[0]):
+            bone_map(rotations[n, j], centres[n, j], tree.joints[j], maps[j])
+        skin_vertices(maps, mesh, every, out[n])
 
 
 @kernel
@@ -261,5 +246,5 @@ def skin(rotations: ArrayLike, centres: ArrayLike, tree: TreeArrays, mesh: MeshA
     """
     r, c = plain(rotations, np.float64), plain(centres, np.float64)
     out = np.empty((len(r), len(mesh.vertices), 3))
-    skin_batch(r, c, tidy(tree), tidy(mesh), out)
+    _skin(r, c, tidy(tree), tidy(mesh), out)
     return out

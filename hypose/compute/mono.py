@@ -35,13 +35,14 @@ class MonoModel(NamedTuple):
     """Body before a camera, with the parts that the estimated degrees of freedom move.
 
     tree, mesh: of the body.
-    all_faces, moving_faces: indices of all faces, and of those that they move.
+    all_vertices, all_faces, moving_faces: indices of all vertices and faces, and of the faces that they move.
     moving_vertices: (V,) vertices of which they carry more than half.
     projection: (3, 4) pinhole.
     """
 
     tree: TreeArrays
     mesh: MeshArrays
+    all_vertices: NDArray[np.int64]
     all_faces: NDArray[np.int64]
     moving_faces: NDArray[np.int64]
     moving_vertices: NDArray[np.bool_]
@@ -144,8 +145,8 @@ class MonoWorkspace(NamedTuple):
 
     rotations, centres, twists: joint frames of the pose, about the root.
     vertices: (V, 3) about the root.
-    uvz: (V, 3) pixel and depth.
-    inverse: (V,) 1 / depth, 0 where that is too near.
+    seen: (4, V) pixels u and v, depths and inverse depths, of `zbuffer.project`.
+    box: (4,) part of the picture in which the body lies.
     front: (F,) 1: seen from outside.
     depth: (h, w) z-buffer, 1/m, 0 = nothing.
     node_ends: (N, 2) vertices between which a contour node lies.
@@ -161,8 +162,8 @@ class MonoWorkspace(NamedTuple):
     centres: NDArray[np.float64]
     twists: NDArray[np.float64]
     vertices: NDArray[np.float32]
-    uvz: NDArray[np.float32]
-    inverse: NDArray[np.float32]
+    seen: NDArray[np.float32]
+    box: NDArray[np.int64]
     front: NDArray[np.uint8]
     depth: NDArray[np.float32]
     node_ends: NDArray[np.int32]
@@ -183,7 +184,8 @@ def model(tree: TreeArrays, mesh: MeshArrays, carried: NDArray[np.bool_], projec
     """
     share = (mesh.skin_weight * carried[mesh.skin_index]).sum(1)
     moving = np.flatnonzero((share > 0.01)[mesh.faces].any(1))
-    return MonoModel(tree, mesh, np.arange(len(mesh.faces)), moving, share > 0.5, plain(projection, np.float64))
+    every = np.arange(len(mesh.vertices)), np.arange(len(mesh.faces))
+    return MonoModel(tree, mesh, *every, moving, share > 0.5, plain(projection, np.float64))
 
 
 def workspace(m: MonoModel, height: int, width: int) -> MonoWorkspace:
@@ -196,8 +198,8 @@ def workspace(m: MonoModel, height: int, width: int) -> MonoWorkspace:
         np.zeros((j, 3)),
         np.zeros((d, 6)),
         np.zeros((v, 3), f4),
-        np.zeros((v, 3), f4),
-        np.zeros(v, f4),
+        np.zeros((4, v), f4),
+        np.zeros(4, np.int64),
         np.zeros(f, np.uint8),
         np.zeros((height, width), f4),
         np.zeros((MOST_NODES, 2), i4),
@@ -278,7 +280,7 @@ def contour_row(p, ws, r, i, nx, ny, first, second):
     """
     node = ws.nodes[i]
     a, b, t = ws.node_ends[i, 0], ws.node_ends[i, 1], node[0]
-    depth = (1 - t) * ws.uvz[a, 2] + t * ws.uvz[b, 2]
+    depth = (1 - t) * ws.seen[2, a] + t * ws.seen[2, b]
     dx, dy, dz = image_direction(p, node[1], node[2], depth, nx, ny)
     put_row(ws, r, a, b, a, t, 0.0, dx, dy, dz, first, second)
 

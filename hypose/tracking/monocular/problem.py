@@ -41,6 +41,8 @@ from hypose.tracking.monocular.settings import MonoSettings
 
 SMALLEST_MASK = 50
 """px: a silhouette of fewer pixels shows no person"""
+_NORMALS = 0.0
+"""least cosine between the normals of the body's and the mask's outline"""
 MASK_SCALE = 2.0
 """factor on the robust scale of a mask's contours: with one view poses are farther off than with several"""
 TOLERANCE = 0.02
@@ -425,7 +427,7 @@ class PictureProblem(Problem[Array, tuple[Array, Array]]):
         fixed, _, contours, points, _ = self.evidence
         posed = Posed(fixed.body, pose, self.ws.vertices + pose[:3])
         if contours is not None:
-            yield from rows_of_contours(posed, contours, MASK_SCALE, contours.weight, contours.row_spacing_px)
+            yield from rows_of_contours(posed, contours, MASK_SCALE, contours.weight, contours.row_spacing_px, _NORMALS)
         if points is not None:
             yield rows_of_keypoints(posed, points, points.projections)
         yield sphere_rows(posed, fixed.spheres)
