@@ -229,7 +229,8 @@ def _kernels(recording: Recording, options: TrackOptions) -> tuple[str, ...]:
     depth = ("depth",) if recording.depth_views else ()
     if options.looks_at == "keypoints":
         return ("solver", *depth)
-    masks = ("solver", *depth, "scorer", "outlines")
+    # a given body is not fitted to outlines
+    masks = ("solver", *depth, "scorer", "outlines", *(() if options.subject else ("shape",)))
     return masks if all(view.masks is not None for view in recording.views) else (*masks, "pictures")
 
 
