@@ -24,13 +24,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose.cameras.camera import Camera
-from hypose.errors import HyposeError, InputError, extra
+from hypose.errors import InputError, extra
 from hypose.geometry import Array, DepthMap
 from hypose.io.calibrations.calibration_formats import read_any
 from hypose.io.file_names import utf8_path
 from hypose.io.files import numbers_of, open_file, read_bytes, readable_size, write_bytes
 from hypose.io.videos.camera_sources import CameraImage, CameraSource, Played, StreamEnded
-from hypose.io.videos.video import PNG_SIGNATURE, is_cut_png, list_images, sequence_numbers
+from hypose.io.videos.video import PNG_SIGNATURE, VideoReader, is_cut_png, list_images, sequence_numbers
 from hypose.json_text import parse_json
 
 MAX_SIDE = 4096
@@ -569,22 +569,14 @@ class _RealSense:
             close()
 
 
-class _Maps:
-    """A folder of depth maps (16-bit PNG, mm) as a `Film`, whose pictures are maps (h, w), float32 m."""
+class _Maps(VideoReader):
+    """A folder of depth maps (16-bit PNG, mm), which are read as maps (h, w), float32 m."""
 
-    frame_rate: float | None = None
-
-    def __init__(self, folder: Path) -> None:
-        self.path, self._files, self.position = folder, list_images(folder), 0
-        self.n_frames = len(self._files)
-
-    def read(self, number: int) -> DepthMap:
+    def read(self, index: int | None = None, out: Any = None) -> Any:
         """Read a map by its number; a damaged one becomes a map without depth."""
-        self.position = number + 1
+        number = self.position if index is None else index
+        self.seek(number + 1)
         try:
-            return read_depth_png(self._files[number])
-        except HyposeError:
+            return read_depth_png((self._images or [])[number])
+        except InputError:
             return np.zeros((1, 1), np.float32)
-
-    def close(self) -> None:
-        """Do nothing, because no file stays open."""
