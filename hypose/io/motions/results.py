@@ -508,14 +508,34 @@ _BODY = Archive(
 )
 
 
-def save_body(body: Body, path: str | Path) -> None:
-    """Write a body (metres, model frame) as body.npz. Equal bodies give equal bytes."""
+def body_arrays(body: Body) -> dict[str, np.ndarray]:
+    """Convert a body (metres, model frame) to arrays, which `body_of_arrays` reads."""
     arrays = _stored_skeleton(body.skeleton)
     for level, mesh in zip(_LEVELS, (body.coarse, body.fine), strict=True):
         arrays |= {f"{level}_{k}": v for k, v in _stored(mesh, _MESH).items()}
     arrays |= {f"landmark_{k}": v for k, v in _stored(body.landmarks, _MARKS).items()}
-    arrays |= {"landmark_names": _texts(body.landmarks.names), "name": np.array(body.name)}
-    write_archive(path, {**arrays, "format": np.array(_FORMAT, dtype="<i8")})
+    return arrays | {"landmark_names": _texts(body.landmarks.names), "name": np.array(body.name)}
+
+
+def save_body(body: Body, path: str | Path) -> None:
+    """Write a body (metres, model frame) as body.npz. Equal bodies give equal bytes."""
+    write_archive(path, {**body_arrays(body), "format": np.array(_FORMAT, dtype="<i8")})
+
+
+def body_of_arrays(arrays: Mapping[str, np.ndarray]) -> Body:
+    """Assemble a body from the arrays of `body_arrays`.
+
+    Raises: InputError where the arrays disagree; it does not name the file.
+    """
+    skeleton = _skeleton_of(arrays)
+    for name in ("landmark_joint", "coarse_skin_index", "fine_skin_index"):
+        _check_joints(arrays, name)
+    names = tuple(str(n) for n in arrays["landmark_names"])
+    marks = Landmarks(names, arrays["landmark_joint"], arrays["landmark_offset"])
+    if marks.joint.shape != (len(names),) or marks.offset.shape != (len(names), 3):
+        raise InputError("the landmarks do not fit their names")
+    coarse, fine = (_mesh(arrays, level) for level in _LEVELS)
+    return Body(str(arrays["name"]), skeleton, coarse, fine, marks)
 
 
 def load_body(path: str | Path) -> Body:
@@ -526,15 +546,7 @@ def load_body(path: str | Path) -> Body:
     path = Path(path)
     arrays = _BODY.load(path)
     try:
-        skeleton = _skeleton_of(arrays)
-        for name in ("landmark_joint", "coarse_skin_index", "fine_skin_index"):
-            _check_joints(arrays, name)
-        names = tuple(str(n) for n in arrays["landmark_names"])
-        marks = Landmarks(names, arrays["landmark_joint"], arrays["landmark_offset"])
-        if marks.joint.shape != (len(names),) or marks.offset.shape != (len(names), 3):
-            raise InputError("the landmarks do not fit their names")
-        coarse, fine = (_mesh(arrays, level) for level in _LEVELS)
-        return Body(str(arrays["name"]), skeleton, coarse, fine, marks)
+        return body_of_arrays(arrays)
     except HyposeError as error:
         raise _BODY.bad(path, error) from None
 
