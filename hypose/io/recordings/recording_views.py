@@ -62,13 +62,13 @@ class ViewSettings:
         return self.source is not None or self.masks is not None
 
 
-Clip = VideoReader | ObjectMasks
+_Clip = VideoReader | ObjectMasks
 """A video, folder of images or masks of a view, with its size, length and frame rate; no picture is read yet."""
 
 
-def look(view: ViewSettings) -> list[Clip]:
+def look(view: ViewSettings) -> list[_Clip]:
     """Open the files of a view (video or images, then masks)."""
-    out: list[Clip] = []
+    out: list[_Clip] = []
     for path in (view.source, view.masks):
         if path is None:
             continue
@@ -81,7 +81,7 @@ def look(view: ViewSettings) -> list[Clip]:
     return out
 
 
-def look_together(views: Sequence[ViewSettings], notes: list[str]) -> tuple[list[ViewSettings], list[list[Clip]]]:
+def look_together(views: Sequence[ViewSettings], notes: list[str]) -> tuple[list[ViewSettings], list[list[_Clip]]]:
     """Read the properties of all views' files, and number masks of one folder per object alike in all views.
 
     Where such files begin with different numbers, the lowest is the first frame of all views.
@@ -185,7 +185,7 @@ def on_one_clock(
     where: str,
     given: float | None,
     views: Sequence[ViewSettings],
-    clips: Sequence[list[Clip]],
+    clips: Sequence[list[_Clip]],
     reported: float | None,
     notes: list[str],
 ) -> tuple[list[ViewSettings], float]:
@@ -253,7 +253,7 @@ def _of_times(times: Array) -> str:
     return f"its video has {1 / step:.4g} frames/s"
 
 
-def common_frames(views: Sequence[ViewSettings], clips: Sequence[list[Clip]], notes: list[str]) -> int:
+def common_frames(views: Sequence[ViewSettings], clips: Sequence[list[_Clip]], notes: list[str]) -> int:
     """Count the frames that every view has.
 
     views, clips: views, and the properties of their files.
