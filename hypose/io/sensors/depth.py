@@ -5,12 +5,10 @@ A depth map is (h, w) float32 in metres, 0 for a hole, with pixel centres at int
 
 from __future__ import annotations
 
-import contextlib
 import importlib
 import itertools
 import os
 import struct
-import tempfile
 import time
 import zipfile
 import zlib
@@ -222,8 +220,7 @@ def open_realsense(serial: str | None = None) -> DepthFile:
     library = _library()
     config = library.config()
     config.enable_stream(library.stream.depth)
-    with _no_report_at_home():
-        found = {d.get_info(library.camera_info.serial_number) for d in library.context().query_devices()}
+    found = {d.get_info(library.camera_info.serial_number) for d in library.context().query_devices()}
     if not found or (serial is not None and serial not in found):
         there = f"the connected ones are {', '.join(sorted(found))}" if found else "none is connected"
         which = "No RealSense camera can be used" if serial is None else f"There is no RealSense camera {serial}"
@@ -266,8 +263,6 @@ def _opened(library: Any, config: Any, what: str, recorded: bool) -> DepthFile:
         scale = float(device.first_depth_sensor().get_depth_scale())
     except RuntimeError:
         pipeline.stop()
-        with _no_report_at_home():
-            del pipeline, profile, device
         raise InputError(f"{what} has no depth; record with the depth stream switched on.") from None
     if not (0 < lens.width <= MAX_SIDE and 0 < lens.height <= MAX_SIDE and 0 < scale < 1):
         pipeline.stop()
@@ -283,7 +278,7 @@ def _frames(pipeline: Any, scale: float, what: str) -> Iterator[DepthFrame]:
     scale: size of a step of the values, m.
     what: camera or file, for the error message.
     """
-    first, last, frames, frame = None, -np.inf, None, None
+    first, last = None, -np.inf
     try:
         while True:
             ok, frames = pipeline.try_wait_for_frames(_PATIENCE_MS)
@@ -299,23 +294,6 @@ def _frames(pipeline: Any, scale: float, what: str) -> Iterator[DepthFrame]:
         raise InputError(f"{what} cannot be read any further ({_short(error)}); record again.") from None
     finally:
         pipeline.stop()
-        with _no_report_at_home():
-            del pipeline, frames, frame
-
-
-@contextlib.contextmanager
-def _no_report_at_home() -> Iterator[None]:
-    """Redirect the home folder while the last objects of the library are deleted.
-
-    Why: since version 2.59, pyrealsense2 then writes usage counts to ~/.rum.
-    """
-    home = os.environ.get("HOME")
-    with tempfile.TemporaryDirectory(prefix="hypose-") as folder:
-        os.environ["HOME"] = folder
-        try:
-            yield
-        finally:
-            os.environ.pop("HOME") if home is None else os.environ.update(HOME=home)
 
 
 def _short(error: Exception) -> str:
