@@ -13,13 +13,11 @@ from numpy.typing import NDArray
 from hypose.cameras.camera import Camera
 from hypose.errors import CalibrationError, InputError
 from hypose.geometry import Array
-from hypose.io.recordings.object_masks import ObjectMasks, open_masks
+from hypose.io.recordings.object_masks import SIDECAR, ObjectMasks, open_masks
 from hypose.io.videos.video import VideoReader, check_numbers, frame_size, frame_times, open_video, stored_frames
 
 # Ratio of frame rates below which they count as equal: 29.97 and 30 frames/s differ by rounding in the container.
 _ALIKE = 1.005
-SIDECAR = "hypose-masks.json"
-"""Name of the note in a folder of masks that are already undistorted; their files are found by frame number."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +75,7 @@ def look(view: ViewSettings) -> list[_Clip]:
             continue  # found by frame number; there may be masks of some frames only
         if path.is_dir() and not made_here:
             check_numbers(path)
-        out.append(open_masks(path, view.first_mask) if path == view.masks and not made_here else open_video(path))
+        out.append(open_masks(path, view.first_mask) if path == view.masks else open_video(path))
     return out
 
 
@@ -116,8 +114,7 @@ def open_pictures(view: ViewSettings, threads: int | None = None) -> VideoReader
         return open_video(view.source, threads, rate=view.rate)
     if view.masks is None:
         raise InputError(f"View {view.name} has neither video, images nor masks.")
-    made_here = (view.masks / SIDECAR).is_file()
-    return open_video(view.masks) if made_here else open_masks(view.masks, view.first_mask)
+    return open_masks(view.masks, view.first_mask)
 
 
 def check_picture_size(
