@@ -12,7 +12,7 @@ import numpy as np
 
 from hypose import __version__
 from hypose.app.reports.charts import RIGHT_COLOUR, Axes, chart, over_known
-from hypose.app.reports.summary import page
+from hypose.app.reports.summary import list_of, page, table_of
 from hypose.body.default_body import JOINT_NAMES
 from hypose.io.files import write_text
 from hypose.io.motions.results import load_result
@@ -127,7 +127,7 @@ def write_comparison_page(path: Path, compared: Sequence[Compared], failed: Sequ
         if f.angles:
             parts += ["<h3>Angles</h3>", _table(f.angles)]
         if f.notes:
-            parts.append("<ul>" + "".join(f"<li>{e(n)}</li>" for n in f.notes) + "</ul>")
+            parts.append(list_of(f.notes))
     parts.append(
         "<p class='dim'>Median, 95th percentile and RMSE of the distance between the two (angles: of the absolute "
         "difference), as it is and without the constant offset of each joint in its segment, by which two programs "
@@ -142,7 +142,7 @@ def _table(rows: Sequence[Agreement]) -> str:
     """Build the HTML table of joints or angles; columns with a star are without the constant offset."""
     head = ("", "unit", "frames", "median", "p95", "RMSE", "offset", "median*", "p95*", "RMSE*", "bias", "limits", "r",
             "inside 90 %")  # fmt: skip
-    out = ["<table><tr>" + "".join(f"<th>{h}</th>" for h in head) + "</tr>"]
+    out = []
     for a in rows:
         numbers = (a.median, a.p95, a.rmse, a.offset, a.median_left, a.p95_left, a.rmse_left)
         limits = " / ".join(f"{low:.0f}..{high:.0f}" for low, high in zip(a.low, a.high, strict=True))
@@ -150,8 +150,8 @@ def _table(rows: Sequence[Agreement]) -> str:
         cells = [html.escape(a.name), a.unit, str(a.n), *(_number(v) for v in numbers)]
         cells += [" / ".join(_number(v) for v in a.bias.tolist()), limits, " / ".join(f"{v:.3f}" for v in a.r.tolist())]
         cells.append("-" if covered != covered else f"{100 * covered:.0f} %")
-        out.append("<tr>" + "".join(f'<td class="n">{c}</td>' if i else f"<td>{c}</td>" for i, c in enumerate(cells)))
-    return "\n".join(out) + "</table><p class='dim'>* without the constant offset</p>"
+        out.append(cells)
+    return table_of(out, head, range(1, len(head))) + "<p class='dim'>* without the constant offset</p>"
 
 
 def _number(value: float) -> str:

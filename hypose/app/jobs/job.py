@@ -22,7 +22,7 @@ from hypose.app.commands.console import ProgressCall, Stages, counted, each, ign
 from hypose.app.options import TrackCommand
 from hypose.app.reports.overlay import PictureRows, Shown, colour_of, write_overlay
 from hypose.app.reports.report import picture_rows, report_html
-from hypose.app.reports.summary import CONTENT_POLICY, DESCRIPTIONS, page, require_found, summarize
+from hypose.app.reports.summary import CONTENT_POLICY, DESCRIPTIONS, list_of, page, require_found, summarize, table_of
 from hypose.app.studio.view_bundle import Rivals, in_recording
 from hypose.body.body import Body
 from hypose.body.motion import Motion
@@ -521,12 +521,11 @@ def _index(job: TrackJob, people: Sequence[TrackedPerson], notes: Sequence[str])
             html.escape(there),
             html.escape(p.assessment.sentence),
         )
-        rows.append("<tr>" + "".join(f"<td>{c}</td>" for c in cells) + "</tr>")
+        rows.append(cells)
     film = '<p><video src="overlay.mp4" controls></video></p>' if job.command.overlay else ""
-    said = "".join(f"<li>{html.escape(n)}</li>" for n in notes)
-    heads = "".join(f"<th>{h}</th>" for h in ("", "person", "height", "there", "assessment"))
-    body = f"<h1>{html.escape(job.recording.name)}</h1><table><tr>{heads}</tr>{''.join(rows)}</table>"
-    return page(job.recording.name, f"{body}{film}<ul>{said}</ul>", policy=f"{CONTENT_POLICY}; media-src 'self'")
+    table = table_of(rows, ("", "person", "height", "there", "assessment"))
+    body = f"<h1>{html.escape(job.recording.name)}</h1>{table}{film}{list_of(notes)}"
+    return page(job.recording.name, body, policy=f"{CONTENT_POLICY}; media-src 'self'")
 
 
 # ---- with progress --------------------------------------------------------------------------------------------------
