@@ -32,7 +32,6 @@ below hypose.app.commands; or the table of a command that has commands of its ow
 declared by the class TrackCommand of hypose.app.options; without such a class by the function itself."""
 GESTURE_COMMANDS: CommandTable = {
     "Commands": {
-        "record": ("jobs.gesture_job:record", "Record a session with its prompts, to train from later."),
         "train": ("jobs.gesture_job:gesture_train", "Teach a gesture, live or from recorded sessions."),
         "run": ("jobs.gesture_job:gesture_run", "Watch for gestures: events as JSON lines, OSC, WebSocket."),
         "eval": ("jobs.gesture_job:gesture_evaluate", "Judge a model on a recorded session."),

@@ -65,6 +65,9 @@ def test_a_refinement_that_moves_cameras_far_needs_a_word(hypose, keypoint_recor
     code, out, err = hypose(*given, "--refine=far")
     assert code == 0 and (keypoint_recording / "results" / "calibration_refined.toml").exists(), out + err
     assert replace(found, changes=(CameraChange("cam1", 1.0, 0.6, 1.0, 3.0),)).far == ("cam1",)
+    found = replace(found, left_out_before_px=6.07, left_out_after_px=6.14)  # all cameras agree better, and lie worse
+    code, out, _ = hypose(*given, "--refine=far")
+    assert code == 1 and "not better on frames that it was not found on" in out
 
 
 @pytest.mark.slow

@@ -170,7 +170,6 @@ def follow_session(
     record: Path | None,
     commands: Callable[[], list[Command]],
     say: _Say,
-    learn: bool = True,
 ) -> Iterator[Feedback]:
     """Lead through a session, and yield the feedback on each frame until its test begins or the source ends.
 
@@ -180,7 +179,6 @@ def follow_session(
     record: new folder for the recording; None: nothing is recorded.
     commands: gives the commands since the last call.
     say: prints a sentence.
-    learn: False records only.
     """
     writer, rounds = None, trainer.settings.rounds
     if record is not None:
@@ -189,7 +187,7 @@ def follow_session(
     try:
         while trainer.session.phase != "test" and (taken := source.take(phase)) is not None:
             given, before, box = commands(), trainer.session, taken.box or box
-            f = trainer.frame(taken.time, taken.depth, source.lens, box, given, learn=learn)
+            f = trainer.frame(taken.time, taken.depth, source.lens, box, given)
             now, session = f.instruction, trainer.session
             phase = now.phase
             if writer is not None:
@@ -251,7 +249,7 @@ def learn_recordings(
 
 _NOTHING = (
     "The recordings hold no frame of {gesture!r} with depth {where} at the marked place; record a session of it with "
-    "`hypose gesture record`."
+    "`hypose gesture train --record`."
 )
 
 
@@ -429,35 +427,15 @@ SourceOption = Annotated[
     str,
     Option("realsense, FILE.bag, .db3 or .mkv (Azure), the folder of a session, or simulated[:PERSON]."),
 ]
-Gesture = Annotated[str, Option("Name of the gesture.")]
-Rounds = Annotated[int, Option("Rounds of gesture and other movement.", 1, 1000)]
 _LETTERS = "Commands (letter and Enter): n next, u undo, p pause, c continue, a again, t end with the test"
-_Frames = Annotated[int, Option("Stop after so many frames; 0 = never.", 0, MOST_FRAMES)]
-
-
-def record(
-    out: Annotated[Path, Option("New folder to record to.", argument=True)],
-    gesture: Gesture,
-    source: SourceOption = "simulated",
-    rounds: Rounds = 3,
-    seed: Seed = 0,
-) -> None:
-    """Record a session with its prompts without learning; train from it later."""
-    check_gesture_name(gesture)
-    trainer, opened = Trainer(new_learner(0), SessionSettings(rounds=rounds)), open_source(source, gesture, seed)
-    print_note(_LETTERS)
-    about = {"record": out, "commands": typed_commands(), "say": print_note, "learn": False}
-    for _ in follow_session(opened, gesture, trainer, **about):
-        pass
-    say(f"Recorded: {out}")
 
 
 def gesture_train(
     out: Annotated[Path, Option("Model file to write (.npz).", argument=True)],
-    gesture: Gesture,
+    gesture: Annotated[str, Option("Name of the gesture.")],
     recording: Annotated[tuple[Path, ...], Option("Recorded session to learn from (may be repeated); else live.")] = (),
     source: SourceOption = "simulated",
-    rounds: Rounds = 3,
+    rounds: Annotated[int, Option("Rounds of gesture and other movement.", 1, 1000)] = 3,
     passes: Annotated[int, Option("Over the recordings.", 1, 100)] = 1,
     resume: Annotated[Path | None, Option("Model whose trees go on growing.")] = None,
     record_to: Annotated[Path | None, Option("New folder to record a live session to.", flag="--record")] = None,
@@ -501,7 +479,7 @@ def gesture_run(
     ] = 0.8,
     hold: Annotated[float, Option("Seconds a gesture must be held.", 0, 3600)] = 0.15,
     rest: Annotated[float, Option("Seconds after its end in which it does not start again.", 0, 3600)] = 0.5,
-    frames: _Frames = 0,
+    frames: Annotated[int, Option("Stop after so many frames; 0 = never.", 0, MOST_FRAMES)] = 0,
     seed: Seed = 0,
 ) -> None:
     """Watch for gestures without a screen: events as JSON lines on stdout, and to the outputs that the options name."""
