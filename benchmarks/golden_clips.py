@@ -39,8 +39,7 @@ from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording
 from hypose.pipeline.assessment import GOOD, LOOK, UNTRUSTED
 from hypose.pipeline.first_frame import SubjectOptions, find_subject
-from hypose.pipeline.people_run import PeopleRun
-from hypose.pipeline.run import TrackResult, track_source
+from hypose.pipeline.run import TrackResult, track_people, track_source
 from hypose.pipeline.sensor_skeletons import assess_fused
 from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.track_options import TrackOptions
@@ -152,17 +151,15 @@ def _crossing(seed: int, data: Path) -> Iterator[tuple[str, Outcome]]:
     ]
     both = replace(scenes[0], others=((scenes[1].subject, scenes[1].performance),))
     frames = list(islice(both.mask_frames(1.0), count))
-    run = PeopleRun(FrameList(frames, RATE), RATE, TrackOptions(seed=seed, evidence="silhouettes"))
-    found, seconds = _timed(lambda: run().people)
+    options = TrackOptions(seed=seed, evidence="silhouettes")
+    found, seconds = _timed(lambda: track_people(FrameList(frames, RATE), RATE, options).people)
     # each true person's track is the nearest one: of a person who is not tracked that is the other one's, far away
     outcomes = []
     for scene in scenes:
-        tried = [np.linalg.norm(aligned_joints(p.result.motion, scene) - scene.joints[:count], axis=-1) for p in found]
+        tried = [np.linalg.norm(aligned_joints(p.motion, scene) - scene.joints[:count], axis=-1) for p in found]
         k = int(np.argmin([a.mean() for a in tried]))
         person = found[k]
-        outcomes.append(
-            _outcome(person.result.motion, tried[k][:, EVALUATED], EVALUATED, person.assessment.word, seconds)
-        )
+        outcomes.append(_outcome(person.motion, tried[k][:, EVALUATED], EVALUATED, person.assessment.word, seconds))
     a, b = outcomes
     yield (
         "",

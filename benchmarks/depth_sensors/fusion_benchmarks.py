@@ -109,10 +109,9 @@ def real(options: BenchOptions) -> BenchReport:
     lengths and jitter after fusion, leaving one sensor out. Three recordings per configuration, their first 400 common
     frames; with "/even" those that are even by their number in the order of their
     names, on which nothing was chosen that `hypose.fusion.fit` holds."""
-    folder = options.folder("kinect_multitrack")
     found: dict[tuple[str, str, str], list[float]] = {}
     used: dict[str, int] = {}
-    files = sorted(folder.glob("Study_*_Kinect_[012]_*.gz"))
+    files = sorted(options.folder("kinect_multitrack").glob("Study_*_Kinect_[012]_*.gz"))
     for n, file in enumerate(files):
         options.progress("recordings", n, len(files))
         configuration = file.name.partition("_Kinect_")[2][0]

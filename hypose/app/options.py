@@ -213,7 +213,7 @@ class CheckCommand:
         str,
         Option(
             "What of the person.",
-            choices=("auto", "keypoints", "silhouettes", "both"),
+            choices=("auto", "keypoints", "silhouettes"),
             flag="--from",
             group=_REFINE,
         ),

@@ -237,8 +237,7 @@ def _chosen(
         left = choice.joints[jt.LEFT_SHOULDER] - choice.joints[jt.RIGHT_SHOULDER]
         systematic, wrong = remaining_uncertainty(points, state, at, left, lengths, choice.joints, variance)
         lost = bool(not reported.any() and time - seen.max() > FitSettings.lost_after_s)
-        swapped = np.zeros(len(points), dtype=np.bool_)
-        yield FitEstimate(choice.joints, variance, systematic, wrong, choice.shares, swapped, lost)
+        yield FitEstimate(choice.joints, variance, systematic, wrong, choice.shares, lost)
 
 
 def _with_rest(
@@ -315,7 +314,7 @@ def _motion(
     skeleton = _point_skeleton([names[j] for j in order], [place.get(parents[j], -1) for j in order], bones)
     wrong = known["wrong"]
     p = np.nan_to_num(np.where(lost[:, None], np.fmax(wrong, 0.5), wrong)[:, order]).astype(np.float32)
-    low_confidence = p > DOUBTFUL_P
+    low_confidence = np.asarray(p > DOUBTFUL_P)
     return Motion(
         skeleton,
         times,

@@ -124,7 +124,7 @@ await walk(
 
     // and a pose that was tracked is corrected
     await page.goto(`${page.url().split("#")[0]}#/click`);
-    await page.getByRole("link", { name: "correct default" }).first().click();
+    await page.getByRole("link", { name: "Correct default" }).first().click();
     await page.waitForFunction(() => location.hash.split("/").length === 5 && window.__app.pictures > 0);
     await page.mouse.click(...(await place("head_top")));
     await settled();

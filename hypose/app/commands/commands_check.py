@@ -38,7 +38,7 @@ from hypose.io.recordings.recording_people import RecordedPerson
 from hypose.io.recordings.recording_views import ViewSettings
 from hypose.io.sensors.depth import write_depth_png
 from hypose.io.videos.video import VideoWriter, frame_size, list_images, open_video, read_sound
-from hypose.pipeline.one_of_several import frames_to_examine
+from hypose.pipeline.recorded_frames import frames_to_examine
 from hypose.pipeline.recording_diagnostics import (
     Refinement,
     cured_recording,

@@ -21,7 +21,7 @@ from hypose.io.motions.results import to_json
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording
 from hypose.io.recordings.recording_views import open_pictures
-from hypose.pipeline.one_of_several import frames_to_examine
+from hypose.pipeline.recorded_frames import frames_to_examine
 from hypose.pipeline.recording_diagnostics import observe_recording
 
 _LOW_IOU = 0.6  # hull against mask: below this a view contradicts the others

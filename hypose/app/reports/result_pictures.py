@@ -312,19 +312,22 @@ class Canvas:
         return self._whole[: self.size[1], : self.size[0]]
 
 
-def close_up(image: Image, camera: Camera, points: Array, size: tuple[int, int]) -> tuple[Image, Camera]:
+def close_up(
+    image: Image, camera: Camera, points: Array, size: tuple[int, int], room: float = 1.2
+) -> tuple[Image, Camera]:
     """Cut a picture to the person.
 
     image: (h, w, 3) BGR.
     camera: camera whose pixels are those of the image.
     points: (N, 3) m, world, of the person; the whole picture is shown where none of them is in front of the camera.
     size: (width, height) of the cut picture, px.
+    room: size of the part that is shown, relative to that of the points.
     Returns: the cut picture, grey beyond the borders of the image, and the camera whose pixels are those of it.
     """
     uv = camera.project(points)
     uv = uv[np.isfinite(uv).all(1)]
     low, high = (uv.min(0), uv.max(0)) if len(uv) else (np.zeros(2), np.array(camera.size, dtype=float))
-    scale = float(np.clip((size / np.maximum(1.2 * (high - low), 1.0)).min(), 0.1, 2.5))
+    scale = float(np.clip((size / np.maximum(room * (high - low), 1.0)).min(), 0.1, 2.5))
     corner = (low + high) / 2 - np.array(size) / (2 * scale)
     cut = np.array([[scale, 0, -scale * corner[0]], [0, scale, -scale * corner[1]], [0, 0, 1]])
     near = cv2.warpAffine(image, cut[:2], size, flags=cv2.INTER_AREA, borderValue=(40, 40, 40))

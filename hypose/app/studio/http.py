@@ -39,11 +39,7 @@ class NotNow(InputError):
     """Error: the request cannot be done in the present state."""
 
 
-class TooLarge(InputError):
-    """Error: the request is too large."""
-
-
-_STATUS: tuple[tuple[type[HyposeError], int], ...] = ((NotFound, 404), (NotNow, 409), (TooLarge, 413))
+_STATUS: tuple[tuple[type[HyposeError], int], ...] = ((NotFound, 404), (NotNow, 409))
 
 
 def answer(value: Any, status: int = 200) -> JSONResponse:
@@ -107,14 +103,14 @@ def route(path: str, call: Callable[..., Any], method: str = "GET", status: int 
 async def _body_of(request: Request) -> dict[str, Any]:
     """Read the JSON object of a request.
 
-    Raises: TooLarge; InputError where it breaks off.
+    Raises: InputError where it breaks off or is too large.
     """
     data = bytearray()
     try:
         async for piece in request.stream():
             data += piece
             if len(data) > MAX_JSON:
-                raise TooLarge(f"The request is larger than {MAX_JSON >> 20} MiB; send less at once.")
+                raise InputError(f"The request is larger than {MAX_JSON >> 20} MiB; send less at once.")
     except ClientDisconnect:
         raise InputError("The request broke off; send it again.") from None
     return object_of(data or b"{}", "request")

@@ -170,7 +170,11 @@ class _Page:
             if received["type"] == "websocket.disconnect":
                 raise WebSocketDisconnect(received.get("code", 1005))
             try:
-                message = _message(received.get("text"))
+                if received.get("text") is None:
+                    raise InputError("The message is binary; send JSON as text.")
+                message = object_of(received["text"], "message")
+                if not isinstance(message.get("t"), str):
+                    raise InputError('The message has no "t" that says what it is; send one.')
                 if message["t"] == "ack":
                     self._unanswered.discard(whole(message.get("seq"), "the picture's number", 0, 2**32 - 1))
                     self._awake.set()
@@ -178,16 +182,6 @@ class _Page:
                     await asyncio.shield(topic.heard(message))
             except HyposeError as error:
                 self.put(_text({"t": "error", "error": str(error)}))
-
-
-def _message(received: str | None) -> dict[str, Any]:
-    """Parse a message of a page: an object whose "t" names its type."""
-    if received is None:
-        raise InputError("The message is binary; send JSON as text.")
-    message = object_of(received, "message")
-    if not isinstance(message.get("t"), str):
-        raise InputError('The message has no "t" that says what it is; send one.')
-    return message
 
 
 def _text(message: Message) -> str:

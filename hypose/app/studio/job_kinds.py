@@ -250,10 +250,14 @@ def _waits_for_user(finding: Mapping[str, Any], masked: Set[str]) -> bool:
 
 def uncalibrated(folder: Path) -> bool:
     """Return whether the cameras of a recording are not calibrated yet and are found from a board or the person."""
+    return not (folder / CALIBRATION).is_file() and described(folder).get("calibration") == CALIBRATION
+
+
+def described(folder: Path) -> dict[str, Any]:
+    """Read the values of folder/recording.toml; empty where it is missing or invalid."""
     with contextlib.suppress(HyposeError):
-        lost = not (folder / CALIBRATION).is_file()
-        return lost and read_toml(folder / "recording.toml").get("calibration") == CALIBRATION
-    return False
+        return read_toml(folder / "recording.toml")
+    return {}
 
 
 def found_offsets(folder: Path, names: Sequence[str]) -> list[float] | None:
@@ -296,10 +300,8 @@ def board_files(folder: Path) -> list[Path]:
 
     Returns: paths, made absolute from the folder; empty where recording.toml is missing, invalid, or names none.
     """
-    with contextlib.suppress(HyposeError):
-        views = read_toml(folder / "recording.toml").get("view", [])
-        return [folder / v["board"] for v in views if isinstance(v, dict) and isinstance(v.get("board"), str)]
-    return []
+    views = described(folder).get("view", [])
+    return [folder / v["board"] for v in views if isinstance(v, dict) and isinstance(v.get("board"), str)]
 
 
 def _track(item: Item, given: Mapping[str, Any], title: str, catalog: Catalog) -> Plan:

@@ -20,7 +20,15 @@ from numpy.typing import NDArray
 from hypose.app.studio.catalog import Catalog, Item, NotFound
 from hypose.app.studio.http import request_choice, text, whole
 from hypose.app.studio.http import request_number as number_of
-from hypose.app.studio.job_kinds import CALIBRATION, board_files, found_offsets, next_step, read_found, uncalibrated
+from hypose.app.studio.job_kinds import (
+    CALIBRATION,
+    board_files,
+    described,
+    found_offsets,
+    next_step,
+    read_found,
+    uncalibrated,
+)
 from hypose.app.studio.view_pictures import OpenRecording
 from hypose.calibration.views import find_sources
 from hypose.errors import HyposeError, InputError
@@ -64,7 +72,7 @@ def edit_recording(folder: Path, recording: Recording | None, asked: dict[str, A
         first; height and board are not checked in this way.
     """
     what = request_choice(asked.get("what"), "way to repair", _KINDS)
-    path = described(folder, recording)
+    path = _description(folder, recording)
     before = read_text(path, "a recording.toml")
     tables = _tables_of(before)
     if what == "use_refined":
@@ -137,7 +145,7 @@ def tick_findings(folder: Path, numbers: Sequence[Any]) -> None:
         write_text(folder / "results" / "check.json", json.dumps({**found, "stale": True}))
 
 
-def described(folder: Path, recording: Recording | None) -> Path:
+def _description(folder: Path, recording: Recording | None) -> Path:
     """Return the path of a recording's recording.toml; for a Pose2Sim project without one, write it first."""
     if not (folder / "recording.toml").is_file() and recording is not None:
         write_recording(recording, folder)
@@ -300,7 +308,7 @@ class Recordings:
     def save_settings(self, item: Item, settings: Mapping[str, Any]) -> dict[str, Any]:
         """Write the table [silhouettes] into recording.toml, without a change of other lines; return all settings."""
         options = silhouette_options("The settings", settings)
-        path = described(item.path, self.load(item))
+        path = _description(item.path, self.load(item))
         read_toml(path)
         tables = _tables_of(read_text(path, "a recording.toml"))
         kept = [line for lines in tables if _header(lines) != "[silhouettes]" for line in lines]
@@ -316,10 +324,11 @@ class Recordings:
         frames: first frame and end of the rows; None: all frames.
         """
         key = folder, frames, _stamp(folder)
+        opened = self._open.get(key)
+        if opened is None:  # reading it may take seconds, which others need not wait for; it opens no video yet
+            opened = OpenRecording(load_recording(folder, uncalibrated=uncalibrated(folder)), frames)
         with self._lock:
-            opened = self._open.pop(key, None)
-            if opened is None:
-                opened = OpenRecording(load_recording(folder, uncalibrated=uncalibrated(folder)), frames)
+            opened = self._open.pop(key, opened)
             self._open[key] = opened
             opened.users += 1
         try:
@@ -385,18 +394,14 @@ def board_of(folder: Path) -> dict[str, Any] | None:
 
 def _excluded_views(folder: Path) -> list[str]:
     """List the names of the views that were left out of a recording."""
-    with contextlib.suppress(HyposeError):
-        away = read_toml(folder / "recording.toml").get("left_out", [])
-        return [str(v.get("name") or v.get("camera")) for v in away if isinstance(v, dict)]
-    return []
+    away = described(folder).get("left_out", [])
+    return [str(v.get("name") or v.get("camera")) for v in away if isinstance(v, dict)]
 
 
 def _unused(folder: Path) -> str | None:
     """Return a refined calibration that the recording does not use yet."""
     found = newest_refined_calibration(folder)
-    with contextlib.suppress(HyposeError):
-        return found if read_toml(folder / "recording.toml").get("calibration") != found else None
-    return None
+    return found if described(folder).get("calibration") != found else None
 
 
 def read_subject(folder: Path) -> dict[str, Any] | None:

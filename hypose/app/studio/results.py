@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 from contextlib import AbstractContextManager
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -110,15 +112,31 @@ class Results:
         with self.pictures(item) as opened:
             for row in seen and [seen[len(seen) // 2], seen[0]]:
                 if (found := opened.first_picture(row)) is not None:
-                    small, camera = close_up(*found, motion.joints[row], _SIZE)
+                    small, camera = close_up(*found, motion.joints[row], _SIZE, 1.5)
                     draw_skeleton(small, camera, motion.skeleton, motion.joints[row])
                     return jpeg(small, _SIZE[0])
         raise NotFound("There are no pictures of this result.")
 
     def gait(self, item: Item) -> dict[str, Any]:
-        """Compute the gait of a result, with the values of `gait_view`."""
-        with self._one:
-            return gait_view(item.path)
+        """Compute the gait of a result for the page.
+
+        Returns: table of lists: "events" (time in s, side, kind), "figures" (name, unit, mean, low, high, number), and
+            "cycles" (of each joint angle the mean and standard deviation in degrees, from 0 to 100 % of the cycle). All
+            are empty where the person does not walk, or the motion has no poses or no body.
+        """
+        with self._one, contextlib.suppress(HyposeError):
+            motion, body = load_motion(item.path / "motion.npz"), load_body(item.path / "body.npz")
+            if motion.poses is not None and body.skeleton.joint_names == motion.skeleton.joint_names:
+                found = gait_of(motion, body)
+                return {
+                    "events": [{"time": e.time, "side": e.side, "kind": e.kind} for e in found.events],
+                    "figures": [asdict(f) for f in found.figures],
+                    "cycles": [
+                        {"name": c.name, "mean": np.degrees(c.mean), "sd": np.degrees(c.sd), "n": c.n}
+                        for c in angle_cycles(found.events, motion)
+                    ],
+                }
+        return {"events": [], "figures": [], "cycles": []}
 
     def so_far(self, plan: Plan, began: float | None) -> bytearray | None:
         """Pack the frames that a job has tracked so far into the block of bytes that the View screen reads.
@@ -142,6 +160,8 @@ class Results:
         saved = Checkpoint.read(checkpoint)
         first_person = "0_done_"  # a checkpoint holds all people
         done = {k.removeprefix(first_person): v for k, v in saved.arrays.items() if k.startswith(first_person)}
+        if not done:
+            return None
         if not {"poses", "joint_covariances", "flags"} <= done.keys():
             raise NotFound("What this method has tracked so far cannot be shown; wait for its end.")
         estimates, body = estimates_from_arrays(done), load_body(folder / "body.npz")
@@ -167,34 +187,3 @@ def _stamp(folder: Path) -> Stamp:
         return 0.0 if name == "checkpoint.npz" else at
 
     return tuple(written(n) for n in _READ)
-
-
-NO_GAIT: dict[str, Any] = {"events": [], "figures": [], "cycles": []}
-
-
-def gait_view(results: Path) -> dict[str, Any]:
-    """Compute the gait of a result for the page.
-
-    results: folder of the result.
-    Returns: table of lists: "events" (time in s, side, kind), "figures" (name, unit, mean, low, high, number), and
-        "cycles" (of each joint angle the mean and standard deviation in degrees, from 0 to 100 % of the cycle). All
-        are empty where the person does not walk, or the motion has no poses or no body.
-    """
-    try:
-        motion, body = load_motion(results / "motion.npz"), load_body(results / "body.npz")
-        if motion.poses is None or body.skeleton.joint_names != motion.skeleton.joint_names:
-            return NO_GAIT
-        found = gait_of(motion, body)
-    except HyposeError:
-        return NO_GAIT
-    return {
-        "events": [{"time": e.time, "side": e.side, "kind": e.kind} for e in found.events],
-        "figures": [
-            {"name": f.name, "unit": f.unit, "mean": f.mean, "low": f.low, "high": f.high, "n": f.n}
-            for f in found.figures
-        ],
-        "cycles": [
-            {"name": c.name, "mean": np.degrees(c.mean), "sd": np.degrees(c.sd), "n": c.n}
-            for c in angle_cycles(found.events, motion)
-        ],
-    }

@@ -15,7 +15,6 @@ from functools import partial
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from hypose.app.reports.result_pictures import as_shown, jpeg, mask_outline
 from hypose.cameras.camera import Camera
@@ -212,7 +211,8 @@ class OpenRecording:
             for c, (view, camera) in enumerate(zip(self.recording.views, self.recording.rig, strict=True)):
                 shown = as_shown(view, camera, camera.size)
                 lines = mask_outline(shown, silhouettes.rig[c], silhouettes.masks[c])
-                found[c] = [_pixels(line) for line in lines]
+                # OpenCV's 1/16 px; every second point is enough for a screen
+                found[c] = [np.round(x[:: 2 if len(x) > 60 else 1, 0] / 16, 1).ravel().tolist() for x in lines]
         return found
 
     def check(self, row: int, width: int = 640) -> None:
@@ -236,9 +236,3 @@ class OpenRecording:
             self._readers.clear()
             self._last.clear()
             self._stream = None
-
-
-def _pixels(line: NDArray[np.int32]) -> list[float]:
-    """Convert OpenCV's 1/16 px to numbers, every second point, which is enough for a screen."""
-    step = 2 if len(line) > 60 else 1
-    return (np.round(line[::step, 0] / 16, 1)).ravel().tolist()

@@ -143,7 +143,7 @@ def test_an_oversized_message_ends_the_connection(studio):
                 while True:
                     ws.recv(HANG_S)
             assert closed.value.rcvd.code == 1009
-    assert studio.ask("/api/fit-clicks", data=b"[" * (2 << 20))[0] == 413
+    assert studio.ask("/api/fit-clicks", data=b"[" * (2 << 20))[0] == 400
     assert studio.ask("/api/fit-clicks", data=b"[" * 9000)[0] == 400
 
 

@@ -75,7 +75,7 @@ function chooser(state: State): HTMLElement {
         h("a", { class: "row", href: `#/click/${recording.id}/0` }, icon("picture"), h("b", {}, recording.name), recording.path === recording.name ? null : h("span", { class: "dim" }, recording.path)),
         ...state.results
           .filter((r) => recording.results.includes(r.id))
-          .map((r) => h("a", { class: "chip", href: `#/click/${recording.id}/0/${r.id}` }, `correct ${r.name}`)),
+          .map((r) => h("a", { class: "chip", href: `#/click/${recording.id}/0/${r.id}` }, "Correct ", r.name)),
       ),
     ),
   );

@@ -1,5 +1,5 @@
 import "./live.css";
-import { get, Socket } from "../api";
+import { address, get, Socket } from "../api";
 import { count } from "../counters";
 import type { Recording, State } from "../protocol";
 import type { Screen } from "../router";
@@ -97,7 +97,13 @@ export function camerasLive(root: HTMLElement): Screen {
         inputs.set(name, input);
       }
       tellEmpty(inputs);
-      where.replaceChildren(...[...inputs].map(([name, input]) => h("div", { class: "live-row" }, h("span", { class: "field-name" }, name), input)));
+      where.replaceChildren(
+        ...[...inputs].map(([name, input], k) => {
+          const camera = found!.cameras[k];
+          const picture = camera?.pictures ? h("img", { alt: "", loading: "lazy", src: address(`/api/recordings/${asked}/image/${encodeURIComponent(camera.name)}/0.jpg`, { width: 160 }) }) : h("span", {});
+          return h("div", { class: "live-row live-camera" }, picture, h("div", { class: "grow" }, h("b", {}, name), input));
+        }),
+      );
     };
     const start = button("Start", () => {
       const sources: Record<string, string> = {};
@@ -108,8 +114,8 @@ export function camerasLive(root: HTMLElement): Screen {
     }, { kind: "primary", icon: "play" });
     answered = () => (start.disabled = false);
     form.replaceChildren(
-      h("div", { class: "live-row" }, h("span", { class: "field-name" }, "Cameras of"), select("Recording", recordings.map((r) => ({ value: r.id, label: r.name })), chosen, (id) => { chosen = id; void look(); })),
-      h("p", { class: "dim" }, "Where each camera is: the number of one of this computer (0), or the address of a stream. With none, the recording's videos are played again and again; with some, only these cameras are used."),
+      h("div", { class: "live-row" }, h("span", { class: "field-name" }, "Cameras"), select("Recording", recordings.map((r) => ({ value: r.id, label: r.name })), chosen, (id) => { chosen = id; void look(); })),
+      h("p", { class: "dim" }, "The recording's videos are played again and again, or give where its cameras are now: the number of one of this computer (0), or the address of a stream."),
       where,
       h("div", { class: "live-row" }, h("span", { class: "field-name" }, "People"), most),
       h("details", { open: osc.value !== "" || vmc.value !== "" }, h("summary", { class: "dim" }, "Where poses are sent"), h("div", { class: "live-row" }, h("span", { class: "field-name" }, "OSC to"), osc), h("div", { class: "live-row" }, h("span", { class: "field-name" }, "Avatar at"), vmc)),
@@ -126,6 +132,7 @@ export function camerasLive(root: HTMLElement): Screen {
     setText(started, now ? startedText(now) : "");
     counters["phase"] = now ? "started" : "";
     forget();
+    if (!now) setText(noPerson, "Press Start to see who the cameras see");
   };
 
   /** What was seen is seen no longer. */

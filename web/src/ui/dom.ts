@@ -92,5 +92,6 @@ export function plain(text: string): string {
   const all = text.split(/(?<=[;,.:])\s+/);
   const parts = all.filter((part) => !/(^|\s)--[a-z]|\bhypose [a-z]+/.test(part));
   const said = parts.join(" ").replace(/; or /g, "; ");
+  if (!parts.length) return text;
   return parts.length < all.length ? said.replace(/[;,:](?= [A-Z]|$)/g, ".") : said;
 }

@@ -236,11 +236,14 @@ export class Plot {
             ...(s.dashed ? { dash: [4, 3] } : {}),
           })),
           // their range is taken from reach(), so that a part without knowledge does not flatten the rest
-          ...banded.flatMap(() => [{ ...edge }, { ...edge }]),
+          ...banded.flatMap((s) => {
+            const line = { ...edge, stroke: seeThrough(colour(s.colour), 45), width: banded.length > 1 ? 1 : 0 };
+            return [{ ...line }, { ...line }];
+          }),
         ],
         bands: banded.map((s, k) => {
           const first = 1 + this.series.length + 2 * k;
-          return { series: [first + 1, first] as [number, number], fill: seeThrough(colour(s.colour)) };
+          return { series: [first + 1, first] as [number, number], fill: seeThrough(colour(s.colour), banded.length > 1 ? 12 : 22) };
         }),
       },
       [
@@ -376,8 +379,8 @@ function decimals(step: number): number {
 }
 
 /** A colour as it lies below the curves. */
-function seeThrough(tone: string): string {
-  return `color-mix(in srgb, ${tone} 22%, transparent)`;
+function seeThrough(tone: string, percent = 22): string {
+  return `color-mix(in srgb, ${tone} ${percent}%, transparent)`;
 }
 
 /** uPlot takes null for a gap, and NaN breaks its search for the range. */

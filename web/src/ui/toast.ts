@@ -1,4 +1,4 @@
-import { h } from "./dom";
+import { h, plain } from "./dom";
 import { icon } from "./icons";
 
 /** Says something for a few seconds in the corner; errors stay until they are closed. */
@@ -12,7 +12,7 @@ export function toast(text: string, kind: "said" | "error" | "done" = "said"): v
     "div",
     { class: `toast ${kind}` },
     kind === "error" ? icon("warning") : kind === "done" ? icon("done") : null,
-    h("span", {}, text),
+    h("span", {}, plain(text)),
     h("button", { type: "button", class: "button quiet only-icon", "aria-label": "Close", onclick: () => one.remove() }, icon("close")),
   );
   box.append(one);

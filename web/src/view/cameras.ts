@@ -107,7 +107,7 @@ export class CameraPane {
       this.draw();
     };
     const made = [
-      toggle("Close-up", this.shown.close, change("close"), { icon: "fit", title: "Pictures cut to the person" }),
+      toggle("Close-up", this.shown.close, change("close"), { icon: "fit", title: "Close-up of the person in the pictures" }),
       toggle("Body", this.shown.body, change("body"), { icon: "body", title: "Body on the pictures" }),
       toggle("Skeleton", this.shown.skeleton, change("skeleton"), { icon: "skeleton", title: "Skeleton on the pictures" }),
     ];

@@ -28,6 +28,24 @@ export function difference(data: ViewData, beside: Beside | null): Panel[] {
   return panels;
 }
 
+const FAR_MM = 100;
+const SAME_MM = 0.5;
+
+/** How far two results are apart, in one sentence. */
+export function apartInWords(data: ViewData, beside: Beside): string {
+  const all = apart(data, beside, () => true);
+  const known = [...all].filter(Number.isFinite);
+  if (!known.length) return `${beside.name} shows no frame of this result.`;
+  const mean = square(all);
+  if (mean < SAME_MM) return `${beside.name} is the same motion.`;
+  const regions = REGIONS.map(([label, , which]) => [label, square(apart(data, beside, (name) => which.test(name)))] as const).filter(([, mm]) => Number.isFinite(mm));
+  const [most, mm] = regions.reduce((a, b) => (b[1] > a[1] ? b : a), ["", 0] as const);
+  const worst = all.reduce((best, v, t) => (v > (all[best] ?? -1) || Number.isNaN(all[best]!) ? t : best), 0);
+  const far = known.filter((v) => v > FAR_MM).length;
+  const share = far ? `; in ${Math.max(1, Math.round((100 * far) / known.length))} % of the frames by more than ${FAR_MM / 10} cm` : "";
+  return `The joints differ by ${mean.toFixed(0)} mm (root mean square), most in the ${most} (${mm.toFixed(0)} mm) and in frame ${worst + data.header.first_frame}${share}.`;
+}
+
 /** (T) mm: mean distance of the joints of one name in both, NaN where one of them is not known. */
 function apart(data: ViewData, beside: Beside, which: (name: string) => boolean): Float32Array {
   const pairs = data.header.joint_names.flatMap((name, j) => {

@@ -117,7 +117,7 @@ export class PlotPane {
   private async walk(): Promise<void> {
     if (!this.askGait || !this.data.angles) return;
     const gait = await this.askGait(this.closed.signal).catch(() => null); // who does not walk is looked at over time
-    if (!gait?.events.length || !this.element.isConnected) return;
+    if (!gait?.figures.length || !this.element.isConnected) return; // a foot that is lifted once is no step
     this.gait = gait;
     this.axis.hidden = !gait.cycles.length;
     this.open(this.name);

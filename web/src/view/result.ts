@@ -9,6 +9,7 @@ import { toast } from "../ui/toast";
 import { CameraPane } from "./cameras";
 import type { Corrector } from "./correct";
 import { details } from "./details";
+import { apartInWords } from "./difference";
 import { viewKeys } from "./keys";
 import { measure } from "./measure";
 import { Player, SPEEDS } from "./player";
@@ -62,6 +63,7 @@ export class ResultView {
   private readonly layers = new Map<Layer, Toggle>();
   private readonly follow: Toggle;
   private readonly legend = h("div", { class: "legend" });
+  private readonly compared = h("p", { class: "view-compared dim", role: "status" });
   private readonly open = h("output", { class: "openness number", "aria-live": "off" });
   private readonly doubts = h("output", { class: "doubts", "aria-live": "off" });
   private readonly suspects: Stretch[];
@@ -152,6 +154,7 @@ export class ResultView {
           ...(options.tools ?? []),
           button("", keys.help, { icon: "help", title: "Keys", key: "?", kind: "quiet" }),
           header.assessment ? assessment(header.assessment) : null,
+          this.compared,
           this.corrector?.element ?? null,
         ),
         main,
@@ -202,6 +205,7 @@ export class ResultView {
       ...(beside ? [entry("body", `${this.options.name ?? "this result"}`), entry("beside", `${beside.name} (dashed in the plots)`)] : []),
       ...(beside && this.space.hasTruth ? [entry("other", "truth")] : []),
     );
+    this.compared.replaceChildren(...(beside ? [apartInWords(this.data, beside)] : []));
     this.space.compare(beside);
     this.cameras.compare(beside);
     this.plots.compare(beside);
