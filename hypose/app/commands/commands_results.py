@@ -248,15 +248,8 @@ def tell_untrusted(results: Path) -> None:
     """Print a line where the result (a folder, or its motion.npz) is not to be trusted; nothing where its assessment is
     missing or unreadable.
     """
-    from hypose.app.jobs.job import ASSESSMENT_FILE
-    from hypose.errors import InputError
-    from hypose.io.files import read_json
-    from hypose.pipeline.assessment import UNTRUSTED, Assessment
+    from hypose.pipeline.assessment import UNTRUSTED, load_assessment
 
     folder = results if results.is_dir() else results.parent
-    try:
-        kept = Assessment.of_document(read_json(folder / ASSESSMENT_FILE, "an assessment"))
-    except (InputError, ValueError, KeyError, TypeError):
-        return
-    if kept.word == UNTRUSTED:
+    if (kept := load_assessment(folder)) is not None and kept.word == UNTRUSTED:
         print_note(f"note: {folder}: {kept.sentence}")

@@ -29,7 +29,7 @@ from hypose.body.motion import Motion
 from hypose.calibration.findings import REVIEW, Finding
 from hypose.compute.warming import warm_up
 from hypose.errors import InputError
-from hypose.io.files import check_writable, claimed, read_json
+from hypose.io.files import check_writable, claimed
 from hypose.io.motions.c3d import joint_residuals, write_c3d
 from hypose.io.motions.export import export_motion, known_formats
 from hypose.io.motions.gltf import write_people_glb
@@ -46,7 +46,7 @@ from hypose.io.motions.results import (
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording, load_recording
 from hypose.io.sensors.skeleton_streams import SkeletonRecording
-from hypose.pipeline.assessment import ASSESSMENT_FILE, EXIT_UNTRUSTED, UNTRUSTED, Assessment
+from hypose.pipeline.assessment import ASSESSMENT_FILE, EXIT_UNTRUSTED, UNTRUSTED, Assessment, load_assessment
 from hypose.pipeline.first_frame import SubjectOptions
 from hypose.pipeline.frame_anomalies import in_words
 from hypose.pipeline.one_camera import POINT_STARTS, clicks_of, depth_note
@@ -350,10 +350,7 @@ def finished_before(job: TrackJob, record: Mapping[str, Any]) -> TrackResult | N
             return None
         modes = load_modes(results.file(MODES))
         notes = (*notes, depth_note(motion, modes))
-    judged = None
-    with contextlib.suppress(InputError, ValueError, KeyError, TypeError):
-        judged = Assessment.of_document(read_json(results.file(ASSESSMENT_FILE), "an assessment"))
-    return TrackResult(motion, load_body(body), True, notes, modes, judged=judged)
+    return TrackResult(motion, load_body(body), True, notes, modes, judged=load_assessment(results.path))
 
 
 _SAVED = ("motion.npz", MODES, "body.npz", "provenance.json", ASSESSMENT_FILE)
