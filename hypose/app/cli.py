@@ -44,10 +44,10 @@ CLI_COMMANDS: CommandTable = {
             "Lenses and places of cameras, from boards or measured points.",
         ),
         "check": (
-            "commands_check:check",
+            "jobs.checking:check",
             "Do the views agree? What is wrong, and --refine cures it.",
         ),
-        "sync": ("commands_check:sync", "How many frames each view is late; cure it with --out."),
+        "sync": ("commands_sync:sync", "How many frames each view is late; cure it with --out."),
         "track": (
             "jobs.person_job:track_command",
             "Track the person: motion files, overlay video, report.",

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hypose.app.commands import commands_check
+from hypose.app.jobs import checking
 from hypose.calibration.refine_points import CameraChange
 from hypose.geometry import so3_exp, so3_log
 from hypose.io.calibrations.calibration_formats import read_any
@@ -57,7 +57,7 @@ def test_a_refinement_that_moves_cameras_far_needs_a_word(hypose, keypoint_recor
         tuple(CameraChange(f"cam{k}", 67.0 if k == 2 else 0.1, 0.1, 1.0, 3.0) for k in (1, 2, 3)),
         *(9.0, 1.0, 9.0, 1.0, float("nan"), float("nan")),
     )
-    monkeypatch.setattr(commands_check, "refine_recording", lambda *_, **__: found)
+    monkeypatch.setattr(checking, "refine_recording", lambda *_, **__: found)
     given = ("check", keypoint_recording, "--frames", "0", "--samples", "1")
     code, out, err = hypose(*given, "--refine")
     assert code == 1 and "takes cam2 more than 10 degrees" in out and "--refine=far" in out, out + err

@@ -20,8 +20,8 @@ from click.exceptions import Exit
 
 from hypose.app.commands.console import ProgressCall, Stages, counted, each, ignore, print_notes, say, stopping
 from hypose.app.options import TrackCommand
-from hypose.app.reports.overlay import PictureRows, Shown, colour_of, write_overlay
 from hypose.app.reports.report import picture_rows, report_html
+from hypose.app.reports.result_pictures import PictureRows, Shown, colour_of, write_overlay
 from hypose.app.reports.summary import CONTENT_POLICY, DESCRIPTIONS, list_of, page, require_found, summarize, table_of
 from hypose.app.studio.view_bundle import Rivals, in_recording
 from hypose.body.body import Body

@@ -15,8 +15,7 @@ import numpy as np
 
 from hypose import __version__
 from hypose.app.reports import charts
-from hypose.app.reports.overlay import OverlayRows, PictureRows, Shown, still_rows, write_overlay
-from hypose.app.reports.result_pictures import jpeg
+from hypose.app.reports.result_pictures import OverlayRows, PictureRows, Shown, jpeg, still_rows, write_overlay
 from hypose.app.reports.summary import list_of, page, picture_of, subject_rows, summarize, table_of
 from hypose.app.studio.view_bundle import ViewResult, view_bundle
 from hypose.body.body import Body
