@@ -21,7 +21,7 @@ from benchmarks.depth_sensors.depth_tracking import aligned
 from benchmarks.depth_sensors.depth_tracking import scene_of as depth_scene_of
 from benchmarks.depth_sensors.fusion_scenes import scene_recording
 from benchmarks.multiview.action_scenes import known_subject
-from benchmarks.multiview.doubt_scenes import CASES, Case, bare_scene, cut
+from benchmarks.multiview.error_scenes import CASES, Case, bare_scene, cut
 from benchmarks.multiview.product import aligned_joints, estimated_body
 from benchmarks.multiview.real_recordings import LIMBS, balancing_recording, clicked_joints, uu4cam_recording
 from benchmarks.multiview.things_in_masks import with_thing
@@ -115,7 +115,7 @@ def _names_exchanged(frames: list[Frame], view: int) -> list[Frame]:
 
 
 def _scene(name: str, evidence: str, exchanged: bool, seed: int, data: Path) -> Iterator[tuple[str, Outcome]]:
-    """A case of doubt_scenes, tracked by one evidence; exchanged: left and right names of a view."""
+    """A case of error_scenes, tracked by one evidence; exchanged: left and right names of a view."""
     case: Case = CASES[name]
     scene = bare_scene(case, seed, 1.2)
     frames = list(scene.mask_frames(1.0, keypoints=evidence != "silhouettes"))

@@ -19,7 +19,7 @@ from scipy.stats import chi2
 
 from benchmarks.bench_report import BenchOptions, BenchReport, Row, row
 from benchmarks.multiview.action_scenes import captured, subject_of_seed
-from benchmarks.multiview.doubt_fit import auroc, ece
+from benchmarks.multiview.error_fit import auroc, ece
 from benchmarks.synthetic.depth_frames import depth_frames, empty_rooms, seen_before
 from benchmarks.synthetic.noisy_masks import LEVELS, corrupt_mask
 from benchmarks.synthetic.retarget import retarget

@@ -12,7 +12,7 @@ import numpy as np
 from benchmarks.bench_report import BenchOptions, BenchReport, row
 from benchmarks.depth_sensors.baselines import BASELINES, fuse_baseline, single_sensor
 from benchmarks.depth_sensors.fusion_scenes import FRESH_SEED, HANDS, scene_recording, scene_settings
-from benchmarks.multiview.doubt_fit import auroc
+from benchmarks.multiview.error_fit import auroc
 from benchmarks.synthetic.sensors import SensorRecording
 from hypose.app.jobs.fuse_job import run_fuse
 from hypose.app.live.simulated_sensors import FRAME_RATE

@@ -51,10 +51,9 @@ def looked_at(
         silhouettes=frame.silhouettes if wanted != "keypoints" else None,
         keypoints=frame.keypoints if wanted != "silhouettes" else None,
     )
-    rivals = estimate.rivals, estimate.rival_weights
     # with key points an exchange of sides that masks allow is no reason for doubt
     exchanged = estimate.exchanged if own.keypoints is None else float("nan")
-    audit = audit_frame(tracker.body, estimate.pose, own, tracker.keypoints_on_body, rivals, exchanged)
+    audit = audit_frame(tracker.body, estimate.pose, own, tracker.keypoints_on_body, exchanged)
     return replace(estimate, seen=seen, audit=audit)
 
 
