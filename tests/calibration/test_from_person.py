@@ -14,7 +14,8 @@ from hypose.calibration.sync_motion import Curves
 from hypose.calibration.two_views import rival_offsets
 from hypose.errors import CalibrationError, InputError
 from hypose.evidence.keypoints import BODY_25
-from hypose.io.calibrations.calibration_formats import read_any, write_any
+from hypose.io.calibrations.calibration_formats import read_any
+from hypose.io.calibrations.calibration_text import write_calibration
 from hypose.io.videos.video import VideoWriter
 
 
@@ -131,7 +132,7 @@ def _recording(folder, scene, videos=False):
                     writer.write(np.zeros((*camera.size[::-1], 3), np.uint8))
             lines.append(f'video = "{camera.name}.mp4"')
     (folder / "recording.toml").write_text("\n".join(lines))
-    write_any(without_poses(scene.rig, True), folder / "lenses.toml")
+    write_calibration(without_poses(scene.rig, True), folder / "lenses.toml")
     return folder
 
 
