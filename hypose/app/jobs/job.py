@@ -20,16 +20,16 @@ from click.exceptions import Exit
 
 from hypose.app.commands.console import ProgressCall, Stages, counted, each, ignore, print_notes, say, stopping
 from hypose.app.options import TrackCommand
-from hypose.app.reports.overlay import PictureRows, Shown, colour_of, write_overlay
 from hypose.app.reports.report import picture_rows, report_html
-from hypose.app.reports.summary import CONTENT_POLICY, DESCRIPTIONS, page, require_found, summarize
+from hypose.app.reports.result_pictures import PictureRows, Shown, colour_of, write_overlay
+from hypose.app.reports.summary import CONTENT_POLICY, DESCRIPTIONS, list_of, page, require_found, summarize, table_of
 from hypose.app.studio.view_bundle import Rivals, in_recording
 from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.calibration.findings import REVIEW, Finding
 from hypose.compute.warming import warm_up
 from hypose.errors import InputError
-from hypose.io.files import check_writable, claimed, read_json
+from hypose.io.files import check_writable, claimed
 from hypose.io.motions.c3d import joint_residuals, write_c3d
 from hypose.io.motions.export import export_motion, known_formats
 from hypose.io.motions.gltf import write_people_glb
@@ -46,7 +46,7 @@ from hypose.io.motions.results import (
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording, load_recording
 from hypose.io.sensors.skeleton_streams import SkeletonRecording
-from hypose.pipeline.assessment import ASSESSMENT_FILE, EXIT_UNTRUSTED, UNTRUSTED, Assessment
+from hypose.pipeline.assessment import ASSESSMENT_FILE, EXIT_UNTRUSTED, UNTRUSTED, Assessment, load_assessment
 from hypose.pipeline.first_frame import SubjectOptions
 from hypose.pipeline.frame_anomalies import in_words
 from hypose.pipeline.one_camera import POINT_STARTS, clicks_of, depth_note
@@ -351,10 +351,7 @@ def finished_before(job: TrackJob, record: Mapping[str, Any]) -> TrackResult | N
             return None
         modes = load_modes(results.file(MODES))
         notes = (*notes, depth_note(motion, modes))
-    judged = None
-    with contextlib.suppress(InputError, ValueError, KeyError, TypeError):
-        judged = Assessment.of_document(read_json(results.file(ASSESSMENT_FILE), "an assessment"))
-    return TrackResult(motion, load_body(body), True, notes, modes, judged=judged)
+    return TrackResult(motion, load_body(body), True, notes, modes, judged=load_assessment(results.path))
 
 
 _SAVED = ("motion.npz", MODES, "body.npz", "provenance.json", ASSESSMENT_FILE)
@@ -514,12 +511,11 @@ def _index(job: TrackJob, people: Sequence[TrackResult], notes: Sequence[str]) -
             html.escape(there),
             html.escape(p.assessment.sentence),
         )
-        rows.append("<tr>" + "".join(f"<td>{c}</td>" for c in cells) + "</tr>")
+        rows.append(cells)
     film = '<p><video src="overlay.mp4" controls></video></p>' if job.command.overlay else ""
-    said = "".join(f"<li>{html.escape(n)}</li>" for n in notes)
-    heads = "".join(f"<th>{h}</th>" for h in ("", "person", "height", "there", "assessment"))
-    body = f"<h1>{html.escape(job.recording.name)}</h1><table><tr>{heads}</tr>{''.join(rows)}</table>"
-    return page(job.recording.name, f"{body}{film}<ul>{said}</ul>", policy=f"{CONTENT_POLICY}; media-src 'self'")
+    table = table_of(rows, ("", "person", "height", "there", "assessment"))
+    body = f"<h1>{html.escape(job.recording.name)}</h1>{table}{film}{list_of(notes)}"
+    return page(job.recording.name, body, policy=f"{CONTENT_POLICY}; media-src 'self'")
 
 
 # ---- with progress --------------------------------------------------------------------------------------------------

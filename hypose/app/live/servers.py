@@ -75,7 +75,7 @@ knowledge.
 
 
 class SocketServer:
-    """WebSocket server of one event loop, whose clients listen to what is posted, or send lines. A listener that is too
+    """WebSocket server of one event loop, whose clients listen to posted items, or send lines. A listener that is too
     slow loses its oldest items.
 
     hello: gives the first item for a listener by the path it asks for; None: there is no such path.
@@ -172,7 +172,7 @@ class SocketServer:
                 await connection.send(json.dumps({"type": "error", "reason": reasons[0], "lines": len(reasons)}))
 
     async def _send(self, connection: ServerConnection, path: str) -> None:
-        """Send the first item and what is posted to a listener until the end mark, or until the listener leaves."""
+        """Send the first item and all posted ones to a listener, until the end mark or until the listener leaves."""
         queue: Queue = asyncio.Queue(self._waiting)
         if hello := self._hello(path):
             queue.put_nowait(hello)
