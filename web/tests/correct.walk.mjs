@@ -104,14 +104,11 @@ await walk(
     await page.getByText(/Correcting frame/).waitFor({ state: "hidden" });
     await page.goBack();
     await page.getByRole("button", { name: "Corrected" }).click();
+    page.once("dialog", (dialog) => dialog.accept());
     await page.getByRole("menuitem", { name: /Undo/ }).click();
     await page.waitForFunction((old) => location.hash.includes(old), spoilt);
     await page.waitForFunction(() => window.hypose?.view.player.rows > 0);
     assert.ok(!existsSync(join(made, "motion.npz")));
-    // and the undoing too
-    await page.getByRole("button", { name: "Bring it back" }).click();
-    await page.getByText(/default-corrected is back/).waitFor();
-    assert.ok(existsSync(join(made, "motion.npz")));
   },
   { at: "#/view", colorScheme: "dark", viewport: { width: 1440, height: 900 } },
 );
