@@ -38,7 +38,7 @@ from benchmarks.live import live_bench
 from benchmarks.multiview import (
     body_measures,
     detector_bench,
-    doubt_bench,
+    error_bench,
     lost_arms,
     opensim_ik_bench,
     path_speed,
@@ -89,7 +89,7 @@ def benchmarks() -> dict[str, dict[str, Benchmark]]:
         "product": {"": Benchmark(table_2_3.product_table, *_ALL)},
         "table-2.4": {"": Benchmark(table_2_4.table_2_4, *_SCENES)},
         "arms": {"": Benchmark(lost_arms.arms, *_ALL)},
-        "error-model": {"": Benchmark(doubt_bench.doubt, *_ALL)},
+        "error-model": {"": Benchmark(error_bench.doubt, *_ALL)},
         "regions": {
             "": Benchmark(uncertainty.uncertainty, "seeds", "first_seed", "data"),
             "real": Benchmark(real_regions.regions_real, "data"),

@@ -17,8 +17,8 @@ import numpy as np
 from benchmarks.bench_origin import yardstick
 from benchmarks.bench_report import BenchOptions, BenchReport, Row
 from benchmarks.golden_clips import CLIPS, VERDICTS, Clip, Outcome
-from benchmarks.multiview.doubt_fit import ece
-from benchmarks.multiview.doubt_scenes import DATA
+from benchmarks.multiview.error_fit import ece
+from benchmarks.multiview.error_scenes import DATA
 from hypose.compute.warming import warm_up
 from hypose.errors import HyposeError
 from hypose.io.files import write_text

@@ -21,7 +21,7 @@ from benchmarks.depth_sensors.depth_tracking import aligned
 from benchmarks.depth_sensors.depth_tracking import scene_of as depth_scene_of
 from benchmarks.depth_sensors.fusion_scenes import scene_recording
 from benchmarks.multiview.action_scenes import known_subject
-from benchmarks.multiview.doubt_scenes import CASES, Case, bare_scene, cut
+from benchmarks.multiview.error_scenes import CASES, Case, bare_scene, cut
 from benchmarks.multiview.product import aligned_joints, estimated_body
 from benchmarks.multiview.real_recordings import LIMBS, balancing_recording, clicked_joints, uu4cam_recording
 from benchmarks.multiview.things_in_masks import with_thing
@@ -39,8 +39,7 @@ from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording
 from hypose.pipeline.assessment import GOOD, LOOK, UNTRUSTED
 from hypose.pipeline.first_frame import SubjectOptions, find_subject
-from hypose.pipeline.people_run import PeopleRun
-from hypose.pipeline.run import TrackResult, track_source
+from hypose.pipeline.run import TrackResult, track_people, track_source
 from hypose.pipeline.sensor_skeletons import assess_fused
 from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.track_options import TrackOptions
@@ -116,7 +115,7 @@ def _names_exchanged(frames: list[Frame], view: int) -> list[Frame]:
 
 
 def _scene(name: str, evidence: str, exchanged: bool, seed: int, data: Path) -> Iterator[tuple[str, Outcome]]:
-    """A case of doubt_scenes, tracked by one evidence; exchanged: left and right names of a view."""
+    """A case of error_scenes, tracked by one evidence; exchanged: left and right names of a view."""
     case: Case = CASES[name]
     scene = bare_scene(case, seed, 1.2)
     frames = list(scene.mask_frames(1.0, keypoints=evidence != "silhouettes"))
@@ -152,17 +151,15 @@ def _crossing(seed: int, data: Path) -> Iterator[tuple[str, Outcome]]:
     ]
     both = replace(scenes[0], others=((scenes[1].subject, scenes[1].performance),))
     frames = list(islice(both.mask_frames(1.0), count))
-    run = PeopleRun(FrameList(frames, RATE), RATE, TrackOptions(seed=seed, evidence="silhouettes"))
-    found, seconds = _timed(lambda: run().people)
+    options = TrackOptions(seed=seed, evidence="silhouettes")
+    found, seconds = _timed(lambda: track_people(FrameList(frames, RATE), RATE, options).people)
     # each true person's track is the nearest one: of a person who is not tracked that is the other one's, far away
     outcomes = []
     for scene in scenes:
-        tried = [np.linalg.norm(aligned_joints(p.result.motion, scene) - scene.joints[:count], axis=-1) for p in found]
+        tried = [np.linalg.norm(aligned_joints(p.motion, scene) - scene.joints[:count], axis=-1) for p in found]
         k = int(np.argmin([a.mean() for a in tried]))
         person = found[k]
-        outcomes.append(
-            _outcome(person.result.motion, tried[k][:, EVALUATED], EVALUATED, person.assessment.word, seconds)
-        )
+        outcomes.append(_outcome(person.motion, tried[k][:, EVALUATED], EVALUATED, person.assessment.word, seconds))
     a, b = outcomes
     yield (
         "",

@@ -388,7 +388,6 @@ TARGETS = (
             Figure("refined_residual_px", "keypoints", at_most=7),
             Figure("refined_residual_px", "silhouettes", at_most=7.5),
             Figure("left_out_px", "silhouettes", at_most=0.6, ratio=True),
-            Figure("refined_residual_px", "silhouettes, starts 140 mm off", at_most=8),
         ),
     ),
     Benchmark(

@@ -74,11 +74,11 @@ def follow(people: LivePeople, frames: Iterable[Frame], executor: Beside) -> lis
     """The poses; what has to be searched is searched between two frames."""
     poses = []
     for frame in frames:
-        stepped = people.step(frame)
-        for one in stepped:
-            poses.append(one.reported())
-            one.look()
-        if not stepped and people.phase == STATE_SEARCHING:
+        tracked = people.step(frame)
+        for one in tracked:
+            poses.append(one.pose())
+            one.judge()
+        if not tracked and people.phase == STATE_SEARCHING:
             executor.work()
     return poses
 

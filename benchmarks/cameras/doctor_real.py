@@ -2,50 +2,31 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from benchmarks.bench_report import BenchOptions, BenchReport, Row
-from hypose.body.body import Body
 from hypose.calibration.diagnostics import Cured, PersonReport, examine
-from hypose.geometry import Array
-from hypose.io.recordings.recording import Recording, load_recording
-from hypose.pipeline.recording_diagnostics import Refinement, cured_recording, observe_recording, refine_recording
+from hypose.io.recordings.recording import load_recording
+from hypose.pipeline.recording_diagnostics import cured_recording, observe_recording, refine_recording
 
 POSE2SIM_LEFT_OUT_PX = 24.19
 """Median px of Pose2Sim 0.10.49 (filtered) in the view left out, on the shipped calibration, all frames; measured once,
 by running it on three views at a time."""
-_START_ERROR_M = 0.14
-
-
-def disturbed(body: Body, poses: Array) -> Array:
-    """Start poses with a median joint error of 140 mm (noise of root and angles, seed fixed)."""
-    noise = np.random.default_rng(1).normal(size=poses.shape) * np.r_[[0.03] * 3, [0.1] * (poses.shape[1] - 3)]
-    low, high = 0.0, 8.0
-    for _ in range(20):
-        middle = 0.5 * (low + high)
-        moved = body.skeleton.clamp(poses + middle * noise)
-        error = float(np.nanmedian(np.linalg.norm(body.joints(moved) - body.joints(poses), axis=-1)))
-        low, high = (middle, high) if error < _START_ERROR_M else (low, middle)
-    return body.skeleton.clamp(poses + high * noise)
 
 
 def doctor_real(options: BenchOptions) -> BenchReport:
     """pose2sim_balancing: what the doctor finds by itself (1 = found), and the median residual on frames that were not
     used: shipped, refined from key points, from silhouettes (masks that know nothing of the key points; body and start
-    poses from the key points), from start poses 140 mm off, from both. Left-out residuals against Pose2Sim's."""
+    poses from the key points). Left-out residuals against Pose2Sim's."""
     recording = load_recording(options.folder("pose2sim_balancing"))
-    options.progress("doctor", 0, 5)
+    options.progress("doctor", 0, 3)
     observed = observe_recording(recording, 60 if options.quick else 100)
     report, cured = examine(observed)
     rows = [Row("found", case, value, "1") for case, value in _found(report, cured).items()]
     rows += [Row("findings", "all", float(len(report.findings)), "1")]
     healed = cured_recording(recording, cured)
-    methods = (
-        ("keypoints",) if options.quick else ("keypoints", "silhouettes", "silhouettes, starts 140 mm off", "both")
-    )
+    methods = ("keypoints",) if options.quick else ("keypoints", "silhouettes")
     for k, case in enumerate(methods):
-        options.progress(case, k + 1, 5)
-        result = _refined(healed, cured, case)
+        options.progress(case, k + 1, 3)
+        result = refine_recording(healed, case, late=cured.late)
         if k == 0:
             rows.append(Row("refined_residual_px", "shipped", result.before_px, "px"))
             rows.append(_left_out("shipped", result.left_out_before_px))
@@ -56,12 +37,6 @@ def doctor_real(options: BenchOptions) -> BenchReport:
 
 def _left_out(case: str, value: float) -> Row:
     return Row("left_out_px", case, value, "px", baseline="Pose2Sim, shipped", baseline_value=POSE2SIM_LEFT_OUT_PX)
-
-
-def _refined(recording: Recording, cured: Cured, case: str) -> Refinement:
-    method = case.split(",")[0]
-    disturb = disturbed if "off" in case else None
-    return refine_recording(recording, method, late=cured.late, disturb=disturb)
 
 
 def _found(report: PersonReport, cured: Cured) -> dict[str, float]:

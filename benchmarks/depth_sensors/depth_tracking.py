@@ -19,7 +19,7 @@ from scipy.stats import chi2
 
 from benchmarks.bench_report import BenchOptions, BenchReport, Row, row
 from benchmarks.multiview.action_scenes import captured, subject_of_seed
-from benchmarks.multiview.doubt_fit import auroc, ece
+from benchmarks.multiview.error_fit import auroc, ece
 from benchmarks.synthetic.depth_frames import depth_frames, empty_rooms, seen_before
 from benchmarks.synthetic.noisy_masks import LEVELS, corrupt_mask
 from benchmarks.synthetic.retarget import retarget
@@ -42,8 +42,7 @@ from hypose.pipeline.live.capture import CaptureOptions
 from hypose.pipeline.live.engine import LiveEngine, LiveResult, LiveStatus, LiveTrackingOptions
 from hypose.pipeline.live.live_rig import live_rig
 from hypose.pipeline.live.live_search import LivePersonOptions
-from hypose.pipeline.people_run import PeopleRun
-from hypose.pipeline.run import track_source
+from hypose.pipeline.run import track_people, track_source
 from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.depth_scenes import DepthScene, depth_rig, depth_scene, to_profile, turning
@@ -373,9 +372,9 @@ def people_apart(seed: int, sensors: str, seconds: float, empty: bool = True) ->
     first, second = alone
     both = replace(first, others=((second.subject, second.performance),))
     options = TrackOptions(seed=seed)
-    found = PeopleRun(FrameList(list(depth_frames(both, True, empty)), RATE), RATE, options)().people
+    found = track_people(FrameList(list(depth_frames(both, True, empty)), RATE), RATE, options).people
     out = {"invented": float(max(len(found) - 2, 0)), "together_mm": 1000.0, "exchanged": 1.0}
-    errors = np.array([[_away(p.result.motion, s) for p in found] for s in alone])
+    errors = np.array([[_away(p.motion, s) for p in found] for s in alone])
     if len(found) >= 2:
         mine = errors.mean(-1).argmin(1)
         own = errors[[0, 1], mine]

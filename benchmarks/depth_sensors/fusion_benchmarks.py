@@ -12,7 +12,7 @@ import numpy as np
 from benchmarks.bench_report import BenchOptions, BenchReport, row
 from benchmarks.depth_sensors.baselines import BASELINES, fuse_baseline, single_sensor
 from benchmarks.depth_sensors.fusion_scenes import FRESH_SEED, HANDS, scene_recording, scene_settings
-from benchmarks.multiview.doubt_fit import auroc
+from benchmarks.multiview.error_fit import auroc
 from benchmarks.synthetic.sensors import SensorRecording
 from hypose.app.jobs.fuse_job import run_fuse
 from hypose.app.live.simulated_sensors import FRAME_RATE
@@ -109,10 +109,9 @@ def real(options: BenchOptions) -> BenchReport:
     lengths and jitter after fusion, leaving one sensor out. Three recordings per configuration, their first 400 common
     frames; with "/even" those that are even by their number in the order of their
     names, on which nothing was chosen that `hypose.fusion.fit` holds."""
-    folder = options.folder("kinect_multitrack")
     found: dict[tuple[str, str, str], list[float]] = {}
     used: dict[str, int] = {}
-    files = sorted(folder.glob("Study_*_Kinect_[012]_*.gz"))
+    files = sorted(options.folder("kinect_multitrack").glob("Study_*_Kinect_[012]_*.gz"))
     for n, file in enumerate(files):
         options.progress("recordings", n, len(files))
         configuration = file.name.partition("_Kinect_")[2][0]

@@ -217,7 +217,7 @@ def crossing(seed: int) -> dict[str, Any]:
     places = np.array([s.joints[:, 0] for s in scenes])
     errors, exchanged = np.full(len(scenes), np.nan), 0
     for person in found:
-        motion = person.result.motion
+        motion = person.motion
         rows = np.round(motion.times * scenes[0].frame_rate).astype(int)
         away = np.linalg.norm(motion.joints[:, 0] - places[:, rows], axis=-1)
         whose = int(np.argmin(np.median(away, axis=1)))

@@ -24,10 +24,10 @@ from hypose.evidence.frame import Colours, Frame
 from hypose.evidence.limb_maps import LABELS, LimbMaps, limb_of_joints
 from hypose.geometry import Array
 from hypose.pipeline.first_frame import SubjectOptions, find_subject
-from hypose.pipeline.passes import ClipState, track_clip, tracker_of
+from hypose.pipeline.passes import ClipState, track_clip
 from hypose.pipeline.run import finish, track_source
 from hypose.pipeline.track import track
-from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.track_loop import Followed, FrameList, tracker_of
 from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.metrics import EVALUATED, population_offsets, with_offsets
 from hypose.synthetic.scenes import Scene, make_scene
@@ -136,10 +136,11 @@ def _distances(scene: Scene, source: FrameList, body: Body, draw: int, colours: 
     """(T, 15) m: of the smoothed clip, and frame after frame."""
     subject, options = known_subject(scene, body), TrackOptions(seed=draw, own={"colours": True} if colours else {})
     tracker = tracker_of(subject, options, scene.frame_rate)
-    clip = track_clip(ClipState(source, scene.frame_rate, options, subject=subject, tracker=tracker))
+    people = (Followed.at_start("", subject, tracker),)
+    clip = track_clip(ClipState(source, scene.frame_rate, options, people=people))
     smoothed = finish(clip).motion.poses
-    assert smoothed is not None and clip.tracked is not None
-    tracked = np.stack([e.pose for e in clip.tracked.estimates])
+    assert smoothed is not None
+    tracked = np.stack([e.pose for e in clip.estimates])
     return _errors(body, smoothed, scene), _errors(body, tracked, scene)
 
 

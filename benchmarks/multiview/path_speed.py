@@ -170,9 +170,10 @@ def _decode(recording: Recording) -> int:
     threads = max(1, default_threads() // len(recording.views))
 
     def read(path: Path) -> None:
-        with open_video(path, threads, in_place=True) as reader:
+        with open_video(path, threads) as reader:
+            memory = None
             for i in recording.frames:
-                reader.read(i)
+                memory = reader.read(i, memory)
 
     with ThreadPoolExecutor(len(recording.views)) as pool:
         list(pool.map(read, [v.source for v in recording.views if v.source is not None]))

@@ -13,7 +13,7 @@ from hypose.geometry import Array
 from hypose.io.recordings.frames import FrameSettings, FrameStream
 from hypose.io.recordings.recording import Recording
 from hypose.pipeline.first_frame import SubjectOptions, TrackedSubject, find_subject
-from hypose.pipeline.one_camera import masks_of, one_view
+from hypose.pipeline.recorded_frames import masks_of, one_view
 from hypose.pipeline.run import TrackResult, track_source
 from hypose.pipeline.track_options import TrackOptions
 

@@ -21,10 +21,9 @@ from benchmarks.synthetic.noisy_masks import noisy_scene
 from hypose.evidence.colours import colour_codes
 from hypose.evidence.frame import Colours, Frame
 from hypose.geometry import Array
-from hypose.pipeline.people_run import PeopleRun
+from hypose.pipeline.run import TrackResult, track_people
 from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.track_options import TrackOptions
-from hypose.pipeline.tracked_people import TrackedPerson
 from hypose.synthetic.motions import act
 from hypose.synthetic.performance import Performance
 from hypose.synthetic.scenes import Scene
@@ -65,7 +64,7 @@ def run(setting: str, seed: int) -> dict[str, Any]:
     roots = np.stack([p.root[: len(plain), :2] for p in (scene.performance, *(p for _, p in scene.others))])
     out = {}
     for case, given in (("pictures", frames), ("masks alone", plain)):
-        people = PeopleRun(FrameList(given, RATE), RATE, TrackOptions(evidence="silhouettes"))().people
+        people = track_people(FrameList(given, RATE), RATE, TrackOptions(evidence="silhouettes")).people
         out[case] = _wrong(people, roots, there)
     return out
 
@@ -104,20 +103,20 @@ def _with_colours(scene: Scene, frame: Frame) -> Frame:
     return replace(frame, colours=Colours(shown, np.ones(len(s.rig), dtype=bool)))
 
 
-def _wrong(people: tuple[TrackedPerson, ...], roots: Array, there: NDArray[np.bool_]) -> int:
+def _wrong(people: tuple[TrackResult, ...], roots: Array, there: NDArray[np.bool_]) -> int:
     """How many of the two (roots (2, T, 2) m) nobody is at the end, or somebody who was the other one at first."""
     wrong, end = 0, len(roots[0]) - round(RATE / 3)
     for k, (root, when) in enumerate(zip(roots, there, strict=True)):
         frames = [t for t in range(end, len(root)) if when[t]]
         if not frames:
             continue  # who has left is not asked for
-        own = [p for p in people if p.present[frames].all() and _at(p, root, frames)]
+        own = [p for p in people if p.there[frames].all() and _at(p, root, frames)]
         first = [t for t in range(round(0.4 * RATE)) if there[1 - k][t]]
-        was_other = [bool(first) and p.present[first].all() and _at(p, roots[1 - k], first) for p in own]
+        was_other = [bool(first) and p.there[first].all() and _at(p, roots[1 - k], first) for p in own]
         wrong += not own or any(was_other)
     return wrong
 
 
-def _at(person: TrackedPerson, root: Array, frames: list[int]) -> bool:
-    at = person.result.motion.joints[frames, 0, :2]
+def _at(person: TrackResult, root: Array, frames: list[int]) -> bool:
+    at = person.motion.joints[frames, 0, :2]
     return bool(np.median(np.linalg.norm(at - root[frames], axis=1)) < _HERE_M)

@@ -21,10 +21,9 @@ from hypose.body.motion import Motion
 from hypose.calibration.synchronisation import Resampled, offsets_from_motion
 from hypose.evidence.frame import Frame
 from hypose.geometry import Array
-from hypose.pipeline.people_run import PeopleRun
+from hypose.pipeline.run import TrackResult, track_people
 from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.track_options import TrackOptions
-from hypose.pipeline.tracked_people import TrackedPerson
 from hypose.synthetic.corruptions import Corruptions
 from hypose.synthetic.metrics import joint_errors, population_offsets
 from hypose.synthetic.scenes import Scene, make_scene
@@ -69,11 +68,11 @@ def run(seed: int, seconds: float) -> dict[str, Any]:
     out: dict[str, Any] = {"offset": float(np.abs((late - late.mean()) - (lags - lags.mean())).max())}
     for case, offsets in (("late", np.zeros(len(lags))), ("in step", late)):
         shift = float((offsets - lags).mean())  # of the truth that the cameras show on the mean, frames
-        people = PeopleRun(_in_step(together.frames, offsets), RATE, _OPTIONS)().people
+        people = track_people(_in_step(together.frames, offsets), RATE, _OPTIONS).people
         out[f"people/{case}"] = len(people) - len(one)
         for name, s in one.items():
             who = min(people, key=lambda p: _away(p, s))
-            mean = _mean_mm(who.result.motion, s, shift)
+            mean = _mean_mm(who.motion, s, shift)
             out[f"{name}/{case}"] = mean
             out[f"silent/{name}/{case}"] = mean > SILENT_MM and who.assessment.word == "good"
     return out
@@ -84,10 +83,10 @@ def _in_step(frames: Sequence[Frame], late: Array) -> FrameList:
     return FrameList([source.frame(i) for i in range(len(source))], RATE)
 
 
-def _away(person: TrackedPerson, scene: Scene) -> float:
+def _away(person: TrackResult, scene: Scene) -> float:
     """m: median distance from a player's true root."""
-    away = np.linalg.norm((person.result.motion.joints - scene.joints)[:, 0], axis=-1)
-    return float(np.median(away[person.present])) if person.present.any() else np.inf
+    away = np.linalg.norm((person.motion.joints - scene.joints)[:, 0], axis=-1)
+    return float(np.median(away[person.there])) if person.there.any() else np.inf
 
 
 def _mean_mm(motion: Motion, scene: Scene, shift: float) -> float:

@@ -27,12 +27,10 @@ from hypose.errors import HyposeError
 from hypose.evidence.association import people_of
 from hypose.evidence.keypoints import BODY_25, to_keypoints
 from hypose.geometry import Array
-from hypose.pipeline.people_run import PeopleRun
 from hypose.pipeline.person_paths import KeypointPeople
-from hypose.pipeline.run import track_source
+from hypose.pipeline.run import TrackResult, track_people, track_source
 from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.track_options import TrackOptions
-from hypose.pipeline.tracked_people import TrackedPerson
 from hypose.synthetic.metrics import joint_errors, population_offsets
 from hypose.synthetic.motions import act
 from hypose.synthetic.performance import Performance, moved
@@ -174,7 +172,7 @@ def _warm() -> None:
     scenes = [make_scene(p, s, RIGS["4"], seconds=0.6, seed=7) for s, p in SETTINGS["beside"].make(1, None)]
     frames = list(replace(scenes[0], others=((scenes[1].subject, scenes[1].performance),)).mask_frames(1.0))[:15]
     with contextlib.suppress(HyposeError):
-        PeopleRun(FrameList(frames, RATE), RATE, TrackOptions(evidence="silhouettes"))()
+        track_people(FrameList(frames, RATE), RATE, TrackOptions(evidence="silhouettes"))
     _alone(scenes[0], 15, False)
 
 
@@ -197,13 +195,13 @@ def run(name: str, views: str, seed: int, options: BenchOptions) -> dict[str, An
     count = round(seconds * RATE)
     union = list(together.mask_frames(1.0))[:count]
     clock = _Clock()
-    tracked = PeopleRun(
+    tracked = track_people(
         FrameList(union, RATE),
         RATE,
         TrackOptions(evidence="both" if setting.points else "silhouettes"),
         progress=clock,
         points=_points(scenes, count) if setting.points else None,
-    )()
+    )
     alone = [_alone(s, count, setting.points) for s in scenes]
     return {
         **_judged(tracked.people, scenes, present[:, :count], setting),
@@ -281,17 +279,17 @@ def _errors(motion: Motion, scene: Scene) -> Array:
 
 
 def _judged(
-    found: Sequence[TrackedPerson], scenes: Sequence[Scene], present: NDArray[np.bool_], setting: Setting
+    found: Sequence[TrackResult], scenes: Sequence[Scene], present: NDArray[np.bool_], setting: Setting
 ) -> dict[str, Any]:
     """Who was tracked how well. Everybody tracked is the true person whom they are nearest to in most frames; frames in
     which they are nearer to another one are exchanges of identity."""
     true = np.stack([s.joints[: present.shape[1], :1, :2].mean(1) for s in scenes])  # (P, T, 2)
-    mine: dict[int, TrackedPerson] = {}
+    mine: dict[int, TrackResult] = {}
     swaps = invented = 0
     for one in found:
-        at = one.result.motion.joints[:, 0, :2]
+        at = one.motion.joints[:, 0, :2]
         away = np.where(present, np.linalg.norm(true - at, axis=-1), np.inf)
-        shown = one.present & np.isfinite(away).any(0)
+        shown = one.there & np.isfinite(away).any(0)
         who = away.argmin(0)[shown]
         owner = int(np.bincount(who, minlength=len(scenes)).argmax()) if len(who) else -1
         near = away.min(0)[shown] < 0.5 if len(who) else np.zeros(0, dtype=bool)
@@ -308,14 +306,14 @@ def _judged(
             start_ok.append(False)
             born += [False] * len(comes)
             continue
-        e, one = _errors(mine[k].result.motion, scene), mine[k]
-        seen = present[k] & one.present
+        e, one = _errors(mine[k].motion, scene), mine[k]
+        seen = present[k] & one.there
         errors.append(e[seen].ravel().tolist())
-        frames_far += int((e[seen].mean(1) > FAR_MM).sum()) + int((present[k] & ~one.present).sum() > 0.6 * RATE)
+        frames_far += int((e[seen].mean(1) > FAR_MM).sum()) + int((present[k] & ~one.there).sum() > 0.6 * RATE)
         after = round(1.0 * RATE)
         start_ok.append(bool(e[after - 3 : after + 3].mean() <= GOOD_MM))
         soon = round(SOON_S * RATE)
-        born += [bool(one.present[t : t + soon + 1].any()) for t in comes]
+        born += [bool(one.there[t : t + soon + 1].any()) for t in comes]
         flagged.append(one.assessment.word != "good")
     return {
         "errors": errors,

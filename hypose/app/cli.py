@@ -26,9 +26,6 @@ from hypose.app import options
 from hypose.errors import HyposeError
 from hypose.options import RESEARCH, THREAD_VARIABLES, Declared, declared
 
-_LITTLE_MEMORY = 4 << 30
-_OWN_SETTINGS = ("NUMBA_DISABLE_INTEL_SVML", "NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES")
-"""Variables that hypose sets itself, and hands on to the processes that it starts."""
 CommandTable = Mapping[str, Mapping[str, tuple[str, str]]]
 """Heading -> name of a command -> (where it is, its line in the help). Where: module:function below hypose.app, or
 below hypose.app.commands; or the table of a command that has commands of its own. What function `track` takes is
@@ -226,9 +223,7 @@ def run_cli(arguments: Sequence[str] | None = None, command: click.Command = app
     command: group of commands, `hypose` by default.
     name: of the program, for the help.
     """
-    around = ("", "")
     if arguments is None:
-        around = _surroundings()
         _read_names_as_utf8()
     for stream in (sys.stdout, sys.stderr):  # what the terminal has no letters for is no reason to fail
         if isinstance(stream, io.TextIOWrapper):
@@ -250,53 +245,27 @@ def run_cli(arguments: Sequence[str] | None = None, command: click.Command = app
         finally:
             sys.stdout.flush()  # a full disk shows here, while it can be reported
     except HyposeError as error:
-        _fail(f"{error}{around[0] and f' It had {around[0]}.'}", debug)
+        _fail(str(error), debug)
         sys.exit(2)
     except KeyboardInterrupt:
         sys.exit(130)
     except Exception as error:  # still no traceback unless asked for
-        sentence = _foreseen(error, around)
+        sentence = _foreseen(error)
         reason = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
         report = "please report it with the output of the same command and --debug"
         _fail(sentence or f"this should not have happened ({reason}); {report}.", debug)
         sys.exit(2 if sentence else 1)
 
 
-def _surroundings() -> tuple[str, str]:
-    """Describe settings of the process that may cause an error.
-
-    Returns: a limit of its memory below 4 GiB, and the variables NUMBA_... that the user has set; "" where there are
-        none.
-    """
-    little = ""
-    with contextlib.suppress(ImportError):  # Windows
-        import resource
-
-        limit = resource.getrlimit(resource.RLIMIT_AS)[0]
-        if 0 <= limit < _LITTLE_MEMORY:
-            little = f"at most {limit >> 20} MiB of memory (ulimit -v)"
-    numba = {n: v for n, v in os.environ.items() if n.startswith("NUMBA_") and n not in _OWN_SETTINGS}
-    return little, " ".join(f"{n}={v}" for n, v in numba.items())
-
-
-def _foreseen(error: Exception, around: tuple[str, str]) -> str:
-    """Make the sentence for an error that the surroundings of the process explain.
+def _foreseen(error: Exception) -> str:
+    """Make the sentence for an error of the system; "" for any other, which is a bug of hypose.
 
     error: any exception that is no HyposeError.
-    around: result of `_surroundings`.
-    Returns: the sentence; "" where the error is a bug of hypose.
     """
-    if isinstance(error, OSError) and error.errno is not None:
-        return _refused(error)
-    named, full = " and ".join(filter(None, around)), isinstance(error, MemoryError)
-    reason = "the memory is full" if full else " ".join(str(error).split()).rstrip(".") or type(error).__name__
-    if named:
-        return f"{reason}, with {named}; change that, and report what stays with the output of --debug."
-    return f"{reason}; close other programs, or track fewer frames at a time with --frames." if full else ""
-
-
-def _refused(error: OSError) -> str:
-    """Make the sentence for something that the operating system did not allow."""
+    if isinstance(error, MemoryError):
+        return "the memory is full; close other programs, or track fewer frames at a time with --frames."
+    if not isinstance(error, OSError) or error.errno is None:
+        return ""
     from hypose.io.files import FULL, cannot_write
 
     if error.errno == errno.ENAMETOOLONG:

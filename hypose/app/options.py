@@ -213,7 +213,7 @@ class CheckCommand:
         str,
         Option(
             "What of the person.",
-            choices=("auto", "keypoints", "silhouettes", "both"),
+            choices=("auto", "keypoints", "silhouettes"),
             flag="--from",
             group=_REFINE,
         ),
@@ -279,7 +279,6 @@ class FuseCommand:
             group=_RECORDED,
         ),
     ] = "person"
-    diagnose: Annotated[bool, Option("Add the swarm's choice of sensors to sensors.csv.", group=_RECORDED)] = False
     cameras: Annotated[
         Path | None,
         Option("Recording of depth or colour cameras that saw the same; all is then solved together.", group=_RECORDED),

@@ -168,10 +168,11 @@ def prior_covariance() -> Array:
 
 
 def length_rows(body: Body) -> tuple[Array, Array, Array]:
-    """Make the linear constraints of Table 2.1 on sums of lengths: arms, legs and shoulder height.
+    """Make the linear priors of Table 2.1 on the sizes that are sums of segments: arms, legs and shoulder height.
 
-    Returns: matrix (3, K) of d log(size) / d log(factor), means (3,), which are 0 at the height-scaled body, and
-        standard deviations (3,).
+    body: the body at factors 0, scaled to the person's height.
+    Returns: derivatives (3, K) of the logarithm of each size by the log factors; means (3,) of these logarithms
+        relative to the body, which are 0; and their standard deviations (3,).
     """
     lengths = body.segment_lengths()
     ua, fa = lengths["left_upper_arm"], lengths["left_forearm"]
@@ -234,7 +235,7 @@ class Sizes:
 
     @property
     def in_cm(self) -> dict[str, float]:
-        """All sizes in cm by name; girths under '<site> girth'."""
+        """All sizes in cm by name: "stature", "shoulder height", the segments by their names, "<site> girth"."""
         out = {"stature": self.stature, "shoulder height": self.shoulder_height, **self.lengths}
         out |= {f"{k} girth": v for k, v in self.girths.items()}
         return {k: 100 * v for k, v in out.items()}

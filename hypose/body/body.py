@@ -47,7 +47,7 @@ class Mesh:
 
     @cached_property
     def edges(self) -> NDArray[np.int32]:
-        """Edges (E, 4) of the mesh: vertices a and b, the face with a->b, the face with b->a.
+        """Edges of the mesh (E, 4): vertices a and b, the face that runs from a to b, the face that runs from b to a.
 
         Raises: InputError where the mesh is not a closed manifold.
         """
@@ -65,7 +65,7 @@ class Mesh:
 
     @cached_property
     def arrays(self) -> MeshArrays:
-        """Flat arrays for compiled code: weights sorted descending, edges included."""
+        """Mesh as flat arrays for compiled code; the weights of each vertex are in descending order."""
         order = np.argsort(-self.skin_weight, axis=1, kind="stable")
         index = np.take_along_axis(self.skin_index, order, 1).astype(np.int32)
         weight = np.take_along_axis(self.skin_weight, order, 1).astype(np.float32)
@@ -80,18 +80,18 @@ class Mesh:
 
     @cached_property
     def main_joint(self) -> NDArray[np.int64]:
-        """(V,) joint of largest weight: the body part to which a vertex belongs."""
+        """(V,) body part of each vertex: the joint of largest skinning weight."""
         best = self.skin_weight.argmax(1)[:, None]
         return np.take_along_axis(self.skin_index, best, 1)[:, 0].astype(np.int64)
 
     @cached_property
     def face_joint(self) -> NDArray[np.int64]:
-        """Return (F,) the joint of two corners of a face, or else of its first: the body part a face belongs to."""
+        """(F,) body part of each face: that of two of its corners (see `main_joint`), else that of its first corner."""
         a, b, c = self.main_joint[self.faces].T
         return np.where(b == c, b, a)
 
     def dense_weights(self, n_joints: int) -> Array:
-        """Return the skinning weights as a dense matrix (V, J)."""
+        """Return the skinning weights as a dense matrix (V, J) for a body of n_joints = J joints."""
         v = len(self.vertices)
         place = n_joints * np.arange(v)[:, None] + self.skin_index
         weights = np.bincount(place.ravel(), self.skin_weight.ravel(), v * n_joints)
@@ -99,11 +99,12 @@ class Mesh:
 
     @cached_property
     def rings(self) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-        """Corners of the faces around each vertex.
+        """Faces around each vertex, as a pair (first, rows).
 
-        Returns: first (V + 1,): the rows first[v] to first[v + 1] are those of vertex v; rows (3 F, 3): the two other
-            corners of a face, in its order, and the row of the face around the same vertex that shares the edge to the
-            first of them (its own row where no face does).
+        first: (V + 1,) the rows first[v] to first[v + 1] - 1 belong to vertex v, one per face around it.
+        rows: (3 F, 3) columns 0 and 1: the two other corners of the face, in its order; column 2: the row of the next
+            face around the same vertex, which shares the edge to the corner in column 0 (the row itself where there is
+            none).
         """
         faces = np.asarray(self.faces)
         corners, count = faces.ravel(), len(self.vertices)
@@ -172,7 +173,7 @@ class Landmarks:
         return self.names.index(name)
 
     def positions(self, body: Body, poses: ArrayLike) -> Array:
-        """Compute the points (..., L, 3), m, in the world for poses (..., D) of a body."""
+        """Compute the positions (..., L, 3), m, of the points in the world, for poses (..., D) of a body."""
         return body.skeleton.points(self.joint, self.offset, poses)
 
 
@@ -211,7 +212,7 @@ class Body:
         return v.reshape(*q.shape[:-1], *v.shape[1:])
 
     def landmark_points(self, poses: ArrayLike) -> Array:
-        """Compute the landmarks (..., L, 3) m in the world for poses (..., D)."""
+        """Compute the positions (..., L, 3), m, of the body's landmarks in the world, for poses (..., D)."""
         return self.landmarks.positions(self, poses)
 
     @property
@@ -220,7 +221,11 @@ class Body:
         return float(np.ptp(self.fine.vertices[:, 2]))
 
     def segment_lengths(self) -> dict[str, float]:
-        """Return the lengths of the segments by name, from joint to joint, m; left and right are separate."""
+        """Measure the segments at rest, from joint to joint.
+
+        Returns: m by name: torso, neck, shoulder_width, hip_width; upper_arm, forearm, thigh and shank, each with the
+            prefix left_ and right_.
+        """
         j, s = self.skeleton.rest_joints, self.skeleton
         return {k: float(np.linalg.norm(j[s.joint(a)] - j[s.joint(b)])) for k, (a, b) in _SEGMENTS.items()}
 
@@ -243,7 +248,7 @@ BONE_END = {f"{side}_{a}": f"{side}_{b}" for side in ("left", "right") for a, b 
 
 
 def deform(body: Body, shape: Shape, name: str | None = None) -> Body:
-    """Change the bone lengths and girths of a body.
+    """Change the size, bone lengths and girths of a body.
 
     body: the body.
     shape: factors to apply.

@@ -54,11 +54,11 @@ def decimated(vertices: ArrayLike, faces: ArrayLike, target: int) -> tuple[Array
 
 
 def coarse_mesh(vertices: ArrayLike, faces: ArrayLike, target: int = 550) -> tuple[Array, Faces]:
-    """Make the mesh for scoring: closed, through the middle of the surface, with the volume of the original.
+    """Make a coarse mesh for scoring silhouettes: it keeps the volume and, on average, the surface of the original.
 
     vertices, faces: (V, 3) m and (F, 3) of a closed manifold whose faces are oriented outwards.
     target: approximate number of vertices.
-    Returns: vertices and faces.
+    Returns: vertices and faces of a closed manifold; the mesh itself where it has no more vertices than that.
     Raises: InputError where no closed mesh of that size can be made.
     """
     v = np.asarray(vertices, dtype=np.float64)

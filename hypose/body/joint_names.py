@@ -80,12 +80,15 @@ def renamed_skeleton(skeleton: Skeleton, names: Mapping[str, str]) -> Skeleton:
 
 
 def renamed_motion(motion: Motion, names: Mapping[str, str]) -> Motion:
-    """Rename the joints of a motion, so that its BVH and GLB have other names (for example MIXAMO)."""
+    """Rename the joints of a motion, for export under the names of another program.
+
+    names: new name by old name, for example MIXAMO; joints that are not in it keep theirs.
+    """
     return replace(motion, skeleton=renamed_skeleton(motion.skeleton, names))
 
 
 def renamed_body(body: Body, names: Mapping[str, str]) -> Body:
-    """Rename the joints of the body that belongs to a renamed motion."""
+    """Rename the joints of a body, for export with a motion that `renamed_motion` renamed by the same names."""
     return replace(body, skeleton=renamed_skeleton(body.skeleton, names))
 
 

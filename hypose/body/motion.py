@@ -176,7 +176,7 @@ class Modes:
         return len(self.poses)
 
     def rows(self) -> list[Modes]:
-        """Split into one value per frame, each with as many modes as the frame has."""
+        """Split into one `Modes` of one frame per frame, each with as many modes as the frame has."""
         single = [{k: v[t : t + 1] for k, v in modes_arrays(self).items()} for t in range(len(self))]
         return [
             Modes(**{k: v[:, :n] if k in _PER_MODE else v for k, v in one.items()})
@@ -185,12 +185,16 @@ class Modes:
 
 
 def modes_arrays(modes: Modes) -> dict[str, np.ndarray]:
-    """Return the modes as plain arrays by name, for archives and checkpoints."""
+    """Return the fields of the modes as arrays by name, for archives and checkpoints."""
     return {f.name: np.asarray(getattr(modes, f.name)) for f in fields(Modes)}
 
 
 def joined_modes(parts: Sequence[Modes]) -> Modes:
-    """Join the modes of consecutive frames, padded with NaN to the largest number of modes."""
+    """Join the modes of parts of a clip along the frames.
+
+    parts: modes of consecutive frames, of one body.
+    Returns: modes of all frames; frames with fewer modes than the most are filled with NaN.
+    """
     most = max(p.poses.shape[1] for p in parts)
 
     def stacked(name: str) -> np.ndarray:

@@ -83,12 +83,12 @@ class Skeleton:
             raise InputError(f"There is no joint {name!r}; the joints are {', '.join(self.joint_names)}.") from None
 
     def dofs_of(self, *names: str) -> NDArray[np.int64]:
-        """Return the indices of the degrees of freedom of the named joints (for the root: all six)."""
+        """Return the indices, ascending, of the degrees of freedom of the named joints (for the root: all six)."""
         joints = np.array([self.joint(n) for n in names], dtype=np.int64)
         return np.flatnonzero((self.joint_of_dof[:, None] == joints).any(1))
 
     def descendants(self, name: str) -> NDArray[np.int64]:
-        """Return the joint indices of the sub-tree that starts at the named joint."""
+        """Return the indices, ascending, of the named joint and of all joints below it in the tree."""
         keep = np.zeros(len(self.parents), dtype=bool)
         keep[self.joint(name)] = True
         for j, p in enumerate(self.parents):
@@ -106,7 +106,7 @@ class Skeleton:
 
     @cached_property
     def tree(self) -> TreeArrays:
-        """Flat arrays of the joint tree, for compiled code."""
+        """Joint tree as flat arrays for compiled code."""
         j = len(self.joint_names)
         kind, start, count = (np.zeros(j, dtype=np.int64) for _ in range(3))
         for n in range(j):
@@ -129,7 +129,7 @@ class Skeleton:
 
     @cached_property
     def ball_starts(self) -> NDArray[np.int64]:
-        """First dof of every ball joint, the root included."""
+        """(B,) index of the first of the three dof of each ball joint, the root included."""
         return self.tree.dof_start[self.tree.kind == BALL]
 
     def rest_pose(self) -> Array:
@@ -164,11 +164,12 @@ class Skeleton:
         return centres[..., joint, :] + turned
 
     def world_twists(self, poses: ArrayLike) -> Array:
-        """Compute the twists (w, v) of all dof in the world at poses (..., D): a point x moves with w x x + v per unit
-        of the dof.
+        """Compute the twist of each dof in the world: the derivative of the body's motion by the dof.
 
-        Returns: (..., D, 6). For ball joints these are columns of the left Jacobian: derivatives by the components of
-            the rotation vector, not angular velocities about fixed axes.
+        poses: (..., D).
+        Returns: (..., D, 6) twists (w, v): a point at x (world, m) that moves with the dof has the derivative
+            w x x + v. For ball joints these are the derivatives by the components of the rotation vector, not
+            rotations about fixed axes.
         """
         q, n = np.array(poses, dtype=np.float64), len(self.joint_names)
         out, rotations, centres = np.empty((*q.shape, 6)), np.empty((n, 3, 3)), np.empty((n, 3))
@@ -179,7 +180,7 @@ class Skeleton:
 
     @cached_property
     def moves(self) -> NDArray[np.bool_]:
-        """(D, J) whether dof d moves the frame of joint j."""
+        """(D, J) whether a dof moves the frame of a joint."""
         out = np.zeros((self.dof, len(self.joint_names)), dtype=bool)
         for j in range(len(self.joint_names)):
             a = j
@@ -189,7 +190,7 @@ class Skeleton:
         return out
 
     def jacobian(self, pose: ArrayLike, joint: int, points_world: ArrayLike) -> Array:
-        """Compute the derivatives (N, 3, D) of points by the pose.
+        """Compute the derivatives (N, 3, D) of points on the body by the pose.
 
         pose: (D,).
         joint: index of the joint to which the points are rigidly attached.
@@ -202,8 +203,10 @@ class Skeleton:
         return np.swapaxes(rows, 1, 2)
 
     def joint_jacobians(self, pose: ArrayLike) -> Array:
-        """Compute the derivatives (J, 3, D) of the joint centres by the pose (D,), the root's rotation as a small turn
-        in the world.
+        """Compute the derivatives (J, 3, D) of the joint centres by a pose (D,).
+
+        The columns 3 to 5 are derivatives by a small rotation of the root about the axes of the world, not by the
+        components of its rotation vector.
         """
         q, n = np.array(pose, dtype=np.float64), len(self.joint_names)
         rotations, centres, twists = np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((self.dof, 6))
@@ -217,10 +220,10 @@ class Skeleton:
         return np.where(self.moves.T[:, None], out, 0.0)
 
     def joint_covariances(self, pose: ArrayLike, covariance: ArrayLike) -> Array:
-        """Compute the covariances (J, 3, 3) m^2 of the joint centres, to first order.
+        """Compute the covariances (J, 3, 3) m^2 of the joint centres from that of the pose, to first order.
 
         pose: (D,).
-        covariance: (D, D) of the pose, the root's rotation as a small turn in the world.
+        covariance: (D, D) of the pose; rows 3 to 5 are a small rotation of the root about the axes of the world.
         """
         jacobian = self.joint_jacobians(pose)
         # einsum, not @: threaded BLAS costs more than matrices of this size
@@ -231,7 +234,8 @@ class Skeleton:
         """Compute the covariances (J, 3, 3) m^2 of the joint centres from the information on a pose, to first order.
 
         pose: (D,).
-        information: (D, D) inverse covariance of the pose, the root's rotation as a small turn in the world.
+        information: (D, D) inverse covariance of the pose; rows 3 to 5 are a small rotation of the root about the axes
+            of the world.
         ridge: share of the information's diagonal, counted as 1 at least, that is added to it. Why: it makes the
             matrix positive definite where a dof is not determined.
         """
@@ -241,13 +245,13 @@ class Skeleton:
         return np.einsum("jad,jbd->jab", jacobian, spread)
 
     def step_sigma(self, frame_rate: float) -> Array:
-        """Return the usual motion per frame (D,) at a frame rate: `sigma` scaled by the duration of a frame, within 0.4
-        to 2.
+        """Return the usual motion per frame (D,) at a frame rate (Hz): `sigma`, which is for 25 Hz, times the ratio of
+        the durations of a frame, limited to 0.4 to 2.
         """
         return self.sigma * float(np.clip(25.0 / frame_rate, 0.4, 2.0))
 
     def clamp(self, poses: ArrayLike) -> Array:
-        """Move poses (..., D) into the joint limits, rounded to a grid of 2^-20 m and rad.
+        """Move poses (..., D) into the joint limits, and round them to multiples of 2^-20 m and rad.
 
         Why: numerical libraries differ between processors in the last digits. Without the grid this difference would
         grow from frame to frame, until another pose of an arm is found.
@@ -256,20 +260,23 @@ class Skeleton:
         return np.minimum(np.maximum(on_grid, self.lower), self.upper)  # np.clip takes twice as long for one pose
 
     def on_branch(self, poses: ArrayLike, reference: ArrayLike) -> Array:
-        """Move the root's rotation vector in poses (..., D) to the branch nearest to that of a reference pose (D,).
+        """Replace the root's rotation vector in poses by the equal rotation nearest to that of a reference pose.
 
-        Other balls are unchanged: only the root turns through more than half a turn.
+        poses: (..., D).
+        reference: (D,), or (..., D) for each pose.
+        Returns: (..., D); the root's vectors differ from the old ones by whole turns. Other joints stay, because only
+            the root turns by more than half a turn.
         """
         q, ref = np.array(poses, dtype=np.float64), np.asarray(reference, dtype=np.float64)
         q[..., 3:6] = nearest_branch(q[..., 3:6], ref[..., 3:6])
         return q
 
     def unwound(self, pose: ArrayLike, reference: ArrayLike | None = None) -> Array:
-        """Move the rotation vectors of all balls but the root to the branch nearest to those of a reference pose, where
-        the limits allow it.
+        """Replace the rotation vectors of all balls but the root by the equal rotations nearest to a reference pose.
 
         pose: (D,).
-        reference: (D,); None: the rest pose.
+        reference: (D,); None: all zeros.
+        Returns: (D,); a ball stays as it is where the nearest vector is outside the joint limits.
         """
         q = np.array(pose, dtype=np.float64)
         ref = np.zeros(self.dof) if reference is None else np.asarray(reference, dtype=np.float64)
@@ -281,5 +288,5 @@ class Skeleton:
         return q
 
     def canonical(self, pose: ArrayLike) -> Array:
-        """Return the pose (D,) with the root's rotation vector of norm <= pi."""
+        """Replace the root's rotation vector of a pose (D,) by the equal rotation of length <= pi."""
         return self.on_branch(pose, np.zeros(self.dof))

@@ -1,10 +1,9 @@
-"""Refinement of cameras and poses from the person's silhouettes and key points, with the tracked body as calibration
-object.
+"""Refinement of cameras and poses from the person's silhouettes, with the tracked body as calibration object.
 
 Unknowns are one pose per frame and six numbers per camera (seven with the focal length). Rows are those of the shape
-and pose solvers: two-way contour distances with a Geman-McClure weight, key points with a Cauchy weight. A row depends
-on the pose of its frame and on its own camera, so poses are eliminated frame by frame (Schur complement) and a step
-solves one small system for all cameras. The body is fixed, and with it the scale.
+and pose solvers: two-way contour distances with a Geman-McClure weight. A row depends on the pose of its frame and on
+its own camera, so poses are eliminated frame by frame (Schur complement) and a step solves one small system for all
+cameras. The body is fixed, and with it the scale.
 Sources: Geman and McClure 1985; contour rows as in Gall et al. 2009. No published method refines extrinsics from
     silhouettes of an articulated body in this way; the nearest is Sinha and Pollefeys 2010 (frontier points).
 """
@@ -21,9 +20,9 @@ from hypose.body.body import Body
 from hypose.calibration.refine_points import CameraUnknowns, apply_parameters, by_camera
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import EvidenceError
-from hypose.evidence.terms import ContourTerm, KeypointTerm, Term
+from hypose.evidence.terms import ContourTerm
 from hypose.fitting.problem import Cue, Posed, PoseProblem, Quadratic, Rows
-from hypose.fitting.rows import rows_of_contours, rows_of_keypoints
+from hypose.fitting.rows import rows_of_contours
 from hypose.geometry import Array, transform
 from hypose.tracking.refinement import anatomical_prior
 
@@ -37,17 +36,13 @@ class BodySettings:
     coarse: factors of the contour scale, one per stage.
     iterations: number of iterations of each stage.
     contour_weight: weight of a contour row at the reference density.
-    keypoint_weight: weight of a key-point row.
     focal: refine focal lengths as well.
-    normals: smallest cosine between the outline normals of a row; other rows are left out.
     """
 
     coarse: tuple[float, ...] = (4.0, 2.0, 1.0)
     iterations: tuple[int, ...] = (5, 6, 6)
     contour_weight: float = 0.1
-    keypoint_weight: float = 1.0
     focal: bool = False
-    normals: float = 0.3
 
 
 @dataclass(frozen=True)
@@ -68,7 +63,7 @@ def adjust_with_body(
     body: Body,
     rig: CameraRig,
     poses: Array,
-    evidence: Sequence[Sequence[Term]],
+    evidence: Sequence[Sequence[ContourTerm]],
     options: BodySettings | None = None,
     free: NDArray[np.bool_] | None = None,
 ) -> BodyAdjustment:
@@ -76,33 +71,27 @@ def adjust_with_body(
 
     rig: cameras at the working size of the evidence; the projections inside the terms are not used.
     poses: (F, D) start poses.
-    evidence: outlines and key points of each frame.
+    evidence: outlines of each frame.
     free: (C,) cameras that may move; None for all.
     Raises: EvidenceError where no frame has evidence.
     """
     o = options or BodySettings()
     cues = [[_cue(one, o) for one in of] for of in evidence]
     if not any(cues):
-        raise EvidenceError("No frame has silhouettes or key points to refine the calibration with; choose others.")
+        raise EvidenceError("No frame has silhouettes to refine the calibration with; choose other frames.")
     problem = _BodyProblem(body, cues, [anatomical_prior(body.skeleton)], CameraUnknowns(rig, o.focal, free))
     state = list(rig), np.array(poses, dtype=np.float64)
-    outlines = any(isinstance(one, ContourTerm) for of in evidence for one in of)
-    stages = (o.coarse, o.iterations) if outlines else ((1.0,), (sum(o.iterations),))
-    found = problem.stages(state, *stages, 1e-4)
+    found = problem.stages(state, o.coarse, o.iterations, 1e-4)
     cameras, q = found.state
     return BodyAdjustment(CameraRig(tuple(cameras)), q, found.cost)
 
 
-def _cue(one: Term, o: BodySettings) -> Cue[_Cameras]:
-    """Make the function that gives the rows of a term in the images of the present cameras."""
+def _cue(one: ContourTerm, o: BodySettings) -> Cue[_Cameras]:
+    """Make the function that gives the rows of an outline in the images of the present cameras."""
 
     def rows(at: Posed, cameras: _Cameras, factor: float) -> Iterable[Rows]:
         projections = np.stack([c.projection for c in cameras])
-        if isinstance(one, ContourTerm):
-            given = o.contour_weight, one.row_spacing_px, o.normals
-            return rows_of_contours(at, one, factor, *given, projections)
-        assert isinstance(one, KeypointTerm), "cameras are refined on outlines and key points"
-        return [rows_of_keypoints(at, one, projections, o.keypoint_weight)]
+        return rows_of_contours(at, one, factor, o.contour_weight, one.row_spacing_px, projections)
 
     return rows
 

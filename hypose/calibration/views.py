@@ -11,7 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from hypose.calibration.boards import Board, BoardDetection, Detector, Gray, make_detector, sheet_views
+from hypose.calibration.boards import Board, BoardDetection, Detector, Gray, likely_shown, make_detector, sheet_views
 from hypose.errors import CalibrationError, InputError
 from hypose.geometry import Array
 from hypose.io.file_names import natural_key, text_of
@@ -25,7 +25,7 @@ _COLOURS = {
     False: "the board is printed white on black: give --inverted",
     True: "the board is printed black on white: leave --inverted out",
 }
-_COARSE = 4  # every 4th frame is searched first, the others only next to a frame that shows the board
+_ENOUGH_BOARDS = 24  # sharp boards of a camera after which no picture is searched that does not surely show one
 _STILL = 3.0  # mean difference in grey levels between two pictures of a scene in which nothing moves
 _STILL_FRAMES = 60
 
@@ -210,28 +210,23 @@ def _look(source: BoardFootage, numbers: Sequence[int], board: Board, step: Call
     detect = make_detector(board)
     looks: dict[int, Look] = {}
     with open_video(source.path) as reader:
-        photos = reader.frame_rate is None
-        mean = None if photos else _still_mean(source, numbers)
+        mean = None if reader.frame_rate is None else _still_mean(source, numbers)
         if mean is not None:
             looks[numbers[0]] = _examine(mean, detect)
             for _ in numbers:
                 step()
-        else:
-            near: dict[int, bool] = {}
-            coarse = set(numbers) if photos or len(numbers) < 2 * _COARSE else {*numbers[::_COARSE], numbers[-1]}
-            # first the coarse pass, then the gaps next to detections: a video is decoded twice, but seldom searched
-            for chosen in (coarse, set(numbers) - coarse):
-                for i, number in enumerate(numbers):
-                    if number not in chosen:
-                        continue
+        rest = list(numbers) if mean is None else []
+
+        # first the pictures that surely show the board; the search of the others is slow
+        for quick, start, every in ((True, 0, 1), (False, 0, 2), (False, 1, 2)):
+            if sum(k.sighting is not None and not k.reason for k in looks.values()) >= _ENOUGH_BOARDS:
+                break
+            for number in [n for n in rest[start::every] if n not in looks]:
+                image = cv2.cvtColor(reader.read(number + source.lag), cv2.COLOR_BGR2GRAY)
+                if not quick or likely_shown(image, board):
+                    looks[number] = _examine(image, detect)
+                if quick:
                     step()
-                    if chosen is not coarse and not (near.get(i // _COARSE) or near.get(i // _COARSE + 1)):
-                        continue
-                    image = reader.read(number + source.lag)
-                    look = _examine(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), detect)
-                    looks[number] = look
-                    if chosen is coarse:
-                        near[-(-i // _COARSE)] = look.sighting is not None
         size, n_frames = reader.size, reader.n_frames
     return CameraViews(source.name, source.path, size, n_frames, _with_reasons(looks), source.lag, mean is not None)
 

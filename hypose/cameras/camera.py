@@ -1,4 +1,8 @@
-"""Pinhole cameras with lens distortion (OpenCV's model): projection of points, viewing rays, triangulation."""
+"""Pinhole cameras with lens distortion (OpenCV's model): projection of points, viewing rays, triangulation.
+
+Pixel coordinates are (u to the right, v down); the centre of the upper left pixel is (0, 0). The undistorted image is
+the one that the same camera would take without lens distortion.
+"""
 
 from __future__ import annotations
 
@@ -16,15 +20,17 @@ from hypose.geometry import Array, se3_inverse
 
 @dataclass(frozen=True)
 class Camera:
-    """A calibrated pinhole camera with lens distortion.
+    """Calibrated pinhole camera with lens distortion.
 
     name: name of the camera.
     K: (3, 3) intrinsic matrix, px.
     distortion: (k,) OpenCV's coefficients k1 k2 p1 p2 [k3 ...]; four fisheye coefficients when `fisheye`.
-    camera_from_world: (4, 4) rigid motion, m; camera axes: x right, y down, z forward.
-    size: image width and height, px. Pixel centres have integer coordinates.
-    fisheye: use OpenCV's fisheye model.
-    Raises: CalibrationError where a value is not finite, has the wrong shape, or is not positive.
+    camera_from_world: (4, 4) rigid transform of points in the world to the camera's frame, m; its axes: x right, y
+        down, z forward.
+    size: image width and height, px.
+    fisheye: whether the distortion is that of OpenCV's fisheye model.
+    Raises: CalibrationError where K, distortion or camera_from_world is not finite or has the wrong shape, or where a
+        focal length or the size is not positive.
     """
 
     name: str
@@ -55,19 +61,19 @@ class Camera:
 
     @property
     def position(self) -> Array:
-        """Compute the camera centre (3,) in the world, m."""
+        """Centre of the camera (3,) in the world, m."""
         return se3_inverse(self.camera_from_world)[:3, 3]
 
     @property
     def projection(self) -> Array:
-        """Compute the pinhole projection matrix K [R | t] (3, 4), without distortion."""
+        """Pinhole projection matrix K [R | t] (3, 4): points in the world, m, to undistorted px (homogeneous)."""
         return self.K @ self.camera_from_world[:3]
 
     def project(self, points_world: ArrayLike) -> Array:
-        """Project world points to image pixels, with lens distortion.
+        """Project points in the world to pixels of the camera's image, with lens distortion.
 
         points_world: (..., 3) m.
-        Returns: (..., 2) px; NaN for points behind the camera.
+        Returns: (..., 2) px, also outside the image; NaN for points behind the camera.
         """
         p = np.asarray(points_world, dtype=np.float64)
         flat = p.reshape(-1, 3) @ self.camera_from_world[:3, :3].T + self.camera_from_world[:3, 3]
@@ -81,10 +87,10 @@ class Camera:
         return uv.reshape(*p.shape[:-1], 2)
 
     def through_lens(self, directions: Array) -> Array:
-        """Apply lens distortion and intrinsics to normalised image points.
+        """Compute the pixels at which directions in the camera's frame are seen, with lens distortion.
 
-        directions: (N, 2) x / z and y / z in the camera frame.
-        Returns: (N, 2) distorted px.
+        directions: (N, 2) = (x / z, y / z) of points in the camera's frame.
+        Returns: (N, 2) px of the camera's image.
         """
         if len(directions) == 0:
             return np.zeros((0, 2))
@@ -106,20 +112,20 @@ class Camera:
         return np.stack([self.K[0, 0] * u + self.K[0, 2], self.K[1, 1] * v + self.K[1, 2]], axis=1)
 
     def project_pinhole(self, points_world: ArrayLike) -> Array:
-        """Project world points to the undistorted image.
+        """Project points in the world to pixels of the undistorted image.
 
         points_world: (..., 3) m.
-        Returns: (..., 2) px without lens distortion; NaN for points behind the camera.
+        Returns: (..., 2) px, also outside the image; NaN for points behind the camera.
         """
         h = np.asarray(points_world, dtype=np.float64) @ self.projection[:, :3].T + self.projection[:, 3]
         z = np.where(h[..., 2:] > 1e-6, h[..., 2:], np.nan)
         return h[..., :2] / z
 
     def undistort_points(self, pixels: ArrayLike) -> Array:
-        """Remove the lens distortion from pixels.
+        """Convert pixels of the camera's image to pixels of the undistorted image.
 
-        pixels: (..., 2) distorted px.
-        Returns: (..., 2) px of the ideal pinhole camera with the same K.
+        pixels: (..., 2) px of the camera's image, with lens distortion.
+        Returns: (..., 2) px of the undistorted image, which has the same K.
         """
         p = np.asarray(pixels, dtype=np.float64)
         if p.size == 0:
@@ -133,10 +139,10 @@ class Camera:
         return np.asarray(out, dtype=np.float64).reshape(p.shape)
 
     def rays(self, pixels: ArrayLike) -> tuple[Array, Array]:
-        """Compute the viewing rays of pixels in the world.
+        """Compute the viewing rays of pixels.
 
-        pixels: (..., 2) distorted px.
-        Returns: the common origin (3,) m and unit directions (..., 3).
+        pixels: (..., 2) px of the camera's image, with lens distortion.
+        Returns: the camera centre (3,), m, where all rays begin, and their unit directions (..., 3), both in the world.
         """
         u = self.undistort_points(pixels)
         d = np.concatenate([u, np.ones((*u.shape[:-1], 1))], -1) @ np.linalg.inv(self.K).T
@@ -144,8 +150,11 @@ class Camera:
         return self.position, d / np.linalg.norm(d, axis=-1, keepdims=True)
 
     def scaled(self, size: tuple[int, int]) -> Camera:
-        """Copy the camera, adapted to images that are resampled to `size` (width, height); pixel centres stay at
-        integers."""
+        """Copy the camera for images that were resampled to another size.
+
+        size: new (width, height), px.
+        Returns: the camera with K and size of the resampled images; the place and the distortion stay.
+        """
         sx, sy = size[0] / self.size[0], size[1] / self.size[1]
         k = np.diag([sx, sy, 1.0]) @ self.K
         k[0, 2] += 0.5 * sx - 0.5
@@ -153,18 +162,19 @@ class Camera:
         return replace(self, K=k, size=(int(size[0]), int(size[1])))
 
     def pinhole(self) -> Camera:
-        """Copy the camera without lens distortion."""
+        """Copy the camera without lens distortion: the camera of the undistorted image."""
         return replace(self, distortion=np.zeros(5), fisheye=False)
 
     def undistort_maps(
         self, size: tuple[int, int], image_size: tuple[int, int] | None = None
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Compute the maps with which cv2.remap undistorts a stored image.
+        """Compute the two maps with which cv2.remap undistorts a stored image.
 
-        size: (width, height) of the undistorted image, that of `self.scaled(size).pinhole()`.
-        image_size: (width, height) of the stored image; the calibrated size by default. An image of another size counts
-            as scaled, not cropped.
-        Returns: map_x and map_y, float32 (h, w).
+        size: (width, height) of the undistorted image, px; its camera is `self.scaled(size).pinhole()`.
+        image_size: (width, height) of the stored image, px; None: `self.size`. An image of another size is taken for
+            the whole image resampled, not for a part of it.
+        Returns: map_x and map_y, float32 (height, width): the column and row in the stored image of each pixel of the
+            undistorted one.
         """
         target = self.scaled(size)
         if self.fisheye:
@@ -182,8 +192,9 @@ class Camera:
 
 @dataclass(frozen=True)
 class CameraRig:
-    """The cameras of one synchronised recording, in the order of its views.
+    """Cameras of one synchronised recording.
 
+    cameras: C cameras, one per view of the recording, in the order of the views.
     Raises: CalibrationError where there is no camera or two cameras have the same name.
     """
 
@@ -212,12 +223,12 @@ class CameraRig:
 
     @property
     def projections(self) -> Array:
-        """Pinhole projection matrices (C, 3, 4)."""
+        """Pinhole projection matrix of each camera (C, 3, 4), see `Camera.projection`."""
         return self._made[0].copy()
 
     @property
     def positions(self) -> Array:
-        """Camera centres (C, 3) in the world, m."""
+        """Centre of each camera (C, 3) in the world, m."""
         return self._made[1].copy()
 
     @property
@@ -232,9 +243,10 @@ class CameraRig:
         return np.stack([c.projection for c in self.cameras]), np.stack([c.position for c in self.cameras]), sizes
 
     def select(self, names: Sequence[str]) -> CameraRig:
-        """Select the cameras of the given names, in that order.
+        """Make a rig of some of the cameras.
 
-        Raises: CalibrationError where a name does not exist; it lists the names that do.
+        names: names of the cameras, in the order of the new rig.
+        Raises: CalibrationError that lists the names of the rig, where a name is not among them.
         """
         by_name = {c.name: c for c in self.cameras}
         missing = [n for n in names if n not in by_name]
@@ -246,11 +258,14 @@ class CameraRig:
         return CameraRig(tuple(by_name[n] for n in names))
 
     def pinhole(self) -> CameraRig:
-        """Copy the rig without lens distortion."""
+        """Copy the rig without lens distortion: the cameras of the undistorted images."""
         return CameraRig(tuple(c.pinhole() for c in self.cameras))
 
     def scaled(self, factor: float) -> CameraRig:
-        """Copy the rig, adapted to images that are resampled by a factor; sizes are rounded to whole pixels."""
+        """Copy the rig for images that were resampled.
+
+        factor: of both sides of each image; the new sizes are rounded to whole pixels, at least 1.
+        """
         return CameraRig(
             tuple(
                 c.scaled((max(1, round(c.size[0] * factor)), max(1, round(c.size[1] * factor)))) for c in self.cameras
@@ -261,11 +276,14 @@ class CameraRig:
 def triangulate(
     rig: CameraRig, pixels: ArrayLike, confidence: ArrayLike, min_views: int = 2
 ) -> tuple[Array, NDArray[np.int64]]:
-    """Triangulate points from several views with the confidence-weighted linear method (DLT).
+    """Triangulate points from several views by linear least squares, weighted by confidence (direct linear transform).
 
-    pixels: (C, ..., 2) undistorted px of the rig's pinhole cameras.
-    confidence: (C, ...) weights >= 0; 0 where the point is not seen.
-    Returns: (..., 3) world points, m, NaN where fewer than `min_views` views see them; (...) numbers of views.
+    rig: C cameras.
+    pixels: (C, ..., 2) px of the undistorted images.
+    confidence: (C, ...) weight of each view of a point, >= 0; 0 where the view does not see it.
+    min_views: least number of views from which a point is computed.
+    Returns: points in the world (..., 3), m, NaN where fewer than `min_views` views see them; and the number of views
+        that see each point (...).
     Source: Hartley and Zisserman 2004, section 12.2.
     """
     uv, w = np.asarray(pixels, dtype=np.float64), np.asarray(confidence, dtype=np.float64)
@@ -283,14 +301,15 @@ def triangulate(
 
 
 PARALLEL = 0.26
-"""Sine of an angle of 15 degrees. Two rays at a smaller angle hardly determine the distance of their point."""
+"""Sine of 15 degrees. Two viewing rays at a smaller angle hardly determine how far away their point is."""
 
 
 def widest_angle(rig: CameraRig, pixels: ArrayLike, confidence: ArrayLike) -> Array:
     """Compute the sine of the largest angle between any two viewing rays of each point.
 
-    pixels: (C, ..., 2) undistorted px of the rig's pinhole cameras.
-    confidence: (C, ...); 0 where the point is not seen.
+    rig: C cameras.
+    pixels: (C, ..., 2) px of the undistorted images.
+    confidence: (C, ...) 0 where the view does not see the point, else positive.
     Returns: (...) sines; 0 for points that fewer than two views see.
     """
     uv, seen = np.nan_to_num(np.asarray(pixels, dtype=np.float64)), np.asarray(confidence) > 0

@@ -63,7 +63,6 @@ class EdgeSettings(NamedTuple):
     background: expected cost of a node where no body is, as a share of nu, subtracted from each node. Why: a contour
         that fits worse than by chance would cost less the shorter it is, so with too low a value limbs hide.
     occluded: k of equation (5), cost of an occluded node as a share of nu; equal to background, hiding has no effect.
-    motion_boundaries: whether edges are weighted by motion boundaries.
     boundary_floor: weight of an edge where nothing moves.
     coarse_factor: factor on sigma in the first iterations.
     """
@@ -79,7 +78,6 @@ class EdgeSettings(NamedTuple):
     smoothing_px: float = 1.2
     background: float = 0.8
     occluded: float = 0.8
-    motion_boundaries: bool = True
     boundary_floor: float = 0.1
     coarse_factor: float = 2.0
 
@@ -87,14 +85,12 @@ class EdgeSettings(NamedTuple):
 class FlowSettings(NamedTuple):
     """Settings of the flow term, which compares inner nodes with optical flow.
 
-    use: False leaves the term out.
     form, sigma_px, height: of the loss, as for edges.
     area_px: side of the square that makes one independent sample, px.
     spacing_px: distance of the grid's nodes, px.
     consistency_px: nodes with a larger forward-backward error are outliers.
     """
 
-    use: bool = True
     form: int = LORENTZIAN
     sigma_px: float = 1.2
     height: float = 0.1
@@ -164,14 +160,12 @@ class PictureArrays(NamedTuple):
 
     model: the body before the camera.
     edges, flow, mask: the terms.
-    second_order: whether rows have the second derivative of the losses.
     """
 
     model: MonoModel
     edges: EdgeArrays
     flow: FlowArrays
     mask: MaskArrays
-    second_order: bool
 
 
 class MonoWorkspace(NamedTuple):
@@ -264,17 +258,14 @@ def robust(form, s, sigma2):
 
 
 @kernel
-def curvature(first, second, s, second_order):
+def curvature(first, second, s):
     """Compute the second derivative of rho(s) / 2 along the residual, rho' + 2 rho'' s of equation (9) of
     Sminchisescu & Triggs 2001, kept positive.
 
     first, second: rho' and rho'' at s.
     s: squared length of the residual.
-    second_order: False: rho' alone is used.
     Why: far from the peak it is negative, and a Newton step would climb.
     """
-    if not second_order:
-        return first
     return max(along(first, second, s), _SHARE * first)
 
 
@@ -400,7 +391,7 @@ def edge_terms(n_nodes, picture, sigma, ws, n_rows):
             r0, r1, r2 = robust(edges.form, s, sigma2)
             value += w * r0
             first -= w * r1 * d
-            second += w * curvature(r1, r2, s, picture.second_order)
+            second += w * curvature(r1, r2, s)
         cost += 0.5 * samples * (value - edges.background * unassigned)
         if m > 0:
             ws.counts[1] += 1
@@ -449,7 +440,7 @@ def flow_terms(q, n_flow, picture, ws, n_rows):
             continue
         length = math.sqrt(s)
         nx, ny = (du / length, dv / length) if length > 1e-9 else (1.0, 0.0)
-        slope, bend = weight * first * length, weight * curvature(first, second, s, picture.second_order)
+        slope, bend = weight * first * length, weight * curvature(first, second, s)
         for _ in range(2):  # along the residual and across it: the eigenvectors of (9)'s bracket
             dx, dy, dz = image_direction(p, u, v, depth, nx, ny)
             put_row(ws, n_rows, a, b, c, w1, w2, dx, dy, dz, slope, bend)
@@ -493,7 +484,7 @@ def mask_terms(n_nodes, picture, ws, n_rows):
         value, first, second = robust(form, d * d, sigma2)
         cost += 0.5 * weight * value
         if slope > 0.1 and n_rows < ws.row_values.shape[0]:
-            bend = curvature(first, second, d * d, picture.second_order)
+            bend = curvature(first, second, d * d)
             contour_row(p, ws, n_rows, i, gx / slope, gy / slope, weight * first * d, weight * bend)
             n_rows += 1
     weight = 0.5 * how.height * mask.outline_share / how.sample_px
@@ -516,7 +507,7 @@ def mask_terms(n_nodes, picture, ws, n_rows):
         value, first, second = robust(form, s, sigma2)
         cost += 0.5 * weight * value
         if n_rows < ws.row_values.shape[0]:
-            bend = curvature(first, second, d * d, picture.second_order)
+            bend = curvature(first, second, d * d)
             contour_row(p, ws, n_rows, outer[best], node[3], node[4], weight * first * d, weight * bend)
             n_rows += 1
     return cost, n_rows
@@ -577,7 +568,6 @@ def warm_up(tree: TreeArrays, mesh: MeshArrays, pose: Array, projection: Array) 
         EdgeArrays(still, True, EdgeSettings()),
         FlowArrays(still, error, np.zeros(2, dtype=np.int64), FlowSettings()),
         MaskArrays(error, np.full((1, 2), 16.0, np.float32), 1.0, MaskSettings()),
-        True,
     )
     ws = workspace(picture.model, 32, 32)
     picture_cost(pose, picture, 1.0, prepare_terms(pose, picture, ws), ws)

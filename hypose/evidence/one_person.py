@@ -41,7 +41,7 @@ class OnePerson:
     people: those seen by two views or more, this person first.
     by_rays: true: people were matched by rays; false: by motion.
     apart: views whose detections do not fit the person's place.
-    notes: sentences for the user; of_all: those that also hold where all people are tracked.
+    notes: sentences for the user.
     """
 
     points: Array
@@ -50,7 +50,6 @@ class OnePerson:
     by_rays: bool
     apart: tuple[int, ...]
     notes: tuple[str, ...]
-    of_all: tuple[str, ...] = ()
 
 
 def one_person(
@@ -99,18 +98,7 @@ def one_person(
     apart = tuple(int(c) for c in np.flatnonzero(nearby))
     notes = []
     others = [t for i, t in enumerate(tracks) if i != number and len(t) >= max(5, _PART * frames)]
-    twice = [t for t in others if _never_together(person, t)]
-    if twice:
-        sides = [
-            " and ".join(rig.names[c] for c in np.flatnonzero(t.seen.sum(0) > _PART * frames))
-            for t in (person, twice[0])
-        ]
-        notes.append(
-            f"{sides[0]} show a person at one place, {sides[1]} at another, and no view shows both: it may be one "
-            "person, and the key points or the calibration of two views may be exchanged; run hypose check"
-        )
-    of_all = tuple(notes)
-    if others and not twice:
+    if others:
         notes.append(
             f"several people ({1 + len(others)}) are seen by two views or more: the one seen most is tracked, "
             f"in {int((person.seen.sum(1) > 1).sum())} of {frames} frames"
@@ -120,15 +108,14 @@ def one_person(
             points[:, c] = _alike(columns[c], of_view(c), np.delete(points, [*apart], 1), names, width)
             continue
         points[:, c] = 0.0  # what fits in some frames does so by chance
-        if not twice:
-            notes.append(
-                f"view {rig.names[c]}: its key points show no person where the other views see the person, and are "
-                "left out; if it is the same person, run hypose check, which finds what is wrong with this camera"
-            )
+        notes.append(
+            f"view {rig.names[c]}: its key points show no person where the other views see the person, and are "
+            "left out; if it is the same person, run hypose check, which finds what is wrong with this camera"
+        )
     strangers = [rig.names[c] for c in range(views) if c not in apart and _stranger(columns[c], tracks, c, frames)]
     if strangers and not others:
         notes.append(f"a person whom only one view sees is left out ({', '.join(strangers)})")
-    return OnePerson(points, bool(others or strangers), (person, *others), True, apart, tuple(notes), of_all)
+    return OnePerson(points, bool(others or strangers), (person, *others), True, apart, tuple(notes))
 
 
 def _passes_by(person: PersonTrack, rig: CameraRig, absent: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -158,18 +145,6 @@ def _passes_by(person: PersonTrack, rig: CameraRig, absent: NDArray[np.bool_]) -
     return out
 
 
-def _never_together(a: PersonTrack, b: PersonTrack) -> bool:
-    """Decide whether two people who are present at the same time are never seen by one and the same view.
-
-    a, b: tracks. False where they are not present at the same time.
-    """
-    first, last = max(a.first, b.first), min(a.last, b.last) + 1
-    if first >= last:
-        return False
-    both = a.seen[first - a.first : last - a.first] & b.seen[first - b.first : last - b.first]
-    return float(both.any(1).mean()) < _PART
-
-
 def _how_many(people: Array | None) -> int:
     """Count the people (P, K, 3) of one view and frame who have enough confident points; None: 0."""
     return 0 if people is None else int(np.count_nonzero((people[..., 2] > _LEAST_CONFIDENCE).sum(-1) >= _LEAST_POINTS))
@@ -190,17 +165,30 @@ def _stranger(column: Sequence[Array | None], tracks: Sequence[PersonTrack], c: 
 def _by_motion(columns, of_view, names, width: int, notes: tuple[str, ...]) -> OnePerson:  # noqa: ANN001
     """Select the person in each view separately; where a view shows several, those who move alike in all views.
 
+    Of equals, the people present longest are taken.
+
     columns: per view the candidates of each frame; of_view(c): the people of view c, see `view_tracks`.
     names: of the K points; width: columns of a point; notes: sentences for the user.
     """
     found = [of_view(c)[:_COMPARED] for c in range(len(columns))]
-    count = len(names)
-    points = [[taken(column, t, count, width) for t in v] for column, v in zip(columns, found, strict=True)]
-    which = _alike_in_all(points) if any(len(_rivals(v)) > 1 for v in found) else [0] * len(columns)
-    out = np.zeros((len(columns[0]), len(columns), count, width))
-    for c, column in enumerate(columns):
-        if found[c]:
-            out[:, c] = taken(column, _continued(found[c][which[c]], of_view(c)), count, width)
+    shown = [c for c, people in enumerate(found) if people]
+    which = dict.fromkeys(shown, 0)
+    if any(len(_rivals(people)) > 1 for people in found):
+        points = [[taken(columns[c], t, len(names), width) for t in found[c]] for c in shown]
+        apart = {
+            (a, b): np.array([[moves_as(one, other) for other in points[b]] for one in points[a]])
+            for a, b in itertools.combinations(range(len(shown)), 2)
+        }
+
+        def cost(choice: tuple[int, ...]) -> float:
+            pairs = [table[choice[a], choice[b]] for (a, b), table in apart.items()]
+            return float(np.nan_to_num(pairs, nan=1.0).mean()) if pairs else 0.0
+
+        best = min(itertools.product(*(range(len(people)) for people in points)), key=cost)
+        which = dict(zip(shown, best, strict=True))
+    out = np.zeros((len(columns[0]), len(columns), len(names), width))
+    for c, k in which.items():
+        out[:, c] = taken(columns[c], _continued(found[c][k], of_view(c)), len(names), width)
     return OnePerson(out, bool(notes), (), False, (), notes)
 
 
@@ -215,36 +203,6 @@ def _rivals(tracks: Sequence[NDArray[np.int64]]) -> list[NDArray[np.int64]]:
     return [tracks[0], *(t for t in tracks[1:] if ((t >= 0) & there).sum() > 0.3 * (t >= 0).sum())]
 
 
-def _alike_in_all(points: Sequence[Sequence[Array]]) -> list[int]:
-    """Choose one of each view's people (T, K, 3) so that all move alike; of equals, those present longest.
-
-    points: per view and person. Returns: index of the chosen person of each view, 0 where it has none.
-    """
-    views = [c for c, v in enumerate(points) if v]
-    apart: dict[tuple[int, int, int, int], float] = {}
-    for a, b in itertools.combinations(views, 2):
-        for i, one in enumerate(points[a]):
-            for j, other in enumerate(points[b]):
-                apart[a, i, b, j] = moves_as(one, other)
-    there = [[float((p[..., 2] > _LEAST_CONFIDENCE).any(1).sum()) for p in v] for v in points]
-    most = [max(t, default=1.0) for t in there]
-    best, least = [0] * len(points), np.inf
-    for choice in itertools.product(*(range(len(points[c])) for c in views)):
-        pairs = [apart[a, choice[i], b, choice[j]] for (i, a), (j, b) in itertools.combinations(enumerate(views), 2)]
-        known = [p for p in pairs if np.isfinite(p)]
-        missing = float(np.mean([1 - there[c][k] / most[c] for c, k in zip(views, choice, strict=True)]))
-        cost = (
-            (float(np.mean(known)) if known else 1.0)
-            + 0.1 * missing
-            + 0.5 * (len(pairs) - len(known)) / len(pairs or [0])
-        )
-        if cost < least:
-            least = cost
-            for c, k in zip(views, choice, strict=True):
-                best[c] = k
-    return best
-
-
 def _alike(
     column: Sequence[Array | None], tracks: Sequence[NDArray[np.int64]], others: Array, names: Sequence[str], width: int
 ) -> Array:
@@ -255,19 +213,15 @@ def _alike(
         points; width: columns of a point.
     All zero where no person does.
     """
-    twin = other_sides(names)
-    scored = []
+    twin, scored = other_sides(names), []
     for t in tracks[:_COMPARED]:
         p = taken(column, t, len(names), width)
-        as_named = [moves_as(p, others[:, c]) for c in range(others.shape[1])]
-        exchanged = [moves_as(p[:, twin], others[:, c]) for c in range(others.shape[1])]  # pictures may be mirrored
-        means = [float(np.mean(found)) for e in (as_named, exchanged) if (found := [x for x in e if np.isfinite(x)])]
-        if means:
-            scored.append((min(means), t))
-    if not scored:
-        return np.zeros((len(column), len(names), width))
-    least, best = min(scored, key=lambda s: s[0])
-    if len(_rivals([best, *(t for t in tracks if t is not best)])) > 1 and least > _SAME:
+        for named in (p, p[:, twin]):  # pictures may be mirrored
+            found = [x for c in range(others.shape[1]) if np.isfinite(x := moves_as(named, others[:, c]))]
+            scored += [(float(np.mean(found)), t)] if found else []
+    least, best = min(scored, key=lambda s: s[0], default=(np.inf, tracks[0]))
+    unsure = len(_rivals([best, *(t for t in tracks if t is not best)])) > 1 and least > _SAME
+    if unsure or not scored:
         return np.zeros((len(column), len(names), width))
     return taken(column, _continued(best, tracks), len(names), width)
 

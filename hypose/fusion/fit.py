@@ -210,7 +210,6 @@ class FitEstimate:
     systematic: (15,) m^2 per axis that they would not reduce.
     wrong: (15,) probability that a joint is off by more than LARGE_ERROR_M.
     shares: (15, K) share of each sensor in each joint; 0 where no sensor saw it.
-    swapped: (K,) whether the sides of each sensor were exchanged.
     lost: whether there was no evidence for too long.
     """
 
@@ -219,7 +218,6 @@ class FitEstimate:
     systematic: Array
     wrong: Array
     shares: Array
-    swapped: NDArray[np.bool_]
     lost: bool
 
 
@@ -255,7 +253,7 @@ def fit_step(
     """
     # a joint of a sensor that is not registered has a state but no position
     states = np.where(np.isfinite(positions[..., 0]), states, 0).astype(np.uint8)
-    positions, states, side, swapped = unswap(positions, states, state.side)
+    positions, states, side = unswap(positions, states, state.side)
     lengths, samples = state.lengths, state.samples
     if not state.fixed:
         lengths, samples, _ = adapt_lengths(positions, states, lengths, samples)
@@ -300,18 +298,16 @@ def fit_step(
     if lost or (state.joints is None and not evidence.any()):
         new = replace(new, joints=None, velocity=np.zeros((15, 3)), side=np.zeros(3))
     systematic, wrong = remaining_uncertainty(positions, states, eyes, side, lengths, x, variance)
-    return new, FitEstimate(x, variance, systematic, wrong, share.T.copy(), swapped, lost)
+    return new, FitEstimate(x, variance, systematic, wrong, share.T.copy(), lost)
 
 
-def unswap(
-    positions: Array, states: NDArray[np.uint8], side: Array
-) -> tuple[Array, NDArray[np.uint8], Array, NDArray[np.bool_]]:
+def unswap(positions: Array, states: NDArray[np.uint8], side: Array) -> tuple[Array, NDArray[np.uint8], Array]:
     """Exchange left and right of sensors whose sides contradict the other sensors and the memory.
 
     positions: (K, 15, 3) m registered.
     states: (K, 15) joint states.
     side: (3,) remembered direction to the left.
-    Returns: positions, states, the new memory (3,), and which sensors were exchanged (K,).
+    Returns: positions, states, and the new memory (3,).
     """
     left, right = _SIDES.T
     known = (states[:, left] > 0) & (states[:, right] > 0)
@@ -323,7 +319,7 @@ def unswap(
     positions = np.where(swapped[:, None, None], positions[:, jt.MIRROR], positions)
     states = np.where(swapped[:, None], states[:, jt.MIRROR], states)
     total = (np.where(swapped, -1.0, 1.0)[:, None] * to_left).sum(0)
-    return positions, states, 0.8 * side + 0.2 * total if side.any() else total, swapped
+    return positions, states, 0.8 * side + 0.2 * total if side.any() else total
 
 
 def adapt_lengths(

@@ -53,13 +53,11 @@ the clip like the other methods.
 class FusionSettings:
     """Settings of the fusion of one person.
 
-    diagnose: whether to run the swarm in parallel to the fit and report its choice of sensors.
     seed: of the swarm's random numbers.
     check: whether to refuse sensors that see different people.
     swarm: settings of the swarm; None: those of the method.
     """
 
-    diagnose: bool = False
     seed: int = 0
     check: bool = True
     swarm: SwarmSettings | None = None
@@ -70,8 +68,7 @@ class Fused:
     """Fused clip of T frames and K sensors.
 
     motion: the 15 common joints first, then the others of the set; without poses.
-    shares: (T, 15, K) share of each sensor in each joint.
-    choice: (T, 15, K) share of each sensor in the swarm's population; None where the swarm did not run.
+    shares: (T, 15, K) share of each sensor in each joint; of a swarm, the share in its population.
     registration: of the sensors; with "published" that of the last frame.
     lengths: (18,) m of joints.SKELETON_BONES, 0 where unknown.
     sensor_names: names of the K sensors.
@@ -79,7 +76,6 @@ class Fused:
 
     motion: Motion
     shares: Array
-    choice: Array | None
     registration: Registration
     lengths: Array
     sensor_names: tuple[str, ...]
@@ -128,10 +124,10 @@ def fuse_clip(
     world = np.stack([place.apply(p) for place, p in zip(places, positions, strict=True)])
     lengths = clip_lengths(positions, states)
     eyes = np.stack([place.common_from_sensor[:, :3, 3] for place in places])
-    swarm = _swarm(raw, world, s.swarm or (IMPROVED if method in (FIT, SWARM) else PUBLISHED), s.seed)
     if method == FIT:
         estimates = _fitted(world, states, times, eyes, lengths)
     else:
+        swarm = _swarm(raw, world, s.swarm or (IMPROVED if method == SWARM else PUBLISHED), s.seed)
         estimates = _chosen(world, states, times, eyes, lengths, swarm)
     fused = list[FitEstimate]()
     for estimate in estimates:
@@ -151,8 +147,7 @@ def fuse_clip(
         lengths,
         {"recipe": f"fusion-{method}", "seed": s.seed},
     )
-    choice = shares if method != FIT else np.stack([c.shares for c in swarm]) if s.diagnose else None
-    return Fused(motion, shares, choice, places[-1], lengths, first.sensor_names)
+    return Fused(motion, shares, places[-1], lengths, first.sensor_names)
 
 
 def _check_alike(frame: SensorJoints, first: SensorJoints, number: int) -> None:
@@ -242,8 +237,7 @@ def _chosen(
         left = choice.joints[jt.LEFT_SHOULDER] - choice.joints[jt.RIGHT_SHOULDER]
         systematic, wrong = remaining_uncertainty(points, state, at, left, lengths, choice.joints, variance)
         lost = bool(not reported.any() and time - seen.max() > FitSettings.lost_after_s)
-        swapped = np.zeros(len(points), dtype=np.bool_)
-        yield FitEstimate(choice.joints, variance, systematic, wrong, choice.shares, swapped, lost)
+        yield FitEstimate(choice.joints, variance, systematic, wrong, choice.shares, lost)
 
 
 def _with_rest(
@@ -320,7 +314,7 @@ def _motion(
     skeleton = _point_skeleton([names[j] for j in order], [place.get(parents[j], -1) for j in order], bones)
     wrong = known["wrong"]
     p = np.nan_to_num(np.where(lost[:, None], np.fmax(wrong, 0.5), wrong)[:, order]).astype(np.float32)
-    low_confidence = p > DOUBTFUL_P
+    low_confidence = np.asarray(p > DOUBTFUL_P)
     return Motion(
         skeleton,
         times,

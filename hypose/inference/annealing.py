@@ -26,21 +26,6 @@ AnnealingRate = Callable[[FloatArray], FloatArray]
 """Function that chooses the exponent beta (*B,) of the weights, one per population, for energies (*B, N)."""
 
 
-def survival_rate(energies: ArrayLike, beta: ArrayLike) -> FloatArray:
-    """Compute the share of a set that survives resampling: (sum w)^2 / (N sum w^2) with w = exp(-beta E).
-
-    energies: (*B, N) costs E; non-finite ones have weight 0.
-    beta: (*B,) exponent of each population.
-    Returns: (*B,) shares in 0..1; 0 for a set without a finite energy.
-    Source: Deutscher & Reid 2005.
-    """
-    excess, usable = _excess(np.asarray(energies, np.float64))
-    with np.errstate(over="ignore"):
-        weights = np.where(usable, np.exp(-np.asarray(beta, np.float64)[..., None] * excess), 0.0)
-    total, squares = weights.sum(axis=-1), np.square(weights).sum(axis=-1)
-    return np.where(squares > 0, total**2 / (weights.shape[-1] * np.where(squares > 0, squares, 1.0)), 0.0)
-
-
 def solve_annealing_rate(energies: ArrayLike, target: float, iterations: int = 56) -> FloatArray:
     """Solve for the exponent beta at which the survival rate equals a target, by bisection in log beta.
 

@@ -148,11 +148,6 @@ class Hypotheses:
         """Number D of coordinates of a state."""
         return self.values.shape[-1]
 
-    @property
-    def evidence_lost(self) -> NDArray[np.bool_]:
-        """(*B,) True for populations in which no hypothesis has a weight above 0; `weights` are then all 1/N."""
-        return np.logical_not(np.any(_usable(self.log_weights), axis=-1))
-
     @cached_property
     def relative_log_weights(self) -> FloatArray:
         """(*B, N) log-weights relative to the best, which is 0; -inf for weight 0; all 0 where the evidence is lost."""
@@ -169,11 +164,6 @@ class Hypotheses:
         """(*B, N) weights, non-negative, finite and summing to 1; all 1/N where the evidence is lost."""
         weights = np.exp(self.relative_log_weights)
         return weights / weights.sum(axis=-1, keepdims=True)
-
-    @property
-    def ess(self) -> FloatArray:
-        """(*B,) effective sample size 1 / sum(weights^2), between 1 and N."""
-        return 1.0 / np.square(self.weights).sum(axis=-1)
 
     def reweighted(self, log_likelihood: ArrayLike) -> Hypotheses:
         """Add the log-likelihoods of new evidence to the log-weights.

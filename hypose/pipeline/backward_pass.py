@@ -9,7 +9,7 @@ both directions are compared; the path through them that explains the masks best
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -25,7 +25,7 @@ from hypose.inference.estimates import likeliest_path
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.layer import Memory
 from hypose.pipeline.frame_anomalies import looked_again
-from hypose.pipeline.left_right import FrameRange, pace_of, read_once, reversed_frames
+from hypose.pipeline.left_right import FrameRange, frames_backwards, pace_of, read_once, with_last
 from hypose.tracking.frame_evidence import PreparedFrame, agreement
 from hypose.tracking.part_colours import ColourSettings, colour_scores
 from hypose.tracking.pose_covariance import uncertainty_of_pose
@@ -62,6 +62,9 @@ class BackwardPassSettings:
     motion: float = 0.002
 
 
+_SETTINGS = BackwardPassSettings()
+
+
 @dataclass(frozen=True)
 class _Seen:
     """One frame and its candidate poses.
@@ -84,7 +87,6 @@ def backward_pass(
     frames: FrameRange,
     *,
     memory: Memory | None = None,
-    settings: BackwardPassSettings | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> tuple[list[FrameEstimate], int]:
     """Track backwards from each jump of an arm, and replace estimates for which the later frames give a better pose.
@@ -95,27 +97,27 @@ def backward_pass(
     progress: called with frames done, total.
     Returns: the estimates, and the number of frames in which an arm moved.
     """
-    o, out = settings or BackwardPassSettings(), list(estimates)
+    out = list(estimates)
     if not tracker.recipe.rivals or tracker.settings.evidence not in ("silhouettes", "both") or len(out) < 3:
         return out, 0
-    jumps, pace, frames = _jumps(tracker.body, out, o.jump), pace_of(tracker), read_once(frames)
+    jumps, pace, frames = _jumps(tracker.body, out, _SETTINGS.jump), pace_of(tracker), read_once(frames)
     near = np.zeros(len(out), np.bool_)
     for t in np.flatnonzero(jumps):
-        near[t : t + round(o.after * pace) + 1] = True
+        near[t : t + round(_SETTINGS.after * pace) + 1] = True
     t, moved = len(out) - 1, 0
     while t > 0:
         if not near[t] or not _known(out[t]):
             t -= 1
             continue
         progress(len(out) - t, len(out))
-        seen = _looked_back(tracker, out, t, near, frames, memory, o)
+        seen = _looked_back(tracker, out, t, near, frames, memory)
         if not seen:
             t -= 1
             continue
         first = t - len(seen) + 1
-        better = _chosen(tracker, out, first, seen[::-1], o)
+        better = _chosen(tracker, out, first, seen[::-1])
         ends = _arms(tracker.body, np.stack([e.pose for e in [*out[first : t + 1], *better]]))
-        moved += int((_farthest(ends[: len(better)], ends[len(better) :]) > o.apart).sum())
+        moved += int((_farthest(ends[: len(better)], ends[len(better) :]) > _SETTINGS.apart).sum())
         out[first : t + 1] = better
         t = first - 1
     return out, moved
@@ -159,7 +161,6 @@ def _looked_back(
     near: NDArray[np.bool_],
     frames: FrameRange,
     memory: Memory | None,
-    o: BackwardPassSettings,
 ) -> list[_Seen]:
     """Track backwards from frame `stop` until both directions agree.
 
@@ -167,34 +168,21 @@ def _looked_back(
     """
     out, met, pace = list[_Seen](), 0, pace_of(tracker)
     state = _turned(tracker, old, stop, memory)
-    most = range(stop, max(-1, stop - round(o.longest * pace)), -1)
-    for t, (frame, last) in zip(most, _evidence_ahead(reversed_frames(frames, stop + 1)), strict=False):
-        prepared = replace(tracker.prepare_frame(frame, old[t].pose), memory=memory or {})
-        if not prepared.silhouettes.seen or frame.depth is not None or not _known(old[t]):
-            break
-        state, back = tracker.step(state, frame)
-        if not _known(back):
-            break
-        out.append(_seen(tracker.body, old[t], back, prepared, last, o))
-        ends = _arms(tracker.body, np.stack([old[t].pose, back.pose]))
-        met = met + 1 if _farthest(ends[0], ends[1]) < o.met else 0
-        if not near[t] and met >= o.met_frames * pace:
-            break
+    most = range(stop, max(-1, stop - round(_SETTINGS.longest * pace)), -1)
+    with contextlib.closing(look_ahead(frames_backwards(frames, stop + 1))) as coming:
+        for t, (frame, last) in zip(most, with_last(coming), strict=False):
+            prepared = replace(tracker.prepare_frame(frame, old[t].pose), memory=memory or {})
+            if not prepared.silhouettes.seen or frame.depth is not None or not _known(old[t]):
+                break
+            state, back = tracker.step(state, frame)
+            if not _known(back):
+                break
+            out.append(_seen(tracker.body, old[t], back, prepared, last))
+            ends = _arms(tracker.body, np.stack([old[t].pose, back.pose]))
+            met = met + 1 if _farthest(ends[0], ends[1]) < _SETTINGS.met else 0
+            if not near[t] and met >= _SETTINGS.met_frames * pace:
+                break
     return out
-
-
-def _evidence_ahead(frames: Iterator[tuple[Frame, Frame | None]]) -> Iterator[tuple[Frame, Frame | None]]:
-    """Pass the frames on while another thread prepares the masks of the next one."""
-    before = list[Frame | None]()
-
-    def alone() -> Iterator[Frame]:
-        for frame, last in frames:
-            before.append(last)
-            yield frame
-
-    with contextlib.closing(look_ahead(alone())) as coming:
-        for n, frame in enumerate(coming):
-            yield frame, before[n]
 
 
 def _turned(tracker: Tracker, old: Sequence[FrameEstimate], stop: int, memory: Memory | None) -> TrackerState:
@@ -212,7 +200,6 @@ def _seen(
     back: FrameEstimate,
     prepared: PreparedFrame,
     last: Frame | None,
-    o: BackwardPassSettings,
 ) -> _Seen:
     """Collect the candidate poses of a frame: both estimates and their rivals, without near duplicates, best first.
     Their cost comes from the masks, and from the colours of the pictures where known.
@@ -224,17 +211,15 @@ def _seen(
     costs = mismatch(poses, prepared, step_penalty=0.0) + _COLOURS.weight * colour_scores(poses, prepared, _COLOURS)
     ends, kept = _arms(body, poses), list[int]()
     for n in np.argsort(costs, kind="stable").tolist():
-        if all(_farthest(ends[n], ends[k]) > o.apart for k in kept):
+        if all(_farthest(ends[n], ends[k]) > _SETTINGS.apart for k in kept):
             kept.append(n)
     return _Seen(prepared, last, poses[kept], costs[kept])
 
 
-def _chosen(
-    tracker: Tracker, old: Sequence[FrameEstimate], first: int, seen: Sequence[_Seen], o: BackwardPassSettings
-) -> list[FrameEstimate]:
+def _chosen(tracker: Tracker, old: Sequence[FrameEstimate], first: int, seen: Sequence[_Seen]) -> list[FrameEstimate]:
     """Return the estimates along the cheapest path through the candidates; frames before and after are fixed ends."""
     s, stop = tracker.body.skeleton, first + len(seen)
-    poses, costs = [x.poses for x in seen], [x.costs / o.softness for x in seen]
+    poses, costs = [x.poses for x in seen], [x.costs / _SETTINGS.softness for x in seen]
     fixed = np.zeros(1)
     before = first > 0 and _known(old[first - 1])
     if before:
@@ -245,7 +230,7 @@ def _chosen(
 
     def step(a: Array, b: Array) -> Array:
         apart = np.stack([s.on_branch(b, q) - q for q in a]) / large
-        return o.motion / o.softness * (apart[..., 3:] ** 2).mean(-1)
+        return _SETTINGS.motion / _SETTINGS.softness * (apart[..., 3:] ** 2).mean(-1)
 
     path, weights = likeliest_path(costs, [step(a, b) for a, b in zip(poses[:-1], poses[1:], strict=True)])
     rows = zip(seen, path[before:], weights[before:], range(first, stop), strict=False)

@@ -25,6 +25,7 @@ from hypose.body.motion import Motion
 from hypose.errors import InputError
 from hypose.evidence.keypoint_sets import common_name
 from hypose.geometry import Array, procrustes, transform
+from hypose.io.files import text_lines
 from hypose.io.motions.export import MOTION_FILES
 from hypose.io.motions.marker_files import Markers
 from hypose.io.motions.results import load_archive
@@ -75,6 +76,8 @@ def read_other(
         points = {n: found.joints[:, i] for i, n in enumerate(found.skeleton.joint_names)}
         return OtherMotion(path, found.times, points, angles_of(found))
     if isinstance(found, tuple):
+        if text_lines(path, "a motion")[0].strip().endswith("_sd"):
+            raise InputError(f"{path} holds the standard deviations of angles; give the angles, motion.mot next to it.")
         times, names, values = found
         return OtherMotion(path, times, {}, {n: values[:, i] for i, n in enumerate(names)})
     markers: Markers = found
@@ -227,29 +230,27 @@ def compare_motions(ours: Motion, other: OtherMotion, options: CompareOptions | 
     o = options or CompareOptions()
     notes = list(other.notes)
     other = _in_metres(ours, _without_sentinels(other, notes), notes)
-    names = [n for n in ours.skeleton.joint_names if n in other.points]
     our_angles = angles_of(ours)
+    names = [n for n in ours.skeleton.joint_names if n in other.points]
     angle_names = [n for n in our_angles if n in other.angles]
     if not names and not angle_names:
         raise InputError(
             f"{other.path} and the result have no joint and no angle in common; say which markers are a joint: --joint "
             "left_knee=LKNE+LKNM."
         )
-    used = (
-        np.ones(len(ours), dtype=bool) if o.all_frames else ~(ours.lost.astype(bool) | ours.extrapolated.astype(bool))
-    )
+    used = np.ones(len(ours), dtype=bool) if o.all_frames else ~(ours.lost | ours.extrapolated).astype(bool)
     index = [ours.skeleton.joint(n) for n in names]
-    mine = np.where(used[:, None, None], ours.joints[:, index], np.nan) if names else np.zeros((len(ours), 0, 3))
-    theirs = np.stack([other.points[n] for n in names], 1) if names else np.zeros((len(other.times), 0, 3))
-    angles_mine = np.stack([our_angles[n] for n in angle_names], 1) if angle_names else np.zeros((len(ours), 0))
-    angles_mine = np.where(used[:, None], angles_mine, np.nan)
-    angles_theirs = np.stack([other.angles[n] for n in angle_names], 1) if angle_names else None
+    mine = np.where(used[:, None, None], ours.joints[:, index], np.nan)
+    theirs = _columns(other.points, names, (len(other.times), 3))
+    my_angles = np.where(used[:, None, None], _columns(our_angles, angle_names, (len(ours), 1)), np.nan)
+    their_angles = _columns(other.angles, angle_names, (len(other.times), 1))
+    angles = [(my_angles, their_angles, 0.05)] if angle_names else []
     offset = o.offset
-    mirrored = theirs * [1.0, -1.0, 1.0]
     if offset is None:
-        offset, cost = _offset(ours.times, mine, angles_mine, other.times, theirs, angles_theirs, o.align)
+        offset, cost = _offset(ours.times, other.times, [*([(mine, theirs, 0.02)] if names else []), *angles], o.align)
         if o.align and names:
-            turned, less = _offset(ours.times, mine, angles_mine, other.times, mirrored, angles_theirs, True)
+            mirrored = theirs * [1.0, -1.0, 1.0]
+            turned, less = _offset(ours.times, other.times, [(mine, mirrored, 0.02), *angles], True)
             if less < SETTINGS.compare_mirrored * cost:
                 theirs, offset = mirrored, turned
                 notes.append(f"The world of {other.path.name} is left-handed: it is mirrored before the comparison.")
@@ -258,24 +259,27 @@ def compare_motions(ours: Motion, other: OtherMotion, options: CompareOptions | 
         notes.append(f"The other motion is {late} by {abs(offset):.3f} s, which is taken off.")
     at = ours.times - offset
     shown = resampled(other.times, theirs, at)
-    motion = _rigid(shown, mine) if o.align and names else np.eye(4)
-    moved = transform(motion, shown) if names else shown
+    motion = _rigid(shown, mine) if o.align else np.eye(4)
+    moved = transform(motion, shown)
     if not np.isfinite(mine - moved).any() and names:
         raise InputError(
             f"{other.path} and the result have no time in common (offset {offset:.3f} s); give it with --offset."
         )
     notes += _unlike(mine, moved, o, other.path.name)
     joints, errors = _joints(ours, names, index, mine, moved)
-    angles: list[Agreement | None] = []
-    if angles_theirs is not None:
-        series = resampled(other.times, angles_theirs[..., None], at)[..., 0]
-        angles = [_angle(n, angles_mine[:, i], series[:, i]) for i, n in enumerate(angle_names)]
+    series = zip(np.moveaxis(my_angles, 1, 0), np.moveaxis(resampled(other.times, their_angles, at), 1, 0), strict=True)
+    compared = [_angle(n, a, b) for n, (a, b) in zip(angle_names, series, strict=True)]
     left = sorted(set(other.points) - set(names))
     if left:
         notes.append(f"{len(left)} points of {other.path.name} are no joint of ours: {', '.join(left[:8])}.")
     return Comparison(
-        ours.times, offset, motion, joints, tuple(a for a in angles if a is not None), errors, tuple(notes)
+        ours.times, offset, motion, joints, tuple(a for a in compared if a is not None), errors, tuple(notes)
     )
+
+
+def _columns(series: Mapping[str, Array], names: Sequence[str], shape: tuple[int, int]) -> Array:
+    """Stack the series of some names: (T, N, D) for N names and a shape (T, D)."""
+    return np.reshape([series[n] for n in names], (len(names), *shape)).swapaxes(0, 1)
 
 
 def resampled(times: Array, points: Array, at: Array) -> Array:
@@ -296,6 +300,11 @@ def resampled(times: Array, points: Array, at: Array) -> Array:
     # exactly on a frame its neighbour is not needed
     out = np.where(w <= 0, p[after - 1], np.where(w >= 1, p[after], (1 - w) * p[after - 1] + w * p[after]))
     return np.where(fine.reshape(w.shape), out, np.nan)
+
+
+def _never_seen() -> warnings.catch_warnings:
+    """Suppress numpy's warnings about medians and means of points that are never seen."""
+    return warnings.catch_warnings(action="ignore", category=RuntimeWarning)
 
 
 def _rigid(source: Array, target: Array) -> Array:
@@ -328,8 +337,7 @@ def _unlike(mine: Array, moved: Array, o: CompareOptions, name: str) -> list[str
 
     def side_difference(points: Array) -> float:
         shown = np.where(seen[..., None], points, np.nan)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", RuntimeWarning)  # frames and joints that are never seen
+        with _never_seen():
             shown = shown - np.nanmean(shown, 1, keepdims=True)
             shown = shown - np.nanmedian(shown, 0)
         return float(np.sqrt((shown[seen] ** 2).sum(-1).mean()))
@@ -349,43 +357,31 @@ def _unlike(mine: Array, moved: Array, o: CompareOptions, name: str) -> list[str
 
 
 def _offset(
-    times: Array,
-    mine: Array,
-    angles: Array,
-    their_times: Array,
-    theirs: Array,
-    their_angles: Array | None,
-    align: bool,
+    times: Array, their_times: Array, series: Sequence[tuple[Array, Array, float]], align: bool
 ) -> tuple[float, float]:
     """Find the seconds to add to their times, at which joints and angles agree best apart from constant offsets.
 
+    times, their_times: (T,) and (S,) s.
+    series: joints (T, J, 3) of both, m, and angles (T, A, 1) of both, rad, each with the difference that costs 1.
+    align: whether joints are aligned by a rigid motion.
     Returns: the seconds, and the cost there.
     """
 
     def cost(offset: float) -> float:
-        at = times - offset
-        value, count = 0.0, 0
-        if mine.shape[1]:
-            shown = resampled(their_times, theirs, at)
-            if align:
+        found = []
+        for mine, theirs, scale in series:
+            shown = resampled(their_times, theirs, times - offset)
+            if align and mine.shape[-1] == 3:
                 shown = transform(_rigid(shown, mine), shown)
             d = shown - mine
             seen = np.asarray(np.isfinite(d).all(-1))
             if seen.sum() < max(8, 0.3 * np.isfinite(mine).all(-1).sum()):
                 return np.inf
             d = d - np.nanmedian(np.where(seen[..., None], d, np.nan), 0)
-            value, count = value + float(np.median(np.linalg.norm(d[seen], axis=-1))) / 0.02, count + 1
-        if their_angles is not None:
-            d = resampled(their_times, their_angles[..., None], at)[..., 0] - angles
-            seen = np.isfinite(d)
-            if seen.sum() < max(8, 0.3 * np.isfinite(angles).sum()):
-                return np.inf
-            d = d - np.nanmedian(np.where(seen, d, np.nan), 0)
-            value, count = value + float(np.median(np.abs(d[seen]))) / 0.05, count + 1
-        return value / max(1, count)
+            found.append(float(np.median(np.linalg.norm(d[seen], axis=-1))) / scale)
+        return float(np.mean(found))
 
-    with np.errstate(all="ignore"), warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # medians of points that are never seen
+    with np.errstate(all="ignore"), _never_seen():
         step = _frame(times)
         same = times[0] - their_times[0]  # both began together
         lags = np.arange(-SETTINGS.compare_most_lag, SETTINGS.compare_most_lag + step, 2 * step)
@@ -434,8 +430,7 @@ def _in_metres(ours: Motion, other: OtherMotion, notes: list[str]) -> OtherMotio
     """Rescale the other's points where its bones show that they are in a wrong unit."""
     bones = [(f"{side}_{a}", f"{side}_{b}") for side in ("left", "right") for a, b in _BONES]
     ratios = []
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # joints that are never seen
+    with _never_seen():
         for a, b in bones:
             if a in other.points and b in other.points and {a, b} <= set(ours.skeleton.joint_names):
                 i, j = ours.skeleton.joint(a), ours.skeleton.joint(b)
@@ -461,26 +456,15 @@ def _joints(ours: Motion, names: list[str], index: list[int], mine: Array, moved
     difference = np.where(seen[..., None], difference, np.nan)
     axes = _segment_axes(ours, index)  # (T, J, 3, 3) world from the segment that carries the joint
     local = np.einsum("tjba,tjb->tja", axes, difference)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # joints that are never seen
-        offsets = np.nan_to_num(np.nanmedian(local, 0)) if len(names) else np.zeros((0, 3))
+    with _never_seen():
+        offsets = np.nan_to_num(np.nanmedian(local, 0))
     constant = np.einsum("tjab,jb->tja", axes, offsets)
-    left = difference - constant
-    raw_mm, left_mm = 1000 * np.linalg.norm(difference, axis=-1), 1000 * np.linalg.norm(left, axis=-1)
-    covered = _covered(ours, index, mine, moved - constant)
-    out = []
-    for j, name in enumerate(names):
-        rows = seen[:, j]
-        if rows.sum() < 3:
-            continue
-        d = 1000 * difference[rows, j]
-        out.append(
-            _agreement(
-                name, "mm", raw_mm[rows, j], left_mm[rows, j], 1000 * float(np.linalg.norm(offsets[j])), d,
-                mine[rows, j], moved[rows, j], tuple(float(c[j]) for c in covered),
-            )
-        )  # fmt: skip
-    return tuple(out), left_mm
+    covered = np.stack(_covered(ours, index, mine, moved - constant), 1)
+    found = [
+        _agreement(n, "mm", 1e3 * mine[:, j], 1e3 * moved[:, j], 1e3 * constant[:, j], tuple(covered[j].tolist()))
+        for j, n in enumerate(names)
+    ]
+    return tuple(a for a in found if a is not None), 1000 * np.linalg.norm(difference - constant, axis=-1)
 
 
 def _segment_axes(ours: Motion, index: list[int]) -> Array:
@@ -497,8 +481,6 @@ def _segment_axes(ours: Motion, index: list[int]) -> Array:
 
 
 def _covered(ours: Motion, index: list[int], mine: Array, theirs: Array) -> tuple[Array, ...]:
-    if not index:
-        return tuple(np.zeros(0) for _ in SETTINGS.compare_levels)
     covariance = np.array(ours.joint_covariance, dtype=np.float64)[:, index]
     fine = np.asarray(np.isfinite(covariance).all((-1, -2)))
     safe = np.where(fine[..., None, None], covariance, np.nan)
@@ -507,49 +489,40 @@ def _covered(ours: Motion, index: list[int], mine: Array, theirs: Array) -> tupl
 
 
 def _angle(name: str, mine: Array, theirs: Array) -> Agreement | None:
-    """Compute the agreement of one angle; None with fewer than three frames in common."""
+    """Compute the agreement of one angle (T, 1) rad, or position (T, 1) m; None with fewer than three common frames."""
     scale, unit = (1000.0, "mm") if is_length(name) else (180 / np.pi, "deg")
-    d = scale * (theirs - mine)
-    if unit == "deg":
-        d = d - 360 * np.round(np.nanmedian(d) / 360) if np.isfinite(d).any() else d
-    rows = np.asarray(np.isfinite(d))
-    if rows.sum() < 3:
+    known = np.isfinite(theirs - mine)
+    if not known.any():
         return None
-    offset = float(np.median(d[rows]))
+    if unit == "deg":
+        theirs = theirs - 2 * np.pi * np.round(np.median((theirs - mine)[known]) / (2 * np.pi))
+    constant = np.full(mine.shape, np.median((theirs - mine)[known]))
     unknown = (float("nan"),) * len(SETTINGS.compare_levels)
-    return _agreement(
-        name, unit, np.abs(d[rows]), np.abs(d[rows] - offset), abs(offset), d[rows, None], mine[rows, None],
-        theirs[rows, None], unknown,
-    )  # fmt: skip
+    return _agreement(name, unit, scale * mine, scale * theirs, scale * constant, unknown)
 
 
 def _agreement(
-    name: str, unit: str, raw: Array, left: Array, offset: float, difference: Array, mine: Array, theirs: Array,
-    covered: tuple[float, ...],
-) -> Agreement:  # fmt: skip
-    bias, sd = difference.mean(0), difference.std(0, ddof=1)
+    name: str, unit: str, mine: Array, theirs: Array, constant: Array, covered: tuple[float, ...]
+) -> Agreement | None:
+    """Compute the agreement of one joint or angle; None with fewer than three frames in common.
+
+    name, unit: of the joint or angle.
+    mine, theirs: (T, D) in that unit, NaN where not known.
+    constant: (T, D) constant part of theirs - mine.
+    covered: share of frames in the confidence region, per level.
+    """
+    rows = np.isfinite(theirs - mine).all(1)
+    if rows.sum() < 3:
+        return None
+    mine, theirs, constant = mine[rows], theirs[rows], constant[rows]
+    d = theirs - mine
+    bias, sd = d.mean(0), d.std(0, ddof=1)
     with np.errstate(invalid="ignore", divide="ignore"):
         a, b = mine - mine.mean(0), theirs - theirs.mean(0)
         r = (a * b).sum(0) / np.sqrt((a**2).sum(0) * (b**2).sum(0))
-
-    whole, rest = _spread(raw), _spread(left)
-    return Agreement(
-        name=name,
-        unit=unit,
-        n=len(raw),
-        median=whole[0],
-        p95=whole[1],
-        rmse=whole[2],
-        offset=offset,
-        median_left=rest[0],
-        p95_left=rest[1],
-        rmse_left=rest[2],
-        bias=bias,
-        low=bias - 1.96 * sd,
-        high=bias + 1.96 * sd,
-        r=r,
-        covered=covered,
-    )
+    whole, left = (_spread(np.linalg.norm(x, axis=1)) for x in (d, d - constant))
+    offset, width = float(np.linalg.norm(constant[0])), 1.96 * sd
+    return Agreement(name, unit, len(d), *whole, offset, *left, bias, bias - width, bias + width, r, covered)
 
 
 def _spread(values: Array) -> tuple[float, float, float]:

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from hypose.body.body import Body
 from hypose.body.default_body import human
-from hypose.errors import EvidenceError, HyposeError, InputError
+from hypose.errors import EvidenceError, InputError
 from hypose.evidence.frame import Frame, Keypoints, pieces_of
 from hypose.evidence.keypoints import triangulate_keypoints
 from hypose.fitting import SolveSettings, fit_pose
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
-from hypose.io.motions.results import Checkpoint, ResultsFolder, file_identity, load_body, save_body
+from hypose.io.motions.results import body_arrays, body_of_arrays
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.start_choice import best_ways
 from hypose.pipeline.subject_from_motion import AnthropometryOptions, estimate_subject, with_outlines
@@ -52,6 +51,27 @@ class TrackedSubject:
     notes: tuple[str, ...]
     rivals: Hypotheses | None = None
     unsure: Array | None = None
+
+    def to_arrays(self) -> dict[str, np.ndarray]:
+        """Convert the subject to arrays for a checkpoint, which `from_arrays` reads."""
+        arrays = {f"body_{name}": v for name, v in body_arrays(self.body).items()}
+        arrays |= {"start": self.start, "notes": np.array(self.notes, dtype=np.str_)}
+        if self.rivals is not None:
+            arrays |= {"rivals": self.rivals.values, "rivals_weights": self.rivals.log_weights}
+        if self.unsure is not None:
+            arrays["unsure"] = self.unsure
+        model = {} if self.keypoints is None else vars(self.keypoints)
+        return arrays | {f"keypoints_{name}": np.asarray(v) for name, v in model.items() if v is not None}
+
+    @staticmethod
+    def from_arrays(arrays: Mapping[str, np.ndarray]) -> TrackedSubject:
+        """Restore a subject from the arrays of `to_arrays`."""
+        body = body_of_arrays({n.removeprefix("body_"): v for n, v in arrays.items() if n.startswith("body_")})
+        model = {n.removeprefix("keypoints_"): v for n, v in arrays.items() if n.startswith("keypoints_")}
+        points = KeypointModel(**{**model, "names": tuple(model["names"].tolist())}) if model else None
+        rivals = Hypotheses(arrays["rivals"], arrays["rivals_weights"]) if "rivals" in arrays else None
+        notes = tuple(arrays["notes"].tolist())
+        return TrackedSubject(body, points, arrays["start"], notes, rivals, arrays.get("unsure"))
 
 
 @dataclass(frozen=True)
@@ -211,53 +231,3 @@ def _followed_back(
         if term is not None and (term.points[..., 2] > 0).any(0).sum() >= LEAST_POINTS:
             pose, at = fit_pose(body, pose, [term], priors=prior, options=options).pose, i
     return pose, at
-
-
-SUBJECT = "subject.npz"
-_OPTIONAL = ("sd", "view", "cue_weight")
-_MODEL = ("joint", "offset", "known", *_OPTIONAL)
-
-
-def keep_subject(subject: TrackedSubject, results: ResultsFolder, identity: Mapping[str, Any]) -> None:
-    """Write body.npz, and subject.npz with everything else, for a run that may be resumed."""
-    body = results.file("body.npz")
-    save_body(subject.body, body)
-    arrays = {"start": subject.start}
-    meta: dict[str, Any] = {"notes": list(subject.notes), "body": file_identity(body)["sha256"]}
-    if subject.rivals is not None:
-        arrays |= {"rivals": subject.rivals.values, "rivals_weights": subject.rivals.log_weights}
-    if subject.unsure is not None:
-        arrays["unsure"] = subject.unsure
-    if subject.keypoints is not None:
-        model = subject.keypoints
-        arrays |= {name: np.asarray(v) for name in _MODEL if (v := getattr(model, name)) is not None}
-        meta["keypoints"] = list(model.names)
-    Checkpoint(0, arrays, meta, identity).save(results.file(SUBJECT))
-
-
-def forget_run(results: ResultsFolder) -> None:
-    """Delete what only a run that is resumed needs: the checkpoint and the subject file."""
-    for left in (results.file(SUBJECT), results.checkpoint):
-        left.unlink(missing_ok=True)
-
-
-def kept_subject(results: ResultsFolder, identity: Mapping[str, Any]) -> TrackedSubject | None:
-    """Load the subject that `keep_subject` wrote in the same run; None where there is none, or body.npz is missing or
-    changed.
-    """
-    body = results.file("body.npz")
-    try:
-        saved = Checkpoint.load(results.file(SUBJECT), identity)
-        if saved.meta["body"] != file_identity(body)["sha256"]:
-            return None
-        model = None
-        if "keypoints" in saved.meta:
-            a = saved.arrays
-            names, known = tuple(saved.meta["keypoints"]), a["known"].astype(np.bool_)
-            model = KeypointModel(names, a["joint"].astype(np.int64), a["offset"], known, *map(a.get, _OPTIONAL))
-        a, rivals = saved.arrays, None
-        if "rivals" in a:
-            rivals = Hypotheses(a["rivals"], a["rivals_weights"])
-        return TrackedSubject(load_body(body), model, a["start"], tuple(saved.meta["notes"]), rivals, a.get("unsure"))
-    except (HyposeError, KeyError, TypeError):
-        return None

@@ -51,10 +51,9 @@ def looked_at(
         silhouettes=frame.silhouettes if wanted != "keypoints" else None,
         keypoints=frame.keypoints if wanted != "silhouettes" else None,
     )
-    rivals = estimate.rivals, estimate.rival_weights
     # with key points an exchange of sides that masks allow is no reason for doubt
     exchanged = estimate.exchanged if own.keypoints is None else float("nan")
-    audit = audit_frame(tracker.body, estimate.pose, own, tracker.keypoints_on_body, rivals, exchanged)
+    audit = audit_frame(tracker.body, estimate.pose, own, tracker.keypoints_on_body, exchanged)
     return replace(estimate, seen=seen, audit=audit)
 
 
@@ -87,6 +86,8 @@ def view_statistics(
         out[: len(estimate.overlap), 0] = np.where(seen, estimate.overlap, np.nan)
         for before in pieces_of([last] if last else [], Silhouettes) if change is not None else ():
             out[:, 1] = change
+            if before.ignored is None and silhouettes.ignored is not None:  # leave out the pixels that others hide now
+                before = replace(before, ignored=silhouettes.ignored, expected=silhouettes.expected)
             if not (estimate.lost or estimate.extrapolated):
                 out[:, 2] = unexplained_share(silhouettes, before, body.skeleton, body.joints(estimate.pose))
     return out
@@ -107,16 +108,6 @@ def mask_change(frame: Frame, last: Frame | None) -> NDArray[np.float32] | None:
             out[c] = differ / max(int(now.areas[c]), int(then.areas[c]), 1)
         return out
     return None
-
-
-def as_now(own: Frame, before: Frame) -> Frame | None:
-    """Return the frame before with the ignored pixels of `own`, so that their masks can be compared; None without
-    silhouettes of both.
-    """
-    s, then = own.silhouettes, before.silhouettes
-    if s is None or then is None:
-        return None
-    return replace(before, silhouettes=replace(then, ignored=s.ignored, expected=s.expected))
 
 
 def with_anomalies(motion: Motion, seen: Sequence[NDArray[np.float32]]) -> tuple[Motion, list[str]]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain, pairwise
 
 import numpy as np
 
@@ -69,7 +70,9 @@ def retrack_start(
     if at < 1 or tracker.recipe.recover is None:
         return out, range(0)
     start = tracker.start(out[at].pose, memory)
-    better, won, _ = _while_better(tracker, start, out, range(at - 1, -1, -1), reversed_frames(frames, at), False)
+    better, won, _ = _while_better(
+        tracker, start, out, range(at - 1, -1, -1), with_last(frames_backwards(frames, at)), False
+    )
     if len(better) < at or won < SETTINGS.sides_least_back * pace:  # it does not reach the first frame
         return out, range(0)
     moved = [t for t in range(at) if _apart(tracker.body, out[t], better[at - 1 - t]) > SETTINGS.sides_met_m]
@@ -123,8 +126,8 @@ def _retracked_from(
     """
     start = tracker.start(tracker.rival(old[at].pose, next(iter(frames(range(at, at + 1))))), memory)
     ahead, back = range(at, len(old)), range(at - 1, -1, -1)
-    later, won, after = _while_better(tracker, start, old, ahead, _forwards(frames, at, len(old)))
-    earlier, won_earlier, before = _while_better(tracker, start, old, back, reversed_frames(frames, at))
+    later, won, after = _while_better(tracker, start, old, ahead, frames_forwards(frames, at, len(old)))
+    earlier, won_earlier, before = _while_better(tracker, start, old, back, with_last(frames_backwards(frames, at)))
     compared = range(at - before, at + after)
     return _Retracked(at - len(earlier), [*earlier[::-1], *later], won + won_earlier, compared)
 
@@ -168,22 +171,22 @@ def pace_of(tracker: Tracker) -> float:
     return max(1.0, tracker.settings.frame_rate / 25)
 
 
-def _forwards(frames: FrameRange, first: int, stop: int) -> Iterator[tuple[Frame, Frame | None]]:
+def frames_forwards(frames: FrameRange, first: int, stop: int) -> Iterator[tuple[Frame, Frame | None]]:
     """Yield the frames first, first + 1, ... with the one before each."""
-    begin = max(0, first - 1)
-    before: Frame | None = None
-    for t, frame in zip(range(begin, stop), frames(range(begin, stop)), strict=True):
-        if t >= first:
-            yield frame, before
-        before = frame
+    before = () if first else (None,)
+    pairs = pairwise(chain(before, frames(range(max(0, first - 1), stop))))
+    return ((frame, last) for last, frame in pairs if frame is not None)
 
 
-def reversed_frames(frames: FrameRange, stop: int) -> Iterator[tuple[Frame, Frame | None]]:
-    """Yield the frames stop - 1, stop - 2, ..., 0 with the one before each."""
-    while stop > 0:
-        begin = max(0, stop - SETTINGS.sides_block)
-        yield from list(_forwards(frames, begin, stop))[::-1]
-        stop = begin
+def frames_backwards(frames: FrameRange, stop: int) -> Iterator[Frame]:
+    """Yield the frames stop - 1, stop - 2, ..., 0, of which some are read at once."""
+    for end in range(stop, 0, -SETTINGS.sides_block):
+        yield from list(frames(range(max(0, end - SETTINGS.sides_block), end)))[::-1]
+
+
+def with_last(backwards: Iterable[Frame]) -> Iterator[tuple[Frame, Frame | None]]:
+    """Yield frames that come backwards, each with the one before it in time."""
+    return ((frame, last) for frame, last in pairwise(chain(backwards, (None,))) if frame is not None)
 
 
 def read_once(frames: FrameRange) -> FrameRange:

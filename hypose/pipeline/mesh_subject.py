@@ -118,10 +118,9 @@ def _with_new_rig(person: PersonMesh, unit: str, height: float | None) -> MeshSu
     weights = heat_weights(vertices, faces, body_bones(fit.body, fit.pose), len(template.skeleton.joint_names))
     names = template.skeleton.joint_names
     body = _assembled(person, fit.body, fit.pose, vertices, faces, weights)
-    arms = _arms_of(fit)
     notes.append(
-        f"{body.stature:.2f} m tall, scanned in the pose {arms!r}; the template lies {1e3 * fit.distance:.0f} mm from "
-        f"the surface (median), {len(names)} joints placed"
+        f"{body.stature:.2f} m tall, scanned in the pose {stance.arms!r}; the template lies "
+        f"{1e3 * fit.distance:.0f} mm from the surface (median), {len(names)} joints placed"
     )
     return MeshSubject(body, fit.pose, stance.upright_from_file * scale, fit.distance, tuple(notes))
 
@@ -196,18 +195,6 @@ def _stance_notes(stance: ScanPose, unit: str, height: float | None) -> list[str
     axis = int(np.abs(forward).argmax())
     notes.append(f"the person looks towards {'-' if forward[axis] < 0 else '+'}{'xyz'[axis]} of the file")
     return notes
-
-
-def _arms_of(fit: ScanFit) -> str:
-    """Return the pose of KNOWN_POSES that is nearest to the fitted upper arms."""
-    s = fit.body.skeleton
-    joints = fit.body.joints(fit.pose)
-    drop = []
-    for side in ("left", "right"):
-        arm = joints[s.joint(f"{side}_elbow")] - joints[s.joint(f"{side}_shoulder")]
-        drop.append(np.degrees(np.arccos(np.clip(-arm[2] / np.linalg.norm(arm), -1, 1))))
-    angle = float(np.mean(drop))
-    return "standing" if angle < 28 else "a" if angle < 68 else "t" if angle < 120 else "hands-up"
 
 
 # ---- a mesh with joints and weights of its own -------------------------------------------------------------

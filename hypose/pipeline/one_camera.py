@@ -18,7 +18,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import cv2
 import numpy as np
@@ -33,13 +33,9 @@ from hypose.errors import EvidenceError, InputError
 from hypose.evidence.body_parts import detect_ends, end_colors
 from hypose.evidence.frame import Frame, Keypoints, Picture, Silhouettes
 from hypose.evidence.keypoints import person_size
-from hypose.evidence.silhouettes import SilhouetteSettings
 from hypose.evidence.skin import skin_map
 from hypose.geometry import Array
 from hypose.io.files import read_json
-from hypose.io.recordings.frames import FrameSettings, FrameStream, load_keypoints
-from hypose.io.recordings.recording import Recording
-from hypose.io.recordings.view_source import ViewSource
 from hypose.io.videos.video import open_video
 from hypose.pipeline.first_frame import TrackedSubject
 from hypose.pipeline.frame_anomalies import in_words
@@ -51,80 +47,10 @@ from hypose.tracking.monocular.points import FEWEST_PX, PointsOn, clicked_joints
 from hypose.tracking.monocular.problem import SMALLEST_MASK
 from hypose.tracking.monocular.settings import MonoSettings
 
-
-def one_view(recording: Recording, camera: str | None) -> Recording:
-    """Limit a recording to one camera.
-
-    camera: name of the camera; None: the only one of the recording.
-    Raises: InputError where this does not name a camera with pictures; it lists the cameras.
-    """
-    names = [v.name for v in recording.views]
-    if camera is None and len(names) > 1:
-        raise InputError(
-            f"The recording {recording.name} has {len(names)} cameras ({', '.join(names)}); name one with --camera."
-        )
-    if camera is not None and camera not in names:
-        raise InputError(
-            f"The recording {recording.name} has no camera {camera!r}; it has {', '.join(names)}: give one of them "
-            "with --camera."
-        )
-    k = 0 if camera is None else names.index(camera)
-    view = recording.views[k]
-    if view.source is None:
-        raise InputError(
-            f"Camera {view.name} has masks but neither video nor images, and one camera alone needs pictures; give its "
-            "video in recording.toml."
-        )
-    return replace(recording, views=(view,), rig=CameraRig((recording.rig[k],)))
-
-
-def working_side(recording: Recording, person_px: float, picture: tuple[int, int]) -> int:
-    """Compute the longer side (px) of the pictures to work on, so that the person is about SETTINGS.picture_target_px
-    tall.
-
-    person_px: height of the person, px of pictures of the size `picture`.
-    picture: (width, height), px.
-    Returns: between SETTINGS.picture_smallest_side and the calibrated size.
-    """
-    longest = max(recording.rig[0].size)
-    share = person_px / max(picture)
-    return round(
-        float(
-            np.clip(
-                SETTINGS.picture_target_px / max(share, 1e-3), min(SETTINGS.picture_smallest_side, longest), longest
-            )
-        )
-    )
-
-
-def has_masks(recording: Recording) -> bool:
-    """Return whether a recording of one camera has masks, or a background that is not learned from the clip itself.
-
-    Why: a background learned from the clip contains the person.
-    """
-    view = recording.views[0]
-    return view.masks is not None or view.background is not None
-
-
-def masks_of(recording: Recording, evidence: str) -> SilhouetteSettings | None:
-    """Select the settings of the one camera's masks.
-
-    evidence: option of the command, one of `tracking.monocular.recipe.PICTURE_CUES`.
-    Returns: the settings; None where the camera has no masks, or the evidence is without them.
-    Raises: InputError where the evidence needs masks or key points that the camera does not have.
-    """
-    view = recording.views[0]
-    if evidence in ("silhouettes", "both") and not has_masks(recording):
-        raise InputError(
-            f"Camera {view.name} has neither masks nor a background, so it gives no silhouettes; add masks or a "
-            "background in recording.toml, or leave --evidence out."
-        )
-    if evidence in ("keypoints", "both") and (recording.keypoint_set is None or not view.keypoints):
-        raise InputError(
-            f"Camera {view.name} has no key points; add keypoints = ... to the view in recording.toml, or leave "
-            "--evidence out."
-        )
-    return SilhouetteSettings() if has_masks(recording) and evidence in ("auto", "silhouettes", "both") else None
+if TYPE_CHECKING:  # recordings are opened elsewhere
+    from hypose.io.recordings.frames import FrameSettings
+    from hypose.io.recordings.recording import Recording
+    from hypose.io.recordings.view_source import ViewSource
 
 
 class FrameSource(Protocol):
@@ -134,6 +60,21 @@ class FrameSource(Protocol):
 
     def frame(self, index: int, /) -> Frame:
         """Return frame number index, 0 <= index < len."""
+        ...
+
+
+@runtime_checkable
+class RecordedFrames(FrameSource, Protocol):
+    """Protocol of the frames of a recording: hypose.io.recordings.frames.FrameStream."""
+
+    recording: Recording
+    options: FrameSettings
+    rig: CameraRig
+    keypoints: Sequence[Keypoints] | None
+    frames: range
+
+    def pictures(self) -> list[ViewSource]:
+        """Open the pictures of all views; the caller closes them."""
         ...
 
 
@@ -148,9 +89,9 @@ class PictureFrames:
     def __init__(self, source: FrameSource) -> None:
         self._source, self._pictures = source, None
         self._kept: dict[int, Frame] = {}
-        if isinstance(source, FrameStream):
+        if isinstance(source, RecordedFrames):
             # read forwards, while the stream makes masks ahead
-            self._pictures = ViewSource(source.recording.views[0], source.recording.rig[0], source.rig[0])
+            self._pictures = source.pictures()[0]
 
     def frame(self, index: int, /) -> Frame:
         """Read a frame with its picture, without the picture of the frame before.
@@ -158,7 +99,7 @@ class PictureFrames:
         index: 0 <= index < length of the source.
         """
         frame = self._source.frame(index)
-        if self._pictures is None or not isinstance(self._source, FrameStream):
+        if self._pictures is None or not isinstance(self._source, RecordedFrames):
             return frame
         seen, mask = frame.silhouettes, None
         if seen is not None and seen.usable[0] and seen.areas[0] >= SMALLEST_MASK:
@@ -246,7 +187,7 @@ def tracked_frames(
         return
     if not (
         "detections" in needs
-        and isinstance(source, FrameStream)
+        and isinstance(source, RecordedFrames)
         and source.keypoints is None
         and all(view.source is not None for view in source.recording.views)
     ):
@@ -267,10 +208,9 @@ class ColourDetections:
     Raises: InputError where the pictures are grey, or the frames have no masks.
     """
 
-    def __init__(self, source: FrameStream, body: Body, start: Array) -> None:
+    def __init__(self, source: RecordedFrames, body: Body, start: Array) -> None:
         self.source, self.body = source, body
-        views = zip(source.recording.views, source.recording.rig, source.rig, strict=True)
-        self._pictures = [ViewSource(view, camera, small) for view, camera, small in views]
+        self._pictures = source.pictures()
         first = source.frame(0).silhouettes
         if first is None:
             raise InputError("Skin colour is looked for inside the silhouettes; choose an evidence that has them.")
@@ -357,7 +297,7 @@ def load_clicks(path: str | Path, recording: Recording) -> Clicks:
             f"The clicks in {path} belong to frame {document['frame']}, and tracking begins at frame {first}; give "
             f"--frames {document['frame']}: or click in frame {first}."
         )
-    with open_video(_source(recording)) as reader:
+    with open_video(source_of(recording)) as reader:
         size = reader.size
     joints = {name: _click(path, name, at, size) for name, at in document["joints"].items()}
     if len(joints) < LEAST_CLICKS:
@@ -395,7 +335,7 @@ def clicked_pixels(clicks: Clicks, recording: Recording, working: Camera) -> dic
     Returns: (u, v) px by joint name.
     """
     view, camera = recording.views[0], recording.rig[0]
-    with open_video(_source(recording)) as reader:
+    with open_video(source_of(recording)) as reader:
         stored = np.array(reader.size, dtype=np.float64)
     pixels = np.array(list(clicks.values()))
     calibrated = (pixels + 0.5) * np.array(camera.size) / stored - 0.5 + np.asarray(view.image_shift)
@@ -403,46 +343,16 @@ def clicked_pixels(clicks: Clicks, recording: Recording, working: Camera) -> dic
     return {name: (float(u), float(v)) for name, (u, v) in zip(clicks, shown, strict=True)}
 
 
-def side_to_work_on(recording: Recording, clicks: Clicks | None) -> int:
-    """Compute the longer side of the working pictures, px, from the size of the person at the start.
-
-    clicks: joints clicked in the first picture; None: the key points of the first second show the size.
-    Returns: the usual size where neither is known.
-    """
-    if clicks is not None:
-        with open_video(_source(recording)) as reader:
-            return working_side(recording, _extent(np.array(list(clicks.values()))), reader.size)
-    points = load_keypoints(recording)
-    sizes = [person_size(k.points[0]) for k in (points or [])[: 1 + int(recording.frame_rate)]]
-    found = [s for s in sizes if s > 0]
-    if points is None or not found:
-        return FrameSettings().longer_side
-    return working_side(recording, float(np.median(found)), points[0].rig[0].size)
-
-
-def _extent(pixels: Array) -> float:
+def extent(pixels: Array) -> float:
     """Compute the larger side, px, of the box around points (N, 2)."""
     return float(np.ptp(pixels, axis=0).max())
 
 
-def _source(recording: Recording) -> Path:
+def source_of(recording: Recording) -> Path:
     """Return the file or folder of pictures of a recording of one camera."""
     source = recording.views[0].source
     assert source is not None  # `one_view` has checked it
     return source
-
-
-def picture_options(recording: Recording, start: str, evidence: str) -> FrameSettings:
-    """Select the settings with which the pictures of a recording of one camera are read: their size, from the size of
-    the person, and the masks.
-
-    recording: of one camera.
-    start: one of POINT_STARTS, or a file of clicks.
-    evidence: one of `tracking.monocular.recipe.PICTURE_CUES`.
-    """
-    return FrameSettings(
-        side_to_work_on(recording, clicks_of(start, recording)), silhouettes=masks_of(recording, evidence)
-    )
 
 
 def clicks_of(start: str, recording: Recording) -> Clicks | None:
@@ -489,12 +399,12 @@ def subject_in_picture(
             frame = frames.frame(at)
             reported = f"the key points of frame {frame.index}"
             points_on: PointsOn = partial(keypoints_on, points)
-        elif isinstance(source, FrameStream):
+        elif isinstance(source, RecordedFrames):
             at, frame = 0, frames.frame(0)
             clicks = load_clicks(start, source.recording)
             reported = f"{len(clicks)} clicked joints"
             pixels = clicked_pixels(clicks, source.recording, source.rig[0])
-            scale = max(FEWEST_PX, SETTINGS.picture_click_share * _extent(np.array(list(pixels.values()))))
+            scale = max(FEWEST_PX, SETTINGS.picture_click_share * extent(np.array(list(pixels.values()))))
             points_on = partial(clicked_joints, clicks=pixels, camera=source.rig[0], scale_px=scale)
         else:
             raise InputError(f"Clicks ({start}) belong to a recording; frames in memory start from their key points.")
@@ -528,7 +438,7 @@ def subject_in_picture(
 
 def _keypoints_of(source: FrameSource) -> list[Keypoints | None]:
     """Return the key points of every frame, without reading pictures where possible."""
-    if isinstance(source, FrameStream):
+    if isinstance(source, RecordedFrames):
         return [None] * len(source) if source.keypoints is None else list(source.keypoints)
     return [source.frame(i).keypoints for i in range(len(source))]
 
@@ -540,8 +450,8 @@ def _evidence_note(source: FrameSource, evidence: str, keypoints: bool) -> str:
     evidence: option of the command, one of `tracking.monocular.recipe.PICTURE_CUES`.
     keypoints: whether any frame has key points.
     """
-    name = source.recording.views[0].name if isinstance(source, FrameStream) else "in memory"
-    masked = isinstance(source, FrameStream) and source.options.silhouettes is not None
+    name = source.recording.views[0].name if isinstance(source, RecordedFrames) else "in memory"
+    masked = isinstance(source, RecordedFrames) and source.options.silhouettes is not None
     used = ["edges", "optical flow"]
     used += ["silhouettes"] if masked else []
     used += ["key points"] if keypoints and evidence in ("auto", "keypoints", "both") else []
@@ -572,7 +482,7 @@ def _first_keypoints(source: FrameSource, seen: Sequence[Keypoints | None], fram
     frame_rate: Hz.
     Raises: InputError without any key points; EvidenceError where no frame of the first second has enough.
     """
-    name = source.recording.views[0].name if isinstance(source, FrameStream) else "in memory"
+    name = source.recording.views[0].name if isinstance(source, RecordedFrames) else "in memory"
     if not any(k is not None for k in seen):
         raise InputError(
             f"Camera {name} has no key points and no clicks were given, so there is nothing to start from; click "

@@ -1,7 +1,9 @@
-"""Passes of a run over one person's clip, from its frames to a motion that has been judged.
+"""Passes of a run over a clip, from its frames to motions that have been judged.
 
 `PASSES` lists them in the order in which they run. Each pass takes the clip (`ClipState`) as the pass before left it
-and returns a changed copy. `run_pass` records in the clip's trace which joints a pass moved, by how much and why.
+and returns a changed copy. The passes up to `TRACKING` handle one or more people together; then `clips_of_people` makes
+a clip of each person, through which the passes `AFTER_TRACKING` run. `run_pass` records in the clip's trace which
+joints a pass moved, by how much and why.
 """
 
 from __future__ import annotations
@@ -12,7 +14,6 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,15 +27,13 @@ from hypose.evidence.cues import OwnEvidence
 from hypose.evidence.frame import Frame, Keypoints
 from hypose.evidence.prefetch import look_ahead
 from hypose.geometry import Array
-from hypose.inference.layer import Recipe
-from hypose.io.motions.results import ResultsFolder, provenance_identity, save_modes, save_motion
-from hypose.io.recordings.frames import FrameStream
+from hypose.inference.layer import Memory, Recipe
+from hypose.io.motions.results import ResultsFolder, provenance_identity, save_body, save_modes, save_motion
 from hypose.pipeline import backward_pass as backwards
 from hypose.pipeline import input_checks, left_right
 from hypose.pipeline.assessment import not_shown, other_people_note
-from hypose.pipeline.first_frame import SubjectOptions, TrackedSubject, keep_subject, kept_subject
-from hypose.pipeline.first_frame import find_subject as subject_in_frames
-from hypose.pipeline.frame_anomalies import against_the_clip, with_anomalies, with_repeated_points
+from hypose.pipeline.first_frame import SubjectOptions, TrackedSubject, find_subject
+from hypose.pipeline.frame_anomalies import against_the_clip, in_words, with_anomalies, with_repeated_points
 from hypose.pipeline.moved_sensors import PlacedSource, Places, moved_sensors
 from hypose.pipeline.one_camera import (
     against_the_picture,
@@ -44,12 +43,21 @@ from hypose.pipeline.one_camera import (
     subject_in_picture,
     tracked_frames,
 )
+from hypose.pipeline.people import PeopleFinder
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.subject_from_motion import height_sentence, measured_height
 from hypose.pipeline.trace import Change, list_changes, with_trace
-from hypose.pipeline.track_loop import Followed, FrameList, FrameSource, StageProgress, TrackingSession
+from hypose.pipeline.track_loop import (
+    Deferred,
+    Followed,
+    FrameSource,
+    StageProgress,
+    TrackingSession,
+    tracker_of,
+)
 from hypose.pipeline.track_options import TrackOptions
 from hypose.tracking.arm_hypotheses import SEARCH_ROLES
+from hypose.tracking.contacts import runs
 from hypose.tracking.covariance_calibration import (
     beyond_usual,
     pose_covariance,
@@ -62,15 +70,11 @@ from hypose.tracking.joint_features import audit_frame
 from hypose.tracking.keypoint_clip import track_keypoint_clip
 from hypose.tracking.keypoint_evidence import keypoint_model
 from hypose.tracking.pose_covariance import unpacked
-from hypose.tracking.recipes import recipe
-from hypose.tracking.several import Member
-from hypose.tracking.smoothing import Clip, Smoothed
+from hypose.tracking.smoothing import Clip
 from hypose.tracking.tracker import (
     RECOVERED,
     FrameEstimate,
     Tracker,
-    TrackerSettings,
-    TrackerState,
     modes_of,
     motion_of,
 )
@@ -80,22 +84,8 @@ _LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class Tracked:
-    """Result of tracking frame by frame.
-
-    estimates: of the frames that are done.
-    state: state of the tracker after the last of them.
-    complete: every frame was tracked.
-    """
-
-    estimates: list[FrameEstimate]
-    state: TrackerState
-    complete: bool = True
-
-
-@dataclass(frozen=True)
 class ClipState:
-    """State of one person's clip between two passes.
+    """State of a clip between two passes.
 
     source: frames of the clip.
     frame_rate: Hz.
@@ -104,14 +94,19 @@ class ClipState:
     method: recipe that replaces the recipe of the options.
     own: evidence in addition to that of the frames.
     results: folder for results and checkpoints; None: nothing is written.
+    folders: each person has a folder of their own in `results`.
     record: provenance of the motion.
     resume: continue from a checkpoint.
     find_places: look for depth cameras that stand elsewhere than the source says.
+    finder: finds several people; None: the clip is of one person.
     shared_masks: the masks also show other people.
     progress: called with stage, done, total.
-    subject, tracker: None before `find_person`.
+    people: their state after the frames that are tracked; empty before `find_people`. In the passes `AFTER_TRACKING`
+        the clip is of one person.
     given: the caller gave the subject and its start pose.
-    tracked: estimates of the frames; None before `track_clip`, and where all frames are solved together instead.
+    coming: possible people who are not tracked at the end, see `TrackingSession`.
+    complete: every frame was tracked.
+    error: what ended tracking after some frames.
     motion: None before `to_motion`, or before `track_clip` where all frames are solved together.
     one_by_one: (T, D) poses as each frame was tracked, before smoothing.
     audit: (T, J, A) features of the error model.
@@ -130,15 +125,18 @@ class ClipState:
     method: Recipe | None = None
     own: Sequence[OwnEvidence] = ()
     results: ResultsFolder | None = None
+    folders: bool = False
     record: Mapping[str, Any] = field(default_factory=dict)
     resume: bool = False
     find_places: bool = True
+    finder: PeopleFinder | None = None
     shared_masks: bool = False
     progress: StageProgress = lambda stage, done, total: None
-    subject: TrackedSubject | None = None
-    tracker: Tracker | None = None
+    people: tuple[Followed, ...] = ()
     given: bool = False
-    tracked: Tracked | None = None
+    coming: Sequence[Array] = ()
+    complete: bool = True
+    error: HyposeError | None = None
     motion: Motion | None = None
     one_by_one: Array | None = None
     audit: NDArray[np.float32] | None = None
@@ -150,39 +148,52 @@ class ClipState:
     trace: tuple[Change, ...] = ()
 
     @property
+    def person(self) -> Followed:
+        """State of the one person, or of the first of several; only after `find_people` has run."""
+        return self.people[0]
+
+    @property
     def who(self) -> TrackedSubject:
-        """The subject; only after `find_person` has run."""
-        assert self.subject is not None
-        return self.subject
+        """The subject; only after `find_people` has run."""
+        return self.person.subject
 
     @property
-    def with_tracker(self) -> Tracker:
-        """The tracker; only after `find_person` has run."""
-        assert self.tracker is not None
-        return self.tracker
+    def tracker(self) -> Tracker:
+        """The tracker; only after `find_people` has run."""
+        return self.person.member.tracker
 
     @property
-    def complete(self) -> bool:
-        """Whether every frame was tracked."""
-        return self.tracked is None or self.tracked.complete
+    def estimates(self) -> Sequence[FrameEstimate]:
+        """Estimates of the frames; empty before `track_clip`, and where all frames are solved together instead."""
+        return self.people[0].estimates if self.people else ()
+
+    @property
+    def memory(self) -> Memory:
+        """What the recipe has learned about the person."""
+        return self.person.member.state.memory
 
     @property
     def smooths(self) -> bool:
         """Whether all frames are solved together after tracking."""
-        return self.options.smooth and self.with_tracker.recipe.smooth is not None and self.complete
+        return self.options.smooth and self.tracker.recipe.smooth is not None and self.complete
 
     @property
     def joints(self) -> Array | None:
         """(T, J, 3) m: the current joint positions; None before tracking."""
         if self.motion is not None:
             return self.motion.joints
-        if self.tracked is None or not self.tracked.estimates:
+        if not self.estimates:
             return None
-        return self.who.body.joints(np.stack([e.pose for e in self.tracked.estimates]))
+        return self.who.body.joints(np.stack([e.pose for e in self.estimates]))
 
     def frames(self, numbers: range) -> Iterator[Frame]:
         """Read the frames with these numbers once more, forwards or backwards."""
-        return tracked_frames(self.source, numbers, self.with_tracker.recipe.needs, self.who)
+        return tracked_frames(self.source, numbers, self.tracker.recipe.needs, self.who)
+
+    def with_estimates(self, estimates: Sequence[FrameEstimate], notes: Sequence[str]) -> ClipState:
+        """Return the clip with other estimates of its one person, and more notes."""
+        person = replace(self.person, estimates=list(estimates))
+        return replace(self, people=(person,), notes=(*self.notes, *notes))
 
     def with_findings(self, *found: Finding) -> ClipState:
         """Return the clip with more findings."""
@@ -216,78 +227,88 @@ def run_pass(step: Pass, clip: ClipState) -> ClipState:
 
 
 def check_evidence(clip: ClipState) -> ClipState:
-    """Check masks, key points and cameras against each other before tracking, and add the findings."""
+    """Check masks, key points and cameras against each other before tracking, and add the findings.
+
+    Where several people are tracked, only depth maps are checked, since the other checks are of one person.
+    """
     options = clip.options
     clip.progress("look", 0, 1)
-    found = ()
-    if not options.of_picture:
+    found, others = (), ()
+    if clip.finder is not None:
+        found = input_checks.check_depth_inputs(clip.source)
+    elif not options.of_picture:
         found = input_checks.check_inputs(clip.source, options.looks_at, options.height, clip.frame_rate)
     # wrong cameras can make one person look like two
-    more = 0 if input_checks.places_refuted(found) else getattr(clip.source, "others", 0)
-    others = (other_people_note(more, "key points", "--people all"),) if more else ()
+    more = 0 if clip.finder or input_checks.places_refuted(found) else getattr(clip.source, "others", 0)
+    if more:
+        others = (other_people_note(more, "key points", "--people all"),)
     clip.progress("look", 1, 1)
     return clip.with_findings(*found, *others)
 
 
-def find_person(clip: ClipState) -> ClipState:
-    """Find the person's body and start pose, unless the caller gave them, and build the tracker.
+def find_people(clip: ClipState) -> ClipState:
+    """Find body and start pose of each person, unless the caller gave them or an interrupted run kept them.
 
     Raises: HyposeError where no person is found; where the checks found faults, the message names them as a possible
         cause.
     """
-    if clip.subject is None:
-        try:
-            clip = replace(clip, subject=_subject(clip, clip.results if clip.resume else None))
-        except HyposeError as error:
-            masks = clip.options.looks_at == "silhouettes" and isinstance(error, EvidenceError)
-            guessed = getattr(clip.source, "guessed_rooms", "") if masks else ""
-            why = [
-                *([guessed] if guessed else []),
-                *input_checks.sentences(clip.findings),
-            ]  # wrong cameras may also be why the masks show no person
-            if not why:
-                raise
-            raise type(error)(f"{' '.join(why)} That may be why: {error}") from error
-    if clip.results is not None:  # before the motion, so that the result of an interrupted run can be viewed
-        keep_subject(clip.who, clip.results, provenance_identity(clip.record))
-    return replace(clip, notes=(*clip.notes, *clip.who.notes), tracker=_tracker(clip))
+    session = _session(clip)
+    if clip.resume and session.checkpoint is not None and session.checkpoint.exists():
+        session.load(session.checkpoint, lambda subject: _tracker(clip, subject))
+    else:
+        clip.progress("subject", 0, 1)
+        session.people = list(clip.people or _found(clip))
+        clip.progress("subject", 1, 1)
+        if session.checkpoint is not None:  # what was found is kept before the first frame
+            session.save(session.checkpoint)
+    clip = replace(clip, people=tuple(session.people), coming=session.coming)
+    if clip.results is not None and not clip.folders:
+        save_body(clip.who.body, clip.results.file("body.npz"))  # an interrupted run can be viewed
+    return replace(clip, notes=(*clip.notes, *clip.who.notes))
 
 
-def _subject(clip: ClipState, results: ResultsFolder | None) -> TrackedSubject:
-    """Load the subject that an interrupted run saved in `results`, or find it in the frames."""
-    o, body = clip.options, clip.body
-    clip.progress("subject", 0, 1)
-    subject = None if results is None else kept_subject(results, provenance_identity(clip.record))
-    if subject is None and o.of_picture:
-        about = {"start": o.start, "evidence": o.looks_at, "body": body, "height": o.height}
-        subject = subject_in_picture(clip.source, clip.frame_rate, **about, floor=o.own.get("floor"))
-    if subject is None:
-        wanted = SubjectOptions(o.start, o.height, o.girths, body, clip.frame_rate, o.seed, body is not None)
-        subject = subject_in_frames(clip.source.frame, len(clip.source), wanted)
-    clip.progress("subject", 1, 1)
-    return subject
+def _session(clip: ClipState, checkpoint: bool = True) -> TrackingSession:
+    """Make the session that tracks the people of a clip from where they are.
 
-
-def _tracker(clip: ClipState) -> Tracker:
-    return tracker_of(clip.who, clip.options, clip.frame_rate, clip.method, clip.own)
-
-
-def tracker_of(
-    subject: TrackedSubject,
-    options: TrackOptions,
-    frame_rate: float,
-    method: Recipe | None = None,
-    own: Sequence[OwnEvidence] = (),
-) -> Tracker:
-    """Build the tracker of a run.
-
-    method: recipe that replaces the recipe of the options.
-    own: evidence in addition to that of the frames.
+    checkpoint: keep the state in the results folder.
     """
-    about = {"frame_rate": frame_rate, "particles": options.particles, "refine": options.refine}
-    made = method or recipe(options.recipe, subject.body, **about, **options.own)
-    settings = TrackerSettings(evidence=options.looks_at, seed=options.seed, frame_rate=frame_rate)
-    return Tracker(subject.body, made, settings, subject.keypoints, own)
+    path = clip.results.checkpoint if checkpoint and clip.results is not None else None
+    about = {"identity": provenance_identity(clip.record), "every": clip.options.checkpoint_every}
+    held = Deferred(clip.progress)
+    return TrackingSession(
+        list(clip.people), clip.frame_rate, clip.finder, path, held=held, coming=list(clip.coming), **about
+    )
+
+
+def _found(clip: ClipState) -> tuple[Followed, ...]:
+    """Find the people of a clip at its beginning."""
+    try:
+        if clip.finder is not None:
+            return tuple(clip.finder.begin())
+        subject = _subject(clip)
+        return (Followed.at_start("", subject, _tracker(clip, subject)),)
+    except HyposeError as error:
+        masks = clip.options.looks_at == "silhouettes" and isinstance(error, EvidenceError)
+        guessed = getattr(clip.source, "guessed_rooms", "") if masks else ""
+        # wrong cameras may also be why the masks show no person
+        why = [*([guessed] if guessed else []), *input_checks.sentences(clip.findings)]
+        if not why:
+            raise
+        raise type(error)(f"{' '.join(why)} That may be why: {error}") from error
+
+
+def _subject(clip: ClipState) -> TrackedSubject:
+    """Find the body and start pose of the one person of a clip."""
+    o, body = clip.options, clip.body
+    if o.of_picture:
+        about = {"start": o.start, "evidence": o.looks_at, "body": body, "height": o.height}
+        return subject_in_picture(clip.source, clip.frame_rate, **about, floor=o.own.get("floor"))
+    wanted = SubjectOptions(o.start, o.height, o.girths, body, clip.frame_rate, o.seed, body is not None)
+    return find_subject(clip.source.frame, len(clip.source), wanted)
+
+
+def _tracker(clip: ClipState, subject: TrackedSubject) -> Tracker:
+    return tracker_of(subject, clip.options, clip.frame_rate, clip.method, clip.own)
 
 
 # ---- tracking ----------------------------------------------------------------------------------------------
@@ -296,50 +317,47 @@ def tracker_of(
 def track_clip(clip: ClipState) -> ClipState:
     """Track the frames one after the other; solve them together where the clip has key points only.
 
-    Raises: HyposeError where a frame fails; the frames before it are written to the results folder first.
+    Where a frame fails, `ClipState.error` says why, and the frames before it are kept; without a results folder the
+    error is raised.
     """
     if clip.options.whole_clip and clip.method is None:
         return _solve_keypoints(clip)
-    return _track(clip, None if clip.results is None else clip.results.checkpoint)
+    return _track(clip, _session(clip))
 
 
-def _track(clip: ClipState, checkpoint: Path | None = None) -> ClipState:
-    """Track frame by frame from the subject's start pose.
-
-    checkpoint: file of the state, from which an interrupted run continues; None: nothing is written.
-    """
-    tracker, subject, source = clip.with_tracker, clip.who, clip.source
-    begin = tracker.start(subject.start if subject.rivals is None else subject.rivals)
-    one = Followed("", subject, Member(tracker, begin))
-    about = {"identity": provenance_identity(clip.record), "every": clip.options.checkpoint_every}
-    session = TrackingSession([one], True, clip.frame_rate, checkpoint, **about)
-    if clip.resume and checkpoint is not None:
-        session.load(checkpoint, lambda name: one)
-    rest = range(session.done, len(source))
+def _track(clip: ClipState, session: TrackingSession) -> ClipState:
+    """Track the frames that a session has not tracked yet."""
+    source, rest = clip.source, range(session.done, len(clip.source))
     last = source.frame(rest.start - 1) if rest and rest.start else None
-    with contextlib.closing(look_ahead(tracked_frames(source, rest, tracker.recipe.needs, subject))) as frames:
+    if clip.finder is None:
+        frames = look_ahead(tracked_frames(source, rest, clip.tracker.recipe.needs, clip.who))
+    else:
+        frames = (source.frame(t) for t in rest)
+    with contextlib.closing(frames):
         error = session.track(frames, last, len(source), clip.progress)
-    clip = replace(
-        clip, tracked=Tracked(one.estimates, one.member.state, session.done == len(source) and not session.stopped)
-    )
-    if error is not None and clip.results is not None:
-        with contextlib.suppress(HyposeError):  # the first error is the one to report
-            keep_motion(to_motion(clip))
-        raise type(error)(
-            f"{error} The {session.done} frames before are kept in {clip.results.path}; see --resume."
-        ) from error
-    return clip
+    complete = session.done == len(source) and not session.stopped
+    return replace(clip, people=tuple(session.people), coming=session.coming, complete=complete, error=error)
 
 
 def _solve_keypoints(clip: ClipState) -> ClipState:
-    """Solve all frames of a clip of key points together."""
-    subject, options = clip.who, clip.options
-    solved, audit = track_keypoints(
-        clip.source, clip.frame_rate, subject, clip.progress, clip.own, sure_start=options.sure_start
+    """Solve the key points of all frames together (hypose.tracking.keypoint_clip); masks are not used."""
+    subject, names = clip.who, clip.who.body.skeleton.joint_names
+    frames = [replace(clip.source.frame(i), silhouettes=None) for i in range(len(clip.source))]
+    points = [f.keypoints for f in frames]
+    named = next((k.names for k in points if k is not None), None)
+    if named is None:
+        raise EvidenceError("No frame carries key points; choose an evidence that the recording has.")
+    model = subject.keypoints or keypoint_model(subject.body, named)
+    solved = track_keypoint_clip(
+        *(subject.body, model, points, subject.start, clip.frame_rate),
+        progress=partial(clip.progress, "track"),
+        sure_start=clip.options.sure_start,
+        others=[[term for one in clip.own if (term := one.rows(subject.body, f)) is not None] for f in frames],
     )
-    points = [clip.source.frame(i).keypoints for i in range(len(clip.source))]
+    assert solved.motion.poses is not None
+    audit = np.stack([audit_frame(subject.body, q, f, model) for q, f in zip(solved.motion.poses, frames, strict=True)])
     motion, doubts = with_repeated_points(replace(solved.motion, provenance=clip.record), points)
-    never = [n for n, gone in zip(subject.body.skeleton.joint_names, not_in_set(audit), strict=True) if gone]
+    never = [n for n, gone in zip(names, not_in_set(audit), strict=True) if gone]
     apart = np.linalg.norm(motion.joints - subject.body.joints(solved.one_by_one), axis=-1)
     return replace(
         clip,
@@ -349,74 +367,43 @@ def _solve_keypoints(clip: ClipState) -> ClipState:
         covariance=solved.covariance,
         notes=(*clip.notes, *solved.notes, *doubts),
         findings=(*clip.findings, *([not_shown(never)] if never else [])),
-        trace=(*clip.trace, *list_changes("smooth", subject.body.skeleton.joint_names, apart, REASONS["smooth"])),
+        trace=(*clip.trace, *list_changes("smooth", names, apart, REASONS["smooth"])),
     )
-
-
-def track_keypoints(
-    source: FrameSource,
-    frame_rate: float,
-    subject: TrackedSubject,
-    progress: StageProgress,
-    own: Sequence[OwnEvidence] = (),
-    *,
-    sure_start: bool = False,
-) -> tuple[Smoothed, NDArray[np.float32]]:
-    """Solve the key points of all frames together (hypose.tracking.keypoint_clip); masks are not used.
-
-    own: evidence in addition to that of the frames.
-    sure_start: the start pose has left and right the right way round.
-    Returns: the solved motion, and the features of the error model (T, J, A).
-    Raises: EvidenceError where no frame has key points.
-    """
-    frames = [replace(source.frame(i), silhouettes=None) for i in range(len(source))]
-    seen = [f.keypoints for f in frames]
-    named = next((k.names for k in seen if k is not None), None)
-    if named is None:
-        raise EvidenceError("No frame carries key points; choose an evidence that the recording has.")
-    model = subject.keypoints or keypoint_model(subject.body, named)
-    solved = track_keypoint_clip(
-        *(subject.body, model, seen, subject.start, frame_rate),
-        progress=lambda done, all_: progress("track", done, all_),
-        sure_start=sure_start,
-        others=[[term for one in own if (term := one.rows(subject.body, f)) is not None] for f in frames],
-    )
-    assert solved.motion.poses is not None
-    audits = [audit_frame(subject.body, q, f, model) for q, f in zip(solved.motion.poses, frames, strict=True)]
-    return solved, np.stack(audits)
 
 
 def place_sensors(clip: ClipState) -> ClipState:
     """Correct the places of depth cameras that stand elsewhere than the source says, and track all frames again."""
-    done = clip.tracked
-    if not clip.find_places or done is None or not done.complete or clip.options.of_picture:
+    done = clip.estimates
+    if not clip.find_places or not done or not clip.complete or clip.options.of_picture or clip.finder is not None:
         return clip
-    poses, costs = np.stack([e.pose for e in done.estimates]), np.array([e.cost for e in done.estimates])
+    poses, costs = np.stack([e.pose for e in done]), np.array([e.cost for e in done])
     places, moved = moved_sensors(clip.source, clip.who.body, poses, 1 - costs, clip.frame_rate)
     if not places:
         return clip
     clip = replace(clip, source=PlacedSource(clip.source, places), places=places, findings=(*clip.findings, *moved))
+    subject = clip.who
     if places[0].since == 0 and not clip.given:  # the body was fitted with wrong camera places
-        clip = replace(clip, subject=_subject(clip, None))
-        clip = replace(clip, notes=clip.who.notes, tracker=_tracker(clip))
-    return _track(clip)
+        subject = _subject(clip)
+        clip = replace(clip, notes=subject.notes)
+    clip = replace(clip, people=(Followed.at_start("", subject, _tracker(clip, subject)),))
+    return _track(clip, _session(clip, checkpoint=False))
 
 
 def check_height(clip: ClipState) -> ClipState:
     """Check whether the body's height is plausible, and compare a given height or body with the height that masks or
     depth show; add the findings.
     """
-    subject, o = clip.who, clip.options
-    if o.of_picture or clip.given or clip.tracked is None or subject.keypoints is not None:
+    o, estimates = clip.options, clip.estimates
+    if o.of_picture or clip.given or not estimates or clip.who.keypoints is not None or clip.finder is not None:
         return clip
-    estimates = clip.tracked.estimates
+    body = clip.who.body
     if o.height is None and clip.body is None:
-        clip = clip.with_findings(*input_checks.of_measured(subject.body.stature))
+        clip = clip.with_findings(*input_checks.of_measured(body.stature))
     asked = o.height if clip.body is None else clip.body.stature
     if asked is None or clip.method is not None or not clip.complete or o.looks_at == "keypoints":
         return clip
     poses, iou = np.stack([e.pose for e in estimates]), 1 - np.array([e.cost for e in estimates])
-    reported = measured_height(clip.source.frame, subject.body, poses, iou)
+    reported = measured_height(clip.source.frame, body, poses, iou)
     off = 0.0 if reported is None else abs(reported / asked - 1)
     if reported is None or off <= SETTINGS.subject_height_doubt:
         return clip
@@ -427,9 +414,24 @@ def check_height(clip: ClipState) -> ClipState:
 # ---- after tracking ----------------------------------------------------------------------------------------
 
 
+def clips_of_people(clip: ClipState) -> list[ClipState]:
+    """Make a clip of each person whose result is wanted; the others hide what they cover in its frames."""
+    if clip.finder is None:
+        return [clip]
+    out = list[ClipState]()
+    for p in (p for p in clip.people if p.asked_for):
+        frames, own = clip.finder.own_clip(p, clip.people)
+        shared, results = len(clip.people) > 1 and p.present[0], clip.results
+        if results is not None and clip.folders:
+            results = ResultsFolder(results.path / p.name)
+        about = {"source": frames, "people": (own,), "finder": None, "results": results, "notes": p.subject.notes}
+        out.append(replace(clip, **about, shared_masks=shared))
+    return out
+
+
 def trace_searches(clip: ClipState) -> ClipState:
     """Record where a frame's search put joints elsewhere than the solve from the predicted pose."""
-    estimates = () if clip.tracked is None else clip.tracked.estimates
+    estimates = clip.estimates
     if not estimates or any(not len(e.moved) for e in estimates):
         return clip
     names, moved = clip.who.body.skeleton.joint_names, np.stack([e.moved for e in estimates]).astype(np.float64)
@@ -440,76 +442,61 @@ def trace_searches(clip: ClipState) -> ClipState:
 
 def correct_sides(clip: ClipState) -> ClipState:
     """Find stretches in which left and right were exchanged or the body was lost, and track them again."""
-    done = clip.tracked
-    if done is None or not done.complete:
+    if not clip.estimates or not clip.complete:
         return clip
     clip.progress("sides", 0, 1)
+    sure = clip.options.sure_start
     estimates, exchanged = left_right.correct_left_right(
-        clip.with_tracker,
-        done.estimates,
-        clip.frames,
-        sure_start=clip.options.sure_start,
-        memory=done.state.memory,
+        clip.tracker, clip.estimates, clip.frames, sure_start=sure, memory=clip.memory
     )
     clip.progress("sides", 1, 1)
-    notes = (*clip.notes, *left_right.left_right_notes(exchanged))
-    return replace(clip, tracked=replace(done, estimates=estimates), notes=notes)
+    return clip.with_estimates(estimates, left_right.left_right_notes(exchanged))
 
 
 def correct_beginning(clip: ClipState) -> ClipState:
     """Track the first frames backwards from a frame in which the person was found, where the masks also show others."""
-    done = clip.tracked
-    if done is None or not done.complete or not clip.shared_masks or clip.options.sure_start:
+    if not clip.estimates or not clip.complete or not clip.shared_masks or clip.options.sure_start:
         return clip
-    estimates, retracked = left_right.retrack_start(
-        clip.with_tracker, done.estimates, clip.frames, memory=done.state.memory
-    )
-    notes = (*clip.notes, *left_right.start_notes(retracked))
-    return replace(clip, tracked=replace(done, estimates=estimates), notes=notes)
+    estimates, retracked = left_right.retrack_start(clip.tracker, clip.estimates, clip.frames, memory=clip.memory)
+    return clip.with_estimates(estimates, left_right.start_notes(retracked))
 
 
 def track_backwards(clip: ClipState) -> ClipState:
     """Track arms backwards in time from the frames in which they jumped."""
-    done = clip.tracked
-    if done is None or not clip.smooths:
+    if not clip.estimates or not clip.smooths:
         return clip
+    progress = partial(clip.progress, "both ways")
     estimates, moved = backwards.backward_pass(
-        clip.with_tracker,
-        done.estimates,
-        clip.frames,
-        memory=done.state.memory,
-        progress=partial(clip.progress, "both ways"),
+        clip.tracker, clip.estimates, clip.frames, memory=clip.memory, progress=progress
     )
-    clip.progress("both ways", len(estimates), len(estimates))
-    notes = (*clip.notes, *backwards.backward_pass_notes(moved))
-    return replace(clip, tracked=replace(done, estimates=estimates), notes=notes)
+    progress(len(estimates), len(estimates))
+    return clip.with_estimates(estimates, backwards.backward_pass_notes(moved))
 
 
 def to_motion(clip: ClipState) -> ClipState:
     """Make the motion from the estimates; time 0 is the first tracked frame."""
-    done = clip.tracked
-    if done is None:
+    estimates = clip.estimates
+    if not estimates:
         return clip
-    times = np.arange(len(done.estimates)) / clip.frame_rate
-    motion = motion_of(clip.who.body, times, done.estimates, clip.record)
-    return replace(clip, motion=motion, modes=modes_of(done.estimates))
+    times = np.arange(len(estimates)) / clip.frame_rate
+    return replace(clip, motion=motion_of(clip.who.body, times, estimates, clip.record), modes=modes_of(estimates))
 
 
 def smooth(clip: ClipState) -> ClipState:
     """Solve all frames together; feet that stand are held still on the floor."""
-    done, motion, recipe = clip.tracked, clip.motion, clip.with_tracker.recipe
-    if done is None or motion is None or recipe.smooth is None or not clip.smooths:
+    motion, recipe = clip.motion, clip.tracker.recipe
+    if not clip.estimates or motion is None or recipe.smooth is None or not clip.smooths:
         return clip
-    progress = partial(clip.progress, "smooth")
-    motion, said = recipe.smooth(Clip(clip.with_tracker, motion, done.estimates, done.state, clip.frames, progress))
+    progress, state = partial(clip.progress, "smooth"), clip.person.member.state
+    motion, said = recipe.smooth(Clip(clip.tracker, motion, clip.estimates, state, clip.frames, progress))
     return replace(clip, motion=motion, notes=(*clip.notes, *said))
 
 
 def mark_anomalies(clip: ClipState) -> ClipState:
     """Mark frames of low confidence: pictures that repeat or jump, and views that disagree with the others."""
-    if clip.tracked is None or clip.motion is None:
+    if not clip.estimates or clip.motion is None:
         return clip
-    motion, said = with_anomalies(clip.motion, [e.seen for e in clip.tracked.estimates])
+    motion, said = with_anomalies(clip.motion, [e.seen for e in clip.estimates])
     depth = () if clip.modes is None else (depth_note(motion, clip.modes),)
     return replace(clip, motion=motion, notes=(*clip.notes, *said, *depth))
 
@@ -526,8 +513,7 @@ def judge_joints(clip: ClipState) -> ClipState:
     if clip.modes is not None:
         return _assess_picture(clip)
     if clip.audit is None or clip.covariance is None or clip.one_by_one is None:
-        assert clip.tracked is not None
-        estimates = clip.tracked.estimates
+        estimates = clip.estimates
         information = np.stack([e.uncertainty.information for e in estimates])
         clip = replace(
             clip,
@@ -536,7 +522,8 @@ def judge_joints(clip: ClipState) -> ClipState:
             covariance=pose_covariance(unpacked(information, clip.who.body.skeleton.dof)),
         )
         depth = clip.source.frame(0).depth is not None
-        points = None if clip.options.looks_at == "silhouettes" else keypoints_in_memory(clip.source)
+        silhouettes = clip.options.looks_at == "silhouettes"
+        points = None if silhouettes else getattr(clip.source, "keypoints", None)  # where they are in memory
     else:
         depth, points = False, [clip.source.frame(i).keypoints for i in range(len(clip.source))]
     assert clip.audit is not None
@@ -581,25 +568,41 @@ def _with_errors(clip: ClipState, known: str | None, points: Sequence[Keypoints 
     return reported if evidence == "depth" else as_mixture(reported)  # regions from depth include other places
 
 
-def keypoints_in_memory(source: FrameSource) -> Sequence[Keypoints | None] | None:
-    """Return the key points of a source's frames; None where the source does not hold them in memory."""
-    if isinstance(source, FrameStream):
-        return source.keypoints
-    return [f.keypoints for f in source.frames] if isinstance(source, FrameList) else None
+def mark_absence(clip: ClipState) -> ClipState:
+    """Mark the frames in which the person is absent as lost, and those in which others hide the person as frames of low
+    confidence.
+    """
+    motion, notes = clip.motion, [*clip.notes, *clip.person.said]
+    if motion is None or not clip.estimates:
+        return clip
+    present, hidden = (np.array(x, dtype=np.bool_) for x in (clip.person.present, clip.person.hidden))
+    motion = replace(motion, lost=motion.lost | ~present)
+    if hidden.any():
+        low_confidence = hidden if motion.low_confidence is None else motion.low_confidence | hidden
+        motion = replace(motion, low_confidence=low_confidence)
+        notes.append(f"others hide this person from all views but one in {in_words(runs(hidden))}")
+    if not present.all():
+        notes.append(f"not there in {in_words(runs(~present))}")
+    return replace(clip, motion=motion, notes=tuple(notes))
 
 
 def keep_motion(clip: ClipState) -> ClipState:
     """Put the trace into the motion, and write it where there is a results folder."""
     assert clip.motion is not None
-    clip = replace(clip, motion=with_trace(clip.motion, clip.trace))
-    if clip.results is not None and clip.motion is not None:
-        save_motion(clip.motion, clip.results.motion)
+    motion = with_trace(clip.motion, clip.trace)
+    if clip.results is not None:
+        save_motion(motion, clip.results.motion)
         if clip.modes is not None:
             save_modes(clip.modes, clip.results.file(MODES))
-    return clip
+    return replace(clip, motion=motion)
 
 
-BEFORE_TRACKING: tuple[Pass, ...] = (check_evidence, find_person)
+def keep_interrupted(clip: ClipState) -> ClipState:
+    """Make the motion of an interrupted clip from the frames that were tracked, and write it."""
+    return keep_motion(mark_absence(to_motion(replace(clip, complete=False, findings=()))))
+
+
+BEFORE_TRACKING: tuple[Pass, ...] = (check_evidence, find_people)
 TRACKING: tuple[Pass, ...] = (track_clip, place_sensors, check_height)
 AFTER_TRACKING: tuple[Pass, ...] = (
     trace_searches,
@@ -610,9 +613,11 @@ AFTER_TRACKING: tuple[Pass, ...] = (
     smooth,
     mark_anomalies,
     judge_joints,
+    mark_absence,
     keep_motion,
 )
-PASSES = (*BEFORE_TRACKING, *TRACKING, *AFTER_TRACKING)
+UNTIL_TRACKED = (*BEFORE_TRACKING, *TRACKING)
+PASSES = (*UNTIL_TRACKED, *AFTER_TRACKING)
 """All passes of a clip, in the order in which they run."""
 
 REASONS = {

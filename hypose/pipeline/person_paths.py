@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
-import contextlib
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.cameras.camera import CameraRig
-from hypose.errors import HyposeError
-from hypose.evidence.association import PersonTrack
 from hypose.evidence.depth_people import people_seen
-from hypose.evidence.frame import Frame, Keypoints, Silhouettes
-from hypose.evidence.hull_people import HullPerson, views_to_find
+from hypose.evidence.frame import Frame, Keypoints
+from hypose.evidence.hull_people import HullPerson
 from hypose.evidence.shared_masks import Other
 from hypose.geometry import Array
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.trace import later, trace_of, with_trace
 from hypose.pipeline.track_loop import FrameSource
+
+if TYPE_CHECKING:
+    from hypose.evidence.association import PersonTrack
 
 
 @dataclass(eq=False)
@@ -62,13 +65,12 @@ def follow_places(
     frame_at: Callable[[int], Frame],
     numbers: Sequence[int],
     frame_rate: float,
-    known: Callable[[int], Sequence[Other]] | None = None,
-    floor: float = 0.0,
+    known: Callable[[int], Sequence[Other]] = lambda t: (),
 ) -> list[Path]:
     """Find the paths of people through the frames `numbers` (ascending), longest path first.
 
-    known: gives, for a frame number, the people who are tracked already; None: there are none.
-    floor: height of the floor, m.
+    known: gives, for a frame number, the people who are tracked already; parts near them that are too small for a
+        person, such as limbs, are left out.
     """
     from scipy.optimize import linear_sum_assignment  # takes long to import
 
@@ -77,7 +79,8 @@ def follow_places(
         frame = frame_at(t)
         if frame.silhouettes is None:
             continue
-        here = people_seen(frame, () if known is None else known(t), floor=floor)
+        others = known(t)
+        here = [h for h in people_seen(frame, others) if h.tall or not others]
         known_hulls = [(h.litres, h.hull.height) for p in paths for h in p.found.values()]
         litres, height = np.median(known_hulls, axis=0) if known_hulls else (0.0, 1.0)
         # ignore remains of a person's hull; children have a smaller volume, but are less tall too
@@ -106,29 +109,80 @@ def lasting(paths: Sequence[Path], looks: Sequence[int]) -> list[Path]:
     return [p for p in paths if sum(t in p.found for t in looks) >= max(2, SETTINGS.path_seen_share * len(looks))]
 
 
-def _apart(people: Sequence[HullPerson]) -> int:
-    """Count the people who stand clearly apart from all larger ones."""
-    kept: list[HullPerson] = []
-    for p in people:
-        if all(np.linalg.norm(p.axis - q.axis) > SETTINGS.path_clearly_m for q in kept):
-            kept.append(p)
-    return len(kept)
+# ---- who stands where ----------------------------------------------------------------------------------------------
 
 
-def count_people(frame_at: Callable[[int], Frame], total: int, looks: int = 5) -> int:
-    """Count the people in the masks of a recording: median over frames spread over it.
+@dataclass(frozen=True)
+class Wanted:
+    """Prior knowledge of a person, from a [[person]] of recording.toml.
 
-    Children below a metre do not count, since objects have their size. A frame with fewer than three usable views does
-    not count, unless there is a depth camera.
+    height: m.
+    body: the person's own body.
+    place: (2,) m where the person stands at `time`.
+    time: s from the first tracked frame; negative before it.
     """
-    found = []
-    for t in np.unique(np.linspace(0, total - 1, min(total, looks)).astype(int)).tolist():
-        with contextlib.suppress(HyposeError):
-            frame = frame_at(t)
-            views = [int(masks.usable.sum()) for masks in frame.of(Silhouettes)]
-            if any(count >= views_to_find(frame) for count in views):
-                found.append(_apart([p for p in people_seen(frame) if p.tall]))
-    return int(np.median(found)) if found else 0
+
+    name: str
+    height: float | None = None
+    body: Body | None = None
+    place: tuple[float, float] | None = None
+    time: float = 0.0
+
+    @property
+    def early(self) -> bool:
+        """Whether the place is too long before the first frame to identify the person."""
+        return self.place is not None and self.time < -SETTINGS.tracked_early_s
+
+    @property
+    def not_found(self) -> str:
+        """The sentence that this person was not found."""
+        at = self.place
+        where = "" if at is None else f" at [{at[0]:g}, {at[1]:g}] m, {self.time:g} s from the first frame"
+        return f"nobody was found who is {self.name}{where}"
+
+
+def names_at_places(
+    wanted: Sequence[Wanted],
+    count: int,
+    place: Callable[[int, int], Array],
+    frame_rate: float,
+    taken: Sequence[str] = (),
+) -> list[str]:
+    """Name the people who were found.
+
+    count: number of people found.
+    place: place(k, frame) gives where (2,) m the k-th stands, NaN where not known.
+    frame_rate: Hz.
+    taken: names of people who are known already.
+    Returns: name per person. Wanted people without a usable place get the remaining people in their order; people about
+        whom nothing is known are person-1, person-2 and so on.
+    """
+    free, names = [w for w in wanted if w.name not in taken], dict[int, str]()
+    for one in free:
+        if one.place is not None and not one.early:
+            t = max(0, round(one.time * frame_rate))
+            away = [float(np.linalg.norm(place(k, t) - np.array(one.place))) for k in range(count)]
+            near = [k for k in range(count) if k not in names and away[k] < SETTINGS.tracked_placed_m]
+            if near:
+                names[min(near, key=lambda k: away[k])] = one.name
+    used = {*taken, *(w.name for w in wanted)}
+    numbered = (n for n in map("person-{}".format, itertools.count(1)) if n not in used)
+    rest = itertools.chain((w.name for w in free if w.place is None or w.early), numbered)
+    return [names[k] if k in names else next(rest) for k in range(count)]
+
+
+def said_of_places(wanted: Sequence[Wanted], count: int) -> tuple[str, ...]:
+    """Return a sentence on people whose given places are too early to identify them among `count` people; none where
+    all are usable.
+    """
+    early = [w for w in wanted if w.early]
+    if not early or count < 2:
+        return ()
+    of = ", ".join(f"{w.name} {-w.time:.1f} s" for w in early)
+    return (
+        f"places of before the frames that are tracked ({of}) do not tell who is who there: give a place and time "
+        "within them in recording.toml",
+    )
 
 
 # ---- people points -------------------------------------------------------------------------------------------------

@@ -34,23 +34,22 @@ from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.evidence.keypoint_check import undistorted
 from hypose.evidence.keypoints import triangulate_keypoints
-from hypose.evidence.terms import Term, contour_term
+from hypose.evidence.terms import contour_term
 from hypose.geometry import Array, transform
 from hypose.io.recordings.frames import FrameStream, load_keypoints
 from hypose.io.recordings.recording import Recording
 from hypose.io.recordings.recording_people import RecordedPerson, load_person
 from hypose.io.recordings.recording_views import ViewSettings, open_pictures
 from hypose.pipeline.first_frame import SubjectOptions, find_subject
-from hypose.pipeline.one_of_several import frames_to_examine
+from hypose.pipeline.recorded_frames import frames_to_examine
 from hypose.pipeline.run import track_source
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.subject_from_motion import with_outlines
 from hypose.pipeline.track_options import TrackOptions
-from hypose.tracking.keypoint_evidence import KeypointModel, keypoint_model, keypoint_term
 from hypose.tracking.subject import shape_from_keypoints, subject_from_keypoints
 
 _Progress = Callable[[str, int, int], None]
-_METHODS = ("keypoints", "silhouettes", "both")
+_METHODS = ("keypoints", "silhouettes")
 
 
 def _ignore(stage: str, done: int, total: int) -> None:
@@ -62,7 +61,7 @@ class Refinement:
     """Refined calibration of a recording.
 
     rig: cameras in the old world, with the old lenses.
-    method: keypoints, silhouettes or both.
+    method: keypoints or silhouettes.
     used: frames it was found on.
     changes: per camera.
     before_px, after_px: median distance of key points from the triangulation of all views, on frames not used; NaN
@@ -126,7 +125,7 @@ def observe_recording(recording: Recording, most: int = 100, progress: _Progress
                 None if s is None else _near(s, k) for s, k in zip(silhouettes, person.keypoints, strict=False)
             ]
     clips = tuple(replace(_clip(v), accepted=v.accept_scaled) for v in recording.views)
-    notes = () if person is None else person.one.notes
+    notes = () if person is None else (*person.one.notes, *person.held)
     if together and person is None:
         notes = ("several people stand in the masks, and are looked at together",)
     about = recording.frame_rate, recording.subject_height, notes
@@ -187,19 +186,17 @@ def refine_recording(
     fixed: tuple[str, ...] = (),
     height: float | None = None,
     most: int = 150,
-    disturb: Callable[[Body, Array], Array] | None = None,
     progress: _Progress = _ignore,
 ) -> Refinement:
     """Refine the poses of a recording's cameras (with `focal` the focal lengths) from the moving person.
 
     recording: with corrected lag and shift (`cured_recording`).
-    method: keypoints (bundle adjustment); silhouettes (contours of the tracked body, with key points only for the
-        start); both.
+    method: keypoints (bundle adjustment) or silhouettes (contours of the tracked body, with key points only for the
+        start).
     late: (C,) frames by which views are late.
     fixed: names of cameras that stay.
     height: of the person, m, sets the scale; None: the length of the person's limbs is kept.
     most: most frames that are used.
-    disturb: changes the start poses, for tests.
     Raises: EvidenceError or InputError names the missing input.
     """
     if method not in _METHODS:
@@ -224,7 +221,6 @@ def refine_recording(
     if fixed:
         few.rig.select(fixed)  # its error lists the names that exist
     free = np.array([c.name not in fixed for c in few.rig])
-    judge = _Judge(few.rig, points, rest)
     notes: list[str] = []
     if method == "keypoints":
         assert points is not None
@@ -232,7 +228,7 @@ def refine_recording(
         before_silhouettes: list[Silhouettes | None] = []
     else:
         refined, there, before_silhouettes, notes = _by_body(
-            few, points, names, late, method, used, rest, focal, free, disturb, progress
+            few, late, points is not None, used, rest, focal, free, progress
         )
     factor = _scale(few.rig, refined, points, used, names, height, notes)
     refined = scale_rig(refined, factor)
@@ -245,33 +241,30 @@ def refine_recording(
         method,
         tuple(int(few.frames[k]) for k in used),
         changes(few.rig, refined, here),
-        *judge.residuals(few.rig, refined),
+        *_residuals(few.rig, refined, points, rest),
         tangents[0],
         tangents[1],
         tuple(notes),
     )
 
 
-@dataclass(frozen=True)
-class _Judge:
-    """Measure of a calibration on the key points of frames that were not used."""
+def _residuals(
+    old: CameraRig, new: CameraRig, points: Array | None, rest: NDArray[np.int64]
+) -> tuple[float, float, float, float]:
+    """Compute the median residual with the old and the new cameras, px, on the key points of frames that were not used.
 
-    old: CameraRig
-    points: Array | None
-    rest: NDArray[np.int64]
-
-    def residuals(self, old: CameraRig, new: CameraRig) -> tuple[float, float, float, float]:
-        if self.points is None:
-            nan = float("nan")
-            return nan, nan, nan, nan
-        c = len(old)
-        out = []
-        for measure in (point_residual, left_out_residual):
-            for rig in (old, new):
-                uv, confidence = undistorted(rig, self.points[:, self.rest])
-                found = measure(rig.pinhole(), uv.reshape(c, -1, 2), confidence.reshape(c, -1))
-                out.append(float(np.nanmedian(found)) if np.isfinite(found).any() else float("nan"))
-        return out[0], out[1], out[2], out[3]
+    points: (C, T, K, 3) distorted px, and confidence; None without key points.
+    rest: numbers of these frames.
+    Returns: before and after, from the triangulation of all views; before and after, from that of the other views; NaN
+        where there are none.
+    """
+    out = [np.nan] * 4
+    for k, (measure, rig) in enumerate((m, r) for m in (point_residual, left_out_residual) for r in (old, new)):
+        if points is not None:
+            uv, confidence = undistorted(rig, points[:, rest])
+            found = measure(rig.pinhole(), uv.reshape(len(rig), -1, 2), confidence.reshape(len(rig), -1))
+            out[k] = float(np.nanmedian(found)) if np.isfinite(found).any() else np.nan
+    return out[0], out[1], out[2], out[3]
 
 
 def _by_points(
@@ -297,20 +290,16 @@ def _poses_into(full: CameraRig, refined: CameraRig) -> CameraRig:
 
 def _by_body(
     recording: Recording,
-    points: Array | None,
-    names: tuple[str, ...],
     late: Array,
-    method: str,
+    start_from_points: bool,
     used: NDArray[np.int64],
     rest: NDArray[np.int64],
     focal: bool,
     free: NDArray[np.bool_],
-    disturb: Callable[[Body, Array], Array] | None,
     progress: _Progress,
 ) -> tuple[CameraRig, Array, list[Silhouettes | None], list[str]]:
-    blind = recording
-    if method == "silhouettes":  # masks that do not depend on the key points
-        blind = replace(recording, views=tuple(replace(v, keypoints=None) for v in recording.views), keypoint_set=None)
+    # masks that do not depend on the key points
+    blind = replace(recording, views=tuple(replace(v, keypoints=None) for v in recording.views), keypoint_set=None)
     with FrameStream(blind, progress=progress) as stream:
         source = Resampled(stream, late)
         frames: list[Frame] = []
@@ -319,67 +308,34 @@ def _by_body(
             frames.append(source.frame(int(k)))
         progress("masks", len(used), len(used))
         judged = [source.frame(int(k)).silhouettes for k in rest[:: max(1, len(rest) // 16)]]
-        keypoints = load_keypoints(recording) if points is not None else None
+        keypoints = load_keypoints(recording) if start_from_points else None
         if keypoints is not None:
-            keypoints = [
-                replace(k, points=np.stack([_shifted(keypoints, c, t, float(x)) for c, x in enumerate(late)]))
-                for t, k in enumerate(keypoints)
-            ]
-            body, model, poses, notes = _start_from_points(frames, [keypoints[int(k)] for k in used])
+            shown = np.stack([k.points for k in keypoints], 1)
+            shown = np.stack([points_at(p, float(x)) for p, x in zip(shown, late, strict=True)], 1)
+            body, poses, notes = _start_from_points(frames, [replace(keypoints[k], points=shown[k]) for k in used])
         else:
             body, poses, notes = _start_from_masks(source, recording, used, progress)
-            model = None
-    if disturb is not None:
-        poses = body.skeleton.clamp(disturb(body, poses))
     seen_at = [(i, s) for i, f in enumerate(frames) if np.isfinite(poses[i]).all() for s in f.of(Silhouettes)]
     if not seen_at:
         raise EvidenceError("No frame has both silhouettes and a pose to refine the calibration with.")
-    kept, evidence = [i for i, _ in seen_at], list[list[Term]]()
-    for i, silhouettes in seen_at:
-        evidence.append([contour_term(silhouettes)] if silhouettes.usable.any() else [])
-        if method == "both" and keypoints is not None and model is not None:
-            seen = keypoints[int(used[i])]
-            mark = keypoint_term(seen, body, model, scale_px=_mark_scale(seen))
-            evidence[-1] += [] if mark is None else [mark]
+    kept = [i for i, _ in seen_at]
+    evidence = [[contour_term(silhouettes)] if silhouettes.usable.any() else [] for _, silhouettes in seen_at]
     small = stream.rig
     progress("refine", 0, 1)
-    weight = (
-        0.1 if method == "both" else 1.0
-    )  # errors along a contour are correlated; key points have the weight of detections
-    settings = BodySettings(contour_weight=weight, focal=focal)
+    settings = BodySettings(contour_weight=1.0, focal=focal)
     found = adjust_with_body(body, small, poses[kept], evidence, settings, free)
     progress("refine", 1, 1)
     person = body.joints(found.poses).reshape(-1, 3)
     return _poses_into(recording.rig, found.rig), person, judged, notes
 
 
-def _shifted(keypoints: Sequence, c: int, t: int, late: float) -> Array:
-    """Interpolate the key points (K, 3) of one view at frame t + late."""
-    low = int(np.floor(t + late))
-    n = len(keypoints)
-    if late == 0:
-        return keypoints[t].points[c]
-    if not 0 <= low < n - 1:
-        return np.zeros_like(keypoints[t].points[c])
-    pair = np.stack([keypoints[low].points[c], keypoints[low + 1].points[c]])
-    return points_at(pair, t + late - low)[0]
-
-
-def _mark_scale(keypoints: Keypoints) -> float:
-    """Return the standard deviation of a detection, px of the working size: 0.8 % of the person's size."""
-    seen = keypoints.points[keypoints.points[..., 2] > 0.3]
-    return max(0.008 * float(np.ptp(seen[:, 1])) if len(seen) else 2.0, 0.5)
-
-
-def _start_from_points(frames: Sequence[Frame], keypoints: Sequence) -> tuple[Body, KeypointModel, Array, list[str]]:
+def _start_from_points(frames: Sequence[Frame], keypoints: Sequence[Keypoints]) -> tuple[Body, Array, list[str]]:
     points, _, _ = triangulate_keypoints(keypoints)
     fitted = subject_from_keypoints(human(), points, keypoints[0].names)
     shaped = with_outlines(fitted, frames)
     if shaped is None:
         raise EvidenceError("No frame has usable silhouettes; refine from key points.")
-    body, _ = shaped
-    model = replace(keypoint_model(body, fitted.keypoints.names), offset=fitted.keypoints.offset)
-    return body, model, fitted.poses, ["lengths of the body and start poses from the key points"]
+    return shaped[0], fitted.poses, ["lengths of the body and start poses from the key points"]
 
 
 def _start_from_masks(

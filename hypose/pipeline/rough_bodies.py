@@ -27,12 +27,11 @@ from hypose.evidence.shared_masks import SOLVED_WIDENING, Other
 from hypose.fitting.articulated import SolveSettings
 from hypose.geometry import Array
 from hypose.pipeline.first_frame import TrackedSubject
-from hypose.pipeline.person_paths import Path
+from hypose.pipeline.person_paths import Path, Wanted
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.start_choice import best_ways, way_of
 from hypose.pipeline.subject_from_motion import different_poses
 from hypose.pipeline.track_loop import Followed
-from hypose.pipeline.tracked_people import Wanted
 from hypose.tracking.frame_evidence import mean_overlap, prepare
 from hypose.tracking.refinement import refine
 from hypose.tracking.several import shape_of, step_together
@@ -94,13 +93,11 @@ def _hiding(rough: RoughTrack | None, hull: HullPerson | None, number: int, rig:
     )
 
 
-def least_hidden(own: Mapping[int, Frame]) -> list[int]:
-    """Select the frames in which all views but one see a person well; where these are few, the least hidden ones."""
-    return seen_well({t: frame.visible_share for t, frame in own.items()})
+def least_hidden(shares: Mapping[int, NDArray[np.float64]]) -> list[int]:
+    """Select the frames in which all views but one see a person well; where these are few, the least hidden ones.
 
-
-def seen_well(shares: Mapping[int, NDArray[np.float64]]) -> list[int]:
-    """Select frames as `least_hidden` does, from the visible share of the person (C,) per frame."""
+    shares: by frame number, the visible share of the person in each view (C,).
+    """
     numbers = sorted(shares)
     share = np.array([np.sort(shares[t]) for t in numbers])
     if not share.size:
@@ -142,7 +139,7 @@ def _rough(
     seed: int,
 ) -> RoughTrack | None:
     own = {t: frame_of_person(frame_at(t), t, who, paths) for t in numbers}
-    seen = least_hidden(own)[: SETTINGS.rough_tried]
+    seen = least_hidden({t: frame.visible_share for t, frame in own.items()})[: SETTINGS.rough_tried]
     try:
         found = best_ways(template, [own[t] for t in seen], rate, height=height, seed=seed, shared=len(paths) > 1)
     except HyposeError:
@@ -233,7 +230,7 @@ def _again(
 ) -> TrackedSubject:
     """Fit one person's body again on their track, whose first frame is that of the start."""
     template, noted = human(), replace(subject, notes=(*subject.notes, AGAIN))
-    seen = seen_well({t: shown for t, (_, shown) in way.items()})
+    seen = least_hidden({t: shown for t, (_, shown) in way.items()})
     poses, iou = np.stack([way[t][0].pose for t in seen]), np.array([1 - way[t][0].cost for t in seen])
     chosen = different_poses(subject.body, poses, iou, SETTINGS.again_poses)
     frames = [own_at(who, seen[k]) for k in chosen]

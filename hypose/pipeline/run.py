@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,18 +15,37 @@ from hypose.body.body import Body
 from hypose.body.joint_angles import is_length, joint_angles
 from hypose.body.motion import Modes, Motion
 from hypose.calibration.findings import Finding
-from hypose.errors import InputError, extra
+from hypose.errors import HyposeError, InputError, extra
 from hypose.evidence.cues import OwnEvidence
 from hypose.geometry import Array
 from hypose.inference.layer import Recipe
 from hypose.io.files import read_json
 from hypose.io.motions.results import ResultsFolder, load_result_body, save_body, save_motion
 from hypose.pipeline.assessment import ASSESSMENT_FILE, Assessment, assess
-from hypose.pipeline.first_frame import TrackedSubject, forget_run
+from hypose.pipeline.first_frame import TrackedSubject
 from hypose.pipeline.moved_sensors import Places
-from hypose.pipeline.passes import AFTER_TRACKING, PASSES, ClipState, Pass, keep_motion, run_pass, to_motion
-from hypose.pipeline.track_loop import FrameSource, StageProgress
+from hypose.pipeline.passes import (
+    AFTER_TRACKING,
+    UNTIL_TRACKED,
+    ClipState,
+    clips_of_people,
+    keep_interrupted,
+    run_pass,
+)
+from hypose.pipeline.people import PeopleFinder
+from hypose.pipeline.person_paths import (
+    KeypointPeople,
+    PointFrames,
+    Wanted,
+    names_at_places,
+    padded,
+    per_frame,
+    said_of_places,
+)
+from hypose.pipeline.track_loop import Followed, FrameSource, StageProgress, tracker_of
+from hypose.pipeline.track_management import unfollowed
 from hypose.pipeline.track_options import TrackOptions
+from hypose.tracking.contacts import runs
 
 
 @dataclass(frozen=True)
@@ -43,6 +63,9 @@ class TrackResult:
     places: corrected places of depth cameras.
     unsure: that of the subject (`TrackedSubject`).
     judged: assessment of a result that was loaded; None: it is made of motion and findings.
+    name: of the person; empty where one person was tracked.
+    present: (T,) frames in which the person is there; in the others the motion is filled and marked as lost. None: the
+        person is there in all frames.
     """
 
     motion: Motion
@@ -56,11 +79,30 @@ class TrackResult:
     places: tuple[Places, ...] = ()
     unsure: Array | None = None
     judged: Assessment | None = None
+    name: str = ""
+    present: NDArray[np.bool_] | None = None
+
+    @property
+    def there(self) -> NDArray[np.bool_]:
+        """(T,) frames in which the person is there."""
+        return np.ones(len(self.motion), dtype=np.bool_) if self.present is None else self.present
 
     @property
     def assessment(self) -> Assessment:
-        """Assessment of the motion: good, to be reviewed, or not to be trusted, with reasons."""
-        return self.judged or assess(self.motion, self.findings)
+        """Assessment of the motion: good, to be reviewed, or not to be trusted, with reasons.
+
+        Only frames in which the person is there are assessed.
+        """
+        if self.judged is not None:
+            return self.judged
+        at = np.flatnonzero(self.there)
+        if len(at) in (0, len(self.motion)):
+            return assess(self.motion, self.findings)
+        found = assess(replace(self.motion, **per_frame(self.motion, at)), self.findings)
+        marked = np.zeros(len(self.motion), dtype=np.bool_)
+        for frames in found.frames:
+            marked[at[frames.start : frames.stop]] = True
+        return replace(found, frames=tuple(runs(marked)))
 
     @property
     def angles(self) -> dict[str, Array]:
@@ -111,7 +153,27 @@ class TrackResult:
             clip.findings,
             clip.places,
             clip.who.unsure,
+            name=clip.person.name,
+            present=np.array(clip.person.present, dtype=np.bool_) if clip.person.name else None,
         )
+
+
+@dataclass(frozen=True)
+class PeopleResult:
+    """Results of several people.
+
+    people: in the order in which they were found.
+    complete: all frames were tracked.
+    notes: for the report.
+    others: number of people in addition to those requested.
+    findings: reasons to distrust the places of depth cameras.
+    """
+
+    people: tuple[TrackResult, ...]
+    complete: bool
+    notes: tuple[str, ...] = ()
+    others: int = 0
+    findings: tuple[Finding, ...] = ()
 
 
 def load_tracked(folder: str | Path) -> TrackResult:
@@ -158,8 +220,6 @@ def track_source(
     find_places: correct depth cameras that stand elsewhere than the source says.
     Raises: InputError where the source has no frames.
     """
-    if len(source) == 0:
-        raise InputError("The recording has no frame to track; check the frame range and the videos.")
     clip = ClipState(
         source,
         frame_rate,
@@ -172,31 +232,141 @@ def track_source(
         resume=resume,
         find_places=find_places,
         progress=progress or (lambda stage, done, total: None),
-        subject=subject,
         given=subject is not None,
     )
-    out = run_passes(clip, PASSES)
-    if out.complete and results is not None:
-        forget_run(results)
-    return out
+    if subject is not None:
+        tracker = tracker_of(subject, options, frame_rate, method, own)
+        clip = replace(clip, people=(Followed.at_start("", subject, tracker),))
+    return _run(clip)[1][0]
+
+
+def track_people(
+    source: FrameSource,
+    frame_rate: float,
+    options: TrackOptions,
+    *,
+    count: int | None = None,
+    wanted: Sequence[Wanted] = (),
+    points: KeypointPeople | None = None,
+    folders: bool = True,
+    **kept: Any,
+) -> PeopleResult:
+    """Track several people in the frames of a source.
+
+    frame_rate: Hz.
+    count: most results; None: all people. Those beyond are tracked too, since they hide the others.
+    wanted: prior knowledge of some of them.
+    points: key points sorted by person, for the evidence 'keypoints' and 'both'.
+    folders: each person has a folder of their own in the results folder; else the motion of the one person who is asked
+        for is written into it.
+    kept: results, record, resume and progress, as for `track_source`.
+    Raises: InputError where the evidence cannot separate people; EvidenceError where no person is found.
+    """
+    kept = {"progress": lambda stage, done, total: None} | {k: v for k, v in kept.items() if v is not None}
+    if options.of_picture:
+        raise InputError("One camera alone cannot tell several people apart; leave out --people, or add cameras.")
+    if options.looks_at == "keypoints":
+        return _by_keypoints(source, frame_rate, options, count, wanted, points, kept)
+    if options.looks_at == "both" and points is None:
+        raise InputError("The evidence 'both' needs key points, and this recording has none; use silhouettes.")
+    used = points if options.looks_at == "both" else None
+    finder = PeopleFinder(source, frame_rate, options, count, wanted, used)
+    clip, done = _run(ClipState(source, frame_rate, options, finder=finder, folders=folders, **kept))
+    complete, names = all(p.complete for p in done), [p.name for p in clip.people]
+    said = *_who_is_there(done, frame_rate), *unfollowed(clip.coming)
+    said += tuple(w.not_found for w in wanted if w.name not in names)
+    said += said_of_places(wanted, len(names))
+    return PeopleResult(tuple(done), complete, said, len(names) - len(done), clip.findings)
+
+
+def _by_keypoints(
+    source: FrameSource,
+    frame_rate: float,
+    options: TrackOptions,
+    count: int | None,
+    wanted: Sequence[Wanted],
+    points: KeypointPeople | None,
+    kept: dict[str, Any],
+) -> PeopleResult:
+    """Track people by key points alone, each as if they were alone, since key points are sorted by person."""
+    if points is None or not points.tracks:
+        raise InputError(
+            "The evidence 'keypoints' needs key points of people on whom two cameras or more agree; check them "
+            "with `hypose check`, or use silhouettes."
+        )
+    total, done, tracks = len(source), list[TrackResult](), points.lasting(len(source))
+    where, order = [points.tracks[k] for k in tracks], [w.name for w in wanted]
+    names = names_at_places(wanted, len(where), lambda k, t: where[k].place(t)[:2], frame_rate)
+    ranked = sorted(range(len(tracks)), key=lambda k: order.index(names[k]) if names[k] in order else len(order))
+    results = kept.pop("results", None)
+    for k in ranked[:count]:
+        known = next((w for w in wanted if w.name == names[k]), Wanted(names[k]))
+        frames = PointFrames(source, points, tracks[k])
+        own, folder = replace(options, height=known.height or options.height), None
+        if results is not None:
+            folder = ResultsFolder(results.path / names[k])
+        out = track_source(frames, frame_rate, own, body=known.body, results=folder, **kept)
+        present = np.zeros(total, dtype=np.bool_)
+        present[frames.first : frames.first + len(out.motion)] = True
+        out = replace(out, motion=padded(out.motion, frames.first, total), name=names[k], present=present)
+        if folder is not None:
+            save_motion(out.motion, folder.motion)
+        done.append(out)
+        if not out.complete:
+            break
+    said = *_who_is_there(done, frame_rate), *said_of_places(wanted, len(tracks))
+    return PeopleResult(tuple(done), all(p.complete for p in done), said, len(tracks) - len(done))
+
+
+def _who_is_there(people: Sequence[TrackResult], frame_rate: float) -> tuple[str, ...]:
+    """Return sentences on who was there, and when."""
+    said = [f"{len(people)} {'people' if len(people) != 1 else 'person'}: {', '.join(p.name for p in people)}"]
+    for p in people:
+        at = np.flatnonzero(p.there)
+        if 0 < len(at) < len(p.motion):
+            said.append(f"{p.name} is there from {at[0] / frame_rate:.1f} to {(at[-1] + 1) / frame_rate:.1f} s")
+    return tuple(said)
+
+
+def _run(clip: ClipState) -> tuple[ClipState, list[TrackResult]]:
+    """Run all passes: find and track the people of a clip together, then finish the clip of each.
+
+    A KeyboardInterrupt after the first tracked frame keeps and writes what was tracked; before it, it is raised.
+    Returns: the clip after tracking, and the results of the people who are asked for.
+    Raises: InputError where the source has no frames; the error that ended tracking after some frames, when these have
+        been written.
+    """
+    if len(clip.source) == 0:
+        raise InputError("The recording has no frame to track; check the frame range and the videos.")
+    try:
+        for step in UNTIL_TRACKED:
+            clip = run_pass(step, clip)
+    except KeyboardInterrupt:
+        if not clip.estimates:
+            raise
+        clip = replace(clip, complete=False)
+    done, results = list[TrackResult](), clip.results
+    for own in clips_of_people(clip):  # after an interruption the motions of the others are kept as they were tracked
+        if clip.error is not None:
+            with contextlib.suppress(HyposeError):  # the first error is the one to report
+                keep_interrupted(own)
+            continue
+        done.append(finish(replace(own, complete=own.complete and all(p.complete for p in done))))
+    if clip.error is not None and results is not None:
+        kept = f"The {len(clip.estimates)} frames before are kept in {results.path}; see --resume."
+        raise type(clip.error)(f"{clip.error} {kept}") from clip.error
+    if results is not None and all(p.complete for p in done):
+        results.checkpoint.unlink(missing_ok=True)
+    return clip, done
 
 
 def finish(clip: ClipState) -> TrackResult:
-    """Correct, smooth, judge and write a clip that has been tracked."""
-    return run_passes(clip, AFTER_TRACKING)
-
-
-def run_passes(clip: ClipState, passes: Sequence[Pass]) -> TrackResult:
-    """Run passes one after the other and make the result.
-
-    A KeyboardInterrupt after the first tracked frame keeps and writes what was tracked; before it, it is raised.
-    """
+    """Correct, smooth, judge and write a clip of one person that has been tracked."""
     try:
-        for step in passes:
+        for step in AFTER_TRACKING:
             clip = run_pass(step, clip)
     except KeyboardInterrupt:
-        if clip.tracked is None:
+        if not clip.estimates:
             raise
-        tracked = replace(clip.tracked, complete=False)
-        clip = keep_motion(to_motion(replace(clip, tracked=tracked, findings=())))
+        clip = keep_interrupted(clip)
     return TrackResult.of(clip)

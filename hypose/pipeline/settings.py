@@ -135,14 +135,12 @@ class PipelineSettings:
     live_ease_s: Time constant of the transition from one body to another, s.
     live_window_s, live_every_s, live_audit_hz: Time (s) that a frame is judged with; time (s) between two judgements;
         rate of audited frames. `hypose track` also uses later frames; live tracking cannot.
-    live_together_m, live_together_s: Two bodies whose roots stay nearer than this (m) for this time (s) are one person.
     live_rig_usual_rate: Rate of cameras that do not report one, Hz.
     search_slowly_hz: Rate at which a start is searched and a body is fitted, Hz.
     search_gap_s: Time without pictures after which the motion before is not continued, s.
     search_decide, search_longest: Instants that decide on a start; most instants that are kept during a search.
     search_plain: Mean IoU from which a start is accepted.
     search_least_area: Least share of a picture that a person takes.
-    search_stride: Distance that a person walks between two searched frames, m.
     search_again_s, search_seldom_s: Time after which another person is searched again, s: doubled after each failure,
         and at most.
     processes_switch_s: Longest wait of a thread that takes or sends pictures for one that computes, s. Python's own 5
@@ -393,8 +391,6 @@ class PipelineSettings:
     live_window_s: float = 1.5
     live_every_s: float = 0.2
     live_audit_hz: float = 10.0
-    live_together_m: float = 0.2
-    live_together_s: float = 0.3
     live_rig_usual_rate: float = 30.0
     search_slowly_hz: float = 12.5
     search_gap_s: float = 1.0
@@ -402,7 +398,6 @@ class PipelineSettings:
     search_longest: int = 250
     search_plain: float = 0.5
     search_least_area: float = 0.002
-    search_stride: float = 0.4
     search_again_s: float = 2.0
     search_seldom_s: float = 60.0
     processes_switch_s: float = 0.0005

@@ -8,12 +8,13 @@ Where the person is alone, the frame decides that is explained best.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hypose.body.body import Body
+from hypose.cameras.camera import triangulate
 from hypose.errors import EvidenceError
 from hypose.evidence.frame import Frame, Silhouettes, pieces_of
 from hypose.evidence.prefetch import make_now
@@ -73,26 +74,16 @@ def apparent_height(silhouettes: Silhouettes) -> float | None:
     Returns: median over the usable views; None with fewer than two.
     Why not the hull: with a wrong unit it could have far too many cells.
     """
-    rows, extents = [], []
-    for c in np.flatnonzero(silhouettes.usable):
+    rig, usable = silhouettes.rig, silhouettes.usable
+    middles, extents = np.zeros((len(rig), 2)), np.zeros(len(rig))
+    for c in np.flatnonzero(usable).tolist():
         v, u = np.nonzero(silhouettes.informative[c])
-        camera = silhouettes.rig[int(c)]
-        pixel = np.array([0.5 * (u.min() + u.max()), 0.5 * (v.min() + v.max()), 1.0])
-        rotation = camera.camera_from_world[:3, :3]
-        ray = rotation.T @ np.linalg.solve(camera.K, pixel)
-        centre = -rotation.T @ camera.camera_from_world[:3, 3]
-        rows.append((centre, ray / np.linalg.norm(ray), rotation[2]))
-        extents.append(max(np.ptp(u) / camera.K[0, 0], np.ptp(v) / camera.K[1, 1]))
-    if len(rows) < 2:
-        return None
-    # the point with the least squared distance to all rays
-    across = [np.eye(3) - np.outer(d, d) for _, d, _ in rows]
-    right = np.asarray(sum(a @ c for a, (c, _, _) in zip(across, rows, strict=True)))
-    point = np.linalg.lstsq(np.asarray(sum(across)), right, rcond=None)[0]
-    depths = np.array([(point - c) @ axis for c, _, axis in rows])
-    if not (depths > 0).any():
-        return None
-    return float(np.median((np.array(extents) * depths)[depths > 0]))
+        middles[c] = 0.5 * (u.min() + u.max()), 0.5 * (v.min() + v.max())
+        extents[c] = max(np.ptp(u) / rig[c].K[0, 0], np.ptp(v) / rig[c].K[1, 1])
+    point = triangulate(rig, middles, usable)[0]
+    depths = np.array([c.camera_from_world[2, :3] @ point + c.camera_from_world[2, 3] for c in rig])
+    ahead = usable & (depths > 0)
+    return float(np.median((extents * depths)[ahead])) if ahead.any() else None
 
 
 def cut_edges(silhouettes: Silhouettes, view: int) -> tuple[str, ...]:
@@ -139,33 +130,18 @@ def check_start(value: float, frame: int) -> None:
         )
 
 
-def check_named_pose(named: str, value: float, others: Mapping[str, float], frame: int) -> None:
-    """Raise EvidenceError where another known pose explains a frame clearly better than the named one.
+def both_ways(tracker: Tracker, start: Array, at: int, frames: Sequence[Frame]) -> Iterator[tuple[int, FrameEstimate]]:
+    """Track frames forwards from number `at`, then backwards from it.
 
-    value: mean IoU of the named pose.
-    others: mean IoU of the other poses by name.
+    start: (D,) pose before the first step.
+    Yields: number and estimate of each frame.
     """
-    best = max(others, key=lambda k: others[k])
-    if value < others[best] - SETTINGS.check_worse_pose:
-        raise EvidenceError(
-            f"Frame {frame} does not show the pose {named!r}: a body in it overlaps {value:.0%} of the silhouettes, in "
-            f"the pose {best!r} {others[best]:.0%}; give --start {best} or --start hull (find out), or begin with "
-            "--frames where the pose is held."
-        )
-
-
-def track_frames(
-    tracker: Tracker, start: Array, frames: Sequence[Frame], tick: Callable[[], None]
-) -> list[FrameEstimate]:
-    """Track the frames one after the other from a pose (D,) before the first; return their estimates.
-
-    tick: called after each frame.
-    """
-    found: list[FrameEstimate] = []
-    for _, estimate in tracker.follow(tracker.start(start), frames):
-        found.append(estimate)
-        tick()
-    return found
+    for numbers in (range(at, len(frames)), range(at - 1, -1, -1)):
+        followed = tracker.follow(tracker.start(start), (frames[k] for k in numbers))
+        for k, (_, estimate) in zip(numbers, followed, strict=True):
+            if k == at:
+                start = estimate.pose
+            yield k, estimate
 
 
 @dataclass(frozen=True)
@@ -202,19 +178,12 @@ def way_of(
     recipe = replace(default(body, SETTINGS.choice_particles, rate, rivals=1), recover=Recovery(find=recover))
     tracker = Tracker(body, recipe, TrackerSettings(seed=seed, frame_rate=rate, rival_every=SETTINGS.choice_never_s))
     found: dict[int, FrameEstimate] = {}
-    pose = start.pose
-    for numbers in (range(at, len(frames)), range(at - 1, -1, -1)):
-        for k, (_, estimate) in zip(
-            numbers, tracker.follow(tracker.start(pose), (frames[k] for k in numbers)), strict=True
-        ):
-            found[k] = estimate
-            if (
-                best is not None
-                and len(found) >= SETTINGS.choice_enough
-                and _mean_more(found, best) > SETTINGS.choice_hopeless
-            ):
-                return None
-        pose = found[at].pose
+    for k, estimate in both_ways(tracker, start.pose, at, frames):
+        found[k] = estimate
+        if best is None or len(found) < SETTINGS.choice_enough:
+            continue
+        if _mean_more(found, best) > SETTINGS.choice_hopeless:
+            return None
     costs = np.array([found[k].cost for k in range(len(frames))])
     return StartTrial(start, at, np.stack([found[k].pose for k in range(len(frames))]), costs)
 
@@ -280,7 +249,8 @@ def best_ways(
     for k in numbers:
         try:
             if named is not None and k == 0:  # only the first frame is expected to show the named pose
-                starts = _in_named_pose(template, frames[0], named, height, extent)
+                start = named_start(template, frames[0], named, height, extent)
+                starts = Starts((start,), np.ones(1), np.zeros(len(start.body.skeleton.joint_names)))
             else:
                 starts = _searched(template, frames, k, height, extent)
         except EvidenceError as error:
@@ -343,18 +313,17 @@ def _searched(template: Body, frames: Sequence[Frame], at: int, height: float | 
     return weigh_starts(starts_in_frame(template, here, height, extent), [f for f in later if f.silhouettes.seen])
 
 
-def _in_named_pose(template: Body, frame: Frame, name: str, height: float | None, extent: float | None) -> Starts:
-    """Return the start in the named pose."""
-    body, pose, value = named_start(template, frame, name, height, extent)
-    start = Start(body, pose, 1 - value)
-    return Starts((start,), np.ones(1), np.zeros(len(body.skeleton.joint_names)))
-
-
 def _check_named(template: Body, frame: Frame, name: str, start: Start, extent: float | None) -> None:
-    """Raise EvidenceError where the frame shows another known pose than the named one."""
+    """Raise EvidenceError where a frame shows another known pose clearly better than the named one of the start."""
     others = [p for p in KNOWN_POSES if p != name]
-    overlap = {p: named_start(template, frame, p, start.body.stature, extent)[2] for p in others}
-    check_named_pose(name, 1 - start.cost, overlap, frame.index)
+    overlap = {p: 1 - named_start(template, frame, p, start.body.stature, extent).cost for p in others}
+    best, value = max(others, key=lambda p: overlap[p]), 1 - start.cost
+    if value < overlap[best] - SETTINGS.check_worse_pose:
+        raise EvidenceError(
+            f"Frame {frame.index} does not show the pose {name!r}: a body in it overlaps {value:.0%} of the "
+            f"silhouettes, in the pose {best!r} {overlap[best]:.0%}; give --start {best} or --start hull (find out), "
+            "or begin with --frames where the pose is held."
+        )
 
 
 def _overlap(start: Start, frame: Frame) -> float:
@@ -363,11 +332,11 @@ def _overlap(start: Start, frame: Frame) -> float:
 
 def named_start(
     template: Body, frame: Frame, pose: str, height: float | None = None, extent: float | None = None
-) -> tuple[Body, Array, float]:
+) -> Start:
     """Place the template in a known pose at the visual hull of one frame.
 
     height: m; None: several heights around `extent` (m; default: the hull's height) are tried.
-    Returns: body, pose (D,) and mean IoU of the height that fits best.
+    Returns: the start with the height that fits best; its cost is 1 - mean IoU.
     """
     prepared = prepare(frame, template, np.zeros(template.skeleton.dof))
     if height is not None:
@@ -376,12 +345,12 @@ def named_start(
         extent = extent or hull_of(prepared).height
         # the hull of a person who stands is as high as the person; raised arms add up to a third, bending reduces it
         heights = [h for h in (extent, extent / 1.05, extent / 1.28, 1.05 * extent) if 0.8 < h < 2.3] or [1.7]
-    best: tuple[float, Body, Array] | None = None
+    best: Start | None = None
     for h in heights:
         body = scaled_to_height(template, float(np.clip(h, 0.8, 2.3)))
         found = start_in_pose(body, prepared, (pose,)).pose
-        value = mean_overlap(body, found, prepared)
-        if best is None or value > best[0] + 0.002:
-            best = (value, body, found)
+        cost = 1 - mean_overlap(body, found, prepared)
+        if best is None or cost < best.cost - 0.002:
+            best = Start(body, found, cost)
     assert best is not None
-    return best[1], best[2], best[0]
+    return best

@@ -27,7 +27,7 @@ from hypose.io.files import write_text
 from hypose.io.motions.results import load_body, save_body
 from hypose.pipeline.left_right import correct_left_right
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.start_choice import best_ways, check_borders, check_person_size, no_two_views, track_frames
+from hypose.pipeline.start_choice import best_ways, both_ways, check_borders, check_person_size, no_two_views
 from hypose.tracking.frame_evidence import PreparedFrame, mean_overlap, prepare
 from hypose.tracking.recipes import default
 from hypose.tracking.refinement import refine
@@ -35,7 +35,7 @@ from hypose.tracking.shape_refinement import Known, ShapeSettings, refine_shape
 from hypose.tracking.start_search import Start
 from hypose.tracking.starts import KNOWN_POSES
 from hypose.tracking.subject import KeypointSubject, scaled_to_height
-from hypose.tracking.tracker import Tracker, TrackerSettings
+from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerSettings
 
 _FrameAt = Callable[[int], Frame]
 _Progress = Callable[[int, int], None]
@@ -178,13 +178,13 @@ def estimate_subject(
         start_pose, at, unsure = start, 0, np.zeros((2, len(template.skeleton.joint_names)))
     first, x = body, prior_mean()
     x[0] = np.log(body.stature / template.stature)
-    by_template, iou = _both_ways(body, start_pose, at, seen, rate, options, tick)
+    by_template, iou = _tracked_poses(body, start_pose, at, seen, rate, options, tick)
     chosen, tracked = different_poses(body, by_template, iou, options.frames), by_template
     outlines = [surface_evidence(seen[k]) for k in chosen]
     fit = refine_shape(template, tracked[chosen], outlines, known=known, options=options.shape, start=x)
     for _ in range(options.passes - 1):
         # tracking with the fitted body is better, so other frames and better poses can be fitted
-        tracked, iou = _both_ways(fit.body, tracked[at], at, seen, rate, options, tick)
+        tracked, iou = _tracked_poses(fit.body, tracked[at], at, seen, rate, options, tick)
         chosen = different_poses(fit.body, tracked, iou, options.frames)
         again = replace(options.shape, iterations=(0, *options.shape.iterations[1:]))
         outlines, x = [surface_evidence(seen[k]) for k in chosen], fit.log_factors
@@ -217,7 +217,7 @@ def estimate_subject(
     )
 
 
-def _both_ways(
+def _tracked_poses(
     body: Body,
     start: Array,
     at: int,
@@ -226,15 +226,18 @@ def _both_ways(
     options: AnthropometryOptions,
     tick: Callable[[], None],
 ) -> tuple[Array, Array]:
-    """Track the frames with few particles forwards and backwards from frame `at`; correct exchanged sides.
+    """Track the frames with few particles from frame `at` to both ends; correct exchanged sides.
 
     Returns: poses (T, D) and IoU (T,) in the order of the frames.
     """
     recipe = default(body, particles=options.particles, frame_rate=rate)
     tracker = Tracker(body, recipe, TrackerSettings(seed=options.seed, frame_rate=rate))
-    later = track_frames(tracker, start, frames[at:], tick)
-    earlier = track_frames(tracker, later[0].pose, frames[at - 1 :: -1], tick) if at else []
-    tracked, _ = correct_left_right(tracker, [*earlier[::-1], *later], lambda numbers: (frames[t] for t in numbers))
+    found = dict[int, FrameEstimate]()
+    for k, estimate in both_ways(tracker, start, at, frames):
+        found[k] = estimate
+        tick()
+    in_order = [found[k] for k in range(len(frames))]
+    tracked, _ = correct_left_right(tracker, in_order, lambda numbers: (frames[t] for t in numbers))
     return np.stack([e.pose for e in tracked]), np.array([1 - e.cost for e in tracked])
 
 

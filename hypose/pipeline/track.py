@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
@@ -10,26 +11,23 @@ from pathlib import Path
 from typing import Any, overload
 
 from hypose.body.body import Body
+from hypose.calibration.findings import INFO, Finding
+from hypose.cameras.camera import CameraRig
 from hypose.errors import InputError
 from hypose.evidence.cues import OwnEvidence
+from hypose.evidence.keypoints import keypoint_names
 from hypose.inference.layer import Recipe
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording, load_recording
-from hypose.pipeline.one_of_several import (
-    chosen_people,
-    keypoint_people,
-    people_frames,
-    track_one_of,
-    wanted_first,
-    wanted_of,
-    with_all_people,
-)
-from hypose.pipeline.people_run import PeopleRun
-from hypose.pipeline.run import TrackResult, track_source
+from hypose.io.recordings.recording_people import load_person
+from hypose.pipeline.assessment import other_people_note
+from hypose.pipeline.input_checks import places_refuted
+from hypose.pipeline.person_paths import KeypointPeople, Wanted, said_of_places
+from hypose.pipeline.recorded_frames import check_views, frames_wanted, people_frames, with_all_people
+from hypose.pipeline.run import PeopleResult, TrackResult, track_people, track_source
 from hypose.pipeline.subject_from_motion import load_subject
-from hypose.pipeline.track_loop import FrameList, StageProgress
-from hypose.pipeline.track_options import TrackOptions, check_views, frames_wanted
-from hypose.pipeline.tracked_people import PeopleResult
+from hypose.pipeline.track_loop import FrameList, FrameSource, StageProgress
+from hypose.pipeline.track_options import TrackOptions
 
 
 @overload
@@ -160,6 +158,92 @@ def _track_people(
         points = None
         if isinstance(source, FrameStream) and isinstance(loaded, Recording) and options.looks_at != "silhouettes":
             points = keypoint_people(loaded, source.rig)
-        found = PeopleRun(source, loaded.frame_rate, options, count, wanted, progress=progress, points=points)()
+        about = {"count": count, "wanted": wanted, "points": points, "progress": progress}
+        found = track_people(source, loaded.frame_rate, options, **about)
     kept = tuple(p for p in found.people if only in (None, p.name))
     return found if not kept else replace(found, people=kept, others=found.others + len(found.people) - len(kept))
+
+
+_COUNT = re.compile(r"[1-9][0-9]?")
+
+
+def wanted_of(recording: Recording) -> list[Wanted]:
+    """Read what recording.toml says about people."""
+    first = recording.frames.start / recording.frame_rate
+    return [
+        Wanted(
+            p.name,
+            p.height,
+            None if p.body is None else load_subject(p.body),
+            p.place,
+            p.time - first,
+        )
+        for p in recording.people
+    ]
+
+
+def wanted_first(recording: Recording, options: TrackOptions) -> list[Wanted]:
+    """Return the prior knowledge of the one person to track: the first person of recording.toml, with the requested
+    body or height.
+    """
+    first = (wanted_of(recording) or [Wanted("person-1")])[0]
+    body = first.body if options.subject is None else load_subject(options.subject)
+    return [replace(first, height=first.height or options.height, body=body)]
+
+
+def keypoint_people(recording: Recording, small: CameraRig) -> KeypointPeople | None:
+    """Load the people that a recording's key points show, where they are separated by their rays; None where there are
+    none.
+    """
+    found = load_person(recording, small)
+    if found is None or recording.keypoint_set is None or not found.one.by_rays:
+        return None
+    return KeypointPeople(found.one.people, keypoint_names(recording.keypoint_set), small)
+
+
+def chosen_people(text: str, wanted: Sequence[Wanted]) -> tuple[int | None, str | None]:
+    """Parse the option --people: 'all', a number, or a name in recording.toml.
+
+    Returns: maximum number of people (None: all), and the only name whose results are wanted (None: all).
+    Raises: InputError for other texts.
+    """
+    if text == "all":
+        return None, None
+    if _COUNT.fullmatch(text):
+        return int(text), None
+    if text in {w.name for w in wanted}:
+        return None, text
+    known = f"; recording.toml names {', '.join(w.name for w in wanted)}" if wanted else ""
+    raise InputError(
+        f"--people {text} is neither all, nor a number from 1 to 99, nor the name of a [[person]] in recording.toml"
+        f"{known}."
+    )
+
+
+def track_one_of(
+    source: FrameSource,
+    frame_rate: float,
+    options: TrackOptions,
+    *,
+    wanted: Sequence[Wanted] = (),
+    points: KeypointPeople | None = None,
+    command: str = "--people all",
+    **kept: Any,
+) -> TrackResult:
+    """Track all people together and return the result of one.
+
+    wanted: prior knowledge of the person; without it the person nearest to the middle of the cameras' view is taken.
+    points: key points sorted by person.
+    command: named in the note that other people are there.
+    kept: results, record, resume and progress, as for `track_source`.
+    Returns: result of the person; not to be trusted where no person was found at the wanted place.
+    """
+    found = track_people(source, frame_rate, options, count=1, wanted=wanted, points=points, folders=False, **kept)
+    one, more = found.people[0], found.others
+    said = (other_people_note(more, "masks", command),) if more and not places_refuted(found.findings) else ()
+    notes = said_of_places(wanted, 1 + more)
+    found_so = [*one.findings, *said, *(Finding("places", (), f"Note: {n}", severity=INFO) for n in notes)]
+    if wanted and wanted[0].place is not None and one.name != wanted[0].name:
+        text = f"{wanted[0].not_found}; the result is that of another person"
+        found_so.append(Finding("other person", (), text, "correct place and time of the [[person]] in recording.toml"))
+    return replace(one, findings=tuple(found_so), name="", present=None)

@@ -14,22 +14,33 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextvars import copy_context
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from hypose.errors import HyposeError
+from hypose.evidence.cues import OwnEvidence
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.evidence.prefetch import pack_once
 from hypose.geometry import Array
-from hypose.io.motions.results import Checkpoint, ResultsFolder
+from hypose.inference.layer import Recipe
+from hypose.io.motions.results import Checkpoint
 from hypose.pipeline.first_frame import TrackedSubject
-from hypose.pipeline.frame_anomalies import as_now, looked_at, mask_change
+from hypose.pipeline.frame_anomalies import looked_at, mask_change
 from hypose.pipeline.one_camera import FrameSource as FrameSource
 from hypose.pipeline.settings import SETTINGS
+from hypose.pipeline.track_options import TrackOptions
 from hypose.tracking.appearance import AppearanceModel
+from hypose.tracking.recipes import recipe
 from hypose.tracking.several import Member, step_together
-from hypose.tracking.tracker import FrameEstimate, TrackerState, estimates_from_arrays, estimates_to_arrays
+from hypose.tracking.tracker import (
+    FrameEstimate,
+    Tracker,
+    TrackerSettings,
+    TrackerState,
+    estimates_from_arrays,
+    estimates_to_arrays,
+)
 
 _LOG = logging.getLogger(__name__)
 
@@ -46,6 +57,11 @@ class FrameList:
 
     def __len__(self) -> int:
         return len(self.frames)
+
+    @property
+    def keypoints(self) -> list[Keypoints | None]:
+        """Key points of all frames."""
+        return [f.keypoints for f in self.frames]
 
     def frame(self, index: int, /) -> Frame:
         """Return frame number index, 0 <= index < len."""
@@ -78,6 +94,24 @@ class Deferred:
             raise KeyboardInterrupt
 
 
+def tracker_of(
+    subject: TrackedSubject,
+    options: TrackOptions,
+    frame_rate: float,
+    method: Recipe | None = None,
+    own: Sequence[OwnEvidence] = (),
+) -> Tracker:
+    """Build the tracker of a run.
+
+    method: recipe that replaces the recipe of the options.
+    own: evidence in addition to that of the frames.
+    """
+    about = {"frame_rate": frame_rate, "particles": options.particles, "refine": options.refine}
+    made = method or recipe(options.recipe, subject.body, **about, **options.own)
+    settings = TrackerSettings(evidence=options.looks_at, seed=options.seed, frame_rate=frame_rate)
+    return Tracker(subject.body, made, settings, subject.keypoints, own)
+
+
 @dataclass(eq=False)
 class Followed:
     """State of a person who is tracked.
@@ -85,7 +119,6 @@ class Followed:
     name: of the person; empty where there is only one.
     subject: body and start.
     member: tracker and its state after the last tracked frame.
-    results: folder of the person's results; None: nothing is written.
     asked_for: the result is wanted.
     estimates: of each frame so far.
     present: of each frame so far, whether the person is there.
@@ -99,7 +132,6 @@ class Followed:
     name: str
     subject: TrackedSubject
     member: Member
-    results: ResultsFolder | None = None
     asked_for: bool = True
     estimates: list[FrameEstimate] = field(default_factory=list)
     present: list[bool] = field(default_factory=list)
@@ -108,6 +140,12 @@ class Followed:
     track: int | None = None
     appearance: AppearanceModel = field(default_factory=AppearanceModel)
     said: list[str] = field(default_factory=list)
+
+    @staticmethod
+    def at_start(name: str, subject: TrackedSubject, tracker: Tracker) -> Followed:
+        """Make the state of a person before the first frame."""
+        start = tracker.start(subject.start if subject.rivals is None else subject.rivals)
+        return Followed(name, subject, Member(tracker, start))
 
     @property
     def last_seen(self) -> tuple[Array, int] | None:
@@ -137,8 +175,18 @@ class Followed:
         self.hidden.append(hidden)
 
 
-def _ignore(frame: Frame, seen: Sequence[Frame]) -> None:
-    """Manage no tracks: the people stay those of the start."""
+class PeopleManager(Protocol):
+    """Protocol of an object that manages several people while they are tracked."""
+
+    def keypoints(self, people: Sequence[Followed], t: int, /) -> Sequence[Keypoints | None]:
+        """Return the key points of each person in frame t; empty: people are tracked without key points."""
+        ...
+
+    def manage(self, session: TrackingSession, frame: Frame, seen: Sequence[Frame], /) -> None:
+        """Add, exchange and end people after a frame (`session.settle` first); seen: the frame as each person's tracker
+        saw it.
+        """
+        ...
 
 
 @dataclass(eq=False)
@@ -146,28 +194,22 @@ class TrackingSession:
     """People who are tracked together frame by frame, from the frame after those that are tracked already.
 
     people: all with the same number of tracked frames.
-    alone: one person, to whom all evidence of the frames belongs.
     frame_rate: Hz.
+    manager: manages several people; None: there is one person, to whom all evidence of the frames belongs.
     checkpoint: file for the state after a part of the frames; None: nothing is written.
     identity: identity of the run; a checkpoint of another run is refused.
     every: least number of frames between two checkpoints.
-    keypoints: called with a frame's number, gives the key points of each person, in the order of `people`; None: those
-        of the frame.
-    manage: called after each frame as manage(frame, seen), seen: the frame as each person's tracker saw it; it may
-        add, exchange and end people (`settle` first).
-    held: progress of what `manage` does; an interruption in it counts after the frame.
+    held: progress of what `manager` does; an interruption in it counts after the frame.
     coming: (4,) per possible new person of the last look: place (2,) m, failed fits, frame of the next fit.
     stopped: the user stopped `track`.
     """
 
     people: list[Followed]
-    alone: bool
     frame_rate: float
+    manager: PeopleManager | None = None
     checkpoint: Path | None = None
     identity: Mapping[str, Any] = field(default_factory=dict)
     every: int = 25
-    keypoints: Callable[[int], Sequence[Keypoints | None]] | None = None
-    manage: Callable[[Frame, Sequence[Frame]], None] = _ignore
     held: Deferred = field(default_factory=lambda: Deferred(lambda stage, done, total: None))
     coming: list[Array] = field(default_factory=list)
     stopped: bool = False
@@ -241,16 +283,12 @@ class TrackingSession:
         last: the frame before; None: there is none.
         """
         members = [p.member for p in self.people]
-        points = () if self.keypoints is None else self.keypoints(self.done)
-        if self.alone:
-            state, estimate = members[0].tracker.step(members[0].state, frame)
-            members, estimates, seen = [replace(members[0], state=state)], [estimate], [frame]
-        else:
-            members, estimates, seen = step_together(members, frame, points)
+        points = () if self.manager is None else self.manager.keypoints(self.people, self.done)
+        members, estimates, seen = step_together(members, frame, points, alone=self.manager is None)
         self.settle()
         self._judging = [pool.submit(copy_context().run, self._judged, frame, last, members, estimates, seen)]
         for p, member, estimate, own in zip(self.people, members, estimates, seen, strict=True):
-            if self.alone:
+            if self.manager is None:
                 p.take(estimate, member)
                 continue
             there, shown = p.member.present, own.visible_share
@@ -262,7 +300,8 @@ class TrackingSession:
                 p.hidden[since:] = [False] * len(p.hidden[since:])
             hidden = there and len(shown) and (shown > SETTINGS.rough_hidden).sum() < frame.fewest_views
             p.take(estimate, member, there, bool(hidden))
-        self.manage(frame, seen)
+        if self.manager is not None:
+            self.manager.manage(self, frame, seen)
 
     def _judged(
         self,
@@ -273,13 +312,11 @@ class TrackingSession:
         seen: Sequence[Frame],
     ) -> list[FrameEstimate]:
         """Add the statistics of a frame to the estimates of all people, see `looked_at`."""
-        if self.alone:
-            return [looked_at(members[0].tracker, estimates[0], frame, last)]
         for masks in frame.of(Silhouettes):
             pack_once(masks)
         change = mask_change(frame, last)  # of the complete masks, since the ignored part changes too
         return [
-            looked_at(m.tracker, estimate, own, None if last is None else as_now(own, last), change)
+            looked_at(m.tracker, estimate, own, last, change)
             for m, estimate, own in zip(members, estimates, seen, strict=True)
         ]
 
@@ -300,35 +337,36 @@ class TrackingSession:
         about = []
         for k, p in enumerate(self.people):
             arrays |= {f"{k}_{n}": v for n, v in p.member.state.to_arrays().items()}
-            arrays |= {f"{k}_done_{n}": v for n, v in estimates_to_arrays(p.estimates).items()}
+            arrays |= {f"{k}_subject_{n}": v for n, v in p.subject.to_arrays().items()}
+            done = estimates_to_arrays(p.estimates) if p.estimates else {}
+            arrays |= {f"{k}_done_{n}": v for n, v in done.items()}
             arrays |= {f"{k}_present": np.array(p.present), f"{k}_hidden": np.array(p.hidden)}
             arrays |= {f"{k}_{n}": v for n, v in p.appearance.arrays().items()}
             about.append({n: getattr(p, n) for n in ("name", "gone", "track", "asked_for", "said")})
             about[-1] |= {"there": p.member.present, "clothes": p.appearance.about}
         Checkpoint(self.done, arrays, {"people": about}, self.identity).save(path)
 
-    def load(self, path: Path, start_of: Callable[[str], Followed | None]) -> bool:
-        """Continue from the checkpoint of an interrupted run.
+    def load(self, path: Path, tracker_of: Callable[[TrackedSubject], Tracker]) -> None:
+        """Take the people over from the checkpoint of an interrupted run.
 
-        start_of: gives a person by name as at the start; None: not known any more.
-        Returns: whether there was a checkpoint with people who are all known.
-        Raises: InputError where it is of another run.
+        tracker_of: makes the tracker of a person.
+        Raises: InputError where the checkpoint is of another run.
         """
-        if not path.exists():
-            return False
-        saved, people = Checkpoint.load(path, self.identity), list[Followed]()
-        for k, about in enumerate(saved.meta.get("people", ())):
-            p = start_of(about["name"])
-            if p is None:
-                return False
+        saved, self.people = Checkpoint.load(path, self.identity), []
+        for k, about in enumerate(saved.meta["people"]):
             own = {n.removeprefix(f"{k}_"): v for n, v in saved.arrays.items() if n.startswith(f"{k}_")}
-            done = {n.removeprefix("done_"): v for n, v in own.items() if n.startswith("done_")}
-            state = TrackerState.from_arrays({n: v for n, v in own.items() if not n.startswith("done_")})
-            p.member = replace(p.member, state=state, present=bool(about["there"]))
-            p.estimates = estimates_from_arrays(done)
+            who, done, own = _split(own, "subject_", "done_")
+            subject = TrackedSubject.from_arrays(who)
+            member = Member(tracker_of(subject), TrackerState.from_arrays(own), bool(about["there"]))
+            p = Followed(about["name"], subject, member, estimates=estimates_from_arrays(done) if done else [])
             p.present, p.hidden = own["present"].tolist(), own["hidden"].tolist()
             p.gone, p.track, p.asked_for = int(about["gone"]), about["track"], about["asked_for"]
             p.appearance, p.said = AppearanceModel.of_arrays(own, about["clothes"]), list(about["said"])
-            people.append(p)
-        self.people, self.coming = people, list(saved.arrays.get("coming", ()))
-        return bool(people)
+            self.people.append(p)
+        self.coming = list(saved.arrays["coming"])
+
+
+def _split(arrays: Mapping[str, Array], *prefixes: str) -> list[dict[str, Array]]:
+    """Sort arrays by the prefix of their names, which is removed; the last group has none of the prefixes."""
+    groups = [{n.removeprefix(p): v for n, v in arrays.items() if n.startswith(p)} for p in prefixes]
+    return [*groups, {n: v for n, v in arrays.items() if not n.startswith(prefixes)}]

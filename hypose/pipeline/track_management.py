@@ -21,6 +21,7 @@ from hypose.tracking.appearance import Appearance, appearance_in, no_appearance
 from hypose.tracking.frame_evidence import PreparedFrame, mean_overlap, prepare
 from hypose.tracking.several import shape_of
 from hypose.tracking.start_search import start_from_hull
+from hypose.tracking.tracker import FrameEstimate
 
 # ---- wardrobe ------------------------------------------------------------------------------------------------------
 # Identify people by their clothes after they were near each other, or away.
@@ -128,17 +129,29 @@ def birth_candidates(known: Sequence[Other], silhouettes: Silhouettes, least: in
     return int(views.sum()) >= min(least, int(thin.usable.sum()))
 
 
+def doubles(people: Sequence[Sequence[FrameEstimate]]) -> set[int]:
+    """Find people who stay in one place with another person whose body explains the evidence better.
+
+    people: estimates of each person in the same frames; empty: the person is left out.
+    Returns: their indices.
+    """
+    worse = set[int]()
+    for i, a in enumerate(people):
+        for j, b in enumerate(people[:i]):
+            if not a or not b or worse & {i, j}:
+                continue
+            away = np.stack([e.pose[:3] for e in a]) - np.stack([e.pose[:3] for e in b])
+            if (np.linalg.norm(away, axis=1) < SETTINGS.newcomer_one_place_m).all():
+                costs = [np.mean([np.nan_to_num(e.cost, nan=1.0) for e in p]) for p in (a, b)]
+                worse.add(i if costs[0] >= costs[1] else j)
+    return worse
+
+
 def part_doubles(people: Sequence[Followed], frames: int) -> None:
     """Mark the worse of two bodies as gone that stay in one place for so many frames."""
-    for i, a in enumerate(people):
-        for b in people[:i]:
-            if not (a.member.present and b.member.present) or min(len(a.estimates), len(b.estimates)) < frames:
-                continue
-            poses = [np.stack([e.pose[:3] for e in p.estimates[-frames:]]) for p in (a, b)]
-            if (np.linalg.norm(poses[0] - poses[1], axis=1) < SETTINGS.newcomer_one_place_m).all():
-                costs = [np.mean([np.nan_to_num(e.cost, nan=1.0) for e in p.estimates[-frames:]]) for p in (a, b)]
-                worse = a if costs[0] >= costs[1] else b
-                worse.member = replace(worse.member, present=False)
+    known = [p.estimates[-frames:] if p.member.present and len(p.estimates) >= frames else () for p in people]
+    for k in doubles(known):
+        people[k].member = replace(people[k].member, present=False)
 
 
 def without_doubles(people: Sequence[Followed], frame: Frame) -> dict[str, TrackedSubject]:

@@ -6,11 +6,9 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Annotated, Any
 
-from hypose.errors import InputError
 from hypose.options import HEIGHT, RESEARCH, Option, Seed, declared
 
 if TYPE_CHECKING:  # options import nothing that computes
-    from hypose.io.recordings.frames import FrameSettings
     from hypose.io.recordings.recording import Recording
     from hypose.tracking.recipes import Preset
 
@@ -146,38 +144,3 @@ class CompareOptions:
     ] = None
     align: Annotated[bool, Option("Both have the same world: do not move the other onto the result.")] = True
     all_frames: Annotated[bool, Option("Also frames in which the person was lost or only predicted.")] = False
-
-
-def frames_wanted(recording: Recording, options: TrackOptions) -> FrameSettings | None:
-    """Return how the frames of a recording are read for a run; None: as usual.
-
-    Raises: InputError where a recipe for one camera lacks the pictures, masks or key points that it needs.
-    """
-    from hypose.io.recordings.frames import FrameSettings
-    from hypose.pipeline.one_camera import picture_options
-
-    if options.of_picture:
-        return picture_options(recording, options.start, options.looks_at)
-    if options.looks_at == "keypoints":  # key points need no images, so nothing is decoded
-        return FrameSettings(silhouettes=None)
-    if options.looks_at == "silhouettes" and "colours" in options.preset.likes and options.own.get("colours"):
-        return FrameSettings(silhouettes=recording.silhouettes, colours=True)
-    return None
-
-
-def check_views(recording: Recording, of_picture: bool = False) -> None:
-    """Raise InputError where the number of cameras does not suit: two or more, one depth camera, or with `of_picture`
-    the picture of one.
-    """
-    from hypose.pipeline.one_camera import one_view
-
-    if of_picture:
-        view = one_view(recording, None).views[0]
-        if view in recording.depth_views:
-            raise InputError(f"{view.name} is a depth camera, and this recipe looks at pictures; leave --recipe out.")
-    elif len(recording.views) == 1 and not recording.depth_views:
-        name = recording.views[0].name
-        raise InputError(
-            f"{recording.name} has one camera, {name}, and this needs two or more; track one with --recipe monocular "
-            f"--camera {name}, or add the others as [[view]] in recording.toml."
-        )

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -36,16 +37,16 @@ class Corruptions:
     calibration_error: float = 0.0
 
 
-CORRUPTIONS: dict[str, Corruptions] = {
-    "table": Corruptions(occluder="table"),
-    "treadmill": Corruptions(occluder="treadmill"),
-    "dropped-frames": Corruptions(dropped=0.08),
-    "dead-camera": Corruptions(dead_camera=1),
-    "desync": Corruptions(desync=(0, 1, 0, 2)),
-    "calibration-error": Corruptions(calibration_error=0.01),
-    "bad-calibration": Corruptions(calibration_error=0.03),
+CORRUPTIONS: dict[str, dict[str, Any]] = {
+    "table": {"occluder": "table"},
+    "treadmill": {"occluder": "treadmill"},
+    "dropped-frames": {"dropped": 0.08},
+    "dead-camera": {"dead_camera": 1},
+    "desync": {"desync": (0, 1, 0, 2)},
+    "calibration-error": {"calibration_error": 0.01},
+    "bad-calibration": {"calibration_error": 0.03},
 }
-"""Corruptions by name."""
+"""Fields of `Corruptions` that each named corruption sets."""
 
 
 def corruptions(*names: str) -> Corruptions:
@@ -53,14 +54,12 @@ def corruptions(*names: str) -> Corruptions:
 
     Raises: InputError with the list of names for an unknown name.
     """
-    out = Corruptions()
+    changed: dict[str, Any] = {}
     for name in names:
         if name not in CORRUPTIONS:
             raise InputError(f"There is no corruption {name!r}; the corruptions are {', '.join(CORRUPTIONS)}.")
-        one = CORRUPTIONS[name]
-        changed = {f.name: getattr(one, f.name) for f in fields(one) if getattr(one, f.name) != f.default}
-        out = replace(out, **changed)
-    return out
+        changed |= CORRUPTIONS[name]
+    return Corruptions(**changed)
 
 
 def smooth_noise(rng: np.random.Generator, shape: tuple[int, int], cell: float) -> NDArray[np.float32]:

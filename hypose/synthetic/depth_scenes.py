@@ -182,19 +182,17 @@ def depth_scene(
     sensors: str | CameraRig,
     *,
     seed: int = 0,
-    faults: SensorFaults | None = None,
 ) -> DepthScene:
     """Make the scene of a subject's performance in front of depth sensors.
 
     performance, subject: motion, and body of the person.
     sensors: name of a rig (`depth_rig`), or a rig.
     seed: of everything random.
-    faults: of the sensors; None: the defaults.
     """
     rig = depth_rig(sensors) if isinstance(sensors, str) else sensors
     what = sensors if isinstance(sensors, str) else f"{len(rig)} sensors"
     name = f"{performance.name}-{subject.name}-{what}-{seed}"
-    return DepthScene(name, subject, performance, rig, faults or SensorFaults(), seed)
+    return DepthScene(name, subject, performance, rig, seed=seed)
 
 
 def sensed(

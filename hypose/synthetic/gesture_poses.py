@@ -13,8 +13,6 @@ import numpy as np
 from hypose.geometry import Array
 from hypose.synthetic.gesture_people import SIDES, ArmGoal, GesturePerson, HandShape, Puppet, rotation_about, unit
 
-GESTURES = ("tee", "cross", "pause", "silence", "ok", "volume_up")
-"""Gestures that detectors learn. volume_up is a thumb up: the thesis does not define it."""
 _SHOULDER = {"left": 1.0, "right": -1.0}
 
 
@@ -251,6 +249,8 @@ _GESTURES = {
     "ok": _ok,
     "volume_up": _volume_up,
 }
+GESTURES = tuple(_GESTURES)
+"""Gestures that detectors learn. volume_up is a thumb up: the thesis does not define it."""
 
 
 def annotated(puppet: Puppet, name: str, leading: str) -> Array:

@@ -103,21 +103,47 @@ def _scaled(pose: Mapping[str, float], base: Mapping[str, float], amplitude: flo
     return {k: base.get(k, 0.0) + amplitude * (pose.get(k, 0.0) - base.get(k, 0.0)) for k in keys}
 
 
-def _repeated(
-    course: Sequence[_Key], whole: float, take: Take, share: float, speed: float, begin: float, end: float
-) -> list[_Key]:
-    """Repeat a course of key poses from `begin` until a second after `end` (s).
+def _course(
+    name: str,
+    rest: Mapping[str, float],
+    poses: Sequence[Mapping[str, float]],
+    course: Sequence[tuple[float, int]],
+    whole: float,
+    share: float,
+    begin: float,
+    stance: Stance,
+    smooth: float = 0.05,
+) -> Callable[..., Performance]:
+    """Make the function of a motion that repeats a course of key poses; its arguments are those of `act`.
 
-    course: instants within the course, s at normal speed, and key poses; the first is the pose at rest.
+    name: of the motion.
+    rest: channels of the pose at rest.
+    poses: channels of the key poses, which override _RELAXED.
+    course: instants within the course, s at normal speed, each with the number of its pose (0: at rest).
     whole: duration of the course with the pause after it, s.
     share: relative sd of the duration of each repetition.
+    begin: s, start of the first one.
+    stance, smooth: as in `_keyed`.
     """
-    keys, now = [course[0]], begin
-    while now < end + 1:
-        step = take.factor(share) / speed
-        keys += [(now + at * step, pose) for at, pose in course]
-        now += whole * step
-    return keys
+
+    def motion(
+        subject: SyntheticSubject,
+        duration: float,
+        frame_rate: float,
+        rng: np.random.Generator | None = None,
+        amplitude: float = 1.0,
+        speed: float = 1.0,
+    ) -> Performance:
+        take, t = Take(rng), sample_times(duration, frame_rate)
+        scaled = [_pose(rest), *(_scaled(_pose(_RELAXED, x), _pose(rest), amplitude) for x in poses)]
+        keys, now = [(0.0, scaled[0])], begin
+        while now < t[-1] + 1:
+            step = take.factor(share) / speed
+            keys += [(now + at * step, scaled[k]) for at, k in course]
+            now += whole * step
+        return perform(_keyed(name, t, keys, take, stance, smooth), subject)
+
+    return motion
 
 
 def _jab(side: str, reach: float = 1.0) -> dict[str, float]:
@@ -248,33 +274,147 @@ def wave(
     return perform(_keyed("wave", t, keys, take, Stance()), subject)
 
 
-def cross_arms(
-    subject: SyntheticSubject,
-    duration: float,
-    frame_rate: float,
-    rng: np.random.Generator | None = None,
-    amplitude: float = 1.0,
-    speed: float = 1.0,
-) -> Performance:
-    """Simulate folding the arms in front of the chest, holding, and letting them hang again (an IXMAS action).
+cross_arms = _course(
+    "cross_arms",
+    _RELAXED,
+    [
+        {
+            "both_shoulder_internal": 62,
+            "both_elbow_flexion": 100,
+            "both_clavicle_forward": 10,
+            "spine_lean": -2,
+            "left_shoulder_flexion": 40,
+            "right_shoulder_flexion": 28,
+            "both_shoulder_abduction": 10,
+        }
+    ],
+    ((0.0, 0), (0.7, 1), (2.2, 1), (2.9, 0)),
+    3.6,
+    0.1,
+    0.3,
+    Stance(),
+    0.09,
+)
+"""Fold the arms in front of the chest, hold, and let them hang again (an IXMAS action)."""
 
-    Arguments as in `act`.
-    """
-    take, t = Take(rng), sample_times(duration, frame_rate)
-    rest = _pose(_RELAXED)
-    folded = {
-        "both_shoulder_internal": 62,
-        "both_elbow_flexion": 100,
-        "both_clavicle_forward": 10,
-        "spine_lean": -2,
-        "left_shoulder_flexion": 40,
-        "right_shoulder_flexion": 28,
-        "both_shoulder_abduction": 10,
-    }
-    fold = _scaled(_pose(_RELAXED, folded), rest, amplitude)
-    course = [(0.0, rest), (0.7, fold), (2.2, fold), (2.9, rest)]
-    keys = _repeated(course, 3.6, take, 0.1, speed, 0.3, t[-1])
-    return perform(_keyed("cross_arms", t, keys, take, Stance(), 0.09), subject)
+_sit = _course(
+    "sit_down",
+    _RELAXED | {"forward": 0.02},
+    [
+        {
+            "up": -0.24,
+            "forward": -0.24,
+            "pelvis_lean": 24,
+            "spine_lean": 22,
+            "neck_lean": -18,
+            "both_shoulder_flexion": 42,
+            "both_elbow_flexion": 30,
+        },
+        {
+            "up": -0.49,
+            "forward": -0.47,
+            "pelvis_lean": 4,
+            "spine_lean": 6,
+            "neck_lean": -4,
+            "both_shoulder_flexion": 38,
+            "both_elbow_flexion": 52,
+            "both_shoulder_abduction": 6,
+        },
+    ],
+    ((0.0, 0), (0.6, 1), (1.15, 2), (2.3, 2), (2.9, 1), (3.6, 0)),
+    4.2,
+    0.1,
+    0.4,
+    Stance(0.0, 0.0, 0.17, 12.0),
+    0.1,
+)
+
+serve = _course(
+    "serve",
+    {
+        **_RELAXED,
+        "both_shoulder_flexion": 32,
+        "both_elbow_flexion": 55,
+        "both_shoulder_internal": 35,
+        "spine_turn": -12,
+        "pelvis_turn": -10,
+        "neck_turn": 15,
+        "up": -0.03,
+    },
+    [
+        {
+            "left_shoulder_flexion": 18,
+            "left_elbow_flexion": 14,
+            "right_shoulder_flexion": -12,
+            "right_elbow_flexion": 12,
+            "right_shoulder_abduction": 22,
+            "spine_turn": -20,
+            "pelvis_turn": -18,
+            "neck_turn": 26,
+            "forward": -0.05,
+        },
+        {
+            "left_shoulder_flexion": 148,
+            "left_elbow_flexion": 8,
+            "left_clavicle_up": 12,
+            "left_shoulder_abduction": 8,
+            "right_shoulder_flexion": 0,
+            "right_shoulder_abduction": 88,
+            "right_shoulder_internal": -75,
+            "right_elbow_flexion": 88,
+            "spine_turn": -28,
+            "pelvis_turn": -24,
+            "spine_lean": -14,
+            "spine_list": -8,
+            "neck_lean": -22,
+            "neck_turn": 30,
+            "up": -0.13,
+            "forward": 0.05,
+        },
+        {
+            "right_shoulder_flexion": 25,
+            "right_shoulder_abduction": 148,
+            "right_shoulder_internal": -20,
+            "right_elbow_flexion": 8,
+            "right_clavicle_up": 18,
+            "left_shoulder_flexion": 38,
+            "left_elbow_flexion": 80,
+            "left_shoulder_internal": 45,
+            "spine_turn": 14,
+            "pelvis_turn": 6,
+            "spine_list": -16,
+            "spine_lean": 6,
+            "neck_lean": -16,
+            "neck_turn": -6,
+            "forward": 0.16,
+            "both_heel": 0.10,
+            "up": 0.0,
+        },
+        {
+            "right_shoulder_flexion": 58,
+            "right_shoulder_abduction": -16,
+            "right_shoulder_internal": 40,
+            "right_elbow_flexion": 35,
+            "left_shoulder_flexion": 10,
+            "left_elbow_flexion": 70,
+            "spine_turn": 32,
+            "left_shoulder_internal": 40,
+            "pelvis_turn": 20,
+            "spine_lean": 28,
+            "neck_lean": -16,
+            "neck_turn": -24,
+            "up": -0.07,
+            "forward": 0.20,
+            "right_heel": 0.16,
+        },
+    ],
+    ((0.0, 0), (0.45, 1), (1.05, 2), (1.2, 2), (1.46, 3), (1.78, 4), (2.6, 0)),
+    3.2,
+    0.06,
+    0.3,
+    Stance(0.26, -0.22, 0.15, 22.0),
+)
+"""A right-handed tennis serve without racket: toss, trophy pose with bent knees, strike, follow-through; each 3.2 s."""
 
 
 def sit_down(
@@ -289,119 +429,7 @@ def sit_down(
 
     Arguments as in `act`.
     """
-    take, t = Take(rng), sample_times(duration, frame_rate)
-    rest = _pose(_RELAXED, {"forward": 0.02})
-    half = {
-        "up": -0.24,
-        "forward": -0.24,
-        "pelvis_lean": 24,
-        "spine_lean": 22,
-        "neck_lean": -18,
-        "both_shoulder_flexion": 42,
-        "both_elbow_flexion": 30,
-    }
-    seat = {
-        "up": -0.49,
-        "forward": -0.47,
-        "pelvis_lean": 4,
-        "spine_lean": 6,
-        "neck_lean": -4,
-        "both_shoulder_flexion": 38,
-        "both_elbow_flexion": 52,
-        "both_shoulder_abduction": 6,
-    }
-    a, b = (_scaled(_pose(_RELAXED, x), rest, amplitude) for x in (half, seat))
-    course = [(0.0, rest), (0.6, a), (1.15, b), (2.3, b), (2.9, a), (3.6, rest)]
-    keys = _repeated(course, 4.2, take, 0.1, speed, 0.4, t[-1])
-    return centred(perform(_keyed("sit_down", t, keys, take, Stance(0.0, 0.0, 0.17, 12.0), 0.1), subject))
-
-
-def serve(
-    subject: SyntheticSubject,
-    duration: float,
-    frame_rate: float,
-    rng: np.random.Generator | None = None,
-    amplitude: float = 1.0,
-    speed: float = 1.0,
-) -> Performance:
-    """Simulate a right-handed tennis serve without racket: toss, trophy pose with bent knees, strike, follow-through;
-    every 3.2 s.
-
-    Arguments as in `act`.
-    """
-    take, t = Take(rng), sample_times(duration, frame_rate)
-    ready = _pose(_RELAXED, {"both_shoulder_flexion": 32, "both_elbow_flexion": 55, "both_shoulder_internal": 35})
-    ready |= {"spine_turn": -12, "pelvis_turn": -10, "neck_turn": 15, "up": -0.03}
-    drop = {
-        "left_shoulder_flexion": 18,
-        "left_elbow_flexion": 14,
-        "right_shoulder_flexion": -12,
-        "right_elbow_flexion": 12,
-        "right_shoulder_abduction": 22,
-        "spine_turn": -20,
-        "pelvis_turn": -18,
-        "neck_turn": 26,
-        "forward": -0.05,
-    }
-    trophy = {
-        "left_shoulder_flexion": 148,
-        "left_elbow_flexion": 8,
-        "left_clavicle_up": 12,
-        "left_shoulder_abduction": 8,
-        "right_shoulder_flexion": 0,
-        "right_shoulder_abduction": 88,
-        "right_shoulder_internal": -75,
-        "right_elbow_flexion": 88,
-        "spine_turn": -28,
-        "pelvis_turn": -24,
-        "spine_lean": -14,
-        "spine_list": -8,
-        "neck_lean": -22,
-        "neck_turn": 30,
-        "up": -0.13,
-        "forward": 0.05,
-    }
-    strike = {
-        "right_shoulder_flexion": 25,
-        "right_shoulder_abduction": 148,
-        "right_shoulder_internal": -20,
-        "right_elbow_flexion": 8,
-        "right_clavicle_up": 18,
-        "left_shoulder_flexion": 38,
-        "left_elbow_flexion": 80,
-        "left_shoulder_internal": 45,
-        "spine_turn": 14,
-        "pelvis_turn": 6,
-        "spine_list": -16,
-        "spine_lean": 6,
-        "neck_lean": -16,
-        "neck_turn": -6,
-        "forward": 0.16,
-        "both_heel": 0.10,
-        "up": 0.0,
-    }
-    follow = {
-        "right_shoulder_flexion": 58,
-        "right_shoulder_abduction": -16,
-        "right_shoulder_internal": 40,
-        "right_elbow_flexion": 35,
-        "left_shoulder_flexion": 10,
-        "left_elbow_flexion": 70,
-        "spine_turn": 32,
-        "left_shoulder_internal": 40,
-        "pelvis_turn": 20,
-        "spine_lean": 28,
-        "neck_lean": -16,
-        "neck_turn": -24,
-        "up": -0.07,
-        "forward": 0.20,
-        "right_heel": 0.16,
-    }
-    poses = [_scaled(_pose(_RELAXED, x), ready, amplitude) for x in (drop, trophy, strike, follow)]
-    course = [(0.0, ready), (0.45, poses[0]), (1.05, poses[1]), (1.2, poses[1]), (1.46, poses[2])]
-    course += [(1.78, poses[3]), (2.6, ready)]
-    keys = _repeated(course, 3.2, take, 0.06, speed, 0.3, t[-1])
-    return perform(_keyed("serve", t, keys, take, Stance(0.26, -0.22, 0.15, 22.0)), subject)
+    return centred(_sit(subject, duration, frame_rate, rng, amplitude, speed))
 
 
 def combo(
@@ -622,5 +650,13 @@ def _around(p: Performance) -> Performance:
 
 
 MOTIONS: dict[str, Callable[..., Performance]] = {
-    f.__name__: f for f in (walk, jog, box, wave, cross_arms, punch, sit_down, serve, combo)
+    "walk": walk,
+    "jog": jog,
+    "box": box,
+    "wave": wave,
+    "cross_arms": cross_arms,
+    "punch": punch,
+    "sit_down": sit_down,
+    "serve": serve,
+    "combo": combo,
 }

@@ -51,6 +51,13 @@ RIG_NAMES = ("humaneva-4", "humaneva-7", "ixmas-5", "court-4", "ring-N")
 DISTORTION = np.array([-0.18, 0.06, 0.0008, -0.0006, 0.0])
 """Distortion of a common wide lens: barrel distortion of about 20 px in the corners of a 640x480 image."""
 _HEIGHTS = (1.6, 2.0, 1.3, 1.8, 1.5, 1.9, 1.4, 2.2)
+_CIRCLES = {
+    "humaneva-4": ((35, 145, 215, 325), 4.1, _HEIGHTS[:4], 600, (640, 480)),
+    "humaneva-7": ((35, 145, 215, 325, 5, 120, 245), 4.1, _HEIGHTS[:7], 600, (640, 480)),
+    "ixmas-5": ((20, 70, 150, 225), 3.8, (2.0, 2.5, 1.8, 2.3), 340, (390, 291)),
+    "court-4": ((40, 140, 220, 320), 13.5, (5.0, 5.0, 5.0, 5.0), 640, (640, 480)),
+}
+"""First arguments of `circle` for the cameras of a rig that stand on a circle."""
 
 
 def look_at(
@@ -118,24 +125,18 @@ def camera_rig(name: str, *, distorted: bool = False) -> CameraRig:
     """
     d = DISTORTION if distorted else None
     ring = re.fullmatch(r"ring-(\d+)", name)
-    if name == "humaneva-4":
-        cameras = circle((35, 145, 215, 325), 4.1, _HEIGHTS[:4], 600, (640, 480), distortion=d)
-    elif name == "humaneva-7":
-        azimuths = (35, 145, 215, 325, 5, 120, 245)
-        cameras = circle(azimuths, 4.1, _HEIGHTS[:7], 600, (640, 480), distortion=d)
-    elif name == "ixmas-5":
-        cameras = circle((20, 70, 150, 225), 3.8, (2.0, 2.5, 1.8, 2.3), 340, (390, 291), distortion=d)
-        cameras.append(look_at("cam5", (0.25, 0.45, 4.9), (0.0, 0.0, 0.9), 330, (390, 291), d))
-    elif name == "court-4":
-        cameras = circle((40, 140, 220, 320), 13.5, (5.0, 5.0, 5.0, 5.0), 640, (640, 480), distortion=d)
-    elif ring and 1 <= int(ring[1]) <= 16:
-        n = int(ring[1])
-        azimuths = [20 + 360 * k / n for k in range(n)]
-        cameras = circle(azimuths, 4.1, [_HEIGHTS[k % 8] for k in range(n)], 600, (640, 480), distortion=d)
+    n = int(ring[1]) if ring else 0
+    if name in _CIRCLES:
+        cameras = circle(*_CIRCLES[name], distortion=d)
+    elif 1 <= n <= 16:
+        heights = [_HEIGHTS[k % 8] for k in range(n)]
+        cameras = circle([20 + 360 * k / n for k in range(n)], 4.1, heights, 600, (640, 480), distortion=d)
     else:
         raise InputError(
             f"There is no camera rig {name!r}; the rigs are {', '.join(RIG_NAMES)} (N = 1 to 16 cameras in a ring)."
         )
+    if name == "ixmas-5":
+        cameras.append(look_at("cam5", (0.25, 0.45, 4.9), (0.0, 0.0, 0.9), 330, (390, 291), d))
     return CameraRig(tuple(cameras))
 
 

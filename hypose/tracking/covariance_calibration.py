@@ -2,8 +2,8 @@
 
 The curvature of a cost gives the covariance V of a pose, but not how far the body's joint lies from the anatomical one.
 So the variance is a^2 V + b^2: a because errors of neighbouring residuals are correlated, b for the definition of the
-joint and for the body, the same in all frames. a and b were fitted to errors on scenes (scripts/train_doubt.py), per
-joint, angle and kind of evidence (`hypose.body.motion`). Two terms are added: the lasting residuals of key points
+joint and for the body, the same in all frames. a and b were fitted to errors on scenes (scripts/train_error_model.py),
+per joint, angle and kind of evidence (`hypose.body.motion`). Two terms are added: the lasting residuals of key points
 (`systematic_covariance`), and (c x)^2, where x is by how much more than usual the views contradict each other
 (`hypose.tracking.joint_features`): wrong calibrations, delays and bodies are wrong in all frames.
 

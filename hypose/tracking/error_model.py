@@ -3,7 +3,7 @@ features.
 
 A Gaussian covariance describes the uncertainty around the estimated pose; it cannot describe an arm that is at another
 place. So this probability is kept apart from the covariance. The weights were fitted to scenes
-(scripts/train_doubt.py), one set per kind of evidence and group of joints.
+(scripts/train_error_model.py), one set per kind of evidence and group of joints.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ class ErrorModel:
     middle, scale: (F,) centre and scale that normalise the features.
     weights: (G, F), offset: (G,): log-odds of a joint from its own features.
     in_clip: (G, 6) weights of the terms of `within_clip`, for the final log-odds.
-    threshold: (G,) probability above which a joint is doubtful.
+    threshold: (G,) probability above which a joint has low confidence.
     The methods take the joints' names (J,).
     """
 
@@ -96,9 +96,9 @@ class ErrorModel:
         return np.maximum(z * weights, -MOST_SD * np.abs(weights)).sum(-1) + self.offset[groups]
 
     def within(self, odds: Array, names: tuple[str, ...], clip: ArrayLike) -> Array:
-        """Correct the log-odds (T, J) of `of_joints` by the clip's doubt and the neighbouring joints.
+        """Correct the log-odds (T, J) of `of_joints` by the error level of the clip and the neighbouring joints.
 
-        clip: doubt of the clip (`doubt_of_clip`), one number or (T,).
+        clip: error level of the clip (`error_level`), one number or (T,).
         Returns: (T, J) log-odds.
         """
         return (within_clip(odds, names, clip) * self.in_clip[groups_of(names)]).sum(-1)
@@ -106,7 +106,7 @@ class ErrorModel:
     def log_odds(self, features: Array, names: tuple[str, ...]) -> Array:
         """Compute the log-odds (T, J) of the joints of one clip from their features (T, J, F)."""
         odds = self.of_joints(features, names)
-        return self.within(odds, names, doubt_of_clip(odds, names))
+        return self.within(odds, names, error_level(odds, names))
 
 
 BY_ITSELF = (0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
@@ -118,20 +118,20 @@ def within_clip(odds: Array, names: tuple[str, ...], clip: ArrayLike) -> Array:
     """Build the terms that `ErrorModel.in_clip` weights.
 
     odds: (T, J) log-odds of joints by their own features.
-    clip: doubt of the clip, one number or (T,).
-    Returns: (T, J, 6): 1, doubt, odds, odds x doubt, mean odds of the neighbours, that mean x doubt.
+    clip: error level of the clip, one number or (T,).
+    Returns: (T, J, 6): 1, level, odds, odds x level, mean odds of the neighbours, that mean x level.
     """
-    doubt = np.broadcast_to(np.asarray(clip)[..., None], odds.shape)
+    level = np.broadcast_to(np.asarray(clip)[..., None], odds.shape)
     near = np.clip(odds, -_SUREST, _SUREST) @ _nearby(names).T
-    return np.stack([np.ones(odds.shape), doubt, odds, odds * doubt, near, near * doubt], -1)
+    return np.stack([np.ones(odds.shape), level, odds, odds * level, near, near * level], -1)
 
 
 CALM_P = 0.06
-"""Mean probability over a clip up to which its doubt is 0."""
+"""Mean error probability over a clip up to which its error level is 0."""
 
 
-def doubt_of_clip(odds: Array, names: tuple[str, ...]) -> float:
-    """Compute the doubt of a clip: the log of its mean error probability relative to CALM_P, at least 0.
+def error_level(odds: Array, names: tuple[str, ...]) -> float:
+    """Compute the error level of a clip: the log of its mean error probability relative to CALM_P, at least 0.
 
     odds: (T, J) log-odds of joints; the mean is over the groups' means.
     Why: where the body as a whole is wrong, single joints are right by chance, and their features say less.
@@ -142,11 +142,10 @@ def doubt_of_clip(odds: Array, names: tuple[str, ...]) -> float:
 
 @cache
 def error_models() -> Mapping[str, ErrorModel]:
-    """Load the fitted models by evidence; the one of "depth" is the mask model to which `DepthErrorModel` was
-    fitted."""
-    kept = json.loads(files("hypose.assets").joinpath("doubt.json").read_text(encoding="utf-8"))
+    """Load the fitted models by evidence: "silhouettes", "keypoints", "both" and "depth"."""
+    kept = json.loads(files("hypose.assets").joinpath("error_model.json").read_text(encoding="utf-8"))
     if kept["features"] != list(FEATURES) or kept["groups"] != list(GROUPS):
-        raise ValueError("assets/doubt.json was fitted to other features; run scripts/train_doubt.py")
+        raise ValueError("assets/error_model.json was fitted to other features; run scripts/train_error_model.py")
     return {
         evidence: ErrorModel(*(np.array(m[k]) for k in (f.name for f in fields(ErrorModel))))
         for evidence, m in kept["models"].items()
@@ -164,7 +163,7 @@ def evidence_of(audit: ArrayLike) -> str:
 def judged(
     motion: Motion, raw_joints: Array, audit: ArrayLike, unsure: Array | None = None, known: str | None = None
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Compute the error probability of every joint and frame, and which joints are doubtful.
+    """Compute the error probability of every joint and frame, and which joints have low confidence.
 
     motion: the smoothed clip of T frames.
     raw_joints: (T, J, 3) joints as tracked frame by frame, before smoothing, m.
@@ -172,32 +171,28 @@ def judged(
     unsure: (2, J) probability that each joint is elsewhere at the start, from `Starts.unsure`: body turned around
         (later frames may decide that); another posture. Both hold until the person has taken another pose.
     known: "depth" for depth cameras, which the audit does not show; None: the evidence is found from the audit.
-    Returns: (T, J) probabilities of an error above WRONG_M; (T, J) true for doubtful joints.
+    Returns: (T, J) probabilities of an error above WRONG_M; (T, J) true for joints of low confidence.
     With key points no joint is more certain than its covariance says. With key points alone, joints for which the set
-        has no point are never doubtful. In frames without the person the probability is at least 0.5 and all joints are
-        doubtful.
+        has no point never have low confidence. In frames without the person the probability is at least 0.5 and all
+        joints have low confidence.
     """
     names = motion.skeleton.joint_names
-    groups, evidence = groups_of(names), evidence_of(audit)
-    model = error_models()[known if known == "depth" else evidence]
-    odds = model.log_odds(clip_features(motion, raw_joints, audit), names)
-    threshold = model.threshold[groups]
-    if known == "depth":
-        odds = depth_error_model().log_odds(odds, groups, motion.n_views)
-        threshold = np.full(len(groups), DEPTH_DOUBTFUL)
-    p = probability(odds)
+    evidence = known or evidence_of(audit)
+    model = error_models()[evidence]
+    p = probability(model.log_odds(clip_features(motion, raw_joints, audit), names))
     p = np.maximum(p, _by_twisted_trunk(motion))
     if evidence == "keypoints":
         p = np.maximum(p, _by_few_views(motion, audit))
-    if (known or evidence) in ("keypoints", "both"):  # sets without some joints; masks show the whole body
+    if evidence in ("keypoints", "both"):  # sets without some joints; masks show the whole body
         p = np.maximum(p, _by_spread(with_fitted_joints(motion, evidence, beyond_usual(audit, evidence))))
-    if (known or evidence) == "silhouettes":  # evidence beyond outlines shows which leg is which
+    if evidence == "silhouettes":  # evidence beyond outlines shows which leg is which
         p = np.maximum(p, _by_crossed_legs(motion))
     if unsure is not None:
         turned, otherwise = unsure
         held = _as_at_start(motion)[:, None]
         p = 1 - (1 - p) * (1 - _open(audit) * turned * held) * (1 - _misfit(motion) * otherwise * held)
     p = np.where(motion.lost[:, None], np.maximum(p, 0.5), p)
+    threshold = model.threshold[groups_of(names)]
     low_confidence = (p > threshold) & ~(not_in_set(audit) if evidence == "keypoints" else np.False_)
     return p.astype(np.float32), np.asarray(low_confidence | motion.lost[:, None])
 
@@ -216,10 +211,10 @@ def needs_review(p: ArrayLike, joints: NDArray[np.bool_], evidence: str) -> NDAr
     """Select the frames that need a review.
 
     p: (T, J) error probabilities of the joints.
-    joints: (T, J) true for doubtful joints.
+    joints: (T, J) true for joints of low confidence.
     evidence: "silhouettes", "keypoints" or "both".
-    Returns: (T,) true for frames with a doubtful joint; with masks alone, in which many joints are slightly doubtful,
-        only where the probabilities of the doubtful joints sum to LOOK_P or more.
+    Returns: (T,) true for frames with a joint of low confidence; with masks alone, in which many joints are slightly
+        suspect, only where the probabilities of these joints sum to LOOK_P or more.
     """
     any_joint = np.asarray(joints.any(1), dtype=np.bool_)
     if evidence != "silhouettes":
@@ -230,8 +225,8 @@ def needs_review(p: ArrayLike, joints: NDArray[np.bool_], evidence: str) -> NDAr
 LOOK_P = 0.25
 """Expected number of wrong joints from which a frame needs a review.
 
-Why: joints are doubtful long before they are likely wrong, so that few errors are missed. On the training scenes 6 % of
-the good frames reach it (16 % have a doubtful joint), and 91 % of those with a wrong arm (95 % have a doubtful joint).
+Why: joints have low confidence long before they are likely wrong, so that few errors are missed. On the training scenes
+6 % of the good frames reach it (16 % have a joint of low confidence), and 91 % of those with a wrong arm (95 %).
 """
 
 
@@ -240,43 +235,10 @@ def probability(odds: Array) -> Array:
     return 1 / (1 + np.exp(-np.clip(odds, -30.0, 30.0)))
 
 
-@dataclass(frozen=True)
-class DepthErrorModel:
-    """Correction of the silhouette model's log-odds for depth cameras; their only frequent errors are in what they do
-    not see.
-
-    level: (S, G) offset for one, two, ... S or more sensors, per group of joints.
-    slope: (G,) factor on the log-odds.
-    """
-
-    level: Array
-    slope: Array
-
-    def log_odds(self, odds: Array, groups: NDArray[np.int64], sensors: ArrayLike) -> Array:
-        """Convert log-odds (T, J) of the silhouette model to those of depth.
-
-        groups: (J,) group of each joint.
-        sensors: (T,) number of sensors in each frame.
-        """
-        row = np.clip(np.asarray(sensors, dtype=np.int64), 1, len(self.level)) - 1
-        return self.level[row][:, groups] + self.slope[groups] * odds
-
-
-DEPTH_DOUBTFUL = 0.2
-"""probability from which a joint is doubtful with depth cameras; six of ten such joints are wrong (seeds 20 to 29)"""
-
-
-@cache
-def depth_error_model() -> DepthErrorModel:
-    """Load the depth model as fitted by scripts/train_depth_spread.py."""
-    kept = json.loads(files("hypose.assets").joinpath("depth_doubt.json").read_text(encoding="utf-8"))
-    return DepthErrorModel(np.array(kept["level"]), np.array(kept["slope"]))
-
-
 def as_mixture(motion: Motion) -> Motion:
-    """Widen the covariances of doubtful joints to those of two cases: the joint is right, or it is wrong.
+    """Widen the covariances of joints of low confidence to those of two cases: the joint is right, or it is wrong.
 
-    motion: with error probabilities and doubtful joints.
+    motion: with error probabilities and joints of low confidence.
     A wrong joint is ELSEWHERE_M away in any direction, with its error probability. The standard deviations of the
     angles that move such a joint are widened in the same way, by ELSEWHERE_RAD.
     """
@@ -289,7 +251,7 @@ def without_mixture(motion: Motion) -> Motion:
 
 
 def _with_other_case(motion: Motion, times: float) -> Motion:
-    """Add the spread of the case that a doubtful joint is wrong to the covariances of a motion, `times` as often.
+    """Add the spread of the case that a joint of low confidence is wrong to a motion's covariances, `times` as often.
 
     times: 1 adds it, -1 removes it.
     """

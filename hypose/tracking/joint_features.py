@@ -28,7 +28,6 @@ from hypose.evidence.terms import Limb
 from hypose.geometry import Array
 from hypose.tracking.arm_workspace import ArmReach, arm_reach, ends, in_practice
 from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, KeypointModel, check_sides_and_views, pixels_per_metre
-from hypose.tracking.named_sides import views_by_names
 
 _SCALE_M = 0.025
 """m: scale of Tukey's weight on the distance of outlines; zero at three times that, because it is another object."""
@@ -91,35 +90,20 @@ def apart(shifts: Array) -> float:
 
 
 AUDITED = (
-    *("bare", "bare_second", "bare_reach", "exposed", "exposed_second", "outside"),
-    *(
-        "rival",
-        "elsewhere",
-        "elsewhere_by",
-        "loose",
-        "exchanged",
-        "points_median",
-        "points_worst",
-        "points_views",
-        "points_all",
-    ),
-    *("points_agree", "points_against", "renamed", "named", "apart"),
+    *("bare", "bare_second", "exposed", "exposed_second", "outside", "loose", "exchanged"),
+    *("points_median", "points_worst", "points_views", "points_all", "points_agree", "points_against", "apart"),
 )
 """Columns of an audit, per joint and frame ("part": the skin of a joint; NaN: no such evidence):
 bare: area of mask within _NEAR_M of the joint that the body does not cover, sum over the views, m^2;
-    bare_second: in the view with the second largest area; bare_reach: within the limb's reach of its root, sum.
+    bare_second: in the view with the second largest area.
 exposed: share of the joint's part that no other part covers, sum over the views; exposed_second: second largest.
 outside: share of the part outside the masks, sum over the views.
-rival: spread of the alternative poses, m.
-elsewhere: with depth: spread of all arms within reach that fit the masks about as well, m; 0 for other joints, NaN in
-    frames in which the arm is not searched; elsewhere_by: by how much of its energy the best of them beats a clearly
-    worse arm.
-loose: without depth: how far elbow and wrist may move while the masks hardly change, m; NaN as for elsewhere.
+loose: how far elbow and wrist may move while the masks hardly change, m; 0 for other joints, NaN in frames in which the
+    arm is not tried, and with depth.
 exchanged: gain in mask overlap (IoU) of the body with exchanged sides; NaN where it was not tried.
 points_median, points_worst: distance of the joint's key points from it, median and largest over the views, m.
 points_views: views with such a point; points_all: median distance of all points of the frame, m.
 points_agree, points_against: views whose detected point is near the joint, and far from it.
-renamed, named: views whose names put the joint's limb on the other side, and on its own (0 for joints of no limb).
 apart: contradiction between the views' masks as a whole, m, the same for all joints; NaN where not computed.
 """
 _NEAR_M = 0.25
@@ -131,8 +115,7 @@ _PARTS = (
     *(("pelvis", "spine", "chest", "left_clavicle", "right_clavicle"), ("neck", "head")),
 )
 """Groups of joints whose skin is one part."""
-_ROOTS = (("left_shoulder", 0.75), ("right_shoulder", 0.75), ("left_hip", 1.0), ("right_hip", 1.0))
-"""Root joints of the limbs, and how far the limbs reach, m."""
+_TRUNK = 8
 _NEARBY_M = 0.4
 _AGREE_M = 0.06
 """m: a key point nearer to its joint agrees with it; one more than twice as far contradicts it"""
@@ -140,17 +123,9 @@ _FAR_M = 0.5  # m, larger distances are cut off
 
 
 @lru_cache(8)
-def _layout(names: tuple[str, ...]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], Array]:
-    """Look up the part and limb (-1: none) of each joint, the limbs' root joints, and radii around joints and roots,
-    m."""
-    part = np.array([next((k for k, p in enumerate(_PARTS) if n in p), 8) for n in names])
-    limb = np.full(len(names), -1)
-    for j, name in enumerate(names):
-        if name.endswith(("shoulder", "elbow", "wrist", "hip", "knee", "ankle")):
-            arm = name.endswith(("shoulder", "elbow", "wrist"))
-            limb[j] = (0 if arm else 2) + name.startswith("right")
-    roots = np.array([names.index(n) for n, _ in _ROOTS if n in names])
-    return part, limb, roots, np.concatenate([np.full(len(names), _NEAR_M), [r for _, r in _ROOTS]])
+def _part_of_joint(names: tuple[str, ...]) -> NDArray[np.int64]:
+    """Look up the part (J,) of each joint, an index in _PARTS; the trunk for joints of other names."""
+    return np.array([next((k for k, p in enumerate(_PARTS) if n in p), _TRUNK) for n in names])
 
 
 def views_apart(audit: ArrayLike) -> float:
@@ -176,7 +151,7 @@ def more_than_body(audit: ArrayLike, n_views: ArrayLike) -> float:
 @lru_cache(4)
 def _face_parts(body: Body) -> NDArray[np.uint8]:
     """Find the part (index in _PARTS) of each face (F,) of the body's coarse mesh; cached per body."""
-    part, *_ = _layout(tuple(body.skeleton.joint_names))
+    part = _part_of_joint(tuple(body.skeleton.joint_names))
     corner = part[body.coarse.main_joint][body.coarse.faces]
     return np.where(corner[:, 1] == corner[:, 2], corner[:, 1], corner[:, 0]).astype(np.uint8)
 
@@ -186,34 +161,28 @@ def audit_frame(
     pose: Array,
     frame: Frame,
     model: KeypointModel | None = None,
-    rivals: tuple[ArrayLike, ArrayLike] | None = None,
     exchanged: float = float("nan"),
 ) -> NDArray[np.float32]:
     """Compute the audit of one frame: how well the evidence supports each joint of a tracked pose.
 
     pose: (D,).
     model: where key points sit on the body; None: key points are not used.
-    rivals: alternative poses (K, D) and their weights (K,); NaN where there are fewer than K.
     exchanged: gain of the body with exchanged sides, NaN where it was not tried.
     Returns: (J, len(AUDITED)); NaN where the frame has no such evidence.
     """
     names = tuple(body.skeleton.joint_names)
     out = np.full((len(names), len(AUDITED)), np.nan, np.float32)
-    joints = body.joints(pose)
     for silhouettes in frame.of(Silhouettes):
         if not silhouettes.usable.any():
             continue
         masks = prepared_masks(silhouettes)
         _masks(body, pose, silhouettes, masks, frame.index % _RARELY == 0, out)
-        if frame.fewest_views == 1:
-            out[:, 7:9] = _elsewhere(body, pose, masks, frame.index)
-        else:
-            out[:, 9] = _loose(body, pose, masks, frame.index)
-    out[:, 6] = _rivals(body, joints, rivals)
-    out[:, 10] = exchanged
+        if frame.fewest_views > 1:
+            out[:, AUDITED.index("loose")] = _loose(body, pose, masks, frame.index)
+    out[:, AUDITED.index("exchanged")] = exchanged
     for points in frame.of(Keypoints):
         if model is not None and model.names == points.names:
-            out[:, 11:-1] = _points(body, pose, points, model)
+            out[:, AUDITED.index("points_median") : -1] = _points(body, pose, points, model)
     return out
 
 
@@ -225,18 +194,17 @@ def _masks(
     apart_too: bool,
     out: NDArray[np.float32],
 ) -> None:
-    """Fill the columns of out (J, A) that come from masks, except "loose" and "elsewhere"; "apart" only where
-    apart_too.
+    """Fill the columns of out (J, A) that come from masks, except "loose"; "apart" only where apart_too.
 
     pose: (D,) of the body.
     masks: the silhouettes, prepared for the scorer.
     """
-    part, limb, roots, reach = _layout(tuple(body.skeleton.joint_names))
+    part = _part_of_joint(tuple(body.skeleton.joint_names))
     vertices, joints = body.skin(pose), body.joints(pose)
-    points, part_of_face = np.concatenate([vertices, joints, joints[roots]]), _face_parts(body)
+    points, part_of_face = np.concatenate([vertices, joints]), _face_parts(body)
     views = np.flatnonzero(silhouettes.usable)
     shifts, square = np.full((len(views), 2), np.nan), np.ones((len(views), 1))
-    bare, exposed, outside = (np.zeros((len(views), n)) for n in (len(reach), len(_PARTS), len(_PARTS)))
+    bare, exposed, outside = (np.zeros((len(views), n)) for n in (len(joints), len(_PARTS), len(_PARTS)))
     area = np.ones((len(views), len(_PARTS)), np.int64)
     for k, c in enumerate(views.tolist()):
         p, (w, h) = masks.projections[c], masks.sizes[c].tolist()
@@ -254,19 +222,18 @@ def _masks(
         uv /= step
         drawn = draw_parts(uv, z, body.coarse.faces, part_of_face, len(_PARTS), shape)
         hidden, box = masks.hidden[c] if len(masks.hidden) else None, (x0, x1, y0, y1)
-        seen = parts_against_mask(masks.bits[c], drawn, box, step, uv[-len(reach) :], reach * size, hidden)
+        near = np.full(len(joints), _NEAR_M * size)
+        seen = parts_against_mask(masks.bits[c], drawn, box, step, uv[-len(joints) :], near, hidden)
         area[k], exposed[k], outside[k], bare[k], square[k] = seen.area, seen.exposed, seen.outside, seen.bare, size**2
         if apart_too:
             small, ignored = (c, slice(y0, y1, step), slice(x0, x1, step)), silhouettes.ignored
             mask, ignored = silhouettes.masks[small], None if ignored is None else ignored[small]
             shifts[k] = shift_of_mask(mask, mask_of(seen.bits, shape[1]), size, ignored)
     second = -2 if len(views) > 1 else -1
-    bare, area = bare / square, np.maximum(area, 1)
-    near, limbs, exposed = bare[:, : len(joints)], bare[:, len(joints) :].sum(0), exposed / area
-    out[:, 0], out[:, 1] = near.sum(0), np.sort(near, 0)[second]
-    out[:, 2] = np.where(limb >= 0, limbs[limb], limbs.max())
-    out[:, 3], out[:, 4] = exposed.sum(0)[part], np.sort(exposed, 0)[second][part]
-    out[:, 5] = (outside / area).sum(0)[part]
+    bare, exposed, outside = bare / square, exposed / np.maximum(area, 1), outside / np.maximum(area, 1)
+    out[:, 0], out[:, 1] = bare.sum(0), np.sort(bare, 0)[second]
+    out[:, 2], out[:, 3] = exposed.sum(0)[part], np.sort(exposed, 0)[second][part]
+    out[:, 4] = outside.sum(0)[part]
     if apart_too:
         out[:, -1] = apart(shifts)
 
@@ -280,22 +247,6 @@ def _span(reach: Array, nearby: float, most: int) -> tuple[int, int]:
     first, last = reach.tolist()  # plain numbers are ten times as fast
     low, high = first - nearby, last + nearby
     return (int(min(max(low, 0.0), most)), int(min(max(high, 0.0), most))) if low <= high else (0, 0)
-
-
-def _rivals(body: Body, joints: Array, rivals: tuple[ArrayLike, ArrayLike] | None) -> Array:
-    """Compute the weighted spread (J,), m, of the joints of the alternative poses around the estimate.
-
-    joints: (J, 3) of the estimate, m; rivals: poses (K, D) and weights (K,), NaN and 0 where there are fewer.
-    Returns: zeros where there are no rivals.
-    """
-    if rivals is None:
-        return np.zeros(len(joints))
-    poses, weights = (np.asarray(a, dtype=np.float64) for a in rivals)
-    known = weights > 0
-    if not known.any():
-        return np.zeros(len(joints))
-    away = ((body.joints(poses[known]) - joints) ** 2).sum(-1)
-    return np.sqrt(weights[known] @ away)
 
 
 def _loose(body: Body, pose: Array, masks: PreparedMasks, index: int) -> Array:
@@ -335,48 +286,8 @@ _HARDLY = 0.005
 Chosen, like the rotations, on scenes of the seeds 600 to 617"""
 
 
-def _elsewhere(body: Body, pose: Array, masks: PreparedMasks, index: int) -> Array:
-    """Compute columns "elsewhere" and "elsewhere_by" (J, 2) of AUDITED; because it is slow, the arms take turns over
-    frames.
-
-    pose: (D,); masks: prepared for the scorer; index: of the frame.
-    Returns: (J, 2); NaN for an arm whose turn it is not, 0 for other joints and where no other arm fits.
-    """
-    out = np.zeros((len(body.skeleton.joint_names), 2))
-    s, mesh = body.skeleton, body.coarse.arrays
-    for k, arm in enumerate(_arms(body)):
-        out[list(arm.chain)] = 0.0 if (index - 2 * k) % _EVERY == 0 else np.nan
-        if np.isnan(out[arm.chain[0], 0]):
-            continue
-        here = arm.here(pose[None])
-        rest = reach.standing(pose, s.tree, mesh, masks, arm.moving)
-        limit = float(arm.score_in(here, pose, masks, rest, np.inf)[0]) + _CUTOFF
-        score = arm.score_in(arm.points[:_TRIED], pose, masks, rest, limit)
-        good = np.flatnonzero(score <= limit)
-        away = np.linalg.norm(ends(arm.points[good]) - ends(here), axis=-1)  # elbow, wrist, hand
-        far = away.max(1) > _ELSEWHERE_M
-        good, away = good[far], away[far]
-        if not len(good):
-            continue
-        few = np.argsort(score[good], kind="stable")[:_POOL]
-        poses = np.repeat(pose[None], len(few) + 1, 0)
-        poses[:-1, arm.own] = arm.poses[good[few]]  # the last one stays unchanged
-        energy = SilhouetteEvidence(masks.usable, (), masks).energy(body, poses, Limb(arm.moving, rest))
-        ratio = energy[:-1] / max(float(energy[-1]), 1e-6) - 1
-        weight = np.exp(-np.maximum(ratio, -0.05) / _SOFT)
-        spread = np.sqrt(weight @ away[few] ** 2 / (1 + weight.sum()))
-        out[list(arm.chain), 0] = 0.0, spread[0], spread[1]
-        out[list(arm.chain), 1] = max(_RATIO - float(ratio.min()), 0.0)
-    return out
-
-
 _EVERY, _RARELY = 4, 8
 """frames between two searches of the same arm, and between two computations of the column "apart"."""
-_CUTOFF, _TRIED, _POOL = 0.1, 2048, 64
-"""m^2 by which an arm's points may fit worse; number of arms looked up in the table, and number drawn"""
-_ELSEWHERE_M = 0.1
-_RATIO, _SOFT = 0.15, 0.02
-"""of energies: arms that fit worse by more than _RATIO do not count; those worse by _SOFT count 1 / e as much"""
 
 
 @lru_cache(4)
@@ -391,7 +302,7 @@ def _arms(body: Body) -> list[ArmReach]:
 
 
 def _points(body: Body, pose: Array, seen: Keypoints, model: KeypointModel) -> Array:
-    """Compute the eight columns (J, 8) of AUDITED from points_median to named.
+    """Compute the six columns (J, 6) of AUDITED from points_median to points_against.
 
     pose: (D,); seen: key points of the frame; model: where they sit on the body.
     """
@@ -400,9 +311,6 @@ def _points(body: Body, pose: Array, seen: Keypoints, model: KeypointModel) -> A
     uv = np.stack([camera.project_pinhole(expected) for camera in seen.rig])
     size = pixels_per_metre(seen, body.joints(pose)[0])
     points[~(points[..., 2] > MIN_CONFIDENCE)] = 0.0
-    sides = np.zeros((len(names), 2))
-    for limb, below in _BELOW.items():
-        sides[[n.endswith(below) for n in names]] = views_by_names(model, limb, points, uv, size)
     own = columns_of_joints(names, model.names)  # (J, M), -1: none
     raw = np.linalg.norm(points[..., :2] - uv, axis=-1) / size[:, None]
     there = (own >= 0)[None] & ((points[..., 2] > 0) & model.known & np.isfinite(uv).all(-1))[:, own]
@@ -419,11 +327,8 @@ def _points(body: Body, pose: Array, seen: Keypoints, model: KeypointModel) -> A
     at = np.arange(len(names))
     middle, worst = (np.where(count > 0, row[at, np.maximum(k, 0)], _FAR_M) for k in ((count - 1) // 2, count - 1))
     usual = float(np.median(away[known])) if known.any() else _FAR_M
-    found = [middle, worst, views, np.full(len(names), usual), agree.sum(0), against.sum(0), *sides.T]
+    found = [middle, worst, views, np.full(len(names), usual), agree.sum(0), against.sum(0)]
     return np.stack(found, 1)
-
-
-_BELOW = {"legs": ("knee", "ankle"), "arms": ("elbow", "wrist")}
 
 
 @lru_cache(8)

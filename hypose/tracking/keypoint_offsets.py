@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -117,7 +118,7 @@ def solved_frames(
     return out
 
 
-class OffsetResiduals:
+class OffsetResiduals(NamedTuple):
     """Residuals of key points about a body, for measuring offsets.
 
     residual: (T, C, K, 2) px.
@@ -126,8 +127,10 @@ class OffsetResiduals:
     size: (T, C) pixels per metre, times the noise factor of the view.
     """
 
-    def __init__(self, residual: Array, slope: Array, confidence: Array, size: Array) -> None:
-        self.residual, self.slope, self.confidence, self.size = residual, slope, confidence, size
+    residual: Array
+    slope: Array
+    confidence: Array
+    size: Array
 
 
 def residual_rows(body: Body, model: KeypointModel, keypoints: Sequence[Keypoints], poses: Array) -> OffsetResiduals:
@@ -135,30 +138,19 @@ def residual_rows(body: Body, model: KeypointModel, keypoints: Sequence[Keypoint
 
     model: where the points sit on the body; keypoints: T frames; poses: (T, D).
     """
-    rotations, centres = body.skeleton.forward(poses)
-    r = rotations[:, model.joint]
-    x = centres[:, model.joint] + np.einsum("tkab,kb->tka", r, model.offset)
-    views, count = len(keypoints[0].rig), len(model.names)
-    residual = np.zeros((len(poses), views, count, 2))
-    slope = np.zeros((len(poses), views, count, 2, 3))
-    confidence = np.zeros((len(poses), views, count))
-    size = np.ones((len(poses), views))
+    rotations, world = body.skeleton.forward(poses)[0][:, model.joint], model.positions(body, poses)
+    rig, (frames, count) = keypoints[0].rig, world.shape[:2]
+    points, size = np.zeros((len(rig), frames, count, 3)), np.ones((frames, len(rig)))
     for t, frame in enumerate(keypoints):
-        size[t] = pixels_per_metre(frame, poses[t, :3]) * model.worse(views)
+        size[t] = pixels_per_metre(frame, poses[t, :3]) * model.worse(len(rig))
         term = keypoint_term(frame, body, replace(model, sd=None, view=None), poses[t])  # exchanged sides put right
-        if term is None:
-            continue
-        for c, p in enumerate(frame.rig.projections):
-            h = x[t] @ p[:, :3].T + p[:, 3]
-            depth = np.where(h[:, 2] > 0.05, h[:, 2], np.nan)
-            uv = h[:, :2] / depth[:, None]
-            by_point = (p[None, :2, :3] - uv[:, :, None] * p[None, 2:, :3]) / depth[:, None, None]
-            slope[t, c] = np.einsum("kia,kab->kib", by_point, r[t])
-            confidence[t, c, model.known] = term.points[c, :, 2]
-            residual[t, c, model.known] = uv[model.known] - term.points[c, :, :2]
-    bad = ~np.isfinite(residual).all(-1) | ~np.isfinite(slope).all((-1, -2))
-    confidence[bad], residual[bad], slope[bad] = 0.0, 0.0, 0.0
-    return OffsetResiduals(residual, slope, confidence, size)
+        if term is not None:
+            points[:, t, model.known] = term.points
+    flat = points.reshape(len(rig), -1, 3)
+    residual, slope, _ = _rows(world.reshape(-1, 3), flat[..., :2], rig.projections, flat[..., 2] > 0)
+    by_offset = np.einsum("ctkia,tkab->tckib", slope.reshape(*points.shape[:3], 2, 3), rotations)
+    residual = residual.reshape(*points.shape[:3], 2).swapaxes(0, 1)
+    return OffsetResiduals(residual, by_offset, points[..., 2].swapaxes(0, 1), size)
 
 
 def _offsets(base: KeypointModel, model: KeypointModel, rows: OffsetResiduals) -> Array:

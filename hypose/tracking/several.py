@@ -7,7 +7,7 @@ last one where they have been solved.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -57,20 +57,21 @@ def step_together(
     frame: Frame,
     keypoints: Sequence[Keypoints | None] = (),
     others: Sequence[Other] = (),
-    step: Callable[[int, Frame], tuple[Member, FrameEstimate | None]] | None = None,
+    alone: bool = False,
 ) -> tuple[list[Member], list[FrameEstimate], list[Frame]]:
     """Track all people in one frame.
 
     keypoints: those of each person, already assigned; empty: the frame's key points are not used.
     others: further people who are there but not tracked.
-    step: called as step(index of the person, the frame as that person sees it) instead of the person's tracker; it
-        returns the next member and the estimate, None where the person is given up.
-    Returns: the next members; the estimates of those who are not given up; the frame as each person saw it, without
-        what others hide.
+    alone: there is one person, to whom all evidence of the frame belongs, key points too.
+    Returns: the next members, their estimates, and the frame as each person saw it, without what others hide.
     """
+    if alone:
+        steps = [m.tracker.step(m.state, frame) for m in members]
+        after = [replace(m, state=state) for m, (state, _) in zip(members, steps, strict=True)]
+        return after, [estimate for _, estimate in steps], [frame] * len(members)
     count, after = len(members), list(members)
-    estimates: list[FrameEstimate | None] = [None] * count
-    seen = [frame] * count
+    estimates, seen = dict[int, FrameEstimate](), [frame] * count
     expected = [m.tracker.predicted(m.state) if m.present else m.state.pose for m in members]
     rigs = [s.rig for s in frame.of(Silhouettes)]
     shapes = [m.shape(rig, q) for rig in rigs for m, q in zip(members, expected, strict=True)]
@@ -88,13 +89,8 @@ def step_together(
             lost = m.state.lost or m.state.blind > BLIND
             own = own_frame(own, shapes[i], [*others, *nearby], anywhere=lost)
             pack_once(own.the(Silhouettes))  # the tracker and the later audit both use them
-        if step is None:
-            state, estimate = m.tracker.step(m.state, own)
-            after[i] = replace(m, state=state)
-        else:
-            after[i], estimate = step(i, own)
-        estimates[i], seen[i], done[i] = estimate, own, True
-        if estimate is not None and not done.all():
-            for rig in rigs:
-                shapes[i] = after[i].shape(rig, estimate.pose)
-    return after, [e for e in estimates if e is not None], seen
+        state, estimates[i] = m.tracker.step(m.state, own)
+        after[i], seen[i], done[i] = replace(m, state=state), own, True
+        for rig in rigs if not done.all() else ():
+            shapes[i] = after[i].shape(rig, estimates[i].pose)
+    return after, [estimates[i] for i in range(count)], seen

@@ -66,7 +66,6 @@ class ShapeSettings:
     weight: of a contour row at the reference density, as for the pose solver (errors of one frame's rows are
         correlated).
     pose_sd: how far poses may move from their start, rad.
-    normals: rows whose outline directions differ by more than 60 degrees (this cosine) are left out.
     prior: factor on the anthropometric prior's weight.
     row_spacing_px: distance of contour rows, px.
     """
@@ -75,7 +74,6 @@ class ShapeSettings:
     coarse: tuple[float, ...] = (4.0, 2.0, 1.0)
     weight: float = 1.0
     pose_sd: float = 0.5
-    normals: float = 0.5
     prior: float = 1.0
     row_spacing_px: float = 4.0
 
@@ -88,14 +86,13 @@ class ShapeFit:
     log_factors: (K,) of SHAPE_FACTORS relative to the body given; covariance: (K, K) of them (poses marginalised; see
         EFFECTIVE).
     poses: (F, D).
-    cost_before, cost: before and after.
+    cost: after the refinement.
     """
 
     body: Body
     log_factors: Array
     covariance: Array
     poses: Array
-    cost_before: float
     cost: float
 
 
@@ -129,13 +126,11 @@ def refine_shape(
     anchor.weight[:6] = 0
     problem = _ShapeProblem(body, cues, [usual, anchor], known, options.prior, ratio)
     state = prior_mean() if start is None else np.array(start, dtype=np.float64), anchor.centre
-    problem.factor = options.coarse[-1]
-    before = problem.evaluate(state)[0]
     found = problem.stages(state, options.coarse, options.iterations, 5e-4)
     x, q = found.state
     hessian, prior = found.equations.reduced().hessian, problem.prior(x)[0]
     covariance = np.asarray(np.linalg.inv((hessian - prior) / EFFECTIVE + prior), dtype=np.float64)
-    return ShapeFit(body_of(body, x), x, covariance, q, before, found.cost)
+    return ShapeFit(body_of(body, x), x, covariance, q, found.cost)
 
 
 def _cue(one: Term, options: ShapeSettings) -> Cue[Array]:
@@ -146,7 +141,7 @@ def _cue(one: Term, options: ShapeSettings) -> Cue[Array]:
 
     def rows(at: Posed, _: Array, factor: float) -> Iterable[Rows]:
         if isinstance(one, ContourTerm):
-            return rows_of_contours(at, one, factor, options.weight, options.row_spacing_px, options.normals)
+            return rows_of_contours(at, one, factor, options.weight, options.row_spacing_px)
         assert isinstance(one, DepthTerm), "a shape is fitted to outlines and depth"
         return rows_of_depth(at, one, factor, options.weight / CONTOUR_WEIGHT)
 

@@ -61,7 +61,7 @@ def assessment(results):
 
 
 def test_a_recording_becomes_a_motion_and_its_files(hypose, rng, tmp_path):
-    said, motion, results = fused(hypose, recorded(rng), tmp_path / "rec", "--diagnose")
+    said, motion, results = fused(hypose, recorded(rng), tmp_path / "rec")
     names = {"motion.npz", "motion.trc", "motion.c3d", "joints.csv", "sensors.csv", "provenance.json"}
     assert results.name == "fuse-fit" and {p.name for p in results.iterdir()} == {*names, "assessment.json"}
     assert len(motion) == 150 and motion.frame_rate == pytest.approx(30) and error(motion).mean() < 0.02
@@ -72,7 +72,7 @@ def test_a_recording_becomes_a_motion_and_its_files(hypose, rng, tmp_path):
     record = json.loads((results / "provenance.json").read_text())
     assert set(record["inputs"]) == {"session.json", "frames.csv", "skeleton.csv"}
     header = (results / "sensors.csv").read_text().splitlines()[0]
-    assert "left_hand:s1" in header and "swarm:left_hand:s1" in header
+    assert "left_hand:s1" in header
     assert "150 frames of 3 sensors at 30 Hz" in said
     assert "Assessment: Good" in said and assessment(results)["assessment"] == "good"
 

@@ -92,7 +92,7 @@ def live(play, **options):
                 listening = asyncio.ensure_future(listen())
                 await asyncio.wait_for(until(lambda: out), HANG_S)  # the hello: it misses nothing from here
                 result = await asyncio.wait_for(play(server), HANG_S)
-                assert server.outbox.dropped == 0
+                assert server.sockets.dropped == 0
                 await asyncio.wait_for(until(lambda: sum(m["type"] == "frame" for m in out) == server.frames), HANG_S)
                 listening.cancel()
         finally:

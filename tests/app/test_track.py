@@ -67,9 +67,9 @@ def test_export_writes_the_chosen_formats_again(hypose, tracked, tmp_path):
     assert str(tmp_path / "motion.bvh") in out
 
 
-def test_ctrl_c_before_the_first_frame_keeps_nothing_and_says_so(interrupted, tiny, tmp_path):
+def test_ctrl_c_before_the_first_frame_keeps_the_body_and_says_so(interrupted, tiny, tmp_path):
     code, out, _ = interrupted("track", 0, "track", tiny, "--out", tmp_path / "out", *LIGHT)
-    assert code == 130 and "nothing was kept" in out
+    assert code == 130 and "Kept: body and start" in out
 
 
 @pytest.mark.slow

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from hypose.evidence.frame import Silhouettes
-from hypose.pipeline.one_of_several import several_apart
+from hypose.pipeline.recorded_frames import several_apart
 from hypose.pipeline.settings import SETTINGS
 from hypose.synthetic.scenes import camera_rig
 

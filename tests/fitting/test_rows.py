@@ -35,7 +35,7 @@ def keypoints():
 
 KEYPOINTS = keypoints()
 CUES = {
-    "rows_of_contours": lambda at, _, factor: rows.rows_of_contours(at, CONTOURS, factor, 1.0, 4.0, 0.5),
+    "rows_of_contours": lambda at, _, factor: rows.rows_of_contours(at, CONTOURS, factor, 1.0, 4.0),
     "rows_of_depth": lambda at, _, factor: rows.rows_of_depth(at, DEPTH, factor),
     "rows_of_keypoints": lambda at, _, factor: [rows.rows_of_keypoints(at, KEYPOINTS, RIG.projections)],
 }

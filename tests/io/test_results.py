@@ -162,7 +162,7 @@ def test_compressed_archives_are_refused_before_unpacking(small_motion, tmp_path
     path = tmp_path / "motion.npz"
     for content in ({"cost.npy": header((30_000_000,)) + bytes(240_000_000)}, {"times.npy": npy(np.arange(9.0))}):
         rewrite(path, content, compression=zipfile.ZIP_DEFLATED)
-        with pytest.raises(InputError, match="its contents are larger than the file|times is compressed"):
+        with pytest.raises(InputError, match=r"(cost|times)\.npy is compressed or encrypted; give the"):
             load_motion(path)
 
 

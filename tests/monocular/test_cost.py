@@ -19,7 +19,7 @@ from hypose.tracking.monocular.problem import PictureProblem, field_of, fixed_pa
 from hypose.tracking.monocular.settings import MonoSettings, body_dofs
 from tests.monocular.pictures import SIZE, camera, picture, wall
 
-ONLY_POINTS = MonoSettings(edges=False, second_order=False)
+ONLY_POINTS = MonoSettings(edges=False)
 FLOW = FlowSettings(sigma_px=4.0, height=1.0, spacing_px=6.0)
 
 
@@ -105,9 +105,9 @@ def test_the_lower_sole_is_pulled_onto_the_floor_and_none_sinks(above):
     assert np.sign(found.gradient[2]) == np.sign(above)
 
 
-def flow_problem(body, active, pose, shift=(3.0, -2.0), second_order=False):
+def flow_problem(body, active, pose, shift=(3.0, -2.0)):
     """Inner nodes of a pose, carried by a uniform flow."""
-    settings = replace(ONLY_POINTS, interpenetration=0.0, second_order=second_order)
+    settings = replace(ONLY_POINTS, interpenetration=0.0)
     evidence, ws = problem_of(body, active, settings, distance=1.7)
     w, h = SIZE
     flow = np.broadcast_to(np.float32(shift), (h, w, 2)).copy()
@@ -141,7 +141,7 @@ def test_the_search_finds_what_scipys_bounded_solver_finds():
     seen = camera(body).project(body.joints(truth))
     names = [n for n in s.joint_names if n.split("_")[-1] in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")]
     points = clicked_joints(body, {n: tuple(seen[s.joint(n)]) for n in (*names, "head", "pelvis")}, camera(body))
-    problem, ws = problem_of(body, body_dofs(s), replace(ONLY_POINTS, second_order=True), points)
+    problem, ws = problem_of(body, body_dofs(s), ONLY_POINTS, points)
     active = problem.fixed.active
     # a knee that may not bend as far as it should: the limit must hold it
     lower, upper = problem.fixed.lower, problem.fixed.upper.copy()

@@ -105,8 +105,7 @@ def test_masks_and_key_points_help(clip):
 
 def test_the_same_seed_gives_the_same_numbers_on_any_number_of_threads(clip):
     body, view, poses, pictures = clip
-    isotropic = replace(SETTINGS, search=replace(SETTINGS.search, isotropic=True))
-    first, second = (follow(body, view, poses[:4], pictures[:4], isotropic, threads=t) for t in (1, 2))
+    first, second = (follow(body, view, poses[:4], pictures[:4], threads=t) for t in (1, 2))
     for a, b in zip(first, second, strict=True):
         np.testing.assert_array_equal(a.uncertainty.modes.poses, b.uncertainty.modes.poses)
         np.testing.assert_array_equal(a.uncertainty.modes.covariances, b.uncertainty.modes.covariances)
@@ -118,9 +117,7 @@ def test_every_ablation_runs_and_keeps_what_is_not_estimated(clip):
     ablations = (
         s.robust(GAUSSIAN),
         s.robust(LORENTZIAN),
-        replace(s, flow=s.flow._replace(use=False)),
-        replace(s, edge=s.edge._replace(motion_boundaries=False)),
-        replace(s, velocity=0.0, limits=False, interpenetration=0.0, second_order=False),
+        replace(s, velocity=0.0, interpenetration=0.0),
         replace(s, search=replace(search, hypotheses=1)),
         replace(s, search=replace(search, flips=True, flip_every=1)),
         replace(s, edges=False),

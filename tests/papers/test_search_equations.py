@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from hypose.inference.annealing import FixedAnnealingRate, SmoothedWeight, solve_annealing_rate, survival_rate
+from hypose.inference.annealing import FixedAnnealingRate, SmoothedWeight, solve_annealing_rate
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.kernels import GaussianDiffusion, RejectionSampling, annealed_sigma, layered_sigma, stay
 from hypose.inference.layer import Layer, Recipe, search, stream
@@ -171,8 +171,6 @@ def test_survival_rate_of_deutscher_and_reid():
     energies, beta = np.array([0.1, 0.4, 0.9, 1.0]), 2.0
     w = np.exp(-beta * energies)
     p = w / w.sum()
-    np.testing.assert_allclose(survival_rate(energies, beta), 1 / (4 * (p**2).sum()))
-    np.testing.assert_allclose(survival_rate(energies, beta), w.sum() ** 2 / (4 * (w**2).sum()))
-    solved = solve_annealing_rate(energies, 0.5)
-    np.testing.assert_allclose(survival_rate(energies, solved), 0.5, rtol=1e-9)
-    assert survival_rate(energies, 0.0) == 1
+    rate = 1 / (4 * (p**2).sum())
+    np.testing.assert_allclose(rate, w.sum() ** 2 / (4 * (w**2).sum()))
+    np.testing.assert_allclose(solve_annealing_rate(energies, rate), beta, rtol=1e-9)

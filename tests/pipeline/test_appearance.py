@@ -12,8 +12,8 @@ from hypose.evidence.frame import Colours, Frame, Silhouettes
 from hypose.pipeline import track_management
 from hypose.pipeline.first_frame import TrackedSubject
 from hypose.pipeline.settings import SETTINGS
+from hypose.pipeline.track_loop import Followed
 from hypose.pipeline.track_management import back_again, identity_switches, swap_identities, update_appearance
-from hypose.pipeline.tracked_people import Followed
 from hypose.synthetic.scenes import camera_rig as named_rig
 from hypose.tracking.appearance import Appearance, appearance_in, no_appearance
 from hypose.tracking.recipes import recipe

@@ -7,16 +7,17 @@ import pytest
 
 from hypose.body.anthropometry import SHAPE_FACTORS, body_of, entity
 from hypose.body.default_body import human
-from hypose.evidence.frame import Frame, Silhouettes
+from hypose.evidence.frame import Frame
 from hypose.pipeline.first_frame import TrackedSubject
-from hypose.pipeline.passes import tracker_of
+from hypose.pipeline.person_paths import Wanted
 from hypose.pipeline.rough_bodies import AGAIN, fitted_again
+from hypose.pipeline.track_loop import Followed, tracker_of
 from hypose.pipeline.track_management import without_doubles
 from hypose.pipeline.track_options import TrackOptions
-from hypose.pipeline.tracked_people import Followed, Wanted
 from hypose.synthetic.scenes import make_scene
-from hypose.tracking.several import Member, shape_of
+from hypose.tracking.several import shape_of
 from hypose.tracking.starts import known_pose
+from tests.evidence.scenes import masks_of
 
 RATE, FRAMES = 12.5, 14
 
@@ -39,21 +40,15 @@ def passing():
     """Two people of the template beside each other, as masks of both, and each with arms that were fitted too long."""
     rig, true = make_scene("walk", rig="humaneva-4", seconds=0.1).rig.pinhole().scaled(0.6), human()
     poses = [swinging(true, (-0.45, -0.1), 0.0), swinging(true, (0.45, 0.1), 2.0)]
-    size, frames = rig.sizes.max(0), []
-    for t in range(FRAMES):
-        masks = np.zeros((len(rig), size[1], size[0]), np.uint8)
-        for way in poses:
-            shape = shape_of(true, way[t], rig)
-            for c, (y0, y1, x0, x1) in enumerate(shape.boxes):
-                masks[c, y0:y1, x0:x1] |= shape.drawn(c)
-        frames.append(Frame(t / RATE, t, Silhouettes(masks, rig, np.ones(len(rig), bool), ("",) * len(rig))))
+    shapes = [[shape_of(true, way[t], rig) for way in poses] for t in range(FRAMES)]
+    frames = [Frame(t / RATE, t, masks_of(shown, rig)) for t, shown in enumerate(shapes)]
     x = np.zeros(len(SHAPE_FACTORS))
     x[[entity("upper arm length"), entity("forearm length")]] = 0.15
     wrong, people = body_of(true, x), []
     for name, way in zip(("a", "b"), poses, strict=True):
         subject = TrackedSubject(wrong, None, way[0], ("fitted once",))
         tracker = tracker_of(subject, TrackOptions(evidence="silhouettes"), RATE)
-        people.append(Followed(name, subject, Member(tracker, tracker.start(subject.start))))
+        people.append(Followed.at_start(name, subject, tracker))
     return people, frames
 
 

@@ -101,6 +101,10 @@ def test_angles_of_opensim(tmp_path, rng):
     noisy = values + np.radians(2) * rng.standard_normal(values.shape)
     noisy[:, names.index("knee_angle_r")] += np.radians(10)
     write_mot(tmp_path / "a.mot", names, noisy, ours.times)
+    write_mot(tmp_path / "motion_sd.sto", names, noisy, ours.times)
+    (tmp_path / "motion_sd.sto").rename(tmp_path / "b.sto")
+    with pytest.raises(InputError, match=r"b\.sto holds the standard deviations"):
+        read_other(tmp_path / "b.sto")
     times, read, back = read_mot(tmp_path / "a.mot")
     assert read == names and np.allclose(back, noisy, atol=1e-9) and np.allclose(times, ours.times)
     found = compare_motions(ours, read_other(tmp_path / "a.mot"), CompareOptions(offset=0.0))

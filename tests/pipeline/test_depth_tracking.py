@@ -17,8 +17,7 @@ from hypose.geometry import se3, se3_inverse, so3_exp, transform
 from hypose.pipeline.assessment import UNTRUSTED
 from hypose.pipeline.import_depth import register_depth
 from hypose.pipeline.input_checks import check_inputs
-from hypose.pipeline.people_run import PeopleRun
-from hypose.pipeline.run import track_source
+from hypose.pipeline.run import track_people, track_source
 from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.depth_scenes import depth_scene, to_profile, turning
@@ -105,14 +104,14 @@ def lowered(scene, lower, nobody=False):
 @pytest.mark.slow
 def test_where_everybody_is_tracked_the_floor_tells_the_same():
     frames = list(lowered(scene_of("walk", "depth-2", 0.2), 0.13))
-    assessment = PeopleRun(FrameList(frames), 25.0, TrackOptions(seed=1))().people[0].assessment
+    assessment = track_people(FrameList(frames), 25.0, TrackOptions(seed=1)).people[0].assessment
     assert "depth1 sees the floor 1" in assessment.sentence and assessment.word == UNTRUSTED
 
 
 def test_where_nobody_is_found_the_floor_may_say_why():
     frames = list(lowered(scene_of("walk", "depth-2", 0.2), 0.3, nobody=True))
     with pytest.raises(EvidenceError, match="depth1 sees the floor .* That may be why: Nobody stands"):
-        PeopleRun(FrameList(frames), 25.0, TrackOptions(seed=1))()
+        track_people(FrameList(frames), 25.0, TrackOptions(seed=1))
 
 
 # ---- registration ----

@@ -2,26 +2,22 @@
 
 from unittest.mock import Mock
 
-import numpy as np
 import pytest
 
 from hypose.calibration.findings import INVALID, REVIEW, Finding
-from hypose.pipeline import one_of_several
-from hypose.pipeline.one_of_several import track_one_of
-from hypose.pipeline.run import TrackResult
+from hypose.pipeline.person_paths import Wanted
+from hypose.pipeline.run import PeopleResult, TrackResult
+from hypose.pipeline.track import track_one_of
 from hypose.pipeline.track_options import TrackOptions
-from hypose.pipeline.tracked_people import PeopleResult, TrackedPerson, Wanted
 
 ANNA = Wanted("Anna", place=(1.0, 2.5), time=0.5)
 
 
 def found(name, monkeypatch, wanted, looked=()):
-    there = np.ones(3, dtype=bool)
-    one = TrackedPerson(
-        name, TrackResult(None, None, True, (), findings=(Finding("fault", (), "a fault"),)), there, ~there
-    )  # type: ignore[arg-type]
-    run = Mock(return_value=PeopleResult((one,), True, (), 1), looked=looked)
-    monkeypatch.setattr(one_of_several, "PeopleRun", Mock(return_value=run))
+    one = TrackResult(None, None, True, (), findings=(Finding("fault", (), "a fault"),), name=name)  # type: ignore[arg-type]
+    monkeypatch.setattr(
+        "hypose.pipeline.track.track_people", Mock(return_value=PeopleResult((one,), True, (), 1, looked))
+    )
     return track_one_of(None, 25.0, TrackOptions(), wanted=wanted)  # type: ignore[arg-type]
 
 

@@ -30,6 +30,13 @@ def subject(frames):
     return find_subject(lambda i: frames[i], len(frames), SubjectOptions("keypoints", girths=False))
 
 
+def exchange(own, spoilt, monkeypatch):
+    """Run `spoilt` in the place of the pass `own`."""
+    for part in ("UNTIL_TRACKED", "AFTER_TRACKING"):
+        planned = tuple(spoilt if step is own else step for step in getattr(passes, part))
+        monkeypatch.setattr(f"hypose.pipeline.run.{part}", planned)
+
+
 def with_arm_bent(clip):
     """The clip with the left elbow bent by a radian in FRAMES."""
     s = clip.who.body.skeleton
@@ -38,10 +45,10 @@ def with_arm_bent(clip):
         poses = clip.motion.poses.copy()
         poses[FRAMES.start : FRAMES.stop, elbow] += 1.0
         return replace(clip, motion=replace(clip.motion, poses=poses, joints=clip.who.body.joints(poses)))
-    estimates = list(clip.tracked.estimates)
+    estimates = list(clip.estimates)
     for t in FRAMES:
         estimates[t] = replace(estimates[t], pose=estimates[t].pose + elbow)
-    return replace(clip, tracked=replace(clip.tracked, estimates=estimates))
+    return clip.with_estimates(estimates, ())
 
 
 def explained(frames, subject, tmp_path, evidence="silhouettes"):
@@ -60,8 +67,7 @@ def test_a_fault_planted_in_a_pass_is_named(stage, frames, subject, tmp_path, mo
         return with_arm_bent(own(clip))
 
     spoilt.__name__ = stage
-    planned = tuple(spoilt if step is own else step for step in passes.PASSES)
-    monkeypatch.setattr("hypose.pipeline.run.PASSES", planned)
+    exchange(own, spoilt, monkeypatch)
     lines = explained(frames, subject, tmp_path)
     named = [line.split(":")[0].strip() for line in lines if " mm in frames " in line]
     assert stage in named
@@ -73,15 +79,14 @@ def test_a_fault_planted_in_the_search_of_a_frame_is_named(frames, subject, tmp_
 
     def spoilt(clip):
         clip, j = own(clip), subject.body.skeleton.joint_names.index(JOINT)
-        estimates = clip.tracked.estimates
+        estimates = clip.estimates
         for t in FRAMES:
             moved = estimates[t].moved.copy()
             moved[j] = 0.4
             estimates[t] = replace(estimates[t], moved=moved, origin="by limb search")
         return clip
 
-    planned = tuple(spoilt if step is own else step for step in passes.PASSES)
-    monkeypatch.setattr("hypose.pipeline.run.PASSES", planned)
+    exchange(own, spoilt, monkeypatch)
     lines = explained(frames, subject, tmp_path)
     assert any(line.startswith("  track_clip: up to 400 mm in frames 5 to 7: the limb search") for line in lines)
 

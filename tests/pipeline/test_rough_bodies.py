@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 
 from hypose.body.default_body import human
-from hypose.evidence.frame import Frame, Silhouettes
+from hypose.evidence.frame import Frame
 from hypose.pipeline.person_paths import follow_places
 from hypose.pipeline.rough_bodies import frame_of_person, rough_bodies
 from hypose.pipeline.start_choice import best_ways
 from hypose.synthetic.scenes import make_scene
 from hypose.tracking.several import shape_of
 from hypose.tracking.starts import known_pose
+from tests.evidence.scenes import masks_of
 
 FRAMES, RATE = 8, 12.5
 
@@ -19,21 +20,14 @@ FRAMES, RATE = 8, 12.5
 def beside():
     """Two of the template's bodies beside each other in four views; their poses (T, 2, D) and paths."""
     rig, body = make_scene("walk", rig="humaneva-4", seconds=0.1).rig.pinhole().scaled(0.6), human()
-    size, base = rig.sizes.max(0), known_pose(human(), "standing")
+    base = known_pose(human(), "standing")
     base[2] -= body.skin(base)[:, 2].min()
     frames, truth = [], []
     for t in range(FRAMES):
-        poses, masks = [], np.zeros((len(rig), size[1], size[0]), np.uint8)
-        for x in (-0.4, 0.4):
-            pose = base.copy()
-            pose[:2] += (x, 0.03 * t)
-            poses.append(pose)
-            shape = shape_of(body, pose, rig)
-            for c, (y0, y1, x0, x1) in enumerate(shape.boxes):
-                masks[c, y0:y1, x0:x1] |= shape.drawn(c)
-        s = Silhouettes(masks, rig, np.ones(len(rig), bool), ("",) * len(rig))
-        frames.append(Frame(t / RATE, t, s))
-        truth.append(np.stack(poses))
+        poses = np.stack([base, base])
+        poses[:, :2] += ((-0.4, 0.03 * t), (0.4, 0.03 * t))
+        frames.append(Frame(t / RATE, t, masks_of([shape_of(body, pose, rig) for pose in poses], rig)))
+        truth.append(poses)
     paths = follow_places(lambda t: frames[t], range(FRAMES), RATE)
     order = np.argsort([p.axis(0)[0] for p in paths])
     assert len(paths) == 2

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.multiview.doubt_scenes import Case, scene_without_masks, without_masks
+from benchmarks.multiview.error_scenes import Case, scene_without_masks, without_masks
 from hypose.body.joint_angles import ANGLE_NAMES
 from hypose.cameras.camera import CameraRig
 from hypose.geometry import se3, so3_exp

@@ -7,8 +7,8 @@ from hypose.errors import InputError
 from hypose.geometry import se3_inverse
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import load_recording
-from hypose.pipeline.one_of_several import people_frames
-from hypose.pipeline.track_options import TrackOptions, check_views
+from hypose.pipeline.recorded_frames import check_views, people_frames
+from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.depth_scenes import depth_rig, depth_scene
 from hypose.synthetic.motions import act
 from hypose.synthetic.subjects import load_subjects

@@ -64,7 +64,6 @@ def test_shape_of_another_body_is_found_from_motion(body, moving, frame_of, rng)
     want, got = person.segment_lengths(), fit.body.segment_lengths()
     for name in ("upper_arm", "forearm", "thigh", "shank"):
         assert got[f"left_{name}"] == pytest.approx(want[f"left_{name}"], abs=0.015), name
-    assert fit.cost < 0.5 * fit.cost_before
     assert fit.log_factors[entity("waist width")] == pytest.approx(0.15, abs=0.07)
     error = np.linalg.norm(fit.body.joints(fit.poses) - person.joints(moving), axis=-1).mean()
     before = np.linalg.norm(body.joints(starts) - person.joints(moving), axis=-1).mean()

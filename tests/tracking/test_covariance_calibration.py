@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.multiview.doubt_scenes import as_curved
+from benchmarks.multiview.error_scenes import as_curved
 from hypose.body.default_body import human
 from hypose.body.joint_angles import joint_angles
 from hypose.body.motion import Motion, isotropic

@@ -30,12 +30,12 @@ def clip(frames=30, points=False, masks=True):
         *(body.skeleton, np.arange(frames) / 25, joints, poses, isotropic(np.full(joints.shape[:2], 0.012))),
         *(lost, lost.copy(), np.full(frames, 4), np.full(frames, 0.17 if masks else np.nan)),
     )
-    usual = {"bare": 0.005, "bare_second": 0.001, "bare_reach": 0.05, "exposed": 2.0, "exposed_second": 0.6}
+    usual = {"bare": 0.005, "bare_second": 0.001, "exposed": 2.0, "exposed_second": 0.6}
     usual |= {"exchanged": -0.06, "points_agree": 4}
     usual |= {"outside": 0.05, "points_median": 0.02, "points_worst": 0.05, "points_views": 4, "points_all": 0.02}
     audit = np.zeros((*joints.shape[:2], len(AUDITED)), np.float32)
     for k, name in enumerate(AUDITED):
-        there = points if name.startswith("points") else masks or name == "rival"
+        there = points if name.startswith("points") else masks
         audit[..., k] = usual.get(name, 0.0) if there else np.nan
     return motion, joints, audit
 
@@ -52,9 +52,7 @@ def test_a_clean_clip_is_not_doubted_and_an_arm_that_disagrees_is(masks, points,
     assert not low_confidence.any() and p.max() < 0.05
     wrist = NAMES.index("right_wrist")
     bad = audit.copy()
-    shown = {"bare": 0.2, "bare_second": 0.08, "bare_reach": 0.4, "outside": 1.5}
-    shown |= {"rival": 0.15, "elsewhere": 0.2, "elsewhere_by": 0.3}
-    for name, value in shown.items():
+    for name, value in {"bare": 0.2, "bare_second": 0.08, "outside": 1.5, "loose": 0.2}.items():
         if masks:
             bad[10:20, wrist, AUDITED.index(name)] = value
     for name, value in (("points_median", 0.3), ("points_worst", 0.4), ("points_views", 2), ("points_agree", 0)):

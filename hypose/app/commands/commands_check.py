@@ -38,7 +38,7 @@ from hypose.io.recordings.recording_people import RecordedPerson
 from hypose.io.recordings.recording_views import ViewSettings
 from hypose.io.sensors.depth import write_depth_png
 from hypose.io.videos.video import VideoWriter, frame_size, list_images, open_video, read_sound
-from hypose.pipeline.one_of_several import frames_to_examine
+from hypose.pipeline.recorded_frames import frames_to_examine
 from hypose.pipeline.recording_diagnostics import (
     Refinement,
     cured_recording,
@@ -151,26 +151,25 @@ def _refine(loaded: Recording, cured: Cured | None, c: CheckCommand) -> None:
 
 
 def _print_changes(result: Refinement) -> bool:
-    """Print the changes of a refinement; return whether it is better on frames that it was not found on."""
+    """Print the changes of a refinement; return whether it is better on frames that it was not found on: by the key
+    points with one camera left out, else by those of all cameras, else by the silhouettes.
+    """
     for change in result.changes:
         focal = f", focal length x {change.focal:.4f}" if abs(change.focal - 1) > 1e-6 else ""
         say(
             f"{change.name}: turned by {change.turn_deg:.2f} degrees, moved by {1000 * change.move_m:.0f} mm{focal}; "
             f"the person moves {change.image_px:.1f} px in its image"
         )
-    frames = "frames not used"
-    better = True
-    if result.before_px == result.before_px:
-        say(
-            f"Key points: {result.before_px:.2f} -> {result.after_px:.2f} px median residual ({frames}); one camera "
-            f"left out: {result.left_out_before_px:.2f} -> {result.left_out_after_px:.2f} px"
-        )
-        better = result.after_px < result.before_px
-    if result.tangency_before_px == result.tangency_before_px:
-        say(f"Silhouettes: {result.tangency_before_px:.2f} -> {result.tangency_after_px:.2f} px ({frames})")
-        if result.before_px != result.before_px:
-            better = result.tangency_after_px < result.tangency_before_px
-    return better
+    found = {
+        "Key points, one camera left out": (result.left_out_before_px, result.left_out_after_px),
+        "Key points, all cameras": (result.before_px, result.after_px),
+        "Silhouettes": (result.tangency_before_px, result.tangency_after_px),
+    }
+    known = {what: pair for what, pair in found.items() if np.isfinite(pair).all()}
+    for what, (before, after) in known.items():
+        say(f"{what}: {before:.2f} -> {after:.2f} px (median of frames not used)")
+    before, after = next(iter(known.values()), (1.0, 0.0))
+    return after < before
 
 
 def _settings(recording: Recording, cured: Cured) -> list[str]:

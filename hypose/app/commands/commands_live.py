@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from click.exceptions import Exit
 
-from hypose.app.commands.console import Stages, ended_by_signals, print_note, print_notes, say, stopping
+from hypose.app.commands.console import Stages, counted, ended_by_signals, print_note, print_notes, say, stopping
 from hypose.app.options import LiveCommand
 from hypose.errors import InputError
 from hypose.options import MOST_FRAMES, ListenHost, Option, Seed, Threads, named_values
@@ -89,7 +89,7 @@ def live(c: LiveCommand) -> None:
         engine.failed is not None and not interrupted
     ):  # an interrupt may stop the other processes first, which is no failure
         raise engine.failed
-    say(f"{status.poses} poses. {_summary(status)}")
+    say(f"{counted(status.poses, 'pose')}. {_summary(status)}")
 
 
 def _finds_people(wanted: bool | None, roomless: bool) -> bool:
@@ -154,7 +154,7 @@ GESTURE_COMMANDS = {
     "Commands": {
         "record": ("commands_live:record", "Record a session with its prompts, to train from later."),
         "train": ("commands_live:gesture_train", "Teach a gesture, live or from recorded sessions."),
-        "run": ("commands_live:gesture_run", "Watch for gestures: events as JSON lines, OSC, commands."),
+        "run": ("commands_live:gesture_run", "Watch for gestures: events as JSON lines, OSC, WebSocket."),
         "eval": ("commands_live:gesture_evaluate", "Judge a model on a recorded session."),
     }
 }
@@ -247,9 +247,6 @@ def gesture_run(
     source: SourceOption = "simulated",
     osc: Annotated[str | None, Option("HOST:PORT to send scores and events to by OSC.")] = None,
     ws: Annotated[int | None, Option("Port of this computer to serve them by WebSocket.", 0, 65535)] = None,
-    command: Annotated[
-        str | None, Option("Program to run at each start, {gesture} replaced; with {event}, at ends too.")
-    ] = None,
     threshold: Annotated[
         float | None, Option("cm² instead of the models' own.", 0, 1_000_000, above=True, unit="cm²")
     ] = None,
@@ -279,7 +276,6 @@ def gesture_run(
         listeners = None
         if ws is not None:
             listeners = opened.enter_context(contextlib.closing(SocketListeners(ws, gesture_job.WAITING)))
-        begun = None if command is None else gesture_job.EventCommand(command, names)
         pictures = open_source(source, names[0], seed)
         for k, watched in enumerate(gesture_job.watch(pictures, loaded, settings, limits, print_note), 1):
             for event in watched.events:
@@ -289,8 +285,6 @@ def gesture_run(
             if listeners is not None:
                 for line in gesture_job.gesture_lines(watched, names):
                     listeners.post(line)
-            if begun is not None:
-                begun.run(watched)
             if frames and k >= frames:
                 break
 

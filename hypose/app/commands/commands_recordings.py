@@ -15,7 +15,7 @@ from typing import Annotated
 
 from click.exceptions import Exit
 
-from hypose.app.commands.console import Stages, print_note, print_notes, say, stopping
+from hypose.app.commands.console import Stages, counted, print_note, print_notes, say, stopping
 from hypose.app.options import SynthCommand, TrackCommand
 from hypose.errors import EvidenceError, InputError
 from hypose.options import MOST_FRAMES, Formats, FrameSpan, Option, RecordingPath, Resume, Seconds, Seed, Threads, Yes
@@ -156,7 +156,7 @@ def synth(c: SynthCommand) -> None:
         else:
             path = write_recording.write_scene(scene, c.folder, keypoints=c.keypoints, progress=shown)
     kind = "depth cameras (simulated)" if c.sensors else "cameras"
-    say(f"{path}: {scene.name}, {len(scene)} frames, {len(scene.rig)} {kind}")
+    say(f"{path}: {scene.name}, {counted(len(scene), 'frame')}, {len(scene.rig)} {kind}")
     if c.raw:
         board = write_recording.BOARD
         say(f"The board has {board.columns} x {board.rows} inner corners and squares of {1000 * board.square:g} mm.")
@@ -210,7 +210,7 @@ def depth_import(
             with contextlib.suppress(OSError):  # the recording is in it
                 out.rmdir()
     print_notes(notes)
-    say(f"{path}: {len(sources)} depth cameras; track it with: hypose track {shlex.quote(str(out))}")
+    say(f"{path}: {counted(len(sources), 'depth camera')}; track it with: hypose track {shlex.quote(str(out))}")
 
 
 def keypoints(
@@ -367,7 +367,7 @@ def batch(
         rows = refused
         if dry_run:
             done = sum(finished_metrics(t) is not None for t in tasks)
-            say(f"{len(tasks)} tasks: {done} finished, {len(tasks) - done} to do, {len(refused)} refused")
+            say(f"{counted(len(tasks), 'task')}: {done} finished, {len(tasks) - done} to do, {len(refused)} refused")
         else:
             with claimed(results):
                 count = workers or os.cpu_count() or 1

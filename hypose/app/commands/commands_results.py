@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from click.exceptions import Exit
 
-from hypose.app.commands.console import Stages, each, print_note, print_notes, say, stopping
+from hypose.app.commands.console import Stages, counted, each, print_note, print_notes, say, stopping
 from hypose.app.options import CompareCommand
 from hypose.errors import HyposeError, InputError
 from hypose.options import MOST_FRAMES, MotionPath, Option, OutFolder, Threads, TrackedPath
@@ -101,7 +101,8 @@ def gait(
     with claimed(out or source):
         written = _write_gait(out or source, motion, found)
     strikes = sum(e.kind == "strike" for e in found.events)
-    say(f"{strikes} foot strikes, {len(found.events) - strikes} times a foot left the ground, {len(found.steps)} steps")
+    off = counted(len(found.events) - strikes, "time")
+    say(f"{counted(strikes, 'foot strike')}, {off} a foot left the ground, {counted(len(found.steps), 'step')}")
     for f in found.figures:
         say(f"{f.name.replace('_', ' ')}: {f.mean:.3f} {f.unit} ({f.low:.3f} to {f.high:.3f} with 90 %), n = {f.n}")
     if not found.steps:
@@ -197,13 +198,13 @@ def compare(c: CompareCommand) -> None:
             share = compare_job.mean_coverage(found)
             inside = f", {100 * share:.0f} % inside our 90 % regions" if share == share else ""
             say(
-                f"{other}: {len(found.joints)} joints, offsets aside: median {median:.1f} mm, 95 % within "
+                f"{other}: {counted(len(found.joints), 'joint')}, offsets aside: median {median:.1f} mm, 95 % within "
                 f"{p95:.1f} mm, RMSE {rmse:.1f} mm{inside}"
             )
         if found.angles:
             degrees = [a.rmse_left for a in found.angles if a.unit == "deg" and a.n]
             span = f"{min(degrees):.1f} to {max(degrees):.1f} degrees" if degrees else "-"
-            say(f"{other}: {len(degrees)} angles, offsets aside: RMSE {span}")
+            say(f"{other}: {counted(len(degrees), 'angle')}, offsets aside: RMSE {span}")
     say(f"Table: {folder / 'compare.csv'}")
     say(f"Page:  {folder / 'compare.html'}")
     for text in failed:
@@ -230,7 +231,10 @@ def play(
         motion, body = load_result_body(results)
     tell_untrusted(results)
     with stopping(), contextlib.closing(OscTarget(vmc, "--vmc")) as target:
-        say(f"{len(motion)} frames at {motion.frame_rate:g} Hz to {vmc}" + (", until Ctrl-C." if loop else "."))
+        say(
+            f"{counted(len(motion), 'frame')} at {motion.frame_rate:g} Hz to {vmc}"
+            + (", until Ctrl-C." if loop else ".")
+        )
         play_motion(motion, body, target.send, speed, loop)
 
 

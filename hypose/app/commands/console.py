@@ -92,6 +92,11 @@ def say(text: str = "", style: str | None = None) -> None:
     out().print(text, style=style, markup=False)
 
 
+def counted(count: int, what: str) -> str:
+    """Return a number with the noun that it counts: "1 frame", "2 frames"."""
+    return f"{count} {what}{'s' * (count != 1)}"
+
+
 def print_note(text: str) -> None:
     """Print one line on stderr, apart from the results."""
     err().print(text, style="dim", markup=False)

@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from hypose.app.commands.console import ProgressCall, each, ignore, print_table
+from hypose.app.commands.console import ProgressCall, counted, each, ignore, print_table
 from hypose.app.reports.calibration_pages import residual_picture, write_check_page
 from hypose.app.reports.result_pictures import Canvas, Drawing, open_images
 from hypose.calibration.diagnostics import Cured, PersonReport, examine
@@ -21,7 +21,7 @@ from hypose.io.motions.results import to_json
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording
 from hypose.io.recordings.recording_views import open_pictures
-from hypose.pipeline.one_of_several import frames_to_examine
+from hypose.pipeline.recorded_frames import frames_to_examine
 from hypose.pipeline.recording_diagnostics import observe_recording
 
 _LOW_IOU = 0.6  # hull against mask: below this a view contradicts the others
@@ -41,7 +41,7 @@ class Findings:
 
 def print_cameras(recording: Recording) -> None:
     """Print a table with one row per camera: files, sizes, frame rate, frames, background, key points, position."""
-    title = f"{recording.name}: {len(recording.views)} views, {recording.n_frames} frames, "
+    title = f"{recording.name}: {counted(len(recording.views), 'view')}, {counted(recording.n_frames, 'frame')}, "
     title += f"{recording.frame_rate:g} frames/s"
     columns = ("view", "camera", "images", "size", "calibrated", "fps", "frames", "masks", "background", "key points")
     rows = []

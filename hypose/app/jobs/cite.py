@@ -3,112 +3,94 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from hypose import __version__
 from hypose.errors import InputError
 from hypose.io.files import read_json
 
-
-@dataclass(frozen=True)
-class Paper:
-    """Work to cite.
-
-    key, kind: of the BibTeX entry.
-    authors: joined by " and ".
-    where: journal, conference or school with volume and pages, by BibTeX field.
-    """
-
-    key: str
-    kind: str
-    authors: str
-    year: int
-    title: str
-    where: tuple[tuple[str, str], ...] = ()
-
-    @property
-    def text(self) -> str:
-        """The work as one line of a list of references."""
-        names = self.authors.split(" and ")
-        listed = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
-        return f"{listed} ({self.year}). {self.title}. {', '.join(v for _, v in self.where)}."
-
-    @property
-    def bibtex(self) -> str:
-        """The work as an entry of a .bib file."""
-        fields = [("author", self.authors), ("title", f"{{{self.title}}}"), ("year", str(self.year)), *self.where]
-        return f"@{self.kind}{{{self.key},\n" + "".join(f"  {k} = {{{v}}},\n" for k, v in fields) + "}"
-
-
-_WORKS = [
-    Paper(
-        "hypose",
+PAPERS: dict[str, tuple[str, dict[str, str]]] = {
+    "hypose": (
         "software",
-        "The hypose developers",
-        2026,
-        "hypose: human motion from ordinary cameras",
-        (("version", f"version {__version__}"),),
+        {
+            "author": "The hypose developers",
+            "title": "hypose: human motion from ordinary cameras",
+            "year": "2026",
+            "version": f"version {__version__}",
+        },
     ),
-    Paper(
-        "alcoverro2014",
+    "alcoverro2014": (
         "phdthesis",
-        "Alcoverro, M.",
-        2014,
-        "Stochastic optimization and interactive machine learning for human motion analysis",
-        (("school", "Universitat Politècnica de Catalunya"),),
+        {
+            "author": "Alcoverro, M.",
+            "title": "Stochastic optimization and interactive machine learning for human motion analysis",
+            "year": "2014",
+            "school": "Universitat Politècnica de Catalunya",
+        },
     ),
-    Paper(
-        "deutscher2005",
+    "deutscher2005": (
         "article",
-        "Deutscher, J. and Reid, I.",
-        2005,
-        "Articulated body motion capture by stochastic search",
-        (("journal", "International Journal of Computer Vision"), ("volume", "61(2)"), ("pages", "185-205")),
+        {
+            "author": "Deutscher, J. and Reid, I.",
+            "title": "Articulated body motion capture by stochastic search",
+            "year": "2005",
+            "journal": "International Journal of Computer Vision",
+            "volume": "61(2)",
+            "pages": "185-205",
+        },
     ),
-    Paper(
-        "isard1998",
+    "isard1998": (
         "article",
-        "Isard, M. and Blake, A.",
-        1998,
-        "CONDENSATION: conditional density propagation for visual tracking",
-        (("journal", "International Journal of Computer Vision"), ("volume", "29(1)"), ("pages", "5-28")),
+        {
+            "author": "Isard, M. and Blake, A.",
+            "title": "CONDENSATION: conditional density propagation for visual tracking",
+            "year": "1998",
+            "journal": "International Journal of Computer Vision",
+            "volume": "29(1)",
+            "pages": "5-28",
+        },
     ),
-    Paper(
-        "maccormick2000",
+    "maccormick2000": (
         "inproceedings",
-        "MacCormick, J. and Isard, M.",
-        2000,
-        "Partitioned sampling, articulated objects, and interface-quality hand tracking",
-        (("booktitle", "European Conference on Computer Vision"), ("pages", "3-19")),
+        {
+            "author": "MacCormick, J. and Isard, M.",
+            "title": "Partitioned sampling, articulated objects, and interface-quality hand tracking",
+            "year": "2000",
+            "booktitle": "European Conference on Computer Vision",
+            "pages": "3-19",
+        },
     ),
-    Paper(
-        "asteriadis2013",
+    "asteriadis2013": (
         "inproceedings",
-        "Asteriadis, S. and Chatzitofis, A. and Zarpalas, D. and Alexiadis, D. S. and Daras, P.",
-        2013,
-        "Estimating human motion from multiple Kinect sensors",
-        (("booktitle", "MIRAGE 2013, Berlin"),),
+        {
+            "author": "Asteriadis, S. and Chatzitofis, A. and Zarpalas, D. and Alexiadis, D. S. and Daras, P.",
+            "title": "Estimating human motion from multiple Kinect sensors",
+            "year": "2013",
+            "booktitle": "MIRAGE 2013, Berlin",
+        },
     ),
-    Paper(
-        "sminchisescu2001",
+    "sminchisescu2001": (
         "techreport",
-        "Sminchisescu, C. and Triggs, B.",
-        2001,
-        "A robust multiple hypothesis approach to monocular human motion tracking",
-        (("institution", "INRIA"), ("number", "Rapport de recherche 4208")),
+        {
+            "author": "Sminchisescu, C. and Triggs, B.",
+            "title": "A robust multiple hypothesis approach to monocular human motion tracking",
+            "year": "2001",
+            "institution": "INRIA",
+            "number": "Rapport de recherche 4208",
+        },
     ),
-    Paper(
-        "saffari2009",
+    "saffari2009": (
         "inproceedings",
-        "Saffari, A. and Leistner, C. and Santner, J. and Godec, M. and Bischof, H.",
-        2009,
-        "On-line random forests",
-        (("booktitle", "ICCV Workshops"), ("pages", "1393-1400")),
+        {
+            "author": "Saffari, A. and Leistner, C. and Santner, J. and Godec, M. and Bischof, H.",
+            "title": "On-line random forests",
+            "year": "2009",
+            "booktitle": "ICCV Workshops",
+            "pages": "1393-1400",
+        },
     ),
-]
-PAPERS = {paper.key: paper for paper in _WORKS}
-"""Works by the key of their BibTeX entry."""
+}
+"""Works by the key of their BibTeX entry: its kind and its fields, authors joined by " and "."""
 
 _THESIS, _SWARM = ("alcoverro2014",), ("asteriadis2013",)
 METHODS: dict[str, tuple[str, ...]] = {
@@ -125,9 +107,10 @@ METHODS: dict[str, tuple[str, ...]] = {
 """Keys of the works behind each method, without hypose itself."""
 
 
-def papers_of(name: str) -> tuple[Paper, ...]:
-    """List the works to cite for a method by its name, or for a results folder by its provenance; hypose first.
+def papers_of(name: str) -> tuple[str, ...]:
+    """List the keys of the works to cite, hypose first.
 
+    name: of a method, or a results folder, whose provenance names the method.
     Raises: InputError lists the methods.
     """
     path, method = Path(name), name
@@ -144,9 +127,19 @@ def papers_of(name: str) -> tuple[Paper, ...]:
             f"There is no method or results folder {name!r}; give a folder that hypose track or fuse wrote, or one of "
             f"{', '.join(METHODS)}."
         )
-    return tuple(PAPERS[key] for key in ("hypose", *METHODS.get(method, ())))  # other baselines are textbook filters
+    return ("hypose", *METHODS.get(method, ()))  # other baselines are textbook filters
 
 
-def formatted_papers(papers: Sequence[Paper], bibtex: bool) -> str:
-    """Format works as text, or as BibTeX."""
-    return "\n\n".join(p.bibtex for p in papers) if bibtex else "\n".join(p.text for p in papers)
+def formatted_papers(keys: Sequence[str], bibtex: bool) -> str:
+    """Format works by their keys as the lines of a list of references, or as BibTeX."""
+    out = []
+    for key in keys:
+        kind, fields = PAPERS[key]
+        if bibtex:
+            values = {**fields, "title": f"{{{fields['title']}}}"}
+            out.append(f"@{kind}{{{key},\n" + "".join(f"  {k} = {{{v}}},\n" for k, v in values.items()) + "}\n")
+        else:
+            *others, last = fields["author"].split(" and ")
+            authors = f"{', '.join(others)} and {last}" if others else last
+            out.append(f"{authors} ({fields['year']}). {fields['title']}. {', '.join([*fields.values()][3:])}.")
+    return "\n".join(out).rstrip()

@@ -32,9 +32,10 @@ from hypose.io.recordings.recording import Recording
 from hypose.pipeline.first_frame import GIVEN, SubjectOptions, TrackedSubject, find_subject
 from hypose.pipeline.one_camera import FrameSource
 from hypose.pipeline.person_paths import per_frame
+from hypose.pipeline.recorded_frames import frames_wanted
 from hypose.pipeline.run import track_source
 from hypose.pipeline.trace import later, list_changes, trace_of, with_trace
-from hypose.pipeline.track_options import TrackOptions, frames_wanted
+from hypose.pipeline.track_options import TrackOptions
 
 _READ_AT_ONCE = 64
 """Frames that are kept in memory for tracking backwards."""

@@ -13,7 +13,17 @@ import numpy as np
 from click.exceptions import Exit
 from numpy.typing import NDArray
 
-from hypose.app.commands.console import ProgressCall, Stages, each, ignore, print_note, print_notes, say, stopping
+from hypose.app.commands.console import (
+    ProgressCall,
+    Stages,
+    counted,
+    each,
+    ignore,
+    print_note,
+    print_notes,
+    say,
+    stopping,
+)
 from hypose.app.jobs.job import ASSESSMENT_FILE, job_of, print_assessments, split_names, track_shown
 from hypose.app.live.live_server import FusionServerOptions, run_live
 from hypose.app.options import FuseCommand, TrackCommand
@@ -80,10 +90,10 @@ def fuse(c: FuseCommand) -> None:
         raise InputError("There is nothing to fuse; give a recording of skeletons, or --live.")
     loaded = read_skeletons(c.recording)
     if c.cameras is not None:
-        if c.method != "fit" or c.diagnose or c.reference is not None or c.rate is not None:
+        if c.method != "fit" or c.reference is not None or c.rate is not None:
             raise InputError(
-                "With --cameras everything is one solve at the cameras' rate; leave --method, --reference, --rate "
-                "and --diagnose out."
+                "With --cameras everything is one solve at the cameras' rate; leave --method, --reference and --rate "
+                "out."
             )
         filmed = load_recording(c.cameras)
         out = c.out or ResultsFolder.of(filmed.folder, "fuse-cameras").path
@@ -104,7 +114,7 @@ def fuse(c: FuseCommand) -> None:
     for n, p in enumerate(people, 1):
         m = p.motion
         parts = [
-            f"{len(m)} frames of {len(loaded.streams)} sensors at {m.frame_rate:g} Hz",
+            f"{counted(len(m), 'frame')} of {counted(len(loaded.streams), 'sensor')} at {m.frame_rate:g} Hz",
             f"{int(m.lost.sum())} lost",
             f"{float(m.n_views.mean()):.1f} sensors on average",
         ]
@@ -154,7 +164,7 @@ def run_fuse(
     total, folders = len(people) * len(times), [results]
     if len(people) > 1:
         folders = [ResultsFolder(results.path / f"person-{n + 1}") for n in range(len(people))]
-    settings = FusionSettings(diagnose=c.diagnose, seed=c.seed)
+    settings = FusionSettings(seed=c.seed)
     done: list[PersonResult] = []
     world: Array | None = None
     try:
@@ -350,13 +360,9 @@ def _write(
 
 def sensors_csv(fused: Fused) -> str:
     """Build the table of each sensor's share in each joint: a row per frame, a column joint:sensor with its share (0 to
-    1), and swarm:joint:sensor with the swarm's choice where it ran for diagnosis.
+    1).
     """
-    names = [f"{j}:{s}" for j in COMMON for s in fused.sensor_names]
-    header = ["time", *names]
-    table = [fused.motion.times[:, None], fused.shares.reshape(len(fused.shares), -1)]
-    if fused.choice is not None:
-        header += [f"swarm:{n}" for n in names]
-        table.append(fused.choice.reshape(len(fused.choice), -1))
-    lines = [",".join([f"{r[0]:.4f}", *(f"{v:.3f}" for v in r[1:])]) for r in np.concatenate(table, 1).tolist()]
+    header = ["time", *(f"{j}:{s}" for j in COMMON for s in fused.sensor_names)]
+    table = np.column_stack([fused.motion.times, fused.shares.reshape(len(fused.shares), -1)])
+    lines = [",".join([f"{r[0]:.4f}", *(f"{v:.3f}" for v in r[1:])]) for r in table.tolist()]
     return "\n".join([",".join(header), *lines]) + "\n"

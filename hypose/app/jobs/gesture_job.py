@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import queue
-import shlex
-import shutil
-import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -364,8 +360,6 @@ def evaluate_model(model: GestureModel, recording: GestureRecording) -> dict[str
 # ---- outputs -------------------------------------------------------------------------------------------------------
 
 
-MOST_COMMANDS = 8
-"""Most commands that run at a time; further ones are left out."""
 WAITING = 256
 """Most texts that wait for a slow listener."""
 
@@ -414,38 +408,3 @@ def gesture_lines(watched: Watched, names: Sequence[str]) -> list[str]:
     scores = {names[f.gesture - 1]: round(f.score, 3) for f in watched.found}
     frame = json.dumps({"time": round(watched.time, 4), "scores": scores})
     return [frame, *(event_line(e, names) for e in watched.events)]
-
-
-class EventCommand:
-    """Command that runs when a gesture starts, with {gesture} replaced by its name; with {event} in it, also at ends
-    (start, end). It runs without a shell, and nothing waits for it.
-
-    text: the command and its arguments, quoted as in a shell.
-    names: of the gestures, by their number minus 1.
-    Raises: InputError where there is no such program.
-    """
-
-    def __init__(self, text: str, names: Sequence[str]) -> None:
-        try:
-            self._words = shlex.split(text, posix=os.name != "nt")
-        except ValueError as error:
-            raise InputError(f"--command {text!r} cannot be read ({error}); close its quotes.") from None
-        if not self._words or shutil.which(self._words[0]) is None:
-            raise InputError(f"--command {text!r}: there is no such program; give one that runs in this terminal.")
-        self._names, self._ends = list(names), "{event}" in text
-        # the user's own program may import modules from its folder
-        self._environment = {k: v for k, v in os.environ.items() if k != "PYTHONSAFEPATH"}
-        self.running: list[subprocess.Popen[bytes]] = []
-
-    def run(self, watched: Watched) -> None:
-        """Run the command for the starts in one frame, and for the ends if it has {event}.
-
-        While MOST_COMMANDS of them run, further events are left out.
-        """
-        self.running = [p for p in self.running if p.poll() is None]
-        for e in watched.events:
-            if (e.kind == "start" or self._ends) and len(self.running) < MOST_COMMANDS:
-                name = self._names[e.gesture - 1]
-                words = [w.replace("{gesture}", name).replace("{event}", e.kind) for w in self._words]
-                nowhere = subprocess.DEVNULL
-                self.running.append(subprocess.Popen(words, stdin=nowhere, stdout=nowhere, env=self._environment))

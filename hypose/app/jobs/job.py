@@ -18,7 +18,7 @@ import click
 import numpy as np
 from click.exceptions import Exit
 
-from hypose.app.commands.console import ProgressCall, Stages, each, ignore, print_notes, say, stopping
+from hypose.app.commands.console import ProgressCall, Stages, counted, each, ignore, print_notes, say, stopping
 from hypose.app.options import TrackCommand
 from hypose.app.reports.overlay import PictureRows, Shown, colour_of, write_overlay
 from hypose.app.reports.report import picture_rows, report_html
@@ -49,15 +49,14 @@ from hypose.io.sensors.skeleton_streams import SkeletonRecording
 from hypose.pipeline.assessment import ASSESSMENT_FILE, EXIT_UNTRUSTED, UNTRUSTED, Assessment
 from hypose.pipeline.first_frame import SubjectOptions
 from hypose.pipeline.frame_anomalies import in_words
-from hypose.pipeline.one_camera import POINT_STARTS, clicks_of, depth_note, one_view
-from hypose.pipeline.one_of_several import chosen_people, keypoint_people, people_frames, wanted_of
+from hypose.pipeline.one_camera import POINT_STARTS, clicks_of, depth_note
 from hypose.pipeline.passes import MODES
-from hypose.pipeline.people_run import PeopleRun
-from hypose.pipeline.run import TrackResult
+from hypose.pipeline.person_paths import Wanted, said_of_places
+from hypose.pipeline.recorded_frames import check_views, frames_wanted, one_view, people_frames
+from hypose.pipeline.run import PeopleResult, TrackResult, track_people
 from hypose.pipeline.subject_from_motion import load_subject, subject_file
-from hypose.pipeline.track import track_person
-from hypose.pipeline.track_options import TrackOptions, check_views, frames_wanted
-from hypose.pipeline.tracked_people import PeopleResult, TrackedPerson, Wanted, said_of_places
+from hypose.pipeline.track import chosen_people, keypoint_people, track_person, wanted_of
+from hypose.pipeline.track_options import TrackOptions
 from hypose.tracking.contacts import runs
 from hypose.tracking.recipes import citation_of
 
@@ -185,13 +184,13 @@ def run_job(job: TrackJob, progress: ProgressCall = ignore, seconds: Mapping[str
     with _frames(job, progress) as source:
         found, absent = _track(job, source, record, progress) if before is None else _alone(before)
         people, notes = found.people, (*recording.notes, *source.notes, *found.notes)
-        first = people[0].result
+        first = people[0]
         for one in people:
             _save(_folder(job, one), one)
         truth = job.truth(first.motion, first.body) if job.truth is not None else None
         if found.complete:
             for one in people:
-                said = (*notes, *one.result.notes)
+                said = (*notes, *one.notes)
                 _export_and_report(job, one, source, progress, notes=said, seconds=seconds or {}, truth=truth)
             if several:
                 _together(job, people, source, notes, progress)
@@ -199,7 +198,7 @@ def run_job(job: TrackJob, progress: ProgressCall = ignore, seconds: Mapping[str
     if several:
         assessment = worst_assessment(people, absent)
         results.write_json(ASSESSMENT_FILE, assessment.document())
-    said = (f"{one.name}: {n}" if one.name else n for one in people for n in one.result.notes)
+    said = (f"{one.name}: {n}" if one.name else n for one in people for n in one.notes)
     return Outcome(first.motion, found.complete, (*notes, *said), truth, assessment)
 
 
@@ -212,9 +211,8 @@ def _frames(job: TrackJob, progress: ProgressCall) -> FrameStream:
 
 
 def _alone(tracked: TrackResult) -> tuple[PeopleResult, str]:
-    """Make the result of a single person, who has no name and is there in all frames; see `_track`."""
-    always = np.ones(len(tracked.motion), dtype=np.bool_)
-    return PeopleResult((TrackedPerson("", tracked, always, ~always),), tracked.complete), ""
+    """Make the result of a single person, who has no name; see `_track`."""
+    return PeopleResult((tracked,), tracked.complete), ""
 
 
 def compile_before(progress: ProgressCall, *parts: str) -> None:
@@ -231,8 +229,7 @@ def _kernels(recording: Recording, options: TrackOptions) -> tuple[str, ...]:
     depth = ("depth",) if recording.depth_views else ()
     if options.looks_at == "keypoints":
         return ("solver", *depth)
-    # a given body is not fitted to outlines
-    masks = ("solver", *depth, "scorer", "outlines", *(() if options.subject else ("shape",)))
+    masks = ("solver", *depth, "scorer", "outlines")
     return masks if all(view.masks is not None for view in recording.views) else (*masks, "pictures")
 
 
@@ -252,8 +249,8 @@ def _track(
         wanted = wanted_of(recording)
         count, only = chosen_people(job.command.people, wanted)
         points = keypoint_people(recording, source.rig) if options.looks_at != "silhouettes" else None
-        about |= {"resume": job.command.resume, "points": points}
-        found = PeopleRun(source, rate, options, count, wanted, **about)()
+        about |= {"resume": job.command.resume, "points": points, "count": count, "wanted": wanted}
+        found = track_people(source, rate, options, **about)
         shown = tuple(p for p in found.people if only in (None, p.name))
         return replace(found, people=shown or found.people), _absent(found, [w for w in wanted if w.name == only])
     if (skeletons := job.skeletons) is not None:
@@ -363,33 +360,28 @@ _SAVED = ("motion.npz", MODES, "body.npz", "provenance.json", ASSESSMENT_FILE)
 """Files that exist before the motion files of a person are written; MODES with one camera only."""
 
 
-def _save(results: ResultsFolder, one: TrackedPerson) -> None:
+def _save(results: ResultsFolder, one: TrackResult) -> None:
     """Write body, provenance and assessment of one person; the motion is there already."""
-    motion = one.result.motion
-    save_body(one.result.body, results.file("body.npz"))
+    motion = one.motion
+    save_body(one.body, results.file("body.npz"))
     results.write_json("provenance.json", motion.provenance)
     there = {"there": _there(one)} if one.name else {}
-    results.write_json(ASSESSMENT_FILE, {**_assessed(one).with_joints(motion), **there})
+    results.write_json(ASSESSMENT_FILE, {**one.assessment.with_joints(motion), **there})
 
 
-def _assessed(one: TrackedPerson) -> Assessment:
-    """Return the assessment of one person; of a single person that of an earlier run, where the result is of one."""
-    return one.assessment if one.name else one.result.assessment
-
-
-def _folder(job: TrackJob, one: TrackedPerson) -> ResultsFolder:
+def _folder(job: TrackJob, one: TrackResult) -> ResultsFolder:
     """Return the results folder of one person; a single person, without a name, has that of the job."""
     return ResultsFolder(job.results.path / one.name)
 
 
-def _there(one: TrackedPerson) -> list[list[int]]:
+def _there(one: TrackResult) -> list[list[int]]:
     """List the rows [first, one after the last] of the motion in which a person is present."""
-    return [[r.start, r.stop] for r in runs(one.present)]
+    return [[r.start, r.stop] for r in runs(one.there)]
 
 
 def _export_and_report(
     job: TrackJob,
-    one: TrackedPerson,
+    one: TrackResult,
     source: FrameStream,
     progress: ProgressCall,
     **about: Any,  # noqa: ANN401 (fields of the report)
@@ -400,7 +392,7 @@ def _export_and_report(
     source: frames of the recording.
     about: fields of `ViewResult` for the report.
     """
-    motion, body, modes = one.result.motion, one.result.body, one.result.modes
+    motion, body, modes = one.motion, one.body, one.modes
     recording, results = job.recording, _folder(job, one)
     files = [results.file(n) for n in _SAVED if n != MODES or modes is not None]
     for name in each(progress, "export", job.formats):
@@ -417,7 +409,7 @@ def _export_and_report(
             citation=citation_of(job.options.recipe, job.options.refine),
             first_frame=recording.frames.start,
             rivals=Rivals.of_motion(motion) if modes is None else Rivals.of(modes.joints, modes.weights),
-            assessment=_assessed(one),
+            assessment=one.assessment,
             files=[(p.name, DESCRIPTIONS.get(p.name, ""), 0) for p in files],
         )
         wanted, people = picture_rows(view, video) if reported else PictureRows(video), [Shown("", motion, body)]
@@ -442,7 +434,7 @@ def remove_stale(results: ResultsFolder, written: Sequence[Path]) -> None:
 # ---- several people together -----------------------------------------------------------------------------------------
 
 
-def worst_assessment(people: Sequence[TrackedPerson], absent: str = "") -> Assessment:
+def worst_assessment(people: Sequence[TrackResult], absent: str = "") -> Assessment:
     """Combine the assessments of several people: the worst word, with the sentences and frames of those who have it.
 
     absent: sentence that the person who was asked for was not found; then the results are not to be trusted.
@@ -462,7 +454,7 @@ def worst_assessment(people: Sequence[TrackedPerson], absent: str = "") -> Asses
 
 
 def _together(
-    job: TrackJob, people: Sequence[TrackedPerson], source: FrameStream, notes: Sequence[str], progress: ProgressCall
+    job: TrackJob, people: Sequence[TrackResult], source: FrameStream, notes: Sequence[str], progress: ProgressCall
 ) -> None:
     """Write overlay, C3D, GLB, people.json and index page of all people, and delete files of earlier runs.
 
@@ -472,16 +464,16 @@ def _together(
     results, files = job.results, [job.results.file(ASSESSMENT_FILE)]
     if job.command.overlay:
         files.append(results.file("overlay.mp4"))
-        shown = [Shown(p.name, p.result.motion, p.result.body, p.present) for p in people]
+        shown = [Shown(p.name, p.motion, p.body, p.there) for p in people]
         write_overlay(files[-1], job.recording, source, shown, PictureRows(), progress)
     if "c3d" in job.formats:
         files.append(write_people_c3d(results.file("motion.c3d"), people))
     if "glb" in job.formats:
         files.append(results.file("motion.glb"))
-        write_people_glb(files[-1], [(p.name, p.result.motion, p.result.body) for p in people])
+        write_people_glb(files[-1], [(p.name, p.motion, p.body) for p in people])
     about = [
         {"name": p.name, "folder": p.name, "assessment": p.assessment.word, "there": _there(p)}
-        | {"stature": p.result.body.stature}
+        | {"stature": p.body.stature}
         for p in people
     ]
     results.write_json("people.json", {"people": about, "notes": list(notes)})
@@ -490,22 +482,22 @@ def _together(
     remove_stale(results, files)
 
 
-def write_people_c3d(path: Path, people: Sequence[TrackedPerson]) -> Path:
+def write_people_c3d(path: Path, people: Sequence[TrackResult]) -> Path:
     """Write the joint centres of all people as one C3D with subjects; return its path.
 
     Points are named NAME:JOINT. The residual of a point is its standard deviation (mm), 0 where it was not measured;
     points of absent people are marked as not seen.
     """
     subjects = [p.name.replace(" ", "-").replace(":", "-") for p in people]
-    names = [f"{s}:{j}" for s, p in zip(subjects, people, strict=True) for j in p.result.motion.skeleton.joint_names]
-    points = [np.where(p.present[:, None, None], p.result.motion.joints, np.nan) for p in people]
-    residuals = np.concatenate([joint_residuals(p.result.motion) for p in people], 1)
-    rate = people[0].result.motion.frame_rate
+    names = [f"{s}:{j}" for s, p in zip(subjects, people, strict=True) for j in p.motion.skeleton.joint_names]
+    points = [np.where(p.there[:, None, None], p.motion.joints, np.nan) for p in people]
+    residuals = np.concatenate([joint_residuals(p.motion) for p in people], 1)
+    rate = people[0].motion.frame_rate
     write_c3d(path, names, np.concatenate(points, 1), rate, residuals, subjects=subjects)
     return path
 
 
-def _index(job: TrackJob, people: Sequence[TrackedPerson], notes: Sequence[str]) -> str:
+def _index(job: TrackJob, people: Sequence[TrackResult], notes: Sequence[str]) -> str:
     """Build the page with links to the reports of all people.
 
     notes: sentences at the end of the page.
@@ -513,11 +505,11 @@ def _index(job: TrackJob, people: Sequence[TrackedPerson], notes: Sequence[str])
     rows = []
     for k, p in enumerate(people):
         b, g, r = colour_of(k)
-        there = in_words(runs(p.present)) if not p.present.all() else "all frames"
+        there = in_words(runs(p.there)) if not p.there.all() else "all frames"
         cells = (
             f'<span style="color:rgb({r},{g},{b})">&#9632;</span>',
             f'<a href="{html.escape(quote(p.name), quote=True)}/report.html">{html.escape(p.name)}</a>',
-            f"{p.result.body.stature:.2f} m",
+            f"{p.body.stature:.2f} m",
             html.escape(there),
             html.escape(p.assessment.sentence),
         )
@@ -552,7 +544,10 @@ def _kept(job: TrackJob) -> str:
     motions = sorted(results.path.glob("*/motion.npz")) if several else [results.motion]
     motions, where = [m for m in motions if m.exists()], results.path if several else results.motion
     if results.checkpoint.exists():
-        done = f"{len(load_motion(motions[0]))} of {total} frames" if motions else "tracked frames"
+        if not motions:
+            kept = f"Kept: body and start of the person, in {results.checkpoint}"
+            return f"Stopped before the first frame was tracked. {kept}. Go on with: {command}"
+        done = f"{len(load_motion(motions[0]))} of {total} frames"
         return f"Stopped. Kept: {done} in {where}, and the state of the tracker. Go on with: {command}"
     if several and motions:
         return f"Stopped. The motions that were complete are in {where}. Go on with: {command}"
@@ -571,7 +566,8 @@ def _report_outcome(job: TrackJob, outcome: Outcome, seconds: Mapping[str, float
     print_notes(outcome.notes)
     views, reported = len(job.recording.rig), int(outcome.motion.n_views.max(initial=0))
     of = f"{reported} of {views}" if 0 < reported < views else f"{views}"  # largest number of views used in a frame
-    parts = [f"{s.frames} frames in {of} views", f"{s.lost} lost", f"{s.extrapolated} extrapolated"]
+    of += " view" if of == "1" else " views"
+    parts = [f"{counted(s.frames, 'frame')} in {of}", f"{s.lost} lost", f"{s.extrapolated} extrapolated"]
     if s.iou == s.iou:
         parts.append(f"mean IoU {s.iou:.3f}")
     if s.sd_mm == s.sd_mm:

@@ -45,6 +45,7 @@ from hypose.io.recordings.recording import Recording, load_recording
 from hypose.io.recordings.recording_people import candidates_of
 from hypose.pipeline.detect_keypoints import detect_keypoints, wants_detector
 from hypose.pipeline.mesh_subject import subject_from_mesh
+from hypose.pipeline.recorded_frames import check_views
 from hypose.pipeline.recording_diagnostics import window
 from hypose.pipeline.subject_from_motion import (
     AnthropometryOptions,
@@ -52,7 +53,6 @@ from hypose.pipeline.subject_from_motion import (
     estimate_subject,
     save_subject,
 )
-from hypose.pipeline.track_options import check_views
 from hypose.tracking.starts import KNOWN_POSES
 
 _MOST_SECONDS = 60

@@ -20,19 +20,14 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from http import HTTPStatus
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from websockets.asyncio.server import Server, ServerConnection, serve
-from websockets.datastructures import MultipleValuesError
-from websockets.exceptions import ConnectionClosed
-from websockets.http11 import Request, Response
 
-from hypose.app.commands.console import ended_by_signals
+from hypose.app.commands.console import counted, ended_by_signals
 from hypose.app.live.osc import OscTarget, people_osc
-from hypose.app.live.servers import ORIGINS, Outbox, Queue, listen_error, quiet_logs, same_secret, shows_secret
+from hypose.app.live.servers import SocketServer, listen_error, quiet_logs, same_secret
 from hypose.errors import InputError, visible
 from hypose.fusion.joints import COMMON
 from hypose.fusion.live import LiveFrame, LiveFuser, LiveSettings
@@ -117,9 +112,8 @@ class LiveServer:
         self.unrecorded = ""  # why a requested recording is not complete
         self._timer: asyncio.TimerHandle | None = None
         self._datagrams: asyncio.DatagramTransport | None = None
-        self._server: Server | None = None
-        self.outbox = Outbox()
-        self._connections = 0
+        o = options
+        self.sockets = SocketServer(self._hello, o.waiting, clients=o.clients, take=self.take, token=self.token)
         self._osc: OscTarget | None = None
         self._status_at = 0.0
 
@@ -146,19 +140,7 @@ class LiveServer:
                     transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
                 self.udp_port = transport.get_extra_info("sockname")[1]
             if o.ws is not None:
-                self._server = await serve(
-                    self._client,
-                    o.host,
-                    o.ws,
-                    process_request=self._admit,
-                    origins=None if self.token else ORIGINS,
-                    compression=None,
-                    max_size=1 << 16,
-                    max_queue=16,
-                    open_timeout=5,
-                    close_timeout=1,
-                )
-                self.ws_port = next(iter(self._server.sockets)).getsockname()[1]
+                self.ws_port = await self.sockets.start(o.host, o.ws)
         except (OSError, OverflowError) as error:
             await self.stop()
             raise InputError(
@@ -172,10 +154,7 @@ class LiveServer:
             self._timer.cancel()
         if self._datagrams is not None:
             self._datagrams.close()
-        if self._server is not None:
-            self._server.close()
-            with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(self._server.wait_closed(), 3)
+        await self.sockets.stop()
         if self._osc is not None:
             self._osc.close()
         self._record(lambda writer: writer.close())
@@ -249,8 +228,8 @@ class LiveServer:
         self._timer = asyncio.get_running_loop().call_later(max(0.0, due - now), self.tick) if due < math.inf else None
         if now - self._status_at >= _STATUS_S:
             self._status_at = now
-            if self.outbox.queues:
-                self.outbox.post(self._status(now))
+            if self.sockets.queues:
+                self.sockets.post(self._status(now))
             self._record(lambda writer: writer.flush())
 
     def _send(self, frame: LiveFrame, now: float) -> None:
@@ -258,8 +237,8 @@ class LiveServer:
         self.frames += 1
         self.latencies.append(latency)
         self.people = len(frame.people)
-        if self.outbox.queues:
-            self.outbox.post(frame_json(frame, latency))
+        if self.sockets.queues:
+            self.sockets.post(frame_json(frame, latency))
         if self._osc is not None:
             people = [(p.id, COMMON, p.joints, p.sd) for p in frame.people]
             self._osc.send(people_osc(frame.index, frame.time, latency, people, len(people)))
@@ -286,51 +265,14 @@ class LiveServer:
             "received": self.received,
             "ignored": self.ignored,
             "frames": self.frames,
-            "dropped": self.outbox.dropped,
+            "dropped": self.sockets.dropped,
         }
         return json.dumps({"type": "status", "sensors": sensors, **counts}, separators=(",", ":"))
 
-    # ---- WebSocket ----
-
-    def _admit(self, connection: ServerConnection, request: Request) -> Response | None:
-        """Refuse a WebSocket request with another path, too many connections or a wrong token; None: it is accepted."""
-        path, _, query = request.path.partition("?")
-        if path not in ("/in", "/out"):
-            return connection.respond(HTTPStatus.NOT_FOUND, "the paths are /in and /out\n")
-        if self._connections >= self.options.clients:
-            return connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, "too many connections\n")
-        try:
-            bearer = request.headers.get("Authorization", "")
-        except MultipleValuesError:
-            return connection.respond(HTTPStatus.BAD_REQUEST, "more than one Authorization\n")
-        if self.token and not shows_secret(query, bearer, self.token):
-            return connection.respond(HTTPStatus.UNAUTHORIZED, "the token is missing or wrong\n")
-        return None
-
-    async def _client(self, connection: ServerConnection) -> None:
-        self._connections += 1
-        try:
-            path = connection.request.path.partition("?")[0] if connection.request is not None else ""
-            await (self._listen(connection) if path == "/in" else self._serve(connection))
-        except ConnectionClosed:
-            pass
-        finally:
-            self._connections -= 1
-
-    async def _listen(self, connection: ServerConnection) -> None:
-        reported = -math.inf
-        loop = asyncio.get_running_loop()
-        async for message in connection:
-            reasons = [r for ln in message.splitlines() if ln.strip() and (r := self.take(ln))]  # type: ignore[arg-type]
-            if reasons and loop.time() - reported > 1:
-                reported = loop.time()
-                await connection.send(json.dumps({"type": "error", "reason": reasons[0], "lines": len(reasons)}))
-
-    async def _serve(self, connection: ServerConnection) -> None:
-        queue: Queue = asyncio.Queue(self.options.waiting)
-        hello = {"type": "hello", "version": 1, "joints": COMMON, "rate": self.options.settings.align.rate}
-        queue.put_nowait(json.dumps(hello))
-        await self.outbox.serve(connection, queue)  # after the hello message no frame is missed
+    def _hello(self, path: str) -> str | None:
+        """Return the first message for a listener; None for another path than /out."""
+        value = {"type": "hello", "version": 1, "joints": COMMON, "rate": self.options.settings.align.rate}
+        return json.dumps(value) if path == "/out" else None
 
 
 class _Datagrams(asyncio.DatagramProtocol):
@@ -396,7 +338,7 @@ async def run_live(options: FusionServerOptions, say: _Say, note: _Say) -> None:
         finally:
             await server.stop()
     if server.frames:
-        say(f"{server.frames} frames sent. {_summary(server)}")
+        say(f"{counted(server.frames, 'frame')} sent. {_summary(server)}")
     if server.unrecorded:
         raise InputError(server.unrecorded)
     if options.record is not None:

@@ -106,7 +106,7 @@ class PoseOutputs:
         for target, made in self._outs:
             for datagram in made(seen.poses, latency):
                 target.put(datagram)
-        if self.listeners is not None and self.listeners.outbox.queues:
+        if self.listeners is not None and self.listeners.server.queues:
             for pose in seen.poses:
                 self.listeners.post(pose_json(pose, latency, self._cameras))
 

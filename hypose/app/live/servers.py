@@ -6,22 +6,27 @@ from __future__ import annotations
 
 import asyncio
 import hmac
+import json
 import logging
+import math
 import os
 import re
 import threading
 from collections.abc import Callable, Coroutine
 from contextlib import suppress
+from http import HTTPStatus
 from typing import Any, TypeVar
 from urllib.parse import parse_qs
 
 from websockets.asyncio.server import Server, ServerConnection, serve
+from websockets.datastructures import MultipleValuesError
 from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request, Response
 
 from hypose.errors import InputError
 
 _LOGGERS = ("asyncio", "uvicorn.error", "websockets.server")
-FOREIGN = (
+_FOREIGN = (
     "Invalid ",
     "Unsupported upgrade",
     "opening handshake failed",
@@ -53,7 +58,7 @@ def shows_secret(query: str, authorization: str, secret: str) -> bool:
 
 
 def _own(record: logging.LogRecord) -> bool:
-    return not record.getMessage().startswith(FOREIGN)
+    return not record.getMessage().startswith(_FOREIGN)
 
 
 def quiet_logs() -> None:
@@ -62,12 +67,123 @@ def quiet_logs() -> None:
         logging.getLogger(name).addFilter(_own)  # a filter that is there already is not added twice
 
 
-Post = str | bytes
-Queue = asyncio.Queue[Post | None]
-ORIGINS = [None, re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d{1,5})?")]
+Queue = asyncio.Queue[str | None]
+_ORIGINS = [None, re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d{1,5})?")]
 """Allowed origins: programs, and pages of this computer. Why: a foreign page must not use a port without the user's
 knowledge.
 """
+
+
+class SocketServer:
+    """WebSocket server of one event loop, whose clients listen to what is posted, or send lines. A listener that is too
+    slow loses its oldest items.
+
+    hello: gives the first item for a listener by the path it asks for; None: there is no such path.
+    waiting: items kept for a slow listener.
+    clients: most connections at a time.
+    take: receives each line that a client sends to the path /in, and returns why it is ignored, else None; None: no
+        lines are taken.
+    token: secret that clients must show; "": none, and pages of other computers are refused.
+
+    Attributes:
+    queues: of the listeners.
+    dropped: number of lost items.
+    """
+
+    def __init__(
+        self,
+        hello: Callable[[str], str | None],
+        waiting: int,
+        *,
+        clients: int = 16,
+        take: Callable[[str | bytes], str | None] | None = None,
+        token: str = "",
+    ) -> None:
+        self._hello, self._waiting, self._clients, self._take, self._token = hello, waiting, clients, take, token
+        self._connections = self.dropped = 0
+        self.queues = set[asyncio.Queue]()
+        self._server: Server | None = None
+
+    async def start(self, host: str, port: int) -> int:
+        """Open a port (0: any free one) and return its number; OSError or OverflowError where it cannot be opened."""
+        self._server = await serve(
+            self._client,
+            host,
+            port,
+            process_request=self._admit,
+            origins=None if self._token else _ORIGINS,
+            compression=None,
+            max_size=1 << 16,
+            max_queue=16,
+            open_timeout=5,
+            close_timeout=1,
+        )
+        return int(next(iter(self._server.sockets)).getsockname()[1])
+
+    async def stop(self) -> None:
+        """Give the listeners time to receive what was posted, and close all connections."""
+        self.post(None)
+        for _ in range(100):
+            if not self.queues:
+                break
+            await asyncio.sleep(0.02)
+        if self._server is not None:
+            self._server.close()
+            with suppress(TimeoutError):
+                await asyncio.wait_for(self._server.wait_closed(), 3)
+
+    def post(self, what: str | None) -> None:
+        """Send an item to all listeners; None marks the end."""
+        for queue in self.queues:
+            self.dropped += put_newest(queue, what)
+
+    def _admit(self, connection: ServerConnection, request: Request) -> Response | None:
+        """Refuse a request with another path, too many connections or a wrong token; None: it is accepted."""
+        path, _, query = request.path.partition("?")
+        if not (path == "/in" and self._take is not None) and self._hello(path) is None:
+            return connection.respond(HTTPStatus.NOT_FOUND, "there is no such path\n")
+        if self._connections >= self._clients:
+            return connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, "too many connections\n")
+        try:
+            bearer = request.headers.get("Authorization", "")
+        except MultipleValuesError:
+            return connection.respond(HTTPStatus.BAD_REQUEST, "more than one Authorization\n")
+        if self._token and not shows_secret(query, bearer, self._token):
+            return connection.respond(HTTPStatus.UNAUTHORIZED, "the token is missing or wrong\n")
+        return None
+
+    async def _client(self, connection: ServerConnection) -> None:
+        path = connection.request.path.partition("?")[0] if connection.request is not None else ""
+        self._connections += 1
+        try:
+            with suppress(ConnectionClosed):
+                await (self._receive(connection) if path == "/in" and self._take else self._send(connection, path))
+        finally:
+            self._connections -= 1
+
+    async def _receive(self, connection: ServerConnection) -> None:
+        """Take the lines of a sender, and answer at most once a second why lines are ignored."""
+        reported, loop = -math.inf, asyncio.get_running_loop()
+        assert self._take is not None
+        async for message in connection:
+            reasons = [r for line in message.splitlines() if line.strip() and (r := self._take(line))]
+            if reasons and loop.time() - reported > 1:
+                reported = loop.time()
+                await connection.send(json.dumps({"type": "error", "reason": reasons[0], "lines": len(reasons)}))
+
+    async def _send(self, connection: ServerConnection, path: str) -> None:
+        """Send the first item and what is posted to a listener until the end mark, or until the listener leaves."""
+        queue: Queue = asyncio.Queue(self._waiting)
+        if hello := self._hello(path):
+            queue.put_nowait(hello)
+        self.queues.add(queue)  # after the first item nothing is missed
+        reading = asyncio.ensure_future(_until_gone(connection, queue))
+        try:
+            while (what := await queue.get()) is not None:
+                await connection.send(what)
+        finally:
+            self.queues.discard(queue)
+            reading.cancel()
 
 
 def put_newest(queue: asyncio.Queue, what: object) -> bool:
@@ -77,38 +193,6 @@ def put_newest(queue: asyncio.Queue, what: object) -> bool:
         queue.get_nowait()
     queue.put_nowait(what)
     return full
-
-
-class Outbox:
-    """Queues of listeners; a listener that is too slow loses its oldest items. Used in one event loop.
-
-    queues: of the listeners.
-    dropped: number of lost items.
-    """
-
-    def __init__(self) -> None:
-        self.dropped = 0
-        self.queues = set[asyncio.Queue]()
-
-    def post(self, what: Post | None) -> None:
-        """Send an item to all listeners; None marks the end."""
-        for queue in self.queues:
-            self.dropped += put_newest(queue, what)
-
-    async def serve(self, connection: ServerConnection, queue: Queue) -> None:
-        """Send queued and new items to a connection until the end mark, or until the listener leaves.
-
-        queue: of this listener; it receives items from now on.
-        """
-        self.queues.add(queue)
-        reading = asyncio.ensure_future(_until_gone(connection, queue))
-        try:
-            with suppress(ConnectionClosed):
-                while (what := await queue.get()) is not None:
-                    await connection.send(what)
-        finally:
-            self.queues.discard(queue)
-            reading.cancel()
 
 
 async def _until_gone(connection: ServerConnection, queue: Queue) -> None:
@@ -123,46 +207,41 @@ async def _until_gone(connection: ServerConnection, queue: Queue) -> None:
 
 
 _T = TypeVar("_T")
-_MAX_PENDING = 16
 
 
 class SocketListeners:
-    """WebSocket server on ws://127.0.0.1:PORT (0: any free one) for programs and pages of this computer.
+    """WebSocket server on ws://127.0.0.1:PORT in a thread of its own, for listeners of this computer.
 
-    Every item is sent to all listeners, whatever path they asked for.
-    waiting: items kept for a slow listener, which loses the oldest ones.
-    hello: gives the first item for a path; None: there is no such path.
+    port: 0: any free one.
+    waiting, hello: as for `SocketServer`; by default any path is taken, and there is no first item.
     Raises: InputError where the port cannot be used.
+
+    Attributes:
+    port: number of the port.
+    server: the server, which belongs to the thread.
     """
 
-    def __init__(self, port: int, waiting: int, hello: Callable[[str], Post | None] = lambda path: "") -> None:
-        self.outbox = Outbox()
-        self._waiting, self._hello = waiting, hello
+    def __init__(self, port: int, waiting: int, hello: Callable[[str], str | None] = lambda path: "") -> None:
         self._loop = asyncio.new_event_loop()
+        self.server = SocketServer(hello, waiting)
         quiet_logs()
         self._thread = threading.Thread(target=self._loop.run_forever, daemon=True)
         self._thread.start()
         try:
-            self._server = self._in_loop(self._open(port))
+            self.port = self._in_loop(self.server.start("127.0.0.1", port))
         except OSError as error:
             self._end_loop()
             raise InputError(
                 f"Port {port} cannot be used ({listen_error(error)}); choose another with --ws, 0 takes any free one."
             ) from None
 
-    @property
-    def port(self) -> int:
-        """The port of the server."""
-        return int(next(iter(self._server.sockets)).getsockname()[1])
-
-    def post(self, what: Post) -> None:
+    def post(self, what: str) -> None:
         """Send an item to all listeners."""
-        self._loop.call_soon_threadsafe(self.outbox.post, what)
+        self._loop.call_soon_threadsafe(self.server.post, what)
 
     def close(self) -> None:
         """Send what was posted, and stop."""
-        self._loop.call_soon_threadsafe(self.outbox.post, None)
-        self._in_loop(self._close())
+        self._in_loop(self.server.stop())
         self._end_loop()
 
     def _in_loop(self, work: Coroutine[Any, Any, _T]) -> _T:
@@ -172,40 +251,6 @@ class SocketListeners:
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join()
         self._loop.close()
-
-    # ---- in the loop ----
-
-    async def _open(self, port: int) -> Server:
-        return await serve(
-            self._listen,
-            "127.0.0.1",
-            port,
-            origins=ORIGINS,
-            compression=None,
-            max_size=1 << 16,
-            open_timeout=5,
-            close_timeout=1,
-        )
-
-    async def _close(self) -> None:
-        for _ in range(100):  # give listeners time to receive the queued items
-            if not self.outbox.queues:
-                break
-            await asyncio.sleep(0.02)
-        self._server.close()
-        await self._server.wait_closed()
-
-    async def _listen(self, connection: ServerConnection) -> None:
-        path = connection.request.path.partition("?")[0] if connection.request is not None else "/"
-        hello = self._hello(path)
-        if len(self.outbox.queues) >= _MAX_PENDING or hello is None:
-            full = hello is not None
-            await connection.close(1013 if full else 1008, "too many listeners" if full else "there is no such path")
-            return
-        queue: Queue = asyncio.Queue(self._waiting)
-        if hello:
-            queue.put_nowait(hello)
-        await self.outbox.serve(connection, queue)
 
 
 def listen_error(error: OSError | OverflowError) -> str:

@@ -171,10 +171,13 @@ class FuseTopic(LiveTopic):
     async def _tell(self, server: LiveServer) -> None:
         """Forward the messages of the fusion server to the pages."""
         queue: asyncio.Queue[str] = asyncio.Queue(_WAITING)
-        server.outbox.queues.add(queue)
-        while True:
-            line = await queue.get()
-            self._hub.post(self.name, line.replace('"type":', '"t":', 1), key=line.partition(",")[0])
+        server.sockets.queues.add(queue)
+        try:
+            while True:
+                line = await queue.get()
+                self._hub.post(self.name, line.replace('"type":', '"t":', 1), key=line.partition(",")[0])
+        finally:
+            server.sockets.queues.discard(queue)
 
     async def _end(self, server: LiveServer) -> None:
         """Close the ports and complete the recording."""

@@ -160,6 +160,8 @@ class Results:
         saved = Checkpoint.read(checkpoint)
         first_person = "0_done_"  # a checkpoint holds all people
         done = {k.removeprefix(first_person): v for k, v in saved.arrays.items() if k.startswith(first_person)}
+        if not done:
+            return None
         if not {"poses", "joint_covariances", "flags"} <= done.keys():
             raise NotFound("What this method has tracked so far cannot be shown; wait for its end.")
         estimates, body = estimates_from_arrays(done), load_body(folder / "body.npz")

@@ -3,28 +3,26 @@
 Axes are those of the world, z up; the parameters X_SCREEN = +X and Y_SCREEN = +Z say so.
 Residuals follow the C3D manual: -1 for not seen, 0 for computed and not measured (here: lost or predicted frames),
     positive for measured (here: the standard deviation in whole millimetres, at least 1).
-Why: ezc3d 1.7 accepts truncated files without a warning and allocates what a damaged header asks for. The reader here
-    compares every size with the file first.
+Why: ezc3d 1.7 accepts truncated files without a warning, reads no MIPS files, and ends the process (segmentation fault)
+    at damaged parameter sections, which no check of the header finds.
 Source: the C3D file format, user guide.
 """
 
 from __future__ import annotations
 
-import os
-import struct
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from hypose.body.motion import Motion
 from hypose.errors import InputError
 from hypose.geometry import Array
 from hypose.io.file_names import utf8_path
-from hypose.io.files import atomic_path, open_file, unreadable
+from hypose.io.files import atomic_path, numbers_of, read_bytes
 from hypose.io.motions.marker_files import Markers, metres_per_unit
 
 _KIND = "a C3D file"
@@ -119,75 +117,30 @@ def read_c3d(path: str | Path) -> Markers:
     Returns: points in metres, in the axes of the file; NaN where the residual is negative.
     Raises: InputError where the file is not C3D, damaged, truncated or without points.
     """
-    try:
-        with open_file(path, _KIND, _MAX_BYTES) as file:
-            raw, layout, parameters, order = _read(file, os.fstat(file.fileno()).st_size, path)
-    except OSError as error:
-        raise unreadable(path, error) from None
-    points = _points(raw, layout, order)
-    names = _names(parameters, layout.points)
-    unit = _first(parameters.get("POINT:UNITS"), "mm") or "mm"
-    return Markers(names, points * metres_per_unit(unit, str(path)), layout.rate, unit)
-
-
-def _read(file: BinaryIO, size: int, path: str | Path) -> tuple[bytes, _Layout, dict[str, tuple[Any, ...]], str]:
-    """Read the frames of a file after checking every size against that of the file.
-
-    file: the open file.
-    size: size of the file, bytes.
-    path: for the error messages.
-    Returns: bytes of the frames, their layout, the parameters by GROUP:NAME, and the byte order: intel, dec or mips.
-    Raises: InputError where the file is not C3D, damaged or truncated.
-    """
-    head = file.read(_BLOCK)
-    if len(head) < _BLOCK or head[1] != 0x50 or head[0] < 1:
+    data = read_bytes(path, _KIND, _MAX_BYTES)
+    if len(data) < _BLOCK or data[1] != 0x50 or data[0] < 1:
         raise InputError(f"{path} is not {_KIND}: its header lacks the C3D mark.")
-    file.seek((head[0] - 1) * _BLOCK)
-    start = file.read(4)
-    if len(start) < 4 or start[3] not in _PROCESSORS:
+    section = data[(data[0] - 1) * _BLOCK :]
+    if len(section) < 4 or section[3] not in _PROCESSORS:
         raise InputError(f"{path}: the C3D parameter section is missing or of an unknown processor type.")
-    order = _PROCESSORS[start[3]]
-    parameters = _parameters(start + file.read(max(start[2], 1) * _BLOCK - 4), order, path)
-    layout = _layout(head, parameters, order, path)
-    wanted = layout.frames * layout.frame_bytes
-    if layout.data_start + wanted > size:
-        held = max(0, size - layout.data_start) // layout.frame_bytes
-        raise InputError(
-            f"{path} is truncated: its header promises {layout.frames} frames, the file holds {held}; copy it again."
-        )
-    file.seek(layout.data_start)
-    return file.read(wanted), layout, parameters, order
+    order = _PROCESSORS[section[3]]
+    with numbers_of(f"{path}: the C3D parameter section"):
+        parameters = _parameters(section[: max(section[2], 1) * _BLOCK], order)
+        points, rate = _points(data, parameters, order, path)
+        unit = str(parameters.get("POINT:UNITS", [""])[0]) or "mm"
+    labels, k = list(parameters.get("POINT:LABELS", ())), 2
+    while more := parameters.get(f"POINT:LABELS{k}"):
+        labels, k = labels + list(more), k + 1
+    labels += [""] * (points.shape[1] - len(labels))
+    names = tuple(name or f"point_{i}" for i, name in enumerate(labels[: points.shape[1]], start=1))
+    return Markers(names, points * metres_per_unit(unit, str(path)), rate, unit)
 
 
 _PROCESSORS = {84: "intel", 85: "dec", 86: "mips"}
+_Parameters = Mapping[str, Sequence[Any]]
 
 
-@dataclass(frozen=True)
-class _Layout:
-    """Layout of the frames in the file.
-
-    points: number of points.
-    analog: number of analog samples per frame.
-    frames: number of frames.
-    rate: frames/s.
-    scale: factor of integers to the unit of the file; negative where the numbers are floats.
-    data_start: byte of the file at which the first frame begins.
-    """
-
-    points: int
-    analog: int
-    frames: int
-    rate: float
-    scale: float
-    data_start: int
-
-    @property
-    def frame_bytes(self) -> int:
-        """Size of a frame, bytes; numbers are 32-bit floats or 16-bit integers."""
-        return (4 * self.points + self.analog) * (4 if self.scale < 0 else 2)
-
-
-def _integers(data: bytes, order: str) -> np.ndarray:
+def _integers(data: bytes, order: str) -> NDArray[np.int64]:
     return np.frombuffer(data, dtype=">i2" if order == "mips" else "<i2").astype(np.int64)
 
 
@@ -199,107 +152,88 @@ def _floats(data: bytes, order: str) -> Array:
     return swapped.copy().view("<f4").astype(np.float64).ravel() / 4
 
 
-def _parameters(section: bytes, order: str, path: str | Path) -> dict[str, tuple[Any, ...]]:
-    """Parse the parameters.
+def _parameters(section: bytes, order: str) -> _Parameters:
+    """Parse the parameter section of a file.
 
-    section: bytes of the parameter section.
     order: byte order: intel, dec or mips.
-    path: for the error message.
     Returns: strings or numbers of each parameter by "GROUP:NAME".
-    Raises: InputError where the section is damaged.
+    Raises: ValueError or LookupError where the section is damaged.
     """
     groups: dict[int, str] = {}
-    found: list[tuple[int, str, tuple[Any, ...]]] = []
-    at = 4
-    broken = InputError(f"{path}: the C3D parameter section is damaged; export the file again.")
-    try:
-        while at + 4 <= len(section):
-            length, group = struct.unpack_from("bb", section, at)
-            if length == 0:
-                break
-            name_end = at + 2 + abs(length)
-            name = section[at + 2 : name_end].decode("latin-1").strip().upper()
-            step = int(_integers(section[name_end : name_end + 2], order)[0]) & 0xFFFF
-            if group < 0:
-                groups[-group] = name
-            elif group > 0:
-                found.append((group, name, _value(section, name_end + 2, order)))
-            if step == 0:
-                break
-            if step < 2:
-                raise broken
-            at = name_end + step
-    except (struct.error, IndexError, ValueError):
-        raise broken from None
+    found: list[tuple[int, str, Sequence[Any]]] = []
+    at = step = 4
+    while at + 4 <= len(section) and section[at] and step:
+        length, group = np.frombuffer(section[at : at + 2], np.int8).tolist()
+        end = at + 2 + abs(length)
+        name = section[at + 2 : end].decode("latin-1").strip().upper()
+        step = int(_integers(section[end : end + 2], order)[0]) & 0xFFFF
+        if group < 0:
+            groups[-group] = name
+        elif group > 0:
+            found.append((group, name, _value(section, end + 2, order)))
+        if step == 1:
+            raise ValueError("an entry is shorter than its own length")
+        at = end + step
     return {f"{groups.get(g, g)}:{name}": value for g, name, value in found}
 
 
-def _value(section: bytes, at: int, order: str) -> tuple[Any, ...]:
+def _value(section: bytes, at: int, order: str) -> Sequence[Any]:
     """Parse the strings or numbers of the parameter whose type stands at byte `at`; ValueError where it is damaged."""
-    kind, dimensions = struct.unpack_from("bB", section, at)
-    shape = list(section[at + 2 : at + 2 + dimensions])
-    if dimensions > 7 or len(shape) < dimensions or kind not in (-1, 1, 2, 4):
-        raise ValueError
-    count = int(np.prod(shape, dtype=np.int64)) if shape else 1
+    kind, dimensions = section[at], section[at + 1]
     first = at + 2 + dimensions
-    data = section[first : first + count * abs(kind)]
-    if len(data) < count * abs(kind):
-        raise ValueError
-    if kind == -1:
+    shape, size = section[at + 2 : first], {255: 1, 1: 1, 2: 2, 4: 4}.get(kind, 0)
+    count = math.prod(shape)
+    data = section[first : first + count * size]
+    if dimensions > 7 or not size or len(data) < count * size:
+        raise ValueError("a parameter is cut off or of an unknown type")
+    if kind == 255:
         width = shape[0] if shape else 1
-        return tuple(data[i : i + width].decode("latin-1").strip(" \0") for i in range(0, count, width or 1))
-    if kind == 1:
-        return tuple(data)
-    return tuple((_integers if kind == 2 else _floats)(data, order).tolist())
+        return [data[i : i + width].decode("latin-1").strip(" \0") for i in range(0, count, width or 1)]
+    return list(data) if kind == 1 else (_integers if kind == 2 else _floats)(data, order).tolist()
 
 
-def _first(value: tuple[Any, ...] | None, default: Any) -> Any:  # noqa: ANN401 (parameters hold text or numbers)
-    return value[0] if value else default
+def _points(data: bytes, parameters: _Parameters, order: str, path: str | Path) -> tuple[Array, float]:
+    """Read the points of all frames after checking their number against the size of the file.
 
-
-def _layout(head: bytes, parameters: Mapping[str, tuple[Any, ...]], order: str, path: str | Path) -> _Layout:
-    """Determine the layout of the frames; InputError where there are none, or the numbers are not possible.
-
-    head: the first 512 bytes of the file.
+    data: the whole file.
     parameters: by GROUP:NAME; where they disagree with the header, they win.
     order: byte order: intel, dec or mips.
+    path: the file, for the error messages.
+    Returns: points (T, M, 3) in the unit of the file, NaN where not seen, and the frame rate, Hz.
+    Raises: InputError where there are no points, the numbers are not possible, or the file is truncated.
     """
-    words = _integers(head, order) & 0xFFFF
-    points = int(_first(parameters.get("POINT:USED"), words[1])) & 0xFFFF
-    first, last = int(words[3]), int(words[4])
+
+    def stated(name: str, default: Any) -> Any:  # noqa: ANN401 (parameters hold text or numbers)
+        return next(iter(parameters.get(name, ())), default)
+
+    words = _integers(data[:_BLOCK], order) & 0xFFFF
+    points, analog, first, last = (int(w) for w in words[1:5])
+    points = int(stated("POINT:USED", points)) & 0xFFFF
     start, end = parameters.get("TRIAL:ACTUAL_START_FIELD"), parameters.get("TRIAL:ACTUAL_END_FIELD")
     if start and end and len(start) == len(end) == 2:  # 32-bit frame numbers, low word first
         first, last = ((int(v[0]) & 0xFFFF) + ((int(v[1]) & 0xFFFF) << 16) for v in (start, end))
-    scale = float(_first(parameters.get("POINT:SCALE"), _floats(head[12:16], order)[0]))
-    rate = float(_first(parameters.get("POINT:RATE"), _floats(head[20:24], order)[0]))
-    block = int(_first(parameters.get("POINT:DATA_START"), words[8])) & 0xFFFF
-    if points == 0 and _first(parameters.get("ROTATION:USED"), 0):
+    scale = float(stated("POINT:SCALE", _floats(data[12:16], order)[0]))
+    rate = float(stated("POINT:RATE", _floats(data[20:24], order)[0]))
+    begin = ((int(stated("POINT:DATA_START", words[8])) & 0xFFFF) - 1) * _BLOCK
+    if points == 0 and stated("ROTATION:USED", 0):
         raise InputError(
             f"{path} holds rotations and positions of segments, as Theia3D writes them, and no points; export joint "
             "centres as points, from Visual3D for example."
         )
-    if points == 0 or last < first or block < 2:
+    if points == 0 or last < first or begin < _BLOCK:
         raise InputError(f"{path} holds no points: {points} markers, frames {first} to {last}; a recording is needed.")
     if not np.isfinite([scale, rate]).all() or scale == 0 or not 0 < rate < 1e6:
         raise InputError(f"{path}: point scale {scale:g} and frame rate {rate:g} are not possible; export it again.")
-    return _Layout(points, int(words[2]), last - first + 1, rate, scale, (block - 1) * _BLOCK)
-
-
-def _points(raw: bytes, layout: _Layout, order: str) -> Array:
-    values = _floats(raw, order) if layout.scale < 0 else _integers(raw, order).astype(np.float64)
-    values = values.reshape(layout.frames, -1)[:, : 4 * layout.points].reshape(layout.frames, layout.points, 4)
-    out = values[..., :3] * (1.0 if layout.scale < 0 else layout.scale)
+    frames, frame_bytes = last - first + 1, (4 * points + analog) * (4 if scale < 0 else 2)  # floats or integers
+    raw = data[begin : begin + frames * frame_bytes]
+    if len(raw) < frames * frame_bytes:
+        raise InputError(
+            f"{path} is truncated: its header promises {frames} frames, the file holds {len(raw) // frame_bytes}; copy "
+            "it again."
+        )
+    values = (_floats if scale < 0 else _integers)(raw, order).astype(np.float64).reshape(frames, -1)
+    values = values[:, : 4 * points].reshape(frames, points, 4)
+    out = values[..., :3] * (1.0 if scale < 0 else scale)
     # ">= 0" is false for NaN too
     out[~((values[..., 3] >= 0) & np.isfinite(out).all(-1))] = np.nan
-    return out
-
-
-def _names(parameters: Mapping[str, tuple[Any, ...]], count: int) -> tuple[str, ...]:
-    """Collect the names of the points; point_1 and so on for those without a label. count: number of points."""
-    labels = list(parameters.get("POINT:LABELS", ()))
-    k = 2
-    while f"POINT:LABELS{k}" in parameters:
-        labels += parameters[f"POINT:LABELS{k}"]
-        k += 1
-    labels = labels[:count] + [""] * (count - len(labels))
-    return tuple(name or f"point_{i + 1}" for i, name in enumerate(labels))
+    return out, rate

@@ -9,11 +9,11 @@ import io
 import zipfile
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.body.body import enclosed_volume
 from hypose.body.joint_names import SMPL_JOINTS
 from hypose.errors import InputError, extra
 from hypose.geometry import Array
@@ -25,6 +25,8 @@ MAX_FACES = 3_000_000
 MIN_VERTICES = 100
 _TRIMESH = {".obj": "obj", ".ply": "ply", ".stl": "stl", ".glb": "glb", ".off": "off"}
 MESH_ENDINGS = (*_TRIMESH, ".npz")
+# Widest hole that is closed, as a share of the largest extent; a hand's breadth of a person.
+_WIDEST_HOLE = 0.08
 _KIND = "a mesh (" + ", ".join(MESH_ENDINGS) + ")"
 
 
@@ -166,62 +168,65 @@ def _checked(mesh: PersonMesh) -> PersonMesh:
 
 
 def closed_surface(mesh: PersonMesh) -> PersonMesh:
-    """Repair a mesh so that it is one closed manifold whose faces point outward.
+    """Repair a mesh with trimesh so that it is one closed manifold whose faces point outward.
 
     Equal vertices are merged, specks are removed and small holes are closed; the notes say so.
 
     Raises: InputError for large holes, several parts or edges with more than two faces.
     """
-    v, f = mesh.vertices, mesh.faces.astype(np.int64)
-    notes = list(mesh.notes)
-    keep, index = _merged(v)
-    f = index[f]
-    f = f[(f[:, 0] != f[:, 1]) & (f[:, 1] != f[:, 2]) & (f[:, 2] != f[:, 0])]
-    if not len(f):
-        raise InputError(f"{mesh.source} has no triangle with three different corners; export it again.")
-    f = f[np.unique(np.sort(f, 1), axis=0, return_index=True)[1]]
-    f, note = _main_part(v[keep], f, mesh.source)
-    vertices, f, added, more = _holes_closed(v[keep], _same_turn(f, mesh.source), mesh.source)
-    notes += [*note, *more]
-    used, f = np.unique(f, return_inverse=True)
-    f = f.reshape(-1, 3)
-    vertices, source = vertices[used], np.concatenate([keep, keep[added]])[used]
-    if enclosed_volume(vertices, f) < 0:
-        f = f[:, ::-1]
+    trimesh = extra("trimesh", "A mesh of a person", "mesh")
+    extra("networkx", "Repairing a mesh of a person", "mesh")  # trimesh needs it to turn faces and to find holes
+    source, notes = mesh.source, list(mesh.notes)
+    numbers = {"number": np.arange(len(mesh.vertices))}
+    surface = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False, vertex_attributes=numbers)
+    surface.merge_vertices()
+    f = surface.faces
+    corners = (f[:, 0] != f[:, 1]) & (f[:, 1] != f[:, 2]) & (f[:, 2] != f[:, 0])
+    surface.update_faces(corners & surface.unique_faces())
+    if specks := _keep_main_part(trimesh, surface, source):
+        notes.append(f"{specks} small loose parts were left out")
+    _, count = np.unique(surface.edges_sorted, axis=0, return_counts=True)
+    if (count > 2).any():
+        raise InputError(
+            f"{source} is not a manifold: {int((count > 2).sum())} edges belong to three or more faces; remesh the "
+            "scan (Blender: Remesh modifier, or Mesh > Clean Up > Merge by Distance)."
+        )
+    trimesh.repair.fix_winding(surface)
+    if not surface.is_winding_consistent:
+        raise InputError(f"{source} has no inside and outside (its faces cannot all turn one way); remesh the scan.")
+    faces = len(surface.faces)
+    closed = trimesh.repair.fill_holes(surface, use_fan=True)
+    added = surface.triangles[faces:]
+    widest = np.linalg.norm(added - np.roll(added, 1, axis=1), axis=-1).max(initial=0) / np.ptp(surface.bounds, 0).max()
+    if not closed or widest > _WIDEST_HOLE:
+        holes = f" around holes of up to {widest:.0%} of its height" if len(added) else ""
+        raise InputError(
+            f"{source} is not closed: {int((count == 1).sum())} edges have one face only{holes}; close the scan "
+            "(MeshLab: Screened Poisson; Blender: Remesh modifier with voxel size 1 cm) and try again."
+        )
+    if len(added):
+        notes.append("small holes were closed")
+    if surface.volume < 0:
+        surface.invert()
         notes.append("its faces looked inward and were turned")
-    rig = None if mesh.rig is None else replace(mesh.rig, weights=mesh.rig.weights[source])
-    return replace(mesh, vertices=vertices, faces=f.astype(np.int32), rig=rig, notes=tuple(notes))
+    kept = surface.vertex_attributes["number"]
+    rig = None if mesh.rig is None else replace(mesh.rig, weights=mesh.rig.weights[kept])
+    vertices, turned = np.asarray(surface.vertices, dtype=np.float64), np.asarray(surface.faces, dtype=np.int32)
+    return replace(mesh, vertices=vertices, faces=turned, rig=rig, notes=tuple(notes))
 
 
-def _merged(v: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Merge equal vertices, which formats with normals or textures split and STL repeats per face.
-
-    Returns: index of the first of each group of equal vertices, and for each vertex the index of its group.
-    """
-    grid = np.round((v - v.min(0)) / max(float(np.ptp(v, axis=0).max()), 1e-30) * 2**22).astype(np.int64)
-    _, first, index = np.unique(grid, axis=0, return_index=True, return_inverse=True)
-    return first, index.reshape(-1)
-
-
-def _main_part(v: Array, f: NDArray[np.int64], source: str) -> tuple[NDArray[np.int64], list[str]]:
+def _keep_main_part(trimesh: Any, surface: Any, source: str) -> int:
     """Keep the faces of the one part that is a person; specks below 2 % of the surface are removed.
 
-    v: (V, 3) vertices.
-    f: (F, 3) faces.
+    trimesh: the package.
+    surface: mesh of trimesh, which is changed.
     source: name of the mesh in error messages.
-    Returns: the faces that are kept, and notes.
+    Returns: number of specks.
     Raises: InputError where there are several parts.
     """
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
-    edges = np.concatenate([f[:, [0, 1]], f[:, [1, 2]]])
-    _, part = connected_components(
-        coo_matrix((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(len(v), len(v)))
-    )
-    area = np.linalg.norm(np.cross(v[f[:, 1]] - v[f[:, 0]], v[f[:, 2]] - v[f[:, 0]]), axis=1)
-    share = np.bincount(part[f[:, 0]], area)
-    share = share / max(share.sum(), 1e-30)
+    edges = np.concatenate([surface.faces[:, :2], surface.faces[:, 1:]])
+    part = trimesh.graph.connected_component_labels(edges, len(surface.vertices))[surface.faces[:, 0]]
+    share = np.bincount(part, surface.area_faces) / max(surface.area, 1e-30)
     large = np.flatnonzero(share > 0.02)
     if len(large) != 1:
         sizes = ", ".join(f"{100 * s:.0f} %" for s in sorted(share[large], reverse=True)[:6])
@@ -229,98 +234,6 @@ def _main_part(v: Array, f: NDArray[np.int64], source: str) -> tuple[NDArray[np.
             f"{source} consists of {len(large)} parts ({sizes} of its surface); one closed surface is needed: keep the "
             "person alone, or join the parts (Blender: Remesh modifier, voxel size 1 cm)."
         )
-    kept = f[part[f[:, 0]] == large[0]]
-    specks = int((np.bincount(part[f[:, 0]]) > 0).sum()) - 1
-    return kept, [f"{specks} small loose parts were left out"] if specks else []
-
-
-def _same_turn(f: NDArray[np.int64], source: str) -> NDArray[np.int64]:
-    """Orient all faces the same way, each as its neighbours.
-
-    Raises: InputError where edges have more than two faces or no common orientation exists.
-    """
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
-    n = int(f.max()) + 1
-    edges = np.concatenate([f[:, [0, 1]], f[:, [1, 2]], f[:, [2, 0]]])
-    key = edges.min(1) * n + edges.max(1)
-    _, count = np.unique(key, return_counts=True)
-    if (count > 2).any():
-        raise InputError(
-            f"{source} is not a manifold: {int((count > 2).sum())} edges belong to three or more faces; remesh the "
-            "scan (Blender: Remesh modifier, or Mesh > Clean Up > Merge by Distance)."
-        )
-    order = np.argsort(key, kind="stable")
-    first = np.flatnonzero(np.diff(key[order]) == 0)
-    one, other = order[first], order[first + 1]  # the two sides of each edge
-    same = edges[one, 0] == edges[other, 0]
-    if not same.any():
-        return f
-    # every face is in the graph twice, as it is and reversed (+ count); consistent neighbours are connected
-    count = len(f)
-    a, b = one % count, other % count + count * same
-    a, b = np.concatenate([a, a + count]), np.concatenate([b, (b + count) % (2 * count)])
-    _, part = connected_components(coo_matrix((np.ones(len(a), np.int8), (a, b)), shape=(2 * count, 2 * count)))
-    if (part[:count] == part[count:]).any():
-        raise InputError(f"{source} has no inside and outside (its faces cannot all turn one way); remesh the scan.")
-    turned = part[:count] > part[count:]
-    return np.where(turned[:, None], f[:, ::-1], f)
-
-
-def _holes_closed(
-    v: Array, f: NDArray[np.int64], source: str
-) -> tuple[Array, NDArray[np.int64], NDArray[np.int64], list[str]]:
-    """Close small holes with a fan of triangles around their centre.
-
-    A hole is small when its rim is at most a quarter of the mesh's largest extent long.
-
-    v: (V, 3) vertices.
-    f: (F, 3) faces, all turned the same way.
-    source: name of the mesh in error messages.
-    Returns: vertices, faces, for each new vertex the index of a vertex whose weights it takes, and notes.
-    Raises: InputError for larger holes.
-    """
-    n = int(f.max()) + 1
-    edges = np.concatenate([f[:, [0, 1]], f[:, [1, 2]], f[:, [2, 0]]])
-    open_edges = edges[~np.isin(edges @ [n, 1], edges @ [1, n])]
-    if not len(open_edges):
-        return v, f, np.zeros(0, np.int64), []
-    loops = _loops(open_edges)
-    size = float(np.ptp(v[np.unique(f)], axis=0).max())
-    lengths = [float(np.linalg.norm(v[x] - v[np.roll(x, 1)], axis=1).sum()) for x in loops or []]
-    if loops is None or max(lengths) > 0.25 * size:
-        holes = (
-            "" if loops is None else f" around {len(loops)} holes, the largest {max(lengths) / size:.0%} of its height"
-        )
-        raise InputError(
-            f"{source} is not closed: {len(open_edges)} edges have one face only{holes}; close the scan (MeshLab: "
-            "Screened Poisson; Blender: Remesh modifier with voxel size 1 cm) and try again."
-        )
-    rows = [
-        (len(v) + n, int(b), int(a))
-        for n, loop in enumerate(loops)
-        for a, b in zip(loop, np.roll(loop, -1), strict=True)
-    ]
-    return (
-        np.concatenate([v, np.array([v[loop].mean(0) for loop in loops])]),
-        np.concatenate([f, np.array(rows, dtype=np.int64)]),
-        np.array([loop[0] for loop in loops], dtype=np.int64),
-        [f"{len(loops)} small holes were closed"],
-    )
-
-
-def _loops(open_edges: NDArray[np.int64]) -> list[NDArray[np.int64]] | None:
-    """Order the edges of the holes into rings of vertices; None where two rims have a common vertex."""
-    after = dict(open_edges.tolist())
-    if len(after) < len(open_edges):
-        return None
-    out = []
-    while after:
-        ring = [next(iter(after))]
-        while (k := after.pop(ring[-1], None)) not in (None, ring[0]):
-            ring.append(k)
-        if k is None:
-            return None
-        out.append(np.array(ring, dtype=np.int64))
-    return out
+    surface.update_faces(part == large[0])
+    surface.remove_unreferenced_vertices()
+    return len(np.unique(part)) - 1

@@ -10,6 +10,7 @@ import json
 import math
 import os
 import platform
+import re
 import sys
 import zipfile
 import zlib
@@ -166,31 +167,6 @@ def open_archive(stream: BinaryIO) -> Iterator[zipfile.ZipFile]:
         yield archive
 
 
-def _read_archive(path: Path, what: str, only: Container[str] | None, packed: int) -> dict[str, np.ndarray]:
-    """Read the arrays of an .npz file.
-
-    what, only, packed: as for `load_archive`.
-    Raises: ValueError with a short reason where the file cannot be used.
-    """
-    out: dict[str, np.ndarray] = {}
-    with open_file(path, what, _MAX_ARCHIVE_BYTES) as stream, open_archive(stream) as archive:
-        entries = archive.infolist()
-        if sum(e.file_size for e in entries) > max(packed, os.fstat(stream.fileno()).st_size):
-            raise ValueError("its contents are larger than the file")
-        for entry in entries:
-            name = entry.filename.removesuffix(".npy")
-            if not entry.filename.endswith(".npy") or not all(c.isalnum() or c in "_.-" for c in name):
-                raise ValueError(f"it holds {entry.filename!r}, which is no array")
-            if (entry.compress_type != zipfile.ZIP_STORED and not packed) or entry.flag_bits & 1:
-                raise ValueError(f"{name} is compressed or encrypted")
-            if name in out:
-                raise ValueError(f"{name} occurs twice")
-            if only is None or name in only:
-                with archive.open(entry) as array:
-                    out[name] = parse_array(name, array, entry.file_size)
-    return out
-
-
 def parse_array(name: str, stream: IO[bytes], size: int) -> np.ndarray:
     """Parse an array in numpy's .npy format from a stream.
 
@@ -236,12 +212,33 @@ def load_archive(
     """
     if not path.is_file():
         raise InputError(f"The {what} {path} does not exist; {next_step}.")
+    out: dict[str, np.ndarray] = {}
     try:
-        return _read_archive(path, f"a {what}", only, packed)
+        with open_file(path, f"a {what}", _MAX_ARCHIVE_BYTES) as stream, open_archive(stream) as archive:
+            entries = archive.infolist()
+            for entry in entries:
+                if not re.fullmatch(r"[\w.-]+\.npy", entry.filename):
+                    raise ValueError(f"it holds {entry.filename!r}, which is no array")
+                if (entry.compress_type != zipfile.ZIP_STORED and not packed) or entry.flag_bits & 1:
+                    raise ValueError(f"{entry.filename} is compressed or encrypted")
+            limit = max(packed, os.fstat(stream.fileno()).st_size)
+            if sum(e.file_size for e in entries) > limit or len({e.filename for e in entries}) < len(entries):
+                raise ValueError(f"it holds an array twice, or arrays of more than {limit >> 20} MiB together")
+            for entry in entries:
+                name = entry.filename.removesuffix(".npy")
+                if only is None or name in only:
+                    with archive.open(entry) as array:
+                        out[name] = parse_array(name, array, entry.file_size)
     except (zipfile.BadZipFile, ValueError, EOFError, NotImplementedError, RuntimeError, KeyError) as error:
-        raise InputError(f"{path} is not a {what} of hypose, or is damaged: {error}; {next_step}.") from None
+        raise _bad(path, what, error, next_step) from None
     except (OSError, MemoryError, zlib.error) as error:
         raise InputError(f"{path} cannot be read ({error}); {next_step}.") from None
+    return out
+
+
+def _bad(path: Path, what: str, reason: object, next_step: str) -> InputError:
+    """Make the InputError for a file that is not the expected archive."""
+    return InputError(f"{path} is not a {what} of hypose, or is damaged: {str(reason).rstrip('.')}; {next_step}.")
 
 
 @dataclass(frozen=True)
@@ -263,8 +260,7 @@ class Archive:
 
     def bad(self, path: Path, reason: object) -> InputError:
         """Make the InputError for a file that is not of this kind."""
-        reason = str(reason).rstrip(".")
-        return InputError(f"{path} is not a {self.what} of hypose, or is damaged: {reason}; {self.next_step}.")
+        return _bad(path, self.what, reason, self.next_step)
 
     def load(self, path: Path, only: Container[str] | None = None) -> dict[str, np.ndarray]:
         """Read the arrays and check them against the layout.
@@ -512,14 +508,34 @@ _BODY = Archive(
 )
 
 
-def save_body(body: Body, path: str | Path) -> None:
-    """Write a body (metres, model frame) as body.npz. Equal bodies give equal bytes."""
+def body_arrays(body: Body) -> dict[str, np.ndarray]:
+    """Convert a body (metres, model frame) to arrays, which `body_of_arrays` reads."""
     arrays = _stored_skeleton(body.skeleton)
     for level, mesh in zip(_LEVELS, (body.coarse, body.fine), strict=True):
         arrays |= {f"{level}_{k}": v for k, v in _stored(mesh, _MESH).items()}
     arrays |= {f"landmark_{k}": v for k, v in _stored(body.landmarks, _MARKS).items()}
-    arrays |= {"landmark_names": _texts(body.landmarks.names), "name": np.array(body.name)}
-    write_archive(path, {**arrays, "format": np.array(_FORMAT, dtype="<i8")})
+    return arrays | {"landmark_names": _texts(body.landmarks.names), "name": np.array(body.name)}
+
+
+def save_body(body: Body, path: str | Path) -> None:
+    """Write a body (metres, model frame) as body.npz. Equal bodies give equal bytes."""
+    write_archive(path, {**body_arrays(body), "format": np.array(_FORMAT, dtype="<i8")})
+
+
+def body_of_arrays(arrays: Mapping[str, np.ndarray]) -> Body:
+    """Assemble a body from the arrays of `body_arrays`.
+
+    Raises: InputError where the arrays disagree; it does not name the file.
+    """
+    skeleton = _skeleton_of(arrays)
+    for name in ("landmark_joint", "coarse_skin_index", "fine_skin_index"):
+        _check_joints(arrays, name)
+    names = tuple(str(n) for n in arrays["landmark_names"])
+    marks = Landmarks(names, arrays["landmark_joint"], arrays["landmark_offset"])
+    if marks.joint.shape != (len(names),) or marks.offset.shape != (len(names), 3):
+        raise InputError("the landmarks do not fit their names")
+    coarse, fine = (_mesh(arrays, level) for level in _LEVELS)
+    return Body(str(arrays["name"]), skeleton, coarse, fine, marks)
 
 
 def load_body(path: str | Path) -> Body:
@@ -530,15 +546,7 @@ def load_body(path: str | Path) -> Body:
     path = Path(path)
     arrays = _BODY.load(path)
     try:
-        skeleton = _skeleton_of(arrays)
-        for name in ("landmark_joint", "coarse_skin_index", "fine_skin_index"):
-            _check_joints(arrays, name)
-        names = tuple(str(n) for n in arrays["landmark_names"])
-        marks = Landmarks(names, arrays["landmark_joint"], arrays["landmark_offset"])
-        if marks.joint.shape != (len(names),) or marks.offset.shape != (len(names), 3):
-            raise InputError("the landmarks do not fit their names")
-        coarse, fine = (_mesh(arrays, level) for level in _LEVELS)
-        return Body(str(arrays["name"]), skeleton, coarse, fine, marks)
+        return body_of_arrays(arrays)
     except HyposeError as error:
         raise _BODY.bad(path, error) from None
 

@@ -383,9 +383,10 @@ class FrameStream:
         person = load_person(recording, self.rig)
         self.keypoints = None if person is None else person.keypoints
         whose = None if person is None else person.one
-        self.people_notes = () if whose is None else whose.of_all if self.options.people else whose.notes
+        notes = () if whose is None or self.options.people else whose.notes
+        self.people_notes = notes if person is None else (*notes, *person.held)
         # other people whom key points show
-        self.others = 0 if whose is None or self.options.people or whose.of_all else max(len(whose.people) - 1, 0)
+        self.others = 0 if whose is None or self.options.people else max(len(whose.people) - 1, 0)
         self.doubted = self.keypoints
         if person is not None and person.one.apart:
             doubted = load_person(recording, self.rig, keep_misfits=True)
@@ -480,6 +481,10 @@ class FrameStream:
         for source in self._sources:
             source.close()
         self._lanes, self._ahead = [], {}
+
+    def pictures(self) -> list[ViewSource]:
+        """Open the pictures of all views, undistorted and at working size; the caller closes them."""
+        return [ViewSource(*of) for of in zip(self.recording.views, self.recording.rig, self.rig, strict=True)]
 
     def frame(self, index: int, /) -> Frame:
         """Compute the evidence of one frame; access in increasing order is the fastest.

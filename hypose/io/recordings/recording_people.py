@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -28,11 +28,13 @@ class RecordedPerson:
     keypoints: T frames, undistorted px of the working-size cameras.
     raw: (C, T, K, 3) u, v and confidence, px of the calibrated, distorted pictures.
     one: the choice of the person, other people, and notes.
+    held: a sentence about key points that were held over gaps; empty where there are none.
     """
 
     keypoints: list[Keypoints]
     raw: Array
     one: OnePerson
+    held: tuple[str, ...] = ()
 
 
 def candidates_of(recording: Recording, small: CameraRig) -> list[list[Array | None]] | None:
@@ -83,16 +85,14 @@ def load_person(recording: Recording, small: CameraRig, *, keep_misfits: bool = 
     candidates = [list(frame) for frame in zip(*(column for column, _ in views), strict=True)]
     one = one_person(candidates, names, small, recording.frame_rate, keep_misfits=keep_misfits)
     held = {name: count for name, (_, count) in zip(small.names, views, strict=True) if count}
-    if held:
-        said = (
-            f"{sum(held.values())} key points ({', '.join(held)}) do not move by a single digit while the "
-            "others move: they were held over gaps, and are left out"
-        )
-        one = replace(one, notes=(*one.notes, said), of_all=(*one.of_all, said))
+    said = (
+        f"{sum(held.values())} key points ({', '.join(held)}) do not move by a single digit while the "
+        "others move: they were held over gaps, and are left out"
+    )
     points = one.points if one.points.shape[-1] == 5 else np.zeros((*one.points.shape[:3], 5))
     keypoints = [Keypoints(points[t, ..., :3].copy(), names, small) for t in range(len(points))]
     raw = points[..., [3, 4, 2]].transpose(1, 0, 2, 3).copy()
-    return RecordedPerson(keypoints, raw, one)
+    return RecordedPerson(keypoints, raw, one, (said,) if held else ())
 
 
 def objects_of_people(

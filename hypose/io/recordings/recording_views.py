@@ -274,11 +274,11 @@ def common_frames(views: Sequence[ViewSettings], clips: Sequence[list[_ClipInfo]
         for clip in found:
             with_masks = len(found) > 1 and clip.path == view.masks
             counts[f"{view.name} masks" if with_masks else view.name] = clip.n_frames
-            if clip.stated_frames - clip.n_frames > 2:
+            if clip.stated_frames > clip.n_frames:
                 notes.append(
-                    f"View {view.name}: {clip.path.name} states {clip.stated_frames} frames but decoding "
-                    f"ends after frame {clip.n_frames - 1}; the file is probably cut off: copy it again if "
-                    "more was recorded."
+                    f"View {view.name}: {clip.path.name} states {clip.stated_frames} frames but decoding ends after "
+                    f"frame {clip.n_frames - 1}; it is cut off or damaged, or its program stated too many: copy it "
+                    "again if more was recorded."
                 )
         if any(c.n_frames == 0 for c in found):
             raise InputError(f"View {view.name}: {found[0].path} has no frames; record or copy it again.")

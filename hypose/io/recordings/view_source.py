@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections import OrderedDict
 from collections.abc import Callable
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 import cv2
@@ -286,8 +286,9 @@ class _MaskSource:
         self._numbered = {int(p.stem): p for p in list_images(path) if p.stem.isdigit()} if made_here else {}
         self.objects = self._reader if isinstance(self._reader, ObjectMasks) else None
         self.chosen: frozenset[str] | None = None
+        self.person = lru_cache(maxsize=1)(self._person)
 
-    def read(self, frame: int) -> Mask:
+    def _person(self, frame: int) -> Mask:
         """Read the mask (h, w) of a frame, of 0 and 1, at working size.
 
         Raises: InputError where there is none.
@@ -327,30 +328,31 @@ class ViewSource:
         self.view = view
         self._threads = max(1, default_threads() // parallel)
         self._prepare = Preparer(camera, small, view.image_shift)
-        masks = view.masks
-        self._masks = None if masks is None else _MaskSource(view, masks, self._prepare, small.size)
-        self.depth = None if view.depth is None else DepthSource(view, camera, small, people)
+        self._masks = _MaskSource(view, view.masks, self._prepare, small.size) if view.masks else None
+        self.depth = DepthSource(view, camera, small, people) if view.depth else None
+        self._given = self.depth or self._masks  # masks that need no segmentation of pictures
         self._reader: VideoReader | None = None
         self.segment: Segmenter | None = None
         self._broken: tuple[int, str] | None = None
         self._problems: dict[int, str] = {}  # why there is no mask, by frame
         self._shown: tuple[int, Image] | None = None
+        self._memory: Image | None = None  # of the last picture of a video
         self.given: tuple[int, Image] | None = None
         """Number and stored picture of a frame that need not be read."""
 
     @property
     def furnished(self) -> tuple[DepthBackground | None, float]:
         """The empty room before a depth camera; see `DepthSource.furnished`."""
-        return (None, 0.0) if self.depth is None else self.depth.furnished
+        return self.depth.furnished if self.depth else (None, 0.0)
 
     @property
     def objects(self) -> ObjectMasks | None:
         """Masks of several objects of this view; None where its masks do not separate objects."""
-        return None if self._masks is None else self._masks.objects
+        return self._masks.objects if self._masks else None
 
     def choose(self, objects: frozenset[str]) -> None:
         """Set the objects of the masks that are the person."""
-        if self._masks is not None:
+        if self._masks:
             self._masks.chosen = objects
 
     def image(self, frame: int) -> Image:
@@ -378,8 +380,9 @@ class ViewSource:
         if self._reader is None:
             if self.view.source is None:
                 raise InputError(f"View {self.view.name} has neither video nor images, only masks.")
-            self._reader = open_video(self.view.source, self._threads, True, self.view.rate)
-        return self._reader.read(frame)
+            self._reader = open_video(self.view.source, self._threads, self.view.rate)
+        self._memory = self._reader.read(frame, self._memory)
+        return self._memory
 
     def mask(
         self, frame: int, band: Mask | None, widened: Callable[[Mask], Mask | None] | None = None
@@ -392,29 +395,28 @@ class ViewSource:
         """
         if self._broken is not None and frame >= self._broken[0]:
             return None, f"{self.view.name}, frame {frame}: {self._broken[1]}"
+        if self._given is None and self.segment is None:
+            return None, f"{self.view.name}, frame {frame}: it has no pictures"
         try:
-            given = self.depth.person if self.depth is not None else None if self._masks is None else self._masks.read
-            if given is not None:
-                mask = given(frame)
-                within = mask if band is None else mask & band
-                wide = None if widened is None else widened(within)
-                return mask_runs.runs_of(within if wide is None else mask & wide), ""
-            if self.segment is None:
-                return None, f"{self.view.name}, frame {frame}: it has no pictures"
-            image = self._stored(frame)
-            runs, prepared = mask_in(image, self._prepare, self.segment, band)
+            runs = self._runs(frame, band)
             wide = None if widened is None else widened(mask_runs.draw(runs))
-            if wide is not None:
-                runs, prepared = mask_in(image, self._prepare, self.segment, wide)
-            self._shown = frame, prepared
-            return runs, ""
+            return runs if wide is None else self._runs(frame, wide), ""
         except InputError as problem:
             self._problems[frame] = str(problem)
             # a damaged video stays damaged: do not decode it from its start for every frame
-            files = self.depth is not None or (self._reader is not None and self._reader.is_sequence)
-            if self._masks is None and not files:
+            if self._given is None and not (self._reader and self._reader.is_sequence):
                 self._broken = (frame, str(problem))
             return None, f"{self.view.name}, frame {frame}: {problem}"
+
+    def _runs(self, frame: int, region: Mask | None) -> MaskRuns:
+        """Make the mask of a frame within a region; InputError where the frame cannot be read."""
+        if self._given:
+            mask = self._given.person(frame)
+            return mask_runs.runs_of(mask if region is None else mask & region)
+        assert self.segment is not None  # `mask` has checked
+        runs, prepared = mask_in(self._stored(frame), self._prepare, self.segment, region)
+        self._shown = frame, prepared
+        return runs
 
     @property
     def note(self) -> str:

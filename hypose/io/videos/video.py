@@ -164,7 +164,6 @@ class VideoReader:
 
     path: the file or folder.
     threads: number of threads that decode a video; None for all.
-    in_place: a frame of a video is valid only until the next one is read, which uses the same memory.
     rate: frames/s at which a video is read by its time stamps; the frame before replaces a missing one. None: frame by
         frame.
 
@@ -175,10 +174,8 @@ class VideoReader:
     stated_frames: number of frames that the container states.
     """
 
-    def __init__(
-        self, path: Path, threads: int | None = None, in_place: bool = False, rate: float | None = None
-    ) -> None:
-        self.path, self._threads, self._in_place = path, threads, in_place
+    def __init__(self, path: Path, threads: int | None = None, rate: float | None = None) -> None:
+        self.path, self._threads = path, threads
         self._stored: NDArray[np.int64] | None = None if rate is None else stored_frames(path, rate)
         self._images: list[Path] | None = _images_of(path)
         self._capture: cv2.VideoCapture | None = None  # opened when the first frame is asked for
@@ -240,7 +237,7 @@ class VideoReader:
     def read(self, index: int | None = None, out: Image | None = None) -> Image:
         """Read frame `index`, or the next one.
 
-        out: (h, w, 3) memory that may be used for a frame of a video.
+        out: (h, w, 3) memory that may be used for a frame of a video; new memory for each costs a tenth of decoding.
         Raises: InputError where there is no such frame or it is damaged.
         """
         if index is not None:
@@ -281,8 +278,7 @@ class VideoReader:
             number = self._stored_number()
             self._go_to(number)
             if number == self._decoded:
-                # new memory for each frame costs a tenth of decoding it
-                ok, frame = self._opened().read(self._memory if self._in_place else out)
+                ok, frame = self._opened().read(out)
                 if not ok:
                     raise self._broken()
                 self._memory = np.asarray(frame, dtype=np.uint8)
@@ -300,18 +296,16 @@ class VideoReader:
         )
 
 
-def open_video(
-    path: str | Path, threads: int | None = None, in_place: bool = False, rate: float | None = None
-) -> VideoReader:
+def open_video(path: str | Path, threads: int | None = None, rate: float | None = None) -> VideoReader:
     """Open a video file, a folder of images (natural order) or one image.
 
-    threads, in_place, rate: as for `VideoReader`.
+    threads, rate: as for `VideoReader`.
     Raises: InputError where it does not exist or cannot be read.
     """
     path = Path(path)
     if not path.exists():
         raise InputError(f"{path} does not exist; check the file name in recording.toml.")
-    return VideoReader(path, threads, in_place, rate)
+    return VideoReader(path, threads, rate)
 
 
 def _images_of(path: Path) -> list[Path] | None:

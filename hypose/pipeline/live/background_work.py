@@ -5,7 +5,6 @@ offsets.
 from __future__ import annotations
 
 import contextlib
-import multiprocessing
 import os
 import threading
 from collections.abc import Callable, Sequence
@@ -28,7 +27,7 @@ from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.frame import Expected, Frame, Silhouettes
 from hypose.geometry import Array
 from hypose.pipeline.live.background_models import PackedDepth
-from hypose.pipeline.live.processes import belong_to_parent, deaf_to_ctrl_c
+from hypose.pipeline.live.processes import belong_to_parent, start_process
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.subject_from_motion import AnthropometryOptions, estimate_subject
 
@@ -122,7 +121,8 @@ def offsets_of(kept: Sequence[PackedMasks], rig: CameraRig, rate: float) -> Arra
 
 
 class BackgroundWork:
-    """Process for slow work; it runs only while there is work, since it needs as much memory as everything else.
+    """Slow work in a process of low priority, one piece after the other; the process runs only while there is work,
+    since it needs as much memory as everything else.
 
     `body` and `offsets` return a future at once. Its result is None where the process was ended meanwhile, as a system
     does that is out of memory; live tracking continues.
@@ -133,77 +133,46 @@ class BackgroundWork:
 
     def __init__(self) -> None:
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="background")
-        self._process: tuple[BaseProcess, Connection] | None = None
-        self._going, self._closed, self._changing = 0, False, threading.Lock()
+        self._process: BaseProcess | None = None
+        self._closed, self._changing = False, threading.Lock()
 
     def body(
         self, kept: Sequence[PackedMasks], rig: CameraRig, rate: float, height: float | None, seed: int
     ) -> Future[Body | None]:
         """Start `fitted_body` in the process; return a future."""
-        return self._submit(fitted_body, list(kept), rig, rate, height, seed)
+        return self._thread.submit(self._elsewhere, fitted_body, list(kept), rig, rate, height, seed)
 
     def offsets(self, kept: Sequence[PackedMasks], rig: CameraRig, rate: float) -> Future[Array | None]:
         """Start `offsets_of` in the process; return a future."""
-        return self._submit(offsets_of, list(kept), rig, rate)
+        return self._thread.submit(self._elsewhere, offsets_of, list(kept), rig, rate)
 
     def close(self) -> None:
         """End the process at once, also in the middle of a fit."""
         with self._changing:
             self._closed = True
             if self._process is not None:
-                self._process[0].terminate()
+                self._process.terminate()
         self._thread.shutdown(wait=False)
 
-    def _submit(self, work: Callable[..., _T | None], *arguments: Any) -> Future[_T | None]:
-        with self._changing:
-            self._going += 1
-        future = self._thread.submit(self._elsewhere, work, *arguments)
-        future.add_done_callback(self._done)
-        return future
-
     def _elsewhere(self, work: Callable[..., _T | None], *arguments: Any) -> _T | None:
+        """Do work(*arguments) in a process, and return its result."""
         with self._changing:
             if self._closed:
                 return None
-            self._process = process, pipe = self._process or _begun()
-        try:
+            process, pipe = start_process(_work)
+            self._process = process
+        found = None
+        with contextlib.suppress(EOFError, OSError), pipe:  # the process was ended
             pipe.send((work, arguments))
             found = pipe.recv()
-        except (EOFError, OSError):
-            self._end()
-            return None
+        process.join()
         if isinstance(found, Exception):
             raise found
         return found
 
-    def _done(self, work: Future[Any]) -> None:
-        with self._changing:
-            self._going -= 1
-            if self._going:
-                return
-        self._end()
-
-    def _end(self) -> None:
-        """End the process; called in the thread that works, so that the caller does not wait."""
-        with self._changing:
-            ended, self._process = self._process, None
-        if ended is not None:
-            process, pipe = ended
-            pipe.close()  # the process ends when its pipe is closed
-            process.join()
-
-
-def _begun() -> tuple[BaseProcess, Connection]:
-    context = multiprocessing.get_context("spawn")
-    here, there = context.Pipe()
-    process = context.Process(target=_work, args=(there,), daemon=True)
-    with deaf_to_ctrl_c():
-        process.start()
-    there.close()  # so that a thread that sends or waits notices the end of the process
-    return process, here
-
 
 def _work(pipe: Connection) -> None:
+    """Do one piece of work that the pipe brings, and send its result or its exception."""
     belong_to_parent()
     os.environ["NUMBA_NUM_THREADS"] = "1"  # live tracking needs the other cores
     cv2.setNumThreads(1)
@@ -212,10 +181,9 @@ def _work(pipe: Connection) -> None:
     elif hasattr(os, "nice"):
         os.nice(15)
     with contextlib.suppress(EOFError, OSError):  # the parent has ended
-        while True:
-            work, arguments = pipe.recv()
-            try:
-                found = work(*arguments)
-            except Exception as error:  # passed on to the caller
-                found = error
-            pipe.send(found)
+        work, arguments = pipe.recv()
+        try:
+            found = work(*arguments)
+        except Exception as error:  # passed on to the caller
+            found = error
+        pipe.send(found)

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import multiprocessing
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -38,7 +37,7 @@ from hypose.io.sensors.depth import DEPTH_PNG, open_depth_camera
 from hypose.io.videos.camera_sources import CameraImage, CameraSource, open_camera
 from hypose.pipeline.live.background_models import DepthViewBackground, NetworkRoom, ViewBackground
 from hypose.pipeline.live.feeds import CameraFeed, FeedStatus, newest_instant
-from hypose.pipeline.live.processes import belong_to_parent, deaf_to_ctrl_c, punctual
+from hypose.pipeline.live.processes import belong_to_parent, punctual, start_process
 from hypose.pipeline.settings import SETTINGS
 
 
@@ -381,13 +380,8 @@ class CaptureProcess:
     def __init__(
         self, rig: CameraRig, views: Sequence[LiveView], options: CaptureOptions, stop: threading.Event | None = None
     ) -> None:
-        context = multiprocessing.get_context("spawn")
         self._stop, self._closing_s = stop or threading.Event(), 0.0
-        self._pipe, there = context.Pipe()
-        self._process = context.Process(target=_see, args=(there, rig, tuple(views), options), daemon=True)
-        with deaf_to_ctrl_c():
-            self._process.start()
-        there.close()
+        self._process, self._pipe = start_process(_see, rig, tuple(views), options)
         opened = self._received(math.inf)  # opening a camera has a time limit of its own
         if isinstance(opened, HyposeError):
             self._process.join(5)

@@ -246,20 +246,20 @@ class LiveEngine:
     def _one(self, sight: CaptureResult) -> None:
         frame = self._frame(sight)
         begin = time.perf_counter()
-        stepped = self._people.step(frame)
+        people = self._people.step(frame)
         tracked = time.perf_counter()
-        self._poses_now = tuple(s.reported() for s in stepped)
+        self._poses_now = tuple(p.pose() for p in people)
         seen = LiveResult(sight, frame, self._poses_now)
         for listener in self.listeners:
             listener.seen(seen)
-        if stepped:
+        if people:
             now, reported = time.monotonic(), time.perf_counter()
             self._since = self._since or (sight.instants, self._frames)
             self._poses += 1
             self._latency.append(now - sight.arrival)
             self._given.append(now)
-            for one in stepped:
-                one.look()
+            for p in people:
+                p.judge()
             looked = time.perf_counter()
             spent = {
                 "masks": sight.made,

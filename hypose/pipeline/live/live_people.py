@@ -1,5 +1,5 @@
-"""Track several people live: find each one, track it (`LiveTrack`) in what the others leave of the masks, give it up
-and find it again.
+"""Track one or more people live: find each one, track it (`LiveTrack`) in what the others leave of the masks, give it
+up and find it again.
 
 `step` never waits. Left and right are compared in parallel with tracking. Bodies and camera offsets are estimated in a
 process of its own from the masks; a fitted body is used where it explains the masks as well as the one before.
@@ -18,13 +18,14 @@ from numpy.typing import NDArray
 from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.cameras.camera import CameraRig
-from hypose.evidence.frame import Frame
+from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.shared_masks import Other
 from hypose.geometry import Array
-from hypose.pipeline.frame_anomalies import as_now, looked_at, mask_change
+from hypose.pipeline.frame_anomalies import looked_at, mask_change
 from hypose.pipeline.live.background_work import BackgroundWork, PackedMasks
 from hypose.pipeline.live.live_search import FoundPerson, LivePersonOptions, LiveSearch, paced
 from hypose.pipeline.settings import SETTINGS
+from hypose.pipeline.track_management import doubles
 from hypose.tracking.covariance_calibration import beyond_usual, with_fitted_joints
 from hypose.tracking.error_model import as_mixture, judged
 from hypose.tracking.frame_evidence import mean_overlap, prepare
@@ -61,42 +62,8 @@ class LivePose:
 
 
 @dataclass(frozen=True)
-class Stepped:
-    """Tracked frame of one person, before its error probabilities are known.
-
-    person: number of the person.
-    frame: evidence of this person only.
-    whole: frame with all people in it.
-    doubt: error model of the person.
-    shift: (J, 3) m, added to the joints after a change of the body.
-    """
-
-    person: int
-    frame: Frame
-    whole: Frame
-    estimate: FrameEstimate
-    tracker: Tracker
-    doubt: LiveErrorModel
-    shift: Array | None
-
-    def reported(self) -> LivePose:
-        """Return the pose with the newest error probabilities."""
-        motion = self.doubt.reported(self.tracker, self.estimate, self.frame)
-        joints = np.asarray(motion.joints[0], np.float64)
-        views = self.frame.usable_views
-        if self.shift is not None:
-            joints = joints + self.shift
-        now, body = self.frame, self.tracker.body
-        return LivePose(self.person, now.index, now.time, motion, body, joints, views)
-
-    def look(self) -> None:
-        """Update the error probabilities; call it in the order of the frames."""
-        self.doubt.look(self.tracker, self.estimate, self.frame, self.whole)
-
-
-@dataclass(frozen=True)
 class _Duel:
-    """Comparison with the body whose sides are exchanged, tracked in parallel.
+    """Comparison of the tracked body with the body whose sides are exchanged, which is tracked in parallel.
 
     frames: frames, and what the tracked body costs in them.
     won: state to continue from and its time; None where it lost.
@@ -106,8 +73,23 @@ class _Duel:
     won: Future[tuple[TrackerState, float] | None]
 
 
+@dataclass(frozen=True)
+class _Now:
+    """Last tracked frame of a person.
+
+    whole: frame with all people in it.
+    frame: evidence of this person only.
+    tracker: by which it was tracked.
+    """
+
+    whole: Frame
+    frame: Frame
+    tracker: Tracker
+    estimate: FrameEstimate
+
+
 class LiveTrack:
-    """Live track of one person; call `step` with every frame.
+    """Live track of one person. In each frame the tracker continues from `state_at`, and `take` receives the result.
 
     found: body and state that the search found.
     number: see `LivePose`.
@@ -117,8 +99,11 @@ class LiveTrack:
     work: fits body and offsets; None: neither is done.
     sync: the cameras' offsets are still to be found.
     shared: there may be other people in the masks.
+
+    Attributes:
     body: the person's own body; None: not known yet.
     offsets: (C,) delays of the cameras, s; None: not known yet.
+    given_up: the person has been lost for too long.
     """
 
     def __init__(
@@ -138,7 +123,7 @@ class LiveTrack:
         self.offsets: Array | None = None
         self.tracker, self.state = options.tracker(found.body, rate), found.state
         self._executor, self._work, self._sync_wanted = executor, work, sync
-        self._doubt = LiveErrorModel()
+        self._errors = LiveErrorModel()
         self._time, self._step_s, self._usual_s = found.time, found.step_s, 1 / rate
         self._lost_since: float | None = None
         self._duel: _Duel | None = None
@@ -148,6 +133,9 @@ class LiveTrack:
         self._shared = shared
         self._challenge, self._between = (found.time if shared else np.inf), SETTINGS.live_challenge_s
         self._shift: Array | None = None
+        self._now: _Now | None = None
+        self._recent = deque[tuple[float, FrameEstimate]]()
+        self.given_up = False
 
     @property
     def sure(self) -> bool:
@@ -164,36 +152,71 @@ class LiveTrack:
         share = 0.0 if passed > SETTINGS.search_gap_s else passed / self._step_s
         return paced(self.state, share, self.tracker.body.skeleton)
 
-    def step(self, frame: Frame, whole: Frame | None = None) -> Stepped | None:
-        """Track a frame.
+    def take(self, whole: Frame, frame: Frame, state: TrackerState, estimate: FrameEstimate) -> None:
+        """Receive the result of a frame.
 
-        whole: frame with all people, where `frame` holds the evidence of this person only.
-        Returns: None where the person has been lost for too long.
+        whole: frame with all people.
+        frame: frame with the evidence of this person.
+        state: of the tracker after it.
         """
-        self._take_up(frame)
+        passed = frame.time - self._time
+        self._now, self.state = _Now(whole, frame, self.tracker, estimate), state
+        self._time, self._step_s = frame.time, max(passed, 1e-3)
+        self._recent.append((frame.time, estimate))
+        while len(self._recent) > 1 and self._recent[1][0] <= frame.time - SETTINGS.people_together_s:
+            self._recent.popleft()
+        if self._shift is not None:
+            shift = self._shift * np.exp(-passed / SETTINGS.live_ease_s)
+            self._shift = shift if np.abs(shift).max() > 1e-4 else None
+        self._compare_sides(frame, estimate)
+        if estimate.lost:
+            self._lost_since = frame.time if self._lost_since is None else self._lost_since
+            self.given_up = frame.time - self._lost_since > SETTINGS.live_give_up_s
+        else:
+            self._lost_since = None
+            self._measure(frame)
+
+    @property
+    def recent(self) -> list[FrameEstimate]:
+        """Estimates of the last SETTINGS.people_together_s seconds; empty where the person has not been tracked for so
+        long.
+        """
+        long = self._recent and self._time - self._recent[0][0] >= SETTINGS.people_together_s
+        return [e for _, e in self._recent] if long else []
+
+    @property
+    def estimate(self) -> FrameEstimate:
+        """Estimate of the last frame; only after `take`."""
+        assert self._now is not None
+        return self._now.estimate
+
+    def pose(self) -> LivePose:
+        """Return the pose of the last frame with the newest error probabilities; only after `take`."""
+        assert self._now is not None
+        now, tracker = self._now.frame, self._now.tracker
+        motion = self._errors.reported(tracker, self._now.estimate, now)
+        joints = np.asarray(motion.joints[0], np.float64)
+        if self._shift is not None:
+            joints = joints + self._shift
+        return LivePose(self.number, now.index, now.time, motion, tracker.body, joints, now.usable_views)
+
+    def judge(self) -> None:
+        """Update the error probabilities from the last frame; call it after `pose`, in the order of the frames."""
+        if self._now is not None:
+            self._errors.look(self._now.tracker, self._now.estimate, self._now.frame, self._now.whole)
+
+    def prepare(self, frame: Frame) -> None:
+        """Prepare the track for the next frame, which shows all people: take over results of parallel work, and adapt
+        the tracker to the frame rate.
+        """
+        self._use_fitted_body()
         if self._duel is not None and self._duel.won.done():
             won, self._duel = self._duel.won.result(), None
             if won is not None:
                 self.state, self._time = won
-        passed = frame.time - self._time
-        state = self.state_at(frame.time)
-        self._keep_pace(min(passed, SETTINGS.search_gap_s))
-        self.state, estimate = self.tracker.step(state, frame)
-        self._time, self._step_s = frame.time, max(passed, 1e-3)
-        self._fight(frame, estimate)
-        if estimate.lost:
-            self._lost_since = frame.time if self._lost_since is None else self._lost_since
-            if frame.time - self._lost_since > SETTINGS.live_give_up_s:
-                return None
-        else:
-            self._lost_since = None
-            self._measure(frame)
-        if self._shift is not None:
-            shift = self._shift * np.exp(-passed / SETTINGS.live_ease_s)
-            self._shift = shift if np.abs(shift).max() > 1e-4 else None
-        return Stepped(self.number, frame, whole or frame, estimate, self.tracker, self._doubt, self._shift)
+        self._keep_pace(min(frame.time - self._time, SETTINGS.search_gap_s))
 
-    def _fight(self, frame: Frame, estimate: FrameEstimate) -> None:
+    def _compare_sides(self, frame: Frame, estimate: FrameEstimate) -> None:
         """Start or continue a duel: where the body with exchanged sides explains a frame better, it is tracked in
         parallel for some frames.
         """
@@ -205,9 +228,9 @@ class LiveTrack:
                 self._challenge = frame.time + self._between
             frames: queue.SimpleQueue[tuple[Frame, float]] = queue.SimpleQueue()
             body, pose = self.tracker.body, estimate.pose
-            self._duel = _Duel(frames, self._executor.submit(self._fought, body, pose, frame, frames))
+            self._duel = _Duel(frames, self._executor.submit(self._sides_won, body, pose, frame, frames))
 
-    def _fought(
+    def _sides_won(
         self, body: Body, pose: Array, first: Frame, frames: queue.SimpleQueue[tuple[Frame, float]]
     ) -> tuple[TrackerState, float] | None:
         """Track the body with exchanged sides in another thread, on the same frames at half their rate, until it wins
@@ -274,15 +297,15 @@ class LiveTrack:
         if self.options.body is None:
             self.body, self._fit, self._kept = None, None, []
 
-    def _take_up(self, frame: Frame) -> None:
-        """Use the fitted body where it explains the frame as well as the body before."""
-        if self._fit is None or not self._fit.done():
+    def _use_fitted_body(self) -> None:
+        """Use the fitted body where it explains the last frame as well as the body before."""
+        if self._fit is None or not self._fit.done() or self._now is None:
             return
         body, self._fit = self._fit.result(), None
         if body is None or self.state.lost:
             return  # it is fitted again from later frames
-        old, expected = self.tracker.body, self.expected(frame.time)
-        before = refine(old, expected[None], prepare(frame, old, expected), SETTLING)[0].pose
+        frame, old = self._now.frame, self.tracker.body
+        before = refine(old, self.state.pose[None], prepare(frame, old, self.state.pose), SETTLING)[0].pose
         moved = on_body(before, old, body)
         prepared = prepare(frame, body, moved)
         after = refine(body, moved[None], prepared, SETTLING)[0].pose
@@ -291,7 +314,7 @@ class LiveTrack:
         tracker = self.options.tracker(body, self.tracker.settings.frame_rate)
         state = replace(tracker.start(after, self.state.memory), frames=1, usual_iou=self.state.usual_iou)
         self._shift = old.joints(before) - body.joints(after)
-        self.body, self.tracker, self.state, self._doubt, self._duel = body, tracker, state, LiveErrorModel(), None
+        self.body, self.tracker, self.state, self._errors, self._duel = body, tracker, state, LiveErrorModel(), None
 
 
 def on_body(pose: Array, before: Body, body: Body) -> Array:
@@ -339,10 +362,9 @@ class LiveErrorModel:
         known = self._audited
         look = self._p is None or frame.time - self._looked > 0.95 * SETTINGS.live_every_s
         if look or frame.time - known[-1][0] > 0.95 / SETTINGS.live_audit_hz:
-            before = None if self._before is None else as_now(frame, self._before)
             whole = whole or frame
             change = mask_change(whole, self._before)
-            known.append((frame.time, looked_at(tracker, estimate, frame, before, change)))
+            known.append((frame.time, looked_at(tracker, estimate, frame, self._before, change)))
             self._before = whole
             while known[0][0] < frame.time - SETTINGS.live_window_s:
                 known.popleft()
@@ -386,7 +408,6 @@ class LivePeople:
         self.offsets: Array | None = None
         self._known: Body | None = options.body
         self._search = LiveSearch(options, executor, most > 1)
-        self._near: dict[tuple[int, int], deque[tuple[float, float, float]]] = {}
 
     @property
     def phase(self) -> str:
@@ -406,28 +427,28 @@ class LivePeople:
         for p in self.people:
             p.measure_again()
 
-    def step(self, frame: Frame) -> list[Stepped]:
-        """Track a frame; return the results of all people, in the order of their numbers."""
+    def step(self, frame: Frame) -> list[LiveTrack]:
+        """Track a frame; return the tracks of all people who are in it, in the order of their numbers."""
         for found in self._search.take():
-            self._welcome(found)
-        if self.most == 1 and self.people:
-            one = self.people[0].step(frame)
-            stepped = [] if one is None else [one]
-        else:
-            stepped = self._step_together(frame)
-            stepped = self._one_of_two(frame.time, stepped)
-        there = {s.person for s in stepped}
+            self._add(found)
         for p in self.people:
+            p.prepare(frame)
+        members = [Member(p.tracker, p.state_at(frame.time)) for p in self.people]
+        members, estimates, seen = step_together(members, frame, alone=self.most == 1)
+        for p, member, estimate, own in zip(self.people, members, estimates, seen, strict=True):
+            p.take(frame, own, member.state, estimate)
             if self.offsets is None and p.offsets is not None:
                 self.offsets = p.offsets
-            if p.number not in there and self.most == 1:
+            if p.given_up and self.most == 1:
                 self._known = p.body  # the next person counts as the same one
-        self.people = [p for p in self.people if p.number in there]
+        self.people = [p for p in self.people if not p.given_up]
+        worse = doubles([p.recent for p in self.people])
+        self.people = [p for k, p in enumerate(self.people) if k not in worse]
         if len(self.people) < self.most:
-            self._look(frame, stepped)
-        return stepped
+            self._look(frame)
+        return self.people
 
-    def _welcome(self, found: FoundPerson) -> None:
+    def _add(self, found: FoundPerson) -> None:
         numbers = {p.number for p in self.people}
         number = next(n for n in range(1, self.most + 1) if n not in numbers)
         body = self._known if not self.people else None
@@ -438,47 +459,11 @@ class LivePeople:
         )
         self.people = sorted([*self.people, made], key=lambda p: p.number)
 
-    def _look(self, frame: Frame, stepped: list[Stepped]) -> None:
+    def _look(self, frame: Frame) -> None:
         """Search another person in what the tracked people leave of the masks."""
-        s = frame.silhouettes
-        known = {p.number for p in self.people if p.sure}
-        others = (
-            []
-            if s is None
-            else [Other(shape_of(o.tracker.body, o.estimate.pose, s.rig)) for o in stepped if o.person in known]
-        )
+        known = [p for p in self.people if p.sure]
+        others = [Other(shape_of(p.tracker.body, p.estimate.pose, s.rig)) for s in frame.of(Silhouettes) for p in known]
         body, height = (None, None) if self.people else (self._known, self._options.height)
         if body is not None:
             height = body.stature
         self._search.look(frame, others, self.most - len(self.people), body, height)
-
-    def _step_together(self, frame: Frame) -> list[Stepped]:
-        """Track all people in one frame, each in what the others leave of the masks; those given up are left out."""
-        members = [Member(p.tracker, p.state_at(frame.time)) for p in self.people]
-        out: dict[int, Stepped] = {}
-
-        def step(k: int, own: Frame) -> tuple[Member, FrameEstimate | None]:
-            p, stepped = self.people[k], self.people[k].step(own, frame)
-            if stepped is None:
-                return replace(members[k], present=False), None
-            out[p.number] = stepped
-            return Member(p.tracker, p.state), stepped.estimate
-
-        step_together(members, frame, step=step)
-        return [out[n] for n in sorted(out)]
-
-    def _one_of_two(self, time: float, stepped: list[Stepped]) -> list[Stepped]:
-        """Give up the worse of two bodies that stay in one place."""
-        cost = {s.person: float(np.nan_to_num(s.estimate.cost, nan=1.0)) for s in stepped}
-        at: dict[int, Array] = {s.person: s.estimate.pose[:3] for s in stepped}
-        self._near = {k: v for k, v in self._near.items() if at.keys() >= set(k)}
-        for a, b in ((a, b) for a in at for b in at if a < b):
-            near = self._near.setdefault((a, b), deque())
-            if np.linalg.norm(at[a] - at[b]) >= SETTINGS.live_together_m:
-                near.clear()
-                continue
-            near.append((time, cost[a], cost[b]))
-            if time - near[0][0] >= SETTINGS.live_together_s:
-                worse = a if sum(n[1] for n in near) > sum(n[2] for n in near) else b
-                return [s for s in stepped if s.person != worse]
-        return stepped

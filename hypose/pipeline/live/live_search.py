@@ -20,13 +20,12 @@ from hypose.body.default_body import human
 from hypose.body.skeleton import Skeleton
 from hypose.errors import EvidenceError
 from hypose.evidence.frame import Frame, Silhouettes
-from hypose.evidence.hull_people import people_in_hull
 from hypose.evidence.shared_masks import Other
-from hypose.geometry import Array
 from hypose.inference.hypotheses import BEFORE
 from hypose.pipeline.first_frame import TrackedSubject
-from hypose.pipeline.passes import tracker_of
+from hypose.pipeline.person_paths import follow_places
 from hypose.pipeline.settings import SETTINGS
+from hypose.pipeline.track_loop import tracker_of
 from hypose.pipeline.track_management import birth_candidates, candidate_evidence
 from hypose.pipeline.track_options import TrackOptions
 from hypose.tracking.frame_evidence import mean_overlap, prepare
@@ -162,9 +161,13 @@ class LiveSearch:
                 members.append(Member(slow, slow.start(best.pose)))
         if not members:
             raise EvidenceError("No body explains the masks.")
+
+        def step(members: Sequence[Member], look: _Look) -> list[Member]:
+            return step_together(members, look.frame, others=look.others, alone=not self.several)[0]
+
         last, step_s, spent = looks[0].frame.time, 1 / SETTINGS.search_slowly_hz, 0.0
         for look in looks:
-            members, last = self._step(members, look), look.frame.time
+            members, last = step(members, look), look.frame.time
         while True:
             with self._lock:
                 # skip frames where a step takes longer than the time between them, else the present is never reached
@@ -179,13 +182,8 @@ class LiveSearch:
             begin, before_s, step_s = time.monotonic(), step_s, look.frame.time - last
             share = 0.0 if step_s > SETTINGS.search_gap_s else step_s / before_s
             members = [replace(m, state=paced(m.state, share, m.tracker.body.skeleton)) for m in members]
-            members = self._step(members, look)
+            members = step(members, look)
             last, spent = look.frame.time, time.monotonic() - begin
-
-    def _step(self, members: Sequence[Member], look: _Look) -> list[Member]:
-        if self.several:
-            return step_together(members, look.frame, others=look.others)[0]
-        return [replace(m, state=m.tracker.step(m.state, look.frame)[0]) for m in members]
 
 
 def paced(state: TrackerState, share: float, skeleton: Skeleton) -> TrackerState:
@@ -213,22 +211,14 @@ def _largest_person(look: _Look) -> bool:
 
 
 def _each_alone(looks: Sequence[_Look], most: int) -> list[list[Frame]]:
-    """Make the evidence of each new person in the hull of the first frame, largest first; those who are not in most of
-    the frames are left out.
+    """Make the evidence of each new person in the hull of the first frame; those who are not in most of the frames are
+    left out.
     """
-    axes, own = list[Array](), list[list[Frame]]()
-    for look in looks:
-        found = people_in_hull(look.frame.the(Silhouettes), look.others)
-        found = [
-            p for p in found if p.tall or not look.others
-        ]  # a small part near a person may be a limb of that person
-        if not own:
-            axes = [p.axis for p in found[:most]]
-            own = [[] for _ in axes]
-        for k, axis in enumerate(axes):
-            near = [p for p in found if np.linalg.norm(p.axis - axis) < SETTINGS.search_stride]
-            if near:
-                person = min(near, key=lambda p: float(np.linalg.norm(p.axis - axis)))
-                own[k].append(candidate_evidence(person, look.frame, look.others, found))
-                axes[k] = person.axis
-    return [frames for frames in own if len(frames) > len(looks) // 2]
+    paths = follow_places(
+        lambda t: looks[t].frame, range(len(looks)), SETTINGS.search_slowly_hz, lambda t: looks[t].others
+    )
+    out = list[list[Frame]]()
+    for path in [p for p in paths if 0 in p.found and len(p.found) > len(looks) // 2][:most]:
+        at = [(looks[t], path.found[t], [p.found[t] for p in paths if t in p.found]) for t in path.found]
+        out.append([candidate_evidence(one, look.frame, look.others, all_) for look, one, all_ in at])
+    return out

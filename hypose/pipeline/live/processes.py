@@ -9,8 +9,10 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
+from typing import Any
 
 from hypose.pipeline.settings import SETTINGS
 
@@ -42,6 +44,20 @@ def deaf_to_ctrl_c() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def start_process(target: Callable[..., None], *arguments: Any) -> tuple[BaseProcess, Connection]:
+    """Start target(connection, *arguments) in a process of its own, without the signal of Ctrl-C.
+
+    Returns: the process, and our end of the connection.
+    """
+    context = multiprocessing.get_context("spawn")
+    here, there = context.Pipe()
+    process = context.Process(target=target, args=(there, *arguments), daemon=True)
+    with deaf_to_ctrl_c():
+        process.start()
+    there.close()  # so that a thread that sends or waits notices the end of the process
+    return process, here
 
 
 def belong_to_parent() -> None:

@@ -152,7 +152,7 @@ class PictureSearch:
         for k in range(h.count):
             hessian, free = h.columns["hessian"][k], h.columns["free"][k]
             limits = (fixed.active, fixed.spread, fixed.lower, fixed.upper)
-            poses = uncertain_samples(h.values[k], hessian, free, *limits, self.settings.search, rng)
+            poses = uncertain_samples(h.values[k], hessian, free, *limits, self.settings.search)
             own = evidence.predicted(h.columns["prediction"][k])
             cost = np.array([score(pose, own, place.workspaces[0]) for pose in poses])
             columns = {name: np.repeat(column[k : k + 1], len(poses), 0) for name, column in h.columns.items()}
@@ -235,9 +235,9 @@ class PictureSearch:
         return self._places[0]
 
     def _flow(self, picture: Picture, poses: Array) -> Flow | None:
-        """Compute the flow around the moving parts at all poses (N, D); None where it is not used or they are
-        outside the picture."""
-        if picture.before is None or not (self.settings.flow.use or self.settings.edge.motion_boundaries):
+        """Compute the flow around the moving parts at all poses (N, D); None without a previous picture, or
+        where they are outside the picture."""
+        if picture.before is None:
             return None
         moving = self._at(picture.camera).fixed.model.moving_vertices
         points = self.body.skin(poses)[:, moving].reshape(-1, 3)

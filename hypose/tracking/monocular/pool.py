@@ -70,12 +70,10 @@ def uncertain_samples(
     lower: Array,
     upper: Array,
     settings: SearchSettings,
-    rng: np.random.Generator,
 ) -> Array:
     """Draw poses along the most uncertain free directions of an optimised candidate, on both sides of it.
 
     settings: of the search.
-    rng: random numbers, used for isotropic directions only.
     pose: (D,) the candidate's pose.
     hessian: (A, A) of its evidence.
     free: (A,) true where no joint limit holds the dof.
@@ -93,11 +91,7 @@ def uncertain_samples(
     values, vectors = np.linalg.eigh(hessian[np.ix_(loose, loose)] * unit[:, None] * unit)
     out = []
     for j in range(min(settings.directions, len(loose))):
-        direction = vectors[:, j]
-        if settings.isotropic:
-            direction = rng.normal(size=len(loose))
-            direction /= np.linalg.norm(direction)
-        step = unit * direction / np.sqrt(max(values[j], LEAST_CURVATURE))
+        step = unit * vectors[:, j] / np.sqrt(max(values[j], LEAST_CURVATURE))
         reach = min(settings.reach, settings.longest / float(np.abs(step / unit).max()))
         for p in range(1, settings.samples + 1):
             for sign in (-1.0, 1.0):

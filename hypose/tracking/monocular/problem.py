@@ -106,7 +106,7 @@ def edge_arrays(field: NDArray[np.float32], flow: Flow | None, settings: MonoSet
     settings: of the cost.
     """
     edge = settings.edge
-    if edge.motion_boundaries and flow is not None:
+    if flow is not None:
         share = np.full(field.shape[:2], edge.boundary_floor, np.float32)
         (x, y), (h, w) = flow.corner, flow.boundaries.shape
         share[y : y + h, x : x + w] += np.float32(1 - edge.boundary_floor) * flow.boundaries
@@ -116,7 +116,7 @@ def edge_arrays(field: NDArray[np.float32], flow: Flow | None, settings: MonoSet
 
 def flow_arrays(flow: Flow | None, settings: FlowSettings) -> FlowArrays:
     """Build the arrays of the flow term; without flow (None) the term has no nodes."""
-    if flow is None or not settings.use:
+    if flow is None:
         none = np.zeros((0, 0), np.float32)
         flow = Flow(np.zeros((0, 0, 2), np.float32), none, none, (0, 0))
     return FlowArrays(flow.flow, flow.error, np.array(flow.corner, dtype=np.int64), settings)
@@ -282,7 +282,7 @@ class Fixed:
     moves: (V + J, A) share of their motion at each vertex of the coarse mesh, and at each joint.
     spheres: prior against interpenetration.
     floor: on which the person stands; None: unknown.
-    lower, upper: (A,) joint limits; infinite where limits are off.
+    lower, upper: (A,) joint limits.
     spread: (A,) usual error of the prediction of each active dof.
     posture: (A,) weight of the weak pull to the rest posture.
     """
@@ -314,7 +314,7 @@ def fixed_parts(
     s = body.skeleton
     if active.ndim != 1 or len(active) == 0 or (np.diff(active) <= 0).any() or active[0] < 0 or active[-1] >= s.dof:
         raise InputError(f"The dof to estimate must be ascending indices between 0 and {s.dof - 1}, got {active}.")
-    moves, unbounded = s.moves[active].T.astype(np.float64), np.full(len(active), np.inf)
+    moves = s.moves[active].T.astype(np.float64)
     spread = prediction_spread(s.sigma, settings)[active]
     posture = (settings.motion_scale / (settings.posture_scale * spread)) ** 2
     posture[active < 6] = 0.0  # place and heading of the body have no usual value
@@ -325,8 +325,8 @@ def fixed_parts(
         np.concatenate([body.coarse.dense_weights(len(moves)) @ moves, moves]),
         part_spheres(body, settings.interpenetration),
         floor_of(body, floor, settings),
-        np.array(s.lower[active]) if settings.limits else -unbounded,
-        np.array(s.upper[active]) if settings.limits else unbounded,
+        s.lower[active],
+        s.upper[active],
         spread,
         posture,
     )
@@ -518,6 +518,5 @@ def frame_evidence(
         edge_arrays(field, flow, settings),
         flow_arrays(flow, settings.flow),
         mask_arrays(picture.mask, settings.mask),
-        settings.second_order,
     )
     return PictureEvidence(fixed, arrays, points)

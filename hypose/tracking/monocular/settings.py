@@ -29,7 +29,6 @@ class SearchSettings:
     directions: n_s, uncertain eigen-directions sampled per hypothesis; samples: on either side of each.
     reach: p_f, distance of the outermost sample in standard deviations.
     longest: no sample moves a dof by more than this many times its usual motion.
-    isotropic: use random directions instead.
     distinct_m: hypotheses differ when a joint or landmark lies further apart than this, m.
     memory: share of the accumulated cost carried to the next frame.
     flips: also optimise and pool mirrored limbs while tracking, every flip_every frames (None: where there are key
@@ -41,7 +40,6 @@ class SearchSettings:
     samples: int = 1
     reach: float = 4.0
     longest: float = 2.5
-    isotropic: bool = False
     distinct_m: float = 0.03
     memory: float = 0.8
     flips: bool | None = False
@@ -57,10 +55,8 @@ class MonoSettings:
     velocity: share of the last step that is predicted again (0: none, as in the printed listing).
     motion_scale: expected error of that prediction, in units of the skeleton's usual motion per frame.
     posture_scale: spread of the weak pull to the rest posture, in the same units.
-    limits: joint limits are hard.
     interpenetration: weight of the prior that keeps limbs out of each other and the trunk (0: none).
     floor_sd_m: usual distance of the lower sole from a known floor, m.
-    second_order: use rho'' in the Hessian (9), safeguarded.
     iterations, coarse_iterations: of the Newton search per frame.
     inflation: factor on the standard deviations of the reported posterior, because errors of neighbouring nodes are
         correlated (chosen on other scenes).
@@ -75,10 +71,8 @@ class MonoSettings:
     velocity: float = 1.0
     motion_scale: float = 3.0
     posture_scale: float = 15.0
-    limits: bool = True
     interpenetration: float = 1.0
     floor_sd_m: float = 0.05
-    second_order: bool = True
     iterations: int = 10
     coarse_iterations: int = 3
     inflation: float = 2.0

@@ -10,7 +10,8 @@ from hypose.app.studio.clicks import _for_one_camera
 from hypose.app.studio.job_kinds import plan_job
 from hypose.errors import InputError
 from hypose.io.recordings.recording import load_recording
-from hypose.pipeline.one_camera import clicked_pixels, load_clicks, one_view
+from hypose.pipeline.one_camera import clicked_pixels, load_clicks
+from hypose.pipeline.recorded_frames import one_view
 from tests.bundles import read_bundle
 
 PIXELS = {

@@ -70,12 +70,12 @@ def test_a_body_is_fitted_to_what_was_kept():
 def test_a_process_that_is_killed_costs_what_it_was_doing_and_no_more():
     work = BackgroundWork()
     try:
-        under_way = work._submit(time.sleep, 60)
+        under_way = work._thread.submit(work._elsewhere, time.sleep, 60)
         while work._process is None:
             time.sleep(0.01)
-        number = work._process[0].pid
+        number = work._process.pid
         os.kill(number, signal.SIGKILL)
         assert under_way.result() is None
-        assert work._submit(os.getpid).result() not in (None, number)
+        assert work._elsewhere(os.getpid) not in (None, number)
     finally:
         work.close()

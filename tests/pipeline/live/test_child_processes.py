@@ -13,12 +13,15 @@ from tests.conftest import HANG_S
 
 SLEEPS = "import time; print('here', flush=True); time.sleep(60)"
 PARENT = """
-import os, time
+import threading, time
 from hypose.pipeline.live.background_work import BackgroundWork
 
 if __name__ == "__main__":
     work = BackgroundWork()
-    print(work._submit(os.getpid).result(), flush=True)
+    threading.Thread(target=work._elsewhere, args=(time.sleep, 60), daemon=True).start()
+    while work._process is None:
+        time.sleep(0.01)
+    print(work._process.pid, flush=True)
     time.sleep(60)
 """
 

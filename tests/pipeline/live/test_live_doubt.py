@@ -6,7 +6,7 @@ import pytest
 from hypose.body.default_body import human
 from hypose.pipeline.first_frame import TrackedSubject
 from hypose.pipeline.live.live_people import LiveErrorModel
-from hypose.pipeline.passes import tracker_of
+from hypose.pipeline.track_loop import tracker_of
 from hypose.pipeline.track_options import TrackOptions
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.starts import KNOWN_POSES, start_in_pose

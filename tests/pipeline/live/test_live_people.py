@@ -70,7 +70,7 @@ def test_who_is_lost_is_told_and_looked_for_as_at_the_start(walk, frames, execut
         phases.append(people.phase)
         assert (not stepped) == (people.phase == STATE_EMPTY)
         if stepped and people.phase == STATE_LOST:
-            reported = stepped[0].reported()
+            reported = stepped[0].pose()
             assert (
                 reported.lost
                 and reported.motion.low_confidence_joints is not None
@@ -92,7 +92,7 @@ def test_a_gap_in_the_pictures_is_survived(walk, frames, executor):
 def test_frames_at_half_the_rate_are_followed_at_that_rate(walk, frames):
     with ThreadPoolExecutor(1) as pool:
         people = people_for(frames, pool)
-        poses = [s.reported() for f in frames[::2] for s in step_with_duels(people, f)]
+        poses = [s.pose() for f in frames[::2] for s in step_with_duels(people, f)]
         assert people.people[0].tracker.settings.frame_rate == pytest.approx(12.5, rel=0.35)
         end_duel(people)
     # so few pictures of so few pixels may be taken for somebody who turns around: not for long
@@ -149,7 +149,7 @@ def test_the_duel_turns_a_body_that_was_started_back_to_front(walk, frames):
         turned, duels = [], 0
         for frame in frames[k + 1 :]:
             (stepped,) = step_with_duels(people, frame)
-            joints = stepped.reported().joints
+            joints = stepped.pose().joints
             duels += person._duel is not None
             across = joints[left] - joints[right]
             true = walk.joints[frame.index, left] - walk.joints[frame.index, right]

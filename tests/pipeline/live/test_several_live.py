@@ -39,10 +39,10 @@ def followed(scenes):
     people = LivePeople(frames[0].silhouettes.rig, RATE, LivePersonOptions(), executor, None, 3)
     out = []
     for frame in frames:
-        stepped = people.step(at(frame, frame.index / RATE))
-        out.append([s.reported() for s in stepped])
-        for s in stepped:
-            s.look()
+        tracked = people.step(at(frame, frame.index / RATE))
+        out.append([p.pose() for p in tracked])
+        for p in tracked:
+            p.judge()
         if not people.people:
             executor.work()
         else:

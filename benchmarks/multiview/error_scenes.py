@@ -19,6 +19,7 @@ from benchmarks.multiview.action_scenes import known_subject, subject_of_seed
 from benchmarks.multiview.product import aligned_joints, body_by_keypoints, estimated_body
 from benchmarks.multiview.real_recordings import balancing_recording
 from benchmarks.multiview.things_in_masks import with_thing
+from benchmarks.synthetic.depth_frames import depth_frames
 from benchmarks.synthetic.noisy_masks import noisy_scene
 from benchmarks.synthetic.retarget import retarget
 from benchmarks.synthetic.spoilt_keypoints import SPOILS, moved_camera, spoilt
@@ -119,6 +120,8 @@ THREE: dict[str, Case] = {
 were fitted to the seeds 600 to 609 of CASES, 600 to 605 of CAMERAS and THREE, and 2000 to 2007 of THREE; THREE and
 CASES of 1410 to 1415 judged."""
 ALL = {**CASES, **CAMERAS, **THREE}
+DEPTH = {"depth-one": "one", "depth-two": "two", "depth-three": "three"}
+"""Scenes before one to three depth sensors, by the name of their sensors in `depth_tracking.SENSORS`."""
 EVIDENCE = ("silhouettes", "keypoints", "both")
 SECONDS = 1.6
 DATA = Path(__file__).parents[3] / "shared" / "data"
@@ -148,12 +151,15 @@ class Tracked:
 
     def judged(self) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
         """(T, J) how likely joints are wrong, and which are doubtful, as a user is told."""
-        return judged(self.motion, self.body.joints(self.one_by_one), self.audit, self.unsure)
+        known = "depth" if self.evidence == "depth" else None
+        return judged(self.motion, self.body.joints(self.one_by_one), self.audit, self.unsure, known)
 
     @cached_property
     def elsewhere(self) -> tuple[Array, Array]:
-        """(T, J) m^2 and (T, A) rad^2: what `as_mixture` adds to variances of joints and angles."""
+        """(T, J) m^2 and (T, A) rad^2: what `as_mixture` adds to variances of joints and angles; nothing with depth."""
         p, joints = self.judged()
+        if self.evidence == "depth":
+            return np.zeros(p.shape), np.zeros((len(p), len(ANGLE_NAMES)))
         nothing = replace(
             self.motion,
             error_probability=p,
@@ -327,6 +333,28 @@ def tracked(name: str, scene: Scene, frames: Sequence[Frame], seed: int, evidenc
     off = (off + np.pi) % (2 * np.pi) - np.pi
     given = name, seed, evidence, kind, m, result.body, result.audit, result.one_by_one
     return Tracked(*given, error, error_raw, truth - joints, off, result.unsure)
+
+
+def collect_depth(folder: Path, name: str, seed: int, seconds: float = 2.0) -> None:
+    """Track one scene of DEPTH, and keep it in the folder, unless it is there."""
+    from benchmarks.depth_sensors import depth_tracking as depth  # which uses the figures of error_fit
+
+    path = folder / f"{name}-{seed}-depth.pkl"
+    if path.exists():
+        return
+    folder.mkdir(parents=True, exist_ok=True)
+    options = BenchOptions(False, 1, DATA, lambda stage, done, total: None, seed, None)
+    scene = depth.scene_of(seed, depth.SENSORS[DEPTH[name]], seconds, options)
+    result = track_source(FrameList(list(depth_frames(scene)), depth.RATE), depth.RATE, TrackOptions(seed=seed))
+    assert result.one_by_one is not None and result.audit is not None
+    m = as_curved(result.motion, "depth")
+    own = replace(m, poses=result.one_by_one, joints=result.body.joints(result.one_by_one))
+    truth = scene.joints[: len(m)]
+    joints, raw = depth.aligned(m, scene), depth.aligned(own, scene)
+    off = (angles_of(m) - true_angles(scene)[: len(m)] + np.pi) % (2 * np.pi) - np.pi
+    error, error_raw = (np.linalg.norm(j - truth, axis=-1) for j in (joints, raw))
+    given = name, seed, "depth", "plain", m, result.body, result.audit, result.one_by_one
+    path.write_bytes(pickle.dumps(Tracked(*given, error, error_raw, truth - joints, off, result.unsure)))
 
 
 def moves_the_world(case: Case) -> bool:

@@ -1,10 +1,10 @@
-"""Train what tells wrong joints: scenes are tracked, audited, and compared with their truth; a logistic fit is printed.
+"""Train the error model and the covariance calibration: scenes are tracked and compared with their truth.
 
-    python scripts/train_doubt.py collect FOLDER --seeds 600:606      tracks, keeps what was found in FOLDER
-    python scripts/train_doubt.py fit FOLDER                          fits, judges on other seeds, writes the weights
-                                                                      of P(wrong), and of the covariances
+    python scripts/train_error_model.py collect FOLDER --seeds 600:606                    track scenes, keep the results
+    python scripts/train_error_model.py collect FOLDER --seeds 20:50 --evidence depth     the same before depth cameras
+    python scripts/train_error_model.py fit FOLDER       fit, print how other seeds are judged, write both assets
 
-Seeds below `doubt_scenes.JUDGES` are trained on, the others judge. FOLDER also serves the benchmark `error-model`.
+Seeds below `error_scenes.JUDGES` are trained on, the others judge. FOLDER also serves the benchmark `error-model`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from benchmarks.multiview.doubt_scenes import cases_of, collect, load_all
+from benchmarks.multiview.error_fit import report_fit
+from benchmarks.multiview.error_scenes import DEPTH, JUDGES, cases_of, collect, collect_depth, load_all
+from benchmarks.multiview.spread_fit import judged_by_seed, write_spread
 
 
 def main() -> None:
@@ -27,15 +29,16 @@ def main() -> None:
     if given.what == "collect":
         first, stop = (int(x) for x in given.seeds.split(":"))
         for seed in range(first, stop):
+            if given.evidence == "depth":
+                for case in DEPTH:
+                    collect_depth(given.folder, case, seed)
+                continue
             for case in given.cases.split(",") if given.cases else cases_of(seed):
                 collect(given.folder, case, seed, given.evidence.split(","))
         return
-    from benchmarks.multiview.doubt_fit import report_fit
-    from benchmarks.multiview.spread_fit import judged_by_seed, write_spread
-
     clips = load_all(given.folder)
     report_fit(clips)
-    write_spread(clips)
+    write_spread([c for c in clips if c.seed < JUDGES])
     for evidence, by in judged_by_seed(clips).items():
         print(evidence, {g: (round(c, 3), round(e, 3)) for g, (c, e) in by.items()})
 

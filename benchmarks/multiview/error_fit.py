@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import minimize
 from scipy.stats import rankdata
 
-from benchmarks.multiview.doubt_scenes import ALL, EVIDENCE, JUDGES, Tracked
+from benchmarks.multiview.error_scenes import ALL, JUDGES, Tracked
 from hypose.body.default_body import JOINT_NAMES
 from hypose.body.motion import Motion
 from hypose.geometry import Array
@@ -28,7 +28,7 @@ from hypose.tracking.error_model import (
     GROUPS,
     WRONG_M,
     ErrorModel,
-    doubt_of_clip,
+    error_level,
     error_models,
     groups_of,
     needs_review,
@@ -36,26 +36,27 @@ from hypose.tracking.error_model import (
     within_clip,
 )
 
-ASSET = Path(__file__).parents[2] / "hypose" / "assets" / "doubt.json"
+ASSET = Path(__file__).parents[2] / "hypose" / "assets" / "error_model.json"
 _NAMES = tuple(JOINT_NAMES[j] for j in EVALUATED)
 _GROUP = groups_of(_NAMES)
 _ARMS = np.isin(_GROUP, [GROUPS.index("elbows"), GROUPS.index("wrists")])
 _NEGATIVE = ("exposed", "exposed_second", "points_agree")
-_POINTS = tuple(n for n in FEATURES if n.startswith("points"))
-_NEUTRAL = ("log_sd", "moved", "accel")
 _CLIP = tuple(f"{n}_of_clip" for n in OF_CLIP)
-"""The same for all joints of a clip: neither sign speaks for itself beside what is told of the joint."""
-_MASKED = (
-    *("sd_around", "moved", "accel", "still", "bare_beside", "exposed", "exposed_second", "hidden", "outside"),
-    *("rival_around", "cost_more", "loose", "exchanged", "apart", "more_mask", *_CLIP),
-)
-"""What masks alone are judged by. With the rest, which tells much the same by other measures, motions left out are told
-worse: the AUROC of their arms in usual scenes was .71 with them, and is .93 (seeds 600 to 617)."""
+"""The same for all joints of a clip: neither sign speaks for itself."""
+_POINTS = ("sd_around", "accel", "points_around", "points_worst", "points_all", "points_agree", "points_contested")
+_MASKED = ("sd_around", "accel", "still", "bare_second", "exposed", "exposed_second")
+USED = {
+    "silhouettes": (*_MASKED, "bare_relative", "outside", "loose", "exchanged", *_CLIP),
+    "keypoints": _POINTS,
+    "both": (*_MASKED, *_POINTS[2:], "bare", "outside", "loose"),
+    "depth": (*_MASKED, "bare", "outside", "exchanged"),
+}
+"""Features that the joints of an evidence are judged by. Taken away one after the other from 44, each time the one
+without which joints of motions left out, all kinds of evidence together, were judged best (seeds 600 to 609 and 993 to
+1010). Of masks, bare_relative and cost_of_clip came back: they judge arms better where nothing else is wrong."""
 _RIDGE = 30.0
 _RIDGE_CLIP = 100.0
 """Of _CLIP, which are as many as there are clips, however many their frames."""
-_FEW = 100
-"""Clips: fewer than that move the slope and the level of known weights only; 42 clips made their ranking worse."""
 _PARTS = 8
 """of the seeds, each left out once"""
 _WHOLE, _LESS = 0.1, 0.25
@@ -66,11 +67,12 @@ GOOD_FLAGGED = {
     "silhouettes": (0.01, 0.045, 0.015),
     "keypoints": (0.005, 0.03, 0.01),
     "both": (0.005, 0.045, 0.01),
+    "depth": (0.005, 0.045, 0.01),
 }
 """Share of good joint-frames of trunk, arms and legs that may be flagged on seeds that were left out. Of key points
 half of the clips are spoilt, so that of good ones far fewer are."""
 _AS = (0, 0, 0, 1, 1, 2, 2)  # trunk, arms or legs by the group
-LEAST_P = {"silhouettes": 0.1, "keypoints": 0.08, "both": 0.04}
+LEAST_P = {"silhouettes": 0.1, "keypoints": 0.08, "both": 0.04, "depth": 0.1}
 """What is less likely wrong than that is not doubtful, however few are flagged; of both, joints are wrong a tenth as
 often as from silhouettes."""
 
@@ -92,7 +94,7 @@ class Rows:
     @property
     def usual(self) -> NDArray[np.bool_]:
         """(N,) nothing but the person in the masks, through the right cameras."""
-        return np.isin(self.case, [n for n, c in ALL.items() if c.usual])
+        return ~np.isin(self.case, [n for n, c in ALL.items() if not c.usual])
 
     def take(self, rows: NDArray[np.bool_]) -> Rows:
         """Some of them."""
@@ -132,32 +134,17 @@ def _features(c: Tracked, at: slice) -> Array:
     return clip_features(m, c.body.joints(c.one_by_one[at]), c.audit[at])[:, EVALUATED]
 
 
-def used_by(evidence: str) -> list[str]:
-    """The features that there are for an evidence."""
-    if evidence == "silhouettes":
-        return list(_MASKED)
-    if evidence == "keypoints":
-        return [*_NEUTRAL, *_POINTS]
-    # sides are looked at with masks alone, and key points tell which view is wrong
-    return [
-        n
-        for n in FEATURES
-        if n not in ("log_sd", "sd_around", "exchanged", "apart", "bare_beside", "more_mask", *_CLIP)
-    ]
-
-
-def fit(rows: Rows, evidence: str, known: ErrorModel | None = None) -> ErrorModel:
-    """The model of an evidence, fitted to all rows given. known: weights that were found on other scenes, whose slope
-    and level alone are fitted where the clips are few. Thresholds come from what is said of
+def fit(rows: Rows, evidence: str) -> ErrorModel:
+    """The model of an evidence, fitted to all rows given. Thresholds come from what is said of
     each seed when it is fitted to the others: of its own rows a fit is surer than it may be. They come from clips
     through the right cameras without things in the masks: what else there is says so itself, and may be flagged more
     often."""
-    model = _weights(rows, evidence, known)
+    model = _weights(rows, evidence)
     p, seeds = said(model, rows), np.unique(rows.seed)
     if len(seeds) > 2:
         for k in range(min(_PARTS, len(seeds))):
             own = np.isin(rows.seed, seeds[k::_PARTS])
-            p[own] = said(_weights(rows.take(~own), evidence, known), rows.take(own))
+            p[own] = said(_weights(rows.take(~own), evidence), rows.take(own))
     # what of a body that is wrong as a whole is right by chance may be flagged as well
     some = rows.whole & ~_wholly_wrong(rows) & rows.usual
     p, good = p[some], rows.error[some] <= WRONG_M
@@ -171,12 +158,9 @@ def fit(rows: Rows, evidence: str, known: ErrorModel | None = None) -> ErrorMode
     return replace(model, threshold=np.array(threshold))
 
 
-def _weights(rows: Rows, evidence: str, known: ErrorModel | None) -> ErrorModel:
-    on, flat = np.isin(FEATURES, used_by(evidence)), rows.x.reshape(-1, len(FEATURES))
+def _weights(rows: Rows, evidence: str) -> ErrorModel:
+    on, flat = np.isin(FEATURES, USED[evidence]), rows.x.reshape(-1, len(FEATURES))
     middle, scale = np.where(on, flat.mean(0), 0.0), np.where(on, np.maximum(flat.std(0), 1e-3), 1.0)
-    few = len(np.unique(np.stack([rows.case, rows.seed.astype(str)]), axis=1).T) < _FEW
-    if known is not None and few:
-        middle, scale = known.middle, known.scale
     wrong = rows.error > WRONG_M
     weights, offset = np.zeros((len(GROUPS), len(FEATURES))), np.zeros(len(GROUPS))
     count = np.where(_wholly_wrong(rows), _LESS, 1.0)
@@ -185,27 +169,22 @@ def _weights(rows: Rows, evidence: str, known: ErrorModel | None) -> ErrorModel:
         # on both sides here, so that no clip far from the others turns a weight; told, it holds where it calms alone
         z = np.clip((rows.x[:, own] - middle) / scale, -MOST_SD, MOST_SD).reshape(-1, len(FEATURES))
         counts, y = np.repeat(count, np.count_nonzero(own)), wrong[:, own].ravel().astype(float)
-        if known is not None and few:
-            slope, offset[g] = _level((z * known.weights[g]).sum(1) + known.offset[g], y, counts)
-            weights[g] = slope * known.weights[g]
-            offset[g] += slope * known.offset[g]
-            continue
         weights[g], offset[g] = _logistic(z, y, counts, on)
     alone = np.tile(BY_ITSELF, (len(GROUPS), 1))
     model = ErrorModel(middle, scale, weights, offset, alone, np.full(len(GROUPS), LEAST_P[evidence]))
-    return replace(model, in_clip=in_clip(model, rows)) if evidence == "silhouettes" and not few else model
+    return replace(model, in_clip=in_clip(model, rows)) if evidence == "silhouettes" else model
 
 
 def said(model: ErrorModel, rows: Rows) -> Array:
     """(N, J) P of joints in their clips."""
     odds = model.of_joints(rows.x, _NAMES)
-    return probability(model.within(odds, _NAMES, _doubt_of_clips(odds, rows.clip)))
+    return probability(model.within(odds, _NAMES, _error_levels(odds, rows.clip)))
 
 
-def _doubt_of_clips(odds: Array, clip: NDArray[np.int64]) -> Array:
+def _error_levels(odds: Array, clip: NDArray[np.int64]) -> Array:
     """(N,) of the clip that each row is of."""
     begin = np.flatnonzero(np.r_[True, np.diff(clip) != 0])  # rows of a clip follow each other
-    found = [doubt_of_clip(o, _NAMES) for o in np.split(odds, begin[1:])]
+    found = [error_level(o, _NAMES) for o in np.split(odds, begin[1:])]
     return np.repeat(found, np.diff(np.r_[begin, len(clip)]))
 
 
@@ -215,7 +194,7 @@ def in_clip(model: ErrorModel, rows: Rows) -> Array:
     told worse by it."""
     rows = rows.take(rows.whole)
     odds = model.of_joints(rows.x, _NAMES)
-    told, wrong = within_clip(odds, _NAMES, _doubt_of_clips(odds, rows.clip)), rows.error > WRONG_M
+    told, wrong = within_clip(odds, _NAMES, _error_levels(odds, rows.clip)), rows.error > WRONG_M
     out = np.zeros((len(GROUPS), told.shape[-1]))
     for g in range(len(GROUPS)):
         a, y = (x[:, g == _GROUP].reshape(-1, *x.shape[2:]).astype(float) for x in (told, wrong))
@@ -232,13 +211,6 @@ def _wholly_wrong(rows: Rows) -> NDArray[np.bool_]:
     clip = np.unique(np.stack([rows.case, rows.seed.astype(str)]), axis=1, return_inverse=True)[1].ravel()
     share = (rows.error > WRONG_M).mean(1)
     return np.asarray((np.bincount(clip, share) / np.bincount(clip))[clip] > _WHOLE)
-
-
-def _level(odds: Array, y: Array, count: Array) -> tuple[float, float]:
-    """Slope and offset that make known log-odds (N,) those of y (N,), as Platt (1999) does; the slope at most 1."""
-    a = np.stack([odds, np.ones(len(odds))], 1)
-    slope, offset = _held(a, y, count, [(0.2, 1), (-9, 9)], np.array([1.0, 0.0]))
-    return float(slope), float(offset)
 
 
 def _held(a: Array, y: Array, count: Array, bounds: list[tuple[float, float]], begin: Array) -> Array:
@@ -328,7 +300,7 @@ def left_out(rows: Rows, evidence: str) -> Array:
     out = np.zeros(rows.error.shape)
     for case in np.unique(rows.case):
         own = rows.case == case
-        model = _weights(rows.take(~own & (rows.seed < JUDGES)), evidence, None)
+        model = _weights(rows.take(~own & (rows.seed < JUDGES)), evidence)
         out[own] = said(model, rows.take(own))
     return out
 
@@ -337,11 +309,11 @@ def report_fit(clips: Sequence[Tracked], write: bool = True) -> None:
     """Fits every evidence on the seeds below JUDGES, prints how it does on the others, and writes the asset; an
     evidence without clips keeps what it has."""
     models = dict(error_models())
-    for evidence in (e for e in EVIDENCE if any(c.evidence == e for c in clips)):
+    for evidence in (e for e in USED if any(c.evidence == e for c in clips)):
         rows = rows_of(clips, evidence, ALONE)
         rows = rows.take((rows.seed < JUDGES) | rows.whole)
         train, judge = rows.take(rows.seed < JUDGES), rows.take(rows.seed >= JUDGES)
-        model = models[evidence] = fit(train, evidence, error_models()[evidence])
+        model = models[evidence] = fit(train, evidence)
         print(f"\n{evidence}: {len(train.x)} frames trained on, {len(judge.x)} judge", model.threshold.round(3))
         for name, some in (("trained on", train), ("other seeds", judge)):
             if len(some.x):

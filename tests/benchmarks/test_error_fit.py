@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.multiview.doubt_fit import Rows, ece, in_clip, said
+from benchmarks.multiview.error_fit import Rows, ece, in_clip, said
 from benchmarks.multiview.spread_fit import UNSEEN, covered, fit_joint, level_error, squares
 from hypose.synthetic.metrics import EVALUATED
 from hypose.tracking.error_features import FEATURES

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.bench_report import BenchOptions, BenchReport, Row
-from benchmarks.multiview.doubt_fit import ALONE, auroc, figures, left_out, of_arms, rows_of
-from benchmarks.multiview.doubt_scenes import (
+from benchmarks.multiview.error_fit import ALONE, auroc, figures, left_out, of_arms, rows_of
+from benchmarks.multiview.error_scenes import (
     ALL,
     CAMERAS,
     CASES,
@@ -37,8 +37,9 @@ _LEGEND = "scenes: seeds that judge, fitted weights as committed; left-out: refi
 
 
 def doubt(options: BenchOptions) -> BenchReport:
-    """Rows of the table in docs/benchmarks.md. Scenes are tracked, or taken from `--parts` where scripts/train_doubt.py
-    has kept them; `left-out` needs its training seeds there. Default: two seeds from JUDGES on."""
+    """Rows of the table in docs/benchmarks.md. Scenes are tracked, or taken from `--parts` where
+    scripts/train_error_model.py has kept them; `left-out` needs its training seeds there. Default: two seeds from
+    JUDGES on."""
     seeds = options.seed_range(2, first=JUDGES)
     shown = [(seed, case) for seed in seeds for case in cases_of(seed)[: 1 if options.quick else None]]
     if options.data is not None and not options.quick:

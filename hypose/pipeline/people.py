@@ -1,0 +1,361 @@
+"""Find the people of a recording at its beginning, and those who come, leave and return while it is tracked.
+
+People are found where no tracked body explains the visual hull (`hypose.evidence.hull_people`), in the first frames and
+repeatedly later. Each has a tracker of their own (`hypose.tracking.several`). After tracking, each has a clip of their
+own (`OwnFrames`), in which the bodies of the others hide what they cover.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hypose.body.default_body import human
+from hypose.errors import EvidenceError, HyposeError
+from hypose.evidence import depth_people
+from hypose.evidence.frame import Frame, Keypoints, Silhouettes
+from hypose.evidence.hull import common_view_bounds
+from hypose.evidence.hull_people import HullPerson, views_to_find
+from hypose.evidence.shared_masks import SOLVED_WIDENING, Other
+from hypose.geometry import Array
+from hypose.pipeline.first_frame import SubjectOptions, TrackedSubject, find_subject
+from hypose.pipeline.frame_anomalies import looked_at
+from hypose.pipeline.person_paths import (
+    KeypointPeople,
+    Path,
+    Wanted,
+    follow_places,
+    lasting,
+    names_at_places,
+)
+from hypose.pipeline.rough_bodies import RoughTrack, fitted_again, frame_of_person, least_hidden, rough_bodies
+from hypose.pipeline.settings import SETTINGS
+from hypose.pipeline.track_loop import Followed, FrameSource, StageProgress, TrackingSession, tracker_of
+from hypose.pipeline.track_management import (
+    back_again,
+    birth_candidates,
+    candidate_evidence,
+    explained_by,
+    not_parts,
+    part_doubles,
+    swap_identities,
+    update_appearance,
+    without_doubles,
+)
+from hypose.pipeline.track_options import TrackOptions
+from hypose.tracking.several import Member, shape_of
+
+
+@dataclass(frozen=True)
+class PeopleFinder:
+    """Finder of the people in the frames of a source, for a session that tracks them together.
+
+    frame_rate: Hz.
+    count: most people whose results are wanted; None: all. Others are tracked too, since they hide these.
+    wanted: prior knowledge of some people.
+    points: key points sorted by person; None: people are tracked by masks or depth alone.
+    """
+
+    source: FrameSource
+    frame_rate: float
+    options: TrackOptions
+    count: int | None = None
+    wanted: Sequence[Wanted] = ()
+    points: KeypointPeople | None = None
+
+    # ---- the beginning -----------------------------------------------------------------------------------------
+
+    def begin(self) -> list[Followed]:
+        """Find and fit the people of the first frames: wanted people first, then by distance from the middle of the
+        cameras' view.
+
+        Raises: EvidenceError where no person is found, or no body can be fitted to one.
+        """
+        last = min(len(self.source), max(2, round(SETTINGS.people_start_s * self.frame_rate)))
+        looks = np.unique(np.linspace(0, last - 1, min(last, 6)).astype(int)).tolist()
+        named, numbers = range(last, self._named_at + 1, self._look_every), self._fit_numbers(0)
+        paths = lasting(self._places(sorted({*looks, *named, *numbers})), looks)
+        if not paths:
+            if self.source.frame(0).depth is not None:
+                raise EvidenceError(
+                    "Nobody stands before the depth cameras at the beginning; begin with --frames where people are "
+                    "seen, and record the empty room again if it has changed."
+                )
+            raise EvidenceError(
+                "Nobody stands in the masks at the beginning: no part of the visual hull is as large and tall as a "
+                "person; begin with --frames where people are seen by three cameras, and check the masks with "
+                "`hypose silhouettes`."
+            )
+        middle = self._middle()
+        paths = sorted(paths, key=lambda p: float(np.linalg.norm(p.axis(0) - middle)))
+        names = names_at_places(self.wanted, len(paths), lambda k, t: self._stood(paths[k], t), self.frame_rate)
+        order = sorted(range(len(paths)), key=lambda k: self._rank(names[k]))
+        people, unclear, rough = list[Followed](), list[HyposeError](), None
+        if len(paths) > 1 and self.points is None:
+            sizes = [
+                (human(), w.height) if w.body is None else (w.body, w.body.stature) for w in map(self._known, names)
+            ]
+            rate = self._rate_of(numbers)
+            rough = rough_bodies(self.source.frame, numbers, paths, rate, sizes, self.options.seed)
+        for k in order:
+            try:
+                people.append(self._fitted(names[k], paths, k, numbers, rough, alone=len(paths) == 1))
+            except HyposeError as error:  # the others may be seen well; this person is searched again later
+                unclear.append(error)
+        if not people:
+            raise unclear[0]
+        subjects = without_doubles(people, self.source.frame(numbers[0]))
+        people = [self._at_start(name, subject) for name, subject in subjects.items()]
+        if self.points is None:
+            for k, subject in fitted_again(people, self.source.frame, numbers, self._known).items():
+                people[k] = self._at_start(people[k].name, subject)
+        for k, p in enumerate(people):
+            p.asked_for = self.count is None or k < self.count
+        return people
+
+    def _rank(self, name: str) -> int:
+        """Return the position of a name among the wanted people; other people come last."""
+        return next((k for k, w in enumerate(self.wanted) if w.name == name), len(self.wanted))
+
+    def _at_start(self, name: str, subject: TrackedSubject) -> Followed:
+        return Followed.at_start(name, subject, tracker_of(subject, self.options, self.frame_rate))
+
+    def _places(self, numbers: Sequence[int]) -> list[Path]:
+        """Follow all people in the hull through the frames `numbers`."""
+        return follow_places(self.source.frame, numbers, self.frame_rate)
+
+    @property
+    def _named_at(self) -> int:
+        """Number of the last frame for which a person's place is given."""
+        times = [w.time for w in self.wanted if w.place is not None]
+        return min(round(max(times, default=0.0) * self.frame_rate), len(self.source) - 1)
+
+    def _stood(self, path: Path, t: int) -> Array:
+        """Return where (2,) m a person stood in about a frame; NaN where not known."""
+        return path.axis(t, within=SETTINGS.people_start_s * self.frame_rate)
+
+    def _known(self, name: str) -> Wanted:
+        return next((w for w in self.wanted if w.name == name), Wanted(name))
+
+    def _rate_of(self, numbers: Sequence[int]) -> float:
+        """Return the rate of the frames `numbers`, Hz."""
+        return self.frame_rate / max(1, numbers[1] - numbers[0]) if len(numbers) > 1 else self.frame_rate
+
+    def _middle(self) -> Array:
+        """Return the middle (2,) m of the cameras' common view."""
+        s = self.source.frame(0).silhouettes
+        with contextlib.suppress(EvidenceError):
+            if s is not None:
+                return common_view_bounds(s.rig).mean(0)[:2]
+        return np.zeros(2)
+
+    def _fit_numbers(self, first: int) -> list[int]:
+        step = max(1, round(self.frame_rate / SETTINGS.people_fit_hz))
+        return list(range(first, min(len(self.source), first + round(SETTINGS.people_fit_s * self.frame_rate)), step))
+
+    def _fitted(
+        self,
+        name: str,
+        paths: Sequence[Path],
+        who: int,
+        numbers: Sequence[int],
+        rough: Sequence[RoughTrack | None] | None = None,
+        alone: bool = False,
+    ) -> Followed:
+        """Fit a person's body to the evidence that is theirs alone in the frames `numbers`.
+
+        paths: of all people.
+        who: index of the person.
+        rough: rough tracks of all people.
+        alone: no other person is there.
+        """
+        known, o = self._known(name), self.options
+        own = {t: frame_of_person(self.source.frame(t), t, who, paths, rough) for t in numbers if t in paths[who].found}
+        seen = least_hidden({t: frame.visible_share for t, frame in own.items()})
+
+        def frame_at(k: int) -> Frame:
+            t = seen[k]
+            points = None if self.points is None else self.points.at(t, paths[who].axis(t), ())
+            return replace(own[t], keypoints=None if points is None else points[1])
+
+        rate, mine = self._rate_of(numbers), None if rough is None else rough[who]
+        tried = () if mine is None else mine.starts(seen)
+        start = "hull" if self.points is None else "keypoints"
+        height = known.height or (o.height if alone else None)
+        given = known.body is not None
+        wanted = SubjectOptions(start, height, o.girths, known.body, rate, o.seed, given, not alone, tried)
+        subject = find_subject(frame_at, len(seen), wanted)
+        earlier = [own[t] for t in sorted(own, reverse=True) if t < seen[0]]
+        if earlier:  # the fitted start is in the first frame that shows the person well
+            tracker = tracker_of(replace(subject, keypoints=None), o, self.frame_rate)
+            *_, (state, _) = tracker.follow(tracker.start(subject.start), earlier)
+            subject = replace(subject, start=state.pose)
+        return self._at_start(name, subject)
+
+    # ---- while they are tracked --------------------------------------------------------------------------------
+
+    def keypoints(self, people: Sequence[Followed], t: int) -> list[Keypoints | None]:
+        """Return the key points of all people in frame t; those of an empty frame for a person who has none, or is not
+        there. The track of key points that a person has from now on is noted in `Followed.track`.
+
+        Returns: empty where people are tracked without key points.
+        """
+        if self.points is None:
+            return []
+        out: list[Keypoints | None] = []
+        for p in people:
+            taken = [q.track for q in people if q is not p and q.track is not None]
+            place, found = p.member.state.pose[:2], None
+            if p.member.present:
+                found = self.points.at(t, place, taken, p.track)
+            if found is not None:
+                p.track = found[0]
+            out.append(self.points.nothing if found is None else found[1])
+        return out
+
+    def manage(self, session: TrackingSession, frame: Frame, seen: Sequence[Frame]) -> None:
+        """Manage the tracks after a frame: people who were exchanged, found twice, who come and who return.
+
+        seen: the frame as each person's tracker saw it.
+        """
+        people, t = session.people, session.done - 1
+        look = t % self._look_every == 0
+        if look:
+            session.settle()
+            for p, q, since in update_appearance(people, seen):
+                swap_identities(p, q, since)
+        part_doubles(people, max(2, round(SETTINGS.people_together_s * self.frame_rate)))
+        if look:
+            session.coming = self._look(people, frame, t, session.coming, session.held)
+
+    @property
+    def _look_every(self) -> int:
+        return max(1, round(SETTINGS.people_look_s * self.frame_rate))
+
+    def _look(
+        self, people: list[Followed], frame: Frame, t: int, before: Sequence[Array], progress: StageProgress
+    ) -> list[Array]:
+        """Look for people in mask parts that no tracked body explains; those who were also seen at the last look are
+        tracked from now on.
+
+        before: result of the last look.
+        Returns: (4,) per possible new person: place (2,) m, number of failed fits, and frame from which the next fit is
+            tried.
+        """
+        masks = frame.of(Silhouettes)
+        known = [other for s in masks for other in explained_by(people, s)]
+        if not any(birth_candidates(known, s, views_to_find(frame)) for s in masks):
+            return []
+        found = not_parts(depth_people.people_seen(frame, known), people)
+        coming = list[Array]()
+        for person in found:
+            seen = next((b for b in before if np.linalg.norm(person.axis - b[:2]) < 0.5), None)
+            tries, again = (0, t) if seen is None else (int(seen[2]), int(seen[3]))
+            if seen is not None:
+                back = back_again(person, candidate_evidence(person, frame, known, found), people, self.frame_rate)
+                if back is not None:
+                    p, pose = back
+                    p.member, p.gone = Member(p.member.tracker, p.member.tracker.start(pose)), 0
+                    return []
+                if t >= again:  # a fit is expensive, and may succeed in a later frame
+                    progress("subject", 0, 1)
+                    new = self._new(people, person, frame, t)
+                    progress("subject", 1, 1)
+                    if new:
+                        return []
+                    tries, again = tries + 1, t + self._look_every * 2 ** min(tries, 3)
+            coming.append(np.array([*person.axis, tries, again], dtype=np.float64))
+        return coming
+
+    def _new(self, people: list[Followed], person: HullPerson, frame: Frame, t: int) -> bool:
+        """Fit a new person and add them to `people`; return False where no body can be fitted."""
+        numbers = self._fit_numbers(t)
+        # after this frame nothing is tracked yet: people are separated by the hull alone
+        paths = self._places(numbers)
+        mine = [k for k, q in enumerate(paths) if t in q.found and np.linalg.norm(q.found[t].axis - person.axis) < 0.4]
+        if not mine or len(paths[mine[0]].found) < min(len(numbers), SETTINGS.people_fewest):
+            return False
+        path, taken = paths[mine[0]], [p.name for p in people]
+        name = names_at_places(self.wanted, 1, lambda _, t: self._stood(path, t), self.frame_rate, taken)[0]
+        try:
+            new = self._fitted(name, paths, mine[0], numbers)
+        except HyposeError:
+            return False
+        empty, done = frame.unseen(), len(people[0].estimates)
+        blank = looked_at(new.member.tracker, new.member.tracker.step(new.member.state, empty)[1], empty, None)
+        new.estimates = [replace(blank, lost=True) for _ in range(done)]
+        new.present, new.hidden = [False] * done, [False] * done
+        new.asked_for = self._makes_room(name, people)
+        people.append(new)
+        return True
+
+    def _makes_room(self, name: str, people: Sequence[Followed]) -> bool:
+        """Return whether the result of a new person is wanted; a wanted person replaces another who is not."""
+        if self.count is None or len(people) < self.count:
+            return True
+        names = {w.name for w in self.wanted}
+        others = [p for p in people if p.asked_for and p.name not in names]
+        if name not in names or not others:
+            return False
+        others[-1].asked_for = False
+        return True
+
+    # ---- after tracking ----------------------------------------------------------------------------------------
+
+    def own_clip(self, p: Followed, people: Sequence[Followed]) -> tuple[OwnFrames, Followed]:
+        """Return the frames as evidence for one of the people, and the person without mask changes that come from other
+        people.
+
+        Why: where a person comes or leaves, masks change suddenly, although time did not jump.
+        """
+        comes, late = np.zeros(len(p.estimates), dtype=np.bool_), 3 * self._look_every
+        for q in people:
+            for t in (np.flatnonzero(np.diff(np.array(q.present, dtype=np.int8))) + 1).tolist():
+                comes[max(0, t - late) : t + 2] = True
+        estimates = list(p.estimates)
+        for t in np.flatnonzero(comes).tolist():
+            if len(estimates[t].seen):
+                seen = estimates[t].seen.copy()
+                seen[:, 1] = np.nan
+                estimates[t] = replace(estimates[t], seen=seen)
+        return OwnFrames(self.source, p, people, self.points), replace(p, estimates=estimates)
+
+
+@dataclass(frozen=True)
+class OwnFrames:
+    """Frames of a source as evidence for one of the people, after all have been tracked: what the others hide is left
+    out.
+
+    who: the person, one of `people`.
+    points: key points sorted by person; None: the frames have none.
+    """
+
+    source: FrameSource
+    who: Followed
+    people: Sequence[Followed]
+    points: KeypointPeople | None
+
+    def __len__(self) -> int:
+        return len(self.who.estimates)
+
+    def frame(self, index: int, /) -> Frame:
+        """Return frame number index with the silhouettes, and key points, of this person."""
+        frame, who = replace(self.source.frame(index), keypoints=None), self.who
+        s = frame.silhouettes
+        if self.points is not None:
+            found = self.points.at(index, who.estimates[index].pose[:2], (), who.track)
+            frame = replace(frame, keypoints=self.points.nothing if found is None else found[1])
+        if s is None:
+            return frame
+        if not who.present[index]:
+            return frame.unseen()
+        own = shape_of(who.subject.body, who.estimates[index].pose, s.rig)
+        others = [
+            Other(shape_of(p.subject.body, p.estimates[index].pose, s.rig), SOLVED_WIDENING)
+            for p in self.people
+            if p is not who and p.present[index] and not p.estimates[index].lost
+        ]
+        return depth_people.own_frame(frame, own, others)
