@@ -385,7 +385,7 @@ def _of_results(studio: Studio, item_of: ItemOf) -> list[Route]:
 
     def delete(request: Request) -> Any:
         item = item_of("result", request)
-        inside = [i for i in catalog.every() if i.path != item.path and i.path.is_relative_to(item.path)]
+        inside = [i for i in catalog.items() if i.path != item.path and i.path.is_relative_to(item.path)]
         if inside or item.path == catalog.root:
             raise InputError(f"{item.path.name} is served itself, or others lie in it; delete it from outside.")
         if studio.jobs.needs(item.id):
