@@ -219,7 +219,7 @@ def _views_of_limbs(found: LimbOffsets, size: float) -> float:
     """Compute the effective number of limbs: one that hardly moves has the same bias in every frame.
 
     found: measured offsets.
-    size: of the person, px.
+    size: size of the person, px.
     """
     total = 0.0
     for limb in np.unique(found.limb):

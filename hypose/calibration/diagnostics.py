@@ -72,7 +72,7 @@ def examine_silhouettes(
     """Diagnose a calibration with silhouettes alone.
 
     rig: the calibrated cameras.
-    silhouettes: of consecutive frames.
+    silhouettes: silhouettes of consecutive frames.
     o: limits.
     Returns: findings, a report per view, and (C,) delay of each view, frames.
     Raises: EvidenceError where no frame has silhouettes.
@@ -226,7 +226,7 @@ def _poses(
     small: the cameras of the masks, at their size.
     tracks: mask track of each view.
     size: (C,) size of the person in each view, px of the masks.
-    silhouettes: of the frames, for points of the person.
+    silhouettes: silhouettes of the frames, for points of the person.
     o: limits.
     Returns: at most one finding; none where the planes agree already or there are two views.
     """
@@ -388,7 +388,7 @@ class Observed:
         agree with them in any case.
     clips: file of each view.
     frame_rate: frames/s.
-    height: of the person, m, where known.
+    height: height of the person, m, where known.
     people: sentences about other people.
     depths: depth maps of some frames, where there are depth cameras.
     """
@@ -593,7 +593,7 @@ def _views(
     """Report residuals of key points and silhouettes for each view.
 
     pixels: (C, T, K, 3) key points as they are judged in the end.
-    alignments: of key points and masks of each view; None where there are no masks.
+    alignments: alignments of key points and masks of each view; None where there are no masks.
     changed: change of each camera by the refinement; None where there was none.
     """
     c = len(observed.rig)

@@ -31,9 +31,8 @@ class PersonTrack:
     first: index of the first frame, from 0.
     points: (T, C, K, 3 or more) key points in each view, px and confidence as they were given, with left and right
         corrected; confidence 0 where the person is not seen. Further columns are as they were given.
-    world: (T, K, 3) where the rays meet, m; NaN where fewer than two do.
-    candidates: (T, C) number of the view's candidate, -1 for none.
-    """
+    world: (T, K, 3) triangulated key points, m; NaN where fewer than two rays meet.
+    candidates: (T, C) index of the person's detection among the detections of the view in the frame; -1 for none."""
 
     first: int
     points: Array
@@ -50,7 +49,7 @@ class PersonTrack:
 
     @property
     def seen(self) -> NDArray[np.bool_]:
-        """Whether each view sees the person (T, C)."""
+        """Whether each view sees the person in each frame, (T, C)."""
         return (self.points[..., 2] > 0).sum(-1) >= _LEAST_POINTS
 
     @property
@@ -83,9 +82,8 @@ class PersonTrack:
 def choose(tracks: Sequence[PersonTrack]) -> int | None:
     """Choose the person that the recording is about; return the index, None where there is no person.
 
-    It is the one seen in most frames and views by points whose rays meet; of those with nearly as many, the largest in
-    the pictures.
-    """
+    The person seen in most frames and views by points whose rays meet is chosen; of several who are seen nearly as
+    often, the one who is largest in the pictures."""
     if not tracks:
         return None
     seen = np.array([t.seen.sum() * t.agreed for t in tracks])
@@ -324,10 +322,9 @@ class Association:
         self._ended: list[_Followed] = []
 
     def step(self, views: Sequence[Array | None], /) -> None:
-        """Process one frame: per view the candidates (P, K, columns), None where there is none.
+        """Process one frame.
 
-        views: C arrays, one per camera of the rig.
-        """
+        views: per camera of the rig the candidates (P, K, columns) of the frame; None where there are none."""
         found = self._stacked(views)
         count = np.count_nonzero(found[..., 2] > 0.1, axis=-1)
         is_person, free = count >= _LEAST_POINTS, count > 0
@@ -350,7 +347,7 @@ class Association:
         self._frame += 1
 
     def people(self) -> list[PersonTrack]:
-        """List all people up to now, those seen in most frames and views first."""
+        """List the tracks of all people found so far; the people seen in most frames and views come first."""
         out = []
         for t in [*self._ended, *self._alive]:
             kept = len(t.seen) - t.missed
@@ -641,12 +638,12 @@ def object_points(mask: NDArray[np.uint8]) -> Array:
 
 
 def people_of_objects(points: Sequence[Mapping[str, Array]], rig: CameraRig) -> list[dict[int, str]]:
-    """Match the objects of all views to people; those seen in most views and frames come first.
+    """Match the objects of all views to people; people seen in most views and frames come first.
 
-    points: per view and object (S, 3, 2), undistorted px of the pinhole `rig` in S common frames (`object_points`); NaN
+    points: per view and object (S, 3, 2), undistorted px of the pinhole `rig` in S common frames (`object_points`);
+        NaN
         where the object is missing.
-    Returns: people as {view: object}; an object that no other view shows is a person of its own.
-    """
+    Returns: people as {view: object}; an object that no other view shows is a person of its own."""
     at = [(c, name) for c, view in enumerate(points) for name in view]
     if not at:
         return []

@@ -107,8 +107,10 @@ def match_gain(plate: BackgroundModel, reference: NDArray[np.floating]) -> Backg
 
 
 def gain_between(mean: NDArray[np.float32], reference: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Compute the factors (3,) that scale the channels of `mean` (h, w, 3) to the reference's brightness: see
-    `match_gain`."""
+    """Compute the factors (3,) that scale the channels of an image `mean` (h, w, 3) to the brightness of a reference
+    image.
+
+    The factor is the median ratio over the pixels where both images roughly agree; 1 where hardly any pixels do."""
     # ten times as fast as numpy along an axis of three
     apart = np.maximum.reduce([np.abs(mean[..., c] - reference[..., c]) for c in range(3)])
     agree = (apart < _AGREE) & (np.minimum.reduce([mean[..., c] for c in range(3)]) > _BLACK)

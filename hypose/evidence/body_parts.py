@@ -66,13 +66,13 @@ def visibility(hull: Hull, rig: CameraRig, usable: NDArray[np.bool_] | None = No
 
 
 def surface_probability(hull: Hull, seen: Array, maps: NDArray[np.float32], rig: CameraRig) -> Array:
-    """Compute the probability (S,) that each surface point shows a part: sum over views of visibility times detector.
+    """Compute the probability (S,) that each surface point shows a part: sum over views of visibility times
+    detector.
 
-    hull: whose surface points are used.
+    hull: visual hull with S surface points.
     seen: (C, S) from `visibility`.
     maps: (C, h, w) the detector's probability at the pixels of the pinhole rig; 0 outside the images.
-    Source: Alcoverro 2014, eq. 2.17.
-    """
+    Source: Alcoverro 2014, eq. 2.17."""
     out = np.zeros(len(hull.surface_points))
     for c, camera in enumerate(rig):
         some = np.flatnonzero(seen[c] > 0)
@@ -85,13 +85,12 @@ def surface_probability(hull: Hull, seen: Array, maps: NDArray[np.float32], rig:
 
 @dataclass(frozen=True)
 class ClusterSettings:
-    """Settings of the clusters of likely surface points; sizes at a stature of 1.75 m.
+    """Limits of the clusters of surface points that likely show a head or hand; sizes hold for a stature of 1.75 m.
 
     threshold: least probability of a surface point (Gamma).
     tolerance: m, largest distance of neighbours in a cluster.
     low, high: m^2, smallest and largest surface of a cluster (a hand has 0.02 to 0.05 m^2 on a hull, a head with the
-        neck up to 0.15).
-    """
+        neck up to 0.15)."""
 
     threshold: float = 0.5
     tolerance: float = 0.045

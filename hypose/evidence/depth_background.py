@@ -327,7 +327,7 @@ def behind_things(
     not.
 
     depth: maps of the same views; None: the silhouettes are returned as they are.
-    rooms: of each view; None: unknown.
+    rooms: rooms of each view; None: unknown.
     Returns: the silhouettes with ignored pixels; the same silhouettes where nothing stands in front.
     """
     if depth is None:

@@ -63,13 +63,13 @@ class SurfacePoints:
 class Depth:
     """Depth maps of one instant, one per view of a rig.
 
-    maps: (C, h, w) float32 m along the optical axis, 0 = hole, undistorted; views of different size are padded with 0,
+    maps: (C, h, w) float32 m along the optical axis, 0 = hole, undistorted; views of different size are padded with
+        0,
         see `rig.sizes`.
     person: (C, h, w) uint8, 1 = the person.
     usable: (C,) False for a view without a map, for example one that is no depth camera.
-    noise: of the sensors.
-    blank: (C,) depth cameras whose whole map is a hole; None: none.
-    """
+    noise: noise of the sensors.
+    blank: (C,) True for depth cameras whose whole map is a hole; None: there are none."""
 
     maps: NDArray[np.float32]
     person: NDArray[np.uint8]
@@ -79,7 +79,7 @@ class Depth:
     blank: NDArray[np.bool_] | None = None
 
     def unseen(self) -> Depth:
-        """Copy the maps with no usable view."""
+        """Copy the maps and mark all views as not usable."""
         return replace(self, usable=np.zeros_like(self.usable))
 
     @cached_property
@@ -148,11 +148,11 @@ def in_world(camera: Camera, points_camera: Array) -> Array:
 
 
 def smooth_surface(depth: NDArray[np.float32], jump_m: float = JUMP_M) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Smooth a depth map (h, w), m, by the median of 3 x 3 px, and mark where these lie on one surface.
+    """Smooth a depth map (h, w), m, by the median of 3 x 3 px, and mark the pixels whose 3 x 3 neighbourhood lies on
+    one surface.
 
     jump_m: difference of depth from which neighbours are different surfaces, m.
-    Returns: the smoothed map (h, w); (h, w) true where the 3 x 3 px have no hole and no jump.
-    """
+    Returns: the smoothed map (h, w); (h, w) true where the 3 x 3 px have no hole and no jump."""
     kernel = np.ones((3, 3), np.uint8)
     low, high = cv2.erode(depth, kernel), cv2.dilate(depth, kernel)
     sound = (low > 0) & (high - low < jump_m)

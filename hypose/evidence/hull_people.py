@@ -61,12 +61,11 @@ def views_to_find(frame: Frame) -> int:
 
 @dataclass(frozen=True)
 class HullPerson:
-    """A person found in a hull.
+    """Person found in a visual hull.
 
-    hull: the part of the hull.
+    hull: the part of the hull that is this person.
     axis: (2,) where the person stands on the floor, m.
-    seen: (C, h, w) the person's pixels, where they are known (depth cameras).
-    """
+    seen: (C, h, w) the person's pixels, where they are known (depth cameras)."""
 
     hull: Hull
     axis: Array
@@ -79,7 +78,7 @@ class HullPerson:
 
     @property
     def tall(self) -> bool:
-        """Whether the hull is as tall as most people; a child's is not."""
+        """Whether the hull is as tall as most adults; False for a small child."""
         return self.hull.height > _TALL
 
     @property
@@ -265,7 +264,7 @@ def _not_ghosts(left: Silhouettes, found: list[HullPerson], least: int) -> list[
 def _part(hull: Hull, chosen: NDArray[np.bool_], axis: Array) -> Hull:
     """Select the part of the chosen voxels (M,) that is connected to those near the axis (2,).
 
-    hull: of all people; returned is a hull cut to the part.
+    hull: hull of all people; returned is a hull cut to the part.
     """
     index = np.argwhere(hull.occupancy)
     kept = np.zeros_like(hull.occupancy)

@@ -25,14 +25,15 @@ SeenT = TypeVar("SeenT")
 
 @dataclass(frozen=True)
 class Trial(Generic[SeenT]):
-    """A suspected fault that was undone as a trial.
+    """Suspected fault of a calibration or its views, with the cameras and observations after it was undone as a
+    trial.
 
-    kind, cure: as in `Finding`.
+    kind: kind of the fault, as in `Finding.kind`.
+    cure: next step for the user, a sentence.
     views: indices of the affected views; empty for all.
     words: description of the fault.
     rig: cameras after the cure.
-    seen: observations of the views after the cure: key points (C, T, K, 3), mask tracks or depth maps.
-    """
+    seen: observations of the views after the cure: key points (C, T, K, 3), mask tracks or depth maps."""
 
     kind: str
     views: tuple[int, ...]
@@ -87,11 +88,11 @@ def geometric_trials(
 
 
 def sizes(pixels: Array) -> Array:
-    """Compute the person's size in each view: the median over frames of the longer side.
+    """Compute the person's size in each view: the longer side of the box around the key points, median over the
+    frames.
 
     pixels: (C, T, K, 3) px, and confidence.
-    Returns: (C,) px; 0 where no person is seen.
-    """
+    Returns: (C,) px; 0 where no person is seen."""
     out = np.zeros(len(pixels))
     for c, view in enumerate(pixels):
         found = [size for p in view if (size := person_size(p, least=6)) > 0]

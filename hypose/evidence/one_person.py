@@ -39,11 +39,10 @@ class OnePerson:
 
     points: (T, C, K, 3 or more) as they were given, confidence 0 where the person is not seen.
     several: another person is present in a good part of the clip.
-    people: those seen by two views or more, this person first.
+    people: tracks of all people seen by two views or more, this person first.
     by_rays: true: people were matched by rays; false: by motion.
     apart: views whose detections do not fit the person's place.
-    notes: sentences for the user.
-    """
+    notes: sentences for the user."""
 
     points: Array
     several: bool
@@ -308,10 +307,12 @@ def _moved(before: Array, now: Array, gap: int) -> float:
 
 
 def taken(frames: Sequence[Array | None], candidates: NDArray[np.int64], count: int, columns: int = 3) -> Array:
-    """Collect the points (T, K, columns) of the candidates numbered (T,), zero where there is none; count: K.
+    """Collect the points of one person from the candidates of each frame of a view.
 
     frames: T arrays (P, K, columns), None where there are no candidates.
-    """
+    candidates: (T,) index of the person's candidate in each frame, -1 for none.
+    count: number K of key points.
+    Returns: (T, K, columns) points; 0 where the person has no candidate."""
     out = np.zeros((len(frames), count, columns))
     for t, (people, p) in enumerate(zip(frames, candidates, strict=True)):
         if p >= 0 and people is not None:

@@ -86,7 +86,7 @@ class SilhouetteSettings:
 
     @property
     def cleaning(self) -> mask_runs.Cleaning:
-        """Settings of the clean-up."""
+        """The settings of the mask's clean-up (opening, closing, holes, small parts)."""
         return mask_runs.Cleaning(self.open_px, self.close_px, self.hole_px, self.keep_share, self.keep_gap)
 
     @property

@@ -34,7 +34,7 @@ def check_inputs(
     """Check the calibration and the key points of a source for gross faults; nothing is checked with one camera.
 
     evidence: evidence that will be tracked from.
-    height: of the person, m, where known.
+    height: height of the person, m, where known.
     frame_rate: Hz.
     """
     rows, frames = _rows(len(source)), _some(source)
@@ -81,7 +81,9 @@ def _rows(total: int) -> NDArray[np.int64]:
 
 
 def of_measured(stature: float) -> tuple[Finding, ...]:
-    """Check whether the height (m) of a person measured from masks or depth is plausible."""
+    """Check whether a height (m) that was measured from masks or depth is plausible for a person.
+
+    Returns: one finding where it is not; empty otherwise."""
     return tuple(height_findings(stature, None, Limits()))
 
 

@@ -161,7 +161,7 @@ class ClipState:
 
     @property
     def who(self) -> TrackedSubject:
-        """The subject; only after `find_people` has run."""
+        """Body and start pose of the person, or of the first of several; only after `find_people` has run."""
         return self.person.subject
 
     @property
@@ -176,7 +176,7 @@ class ClipState:
 
     @property
     def memory(self) -> Memory:
-        """What the recipe has learned about the person."""
+        """Arrays by name that the recipe has learned about the person."""
         return self.person.member.state.memory
 
     @property
@@ -186,7 +186,7 @@ class ClipState:
 
     @property
     def joints(self) -> Array | None:
-        """(T, J, 3) m: the current joint positions; None before tracking."""
+        """Joint positions (T, J, 3), m, world, after the passes that have run; None before tracking."""
         if self.motion is not None:
             return self.motion.joints
         if not self.estimates:
@@ -211,10 +211,9 @@ Pass = Callable[[ClipState], ClipState]
 
 
 def run_pass(step: Pass, clip: ClipState) -> ClipState:
-    """Run one pass, and record in the trace which joints it moved.
+    """Run one pass (a step of the run over the whole clip), and record in the trace which joints it moved.
 
-    Only passes that have a row in `REASONS` move joints; nothing is recorded for the others.
-    """
+    Only passes that have a row in `REASONS` move joints; nothing is recorded for the others."""
     reason, begin = REASONS.get(step.__name__), time.perf_counter()
     before = None if reason is None else clip.joints
     after = step(clip)
@@ -422,7 +421,8 @@ def check_height(clip: ClipState) -> ClipState:
 
 
 def clips_of_people(clip: ClipState) -> list[ClipState]:
-    """Make a clip of each person whose result is wanted; the others hide what they cover in its frames."""
+    """Split a clip of several people into one clip per person whose result is wanted; in its frames, the pixels that
+    other people cover are ignored."""
     if clip.finder is None:
         return [clip]
     out = list[ClipState]()
@@ -437,7 +437,8 @@ def clips_of_people(clip: ClipState) -> list[ClipState]:
 
 
 def trace_searches(clip: ClipState) -> ClipState:
-    """Record where a frame's search put joints elsewhere than the solve from the predicted pose."""
+    """Record in the trace the frames in which the search moved joints away from the solution that starts at the
+    predicted pose."""
     estimates = clip.estimates
     if not estimates or any(not len(e.moved) for e in estimates):
         return clip
@@ -574,9 +575,8 @@ def _with_errors(clip: ClipState, known: str | None, points: Sequence[Keypoints 
 
 
 def mark_absence(clip: ClipState) -> ClipState:
-    """Mark the frames in which the person is absent as lost, and those in which others hide the person as frames of low
-    confidence.
-    """
+    """Mark the frames in which the person is absent as lost, and the frames in which others hide the person as
+    frames of low confidence."""
     motion, notes = clip.motion, [*clip.notes, *clip.person.said]
     if motion is None or not clip.estimates:
         return clip

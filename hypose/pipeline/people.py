@@ -289,10 +289,11 @@ class PeopleFinder:
     """Finder of the people in the frames of a source, for a session that tracks them together.
 
     frame_rate: Hz.
-    count: most people whose results are wanted; None: all. Others are tracked too, since they hide these.
+    count: largest number of people whose results are wanted; None: all. Other people are tracked too, since they
+        hide parts of the wanted people.
     wanted: prior knowledge of some people.
-    points: key points sorted by person; None: people are tracked by masks or depth alone.
-    """
+    source: frames by number.
+    points: key points sorted by person; None: people are tracked by masks or depth alone."""
 
     source: FrameSource
     frame_rate: float
@@ -395,7 +396,7 @@ class PeopleFinder:
     ) -> TrackedPerson:
         """Fit a person's body to the evidence that is theirs alone in the frames `numbers`.
 
-        paths: of all people.
+        paths: paths of all people.
         who: index of the person.
         rough: rough tracks of all people.
         alone: no other person is there.
@@ -445,10 +446,10 @@ class PeopleFinder:
         return out
 
     def manage(self, session: TrackingSession, frame: Frame, seen: Sequence[Frame]) -> None:
-        """Manage the tracks after a frame: people who were exchanged, found twice, who come and who return.
+        """Update the tracks after a frame: correct people who were exchanged or found twice, and add people who come
+            or return.
 
-        seen: the frame as each person's tracker saw it.
-        """
+        seen: the frame as each person's tracker saw it."""
         people, t = session.people, session.done - 1
         look = t % self._look_every == 0
         if look:

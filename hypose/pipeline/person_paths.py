@@ -69,9 +69,11 @@ def follow_places(
 ) -> list[Path]:
     """Find the paths of people through the frames `numbers` (ascending), longest path first.
 
-    known: gives, for a frame number, the people who are tracked already; parts near them that are too small for a
-        person, such as limbs, are left out.
-    """
+    frame_at: function that reads a frame by its number.
+    frame_rate: Hz.
+    known: function of a frame number that gives the people who are tracked already; parts near them that are too
+        small for a
+        person, such as limbs, are left out."""
     from scipy.optimize import linear_sum_assignment  # takes long to import
 
     paths: list[Path] = []
@@ -211,7 +213,8 @@ class KeypointPeople:
         return Keypoints(np.zeros((len(self.rig), len(self.names), 3)), self.names, self.rig)
 
     def lasting(self, total: int) -> list[int]:
-        """List the tracks that last a good part of `total` frames; at least the longest one."""
+        """List the numbers of the tracks that last at least a certain share of `total` frames
+        (SETTINGS.points_least_share); where none does, the longest one."""
         long = [k for k, t in enumerate(self.tracks) if len(t) >= max(5, SETTINGS.points_least_share * total)]
         return long or sorted(range(len(self.tracks)), key=lambda k: -len(self.tracks[k]))[:1]
 
@@ -240,7 +243,9 @@ class KeypointPeople:
 
 
 class PointFrames:
-    """Frames of a source in which one person's track lasts, with the key points of that person as the only evidence."""
+    """Frames of a source in which one person's track lasts, with the key points of that person as the only evidence.
+
+    track: number of the track in `points`."""
 
     def __init__(self, source: FrameSource, points: KeypointPeople, track: int) -> None:
         self._source, self._points, self._track = source, points, track

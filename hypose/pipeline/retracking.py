@@ -302,12 +302,11 @@ def backward_pass(
 ) -> tuple[list[FrameEstimate], int]:
     """Track backwards from each jump of an arm, and replace estimates for which the later frames give a better pose.
 
-    estimates: of the frames 0, 1, ...
-    frames: reads a range of frames.
+    estimates: one estimate per frame, from frame 0 on.
+    frames: function that reads the frames of a range.
     memory: what the recipe has learned about the person.
     progress: called with frames done, total.
-    Returns: the estimates, and the number of frames in which an arm moved.
-    """
+    Returns: the estimates, and the number of frames in which an arm moved."""
     out = list(estimates)
     if not tracker.recipe.rivals or tracker.settings.evidence not in ("silhouettes", "both") or len(out) < 3:
         return out, 0
@@ -335,7 +334,10 @@ def backward_pass(
 
 
 def backward_pass_notes(moved: int) -> tuple[str, ...]:
-    """Return a sentence for the user; none where no arm moved."""
+    """Write the note for the user that arms were tracked backwards.
+
+    moved: number of frames in which an arm moved.
+    Returns: one sentence; empty where no arm moved."""
     return (f"arms were found elsewhere in {moved} frames by tracking backwards",) if moved else ()
 
 

@@ -61,12 +61,14 @@ class TrackResult:
     audit: (T, J, A) features of the error model (hypose.tracking.joint_features); None where not kept.
     findings: reasons to distrust or review the motion, and remarks.
     places: corrected places of depth cameras.
-    unsure: that of the subject (`TrackedSubject`).
-    judged: assessment of a result that was loaded; None: it is made of motion and findings.
-    name: of the person; empty where one person was tracked.
-    present: (T,) frames in which the person is there; in the others the motion is filled and marked as lost. None: the
-        person is there in all frames.
-    """
+    unsure: (2, J) probability that a joint is elsewhere at the start, from the subject (`TrackedSubject`); None: not
+        known.
+    judged: assessment of a result that was loaded from files; None: the assessment is computed from motion and
+        findings.
+    name: name of the person; empty where one person was tracked.
+    present: (T,) frames in which the person is there; in the others the motion is filled and marked as lost. None:
+        the
+        person is there in all frames."""
 
     motion: Motion
     body: Body
@@ -140,7 +142,7 @@ class TrackResult:
 
     @staticmethod
     def of(clip: ClipState) -> TrackResult:
-        """Make the result of a clip whose passes have run."""
+        """Make the result from a clip after all passes have run."""
         assert clip.motion is not None
         return TrackResult(
             clip.motion,
@@ -257,11 +259,12 @@ def track_people(
     count: most results; None: all people. Those beyond are tracked too, since they hide the others.
     wanted: prior knowledge of some of them.
     points: key points sorted by person, for the evidence 'keypoints' and 'both'.
-    folders: each person has a folder of their own in the results folder; else the motion of the one person who is asked
+    folders: each person has a folder of their own in the results folder; else the motion of the one person who is
+        asked
         for is written into it.
-    kept: results, record, resume and progress, as for `track_source`.
-    Raises: InputError where the evidence cannot separate people; EvidenceError where no person is found.
-    """
+    kept: results (folder for files), record (provenance), resume (continue from the checkpoint) and progress
+        (function of stage, done, total), the same as those of `track_source`.
+    Raises: InputError where the evidence cannot separate people; EvidenceError where no person is found."""
     kept = {"progress": lambda stage, done, total: None} | {k: v for k, v in kept.items() if v is not None}
     if options.of_picture:
         raise InputError("One camera alone cannot tell several people apart; leave out --people, or add cameras.")

@@ -130,10 +130,13 @@ def track_person(
 ) -> TrackResult:
     """Track one person in the frames of a recording.
 
-    Where the masks show several people, all are tracked, one is returned, and a note names the `command` that returns
+    Where the masks show several people, all are tracked, one is returned, and a note names the `command` that
+    returns
     all.
-    kept, and the other arguments: as for `track_source`.
-    """
+    body: the subject's own body; None: a body is fitted.
+    method: recipe that replaces the recipe of the options.
+    own: evidence in addition to that of the frames.
+    kept: further keyword arguments of `track_source`: results, record, resume, progress."""
     recording = source.recording
     all_people = with_all_people(source, options) if method is None and not own and body is None else None
     if all_people is None:
@@ -235,9 +238,9 @@ def track_one_of(
     wanted: prior knowledge of the person; without it the person nearest to the middle of the cameras' view is taken.
     points: key points sorted by person.
     command: named in the note that other people are there.
-    kept: results, record, resume and progress, as for `track_source`.
-    Returns: result of the person; not to be trusted where no person was found at the wanted place.
-    """
+    kept: results (folder for files), record (provenance), resume (continue from the checkpoint) and progress
+        (function of stage, done, total), the same as those of `track_source`.
+    Returns: result of the person; not to be trusted where no person was found at the wanted place."""
     found = track_people(source, frame_rate, options, count=1, wanted=wanted, points=points, folders=False, **kept)
     one, more = found.people[0], found.others
     said = (other_people_note(more, "masks", command),) if more and not places_refuted(found.findings) else ()

@@ -47,10 +47,10 @@ _LOG = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class FrameList:
-    """Frames in memory that can be tracked like a recording, e.g. of a synthetic scene or of your own cameras.
+    """Frames in memory that can be tracked like a recording, for example those of a synthetic scene or of your own
+    cameras.
 
-    frame_rate: Hz.
-    """
+    frame_rate: Hz."""
 
     frames: Sequence[Frame]
     frame_rate: float = 25.0

@@ -223,13 +223,13 @@ def candidate_evidence(
 
 
 def found_again(p: TrackedPerson, own: Frame) -> tuple[PreparedFrame, Array]:
-    """Fit the pose of a person, whose body is known, to new evidence, starting from its visual hull.
+    """Fit the pose of a person, whose body is known, to new evidence, starting from the visual hull of this
+    evidence.
 
     p: the person.
     own: frame as evidence for one person in the hull, see `candidate_evidence`.
     Returns: the prepared evidence, and the pose (D,).
-    Raises: EvidenceError where the evidence shows no person.
-    """
+    Raises: EvidenceError where the evidence shows no person."""
     body = p.subject.body
     prepared = prepare(own, body, np.zeros(body.skeleton.dof))
     return prepared, start_from_hull(body, prepared).pose
@@ -240,11 +240,12 @@ def returned(
 ) -> tuple[TrackedPerson, Array] | None:
     """Find which of the people who are away is the person in the hull.
 
-    Place: no person walks faster than SETTINGS.newcomer_walking from where they were last seen. Clothes, where pictures
-        show them: not too different. Body: about as tall as the hull. Of several, the one whose clothes are most alike
+    The following is compared. Place: no person walks faster than SETTINGS.newcomer_walking from where they were last
+        seen. Clothes, where pictures
+        show them: not too different. Body: about as tall as the hull. Of several, the one whose clothes are most
+            alike
         and whose body overlaps the masks best.
-    Returns: the person and the pose (D,) now; None: none of them.
-    """
+    Returns: the person and the pose (D,) now; None: none of them."""
     best: tuple[float, TrackedPerson, Array] | None = None
     for p in people:
         if p.member.sure:

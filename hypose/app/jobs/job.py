@@ -128,11 +128,11 @@ def job_of(command: TrackCommand, recording: Recording | None = None) -> TrackJo
 class Outcome:
     """Result of a job.
 
-    motion: of the person, or of the first of several.
+    motion: motion of the person, or of the first of several.
     complete: every frame was tracked.
     notes: for the user.
     truth: comparison with the true motion, if there is one.
-    assessment: of the motion; of several people the worst.
+    assessment: assessment of the motion; of several people the worst.
     """
 
     motion: Motion

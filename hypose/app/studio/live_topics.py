@@ -51,7 +51,7 @@ _STREAMS = ("http://", "https://", "rtsp://")
 def recording_folder(catalog: Catalog, folder: str, name: str) -> Path:
     """Return a new folder for a recording.
 
-    catalog: of the served folder.
+    catalog: catalog of the served folder.
     folder: folder in the served one in which it lies.
     name: wanted name, to which a number is added where it is taken.
     Raises: InputError where `folder` is a link that leads out of the served folder.
@@ -64,7 +64,7 @@ def recording_folder(catalog: Catalog, folder: str, name: str) -> Path:
 def _target(message: Message, kind: str, port: int) -> str | None:
     """Read the address HOST:PORT to send to.
 
-    message: of the page.
+    message: message of the page.
     kind: its key of the address.
     port: example for the message where the address is no text.
     Returns: None where none is given.

@@ -36,12 +36,11 @@ from hypose.pipeline.settings import SETTINGS
 class ViewBackground:
     """Background and segmentation of one colour view; used by one thread at a time.
 
-    camera: as calibrated.
+    camera: calibrated camera.
     small: pinhole camera of the working size.
-    shift: px of the calibrated size that are added to image positions.
+    shift: (x, y) offset that is added to positions in the stored pictures, px of the calibrated size.
     options: settings of the masks.
-    background: where it is known already; None: `learn` must be called first.
-    """
+    background: background model, where it is known already; None: `learn` must be called first."""
 
     def __init__(
         self,
@@ -84,7 +83,8 @@ class ViewBackground:
         return mask_runs.draw(runs), outline_of_runs(runs, OUTLINE_POINTS, WORKING_HEIGHT) if runs.area else None
 
     def due(self, time: float) -> bool:
-        """Return whether the background is known and its last update is long enough ago at `time`, s."""
+        """Return whether an update of the background is due at a time (s): the background is known, and its last
+        update is long enough ago."""
         return self.background is not None and time - self._learnt >= SETTINGS.scene_every_s
 
     def follow(self, image: Image, time: float, person: Mask | None) -> None:
@@ -172,11 +172,11 @@ Millimetres = NDArray[np.uint16]
 class DepthViewBackground:
     """Background and segmentation of one depth view, in place of a `ViewBackground`; used by one thread at a time.
 
-    camera: as calibrated.
+    camera: calibrated camera.
     small: pinhole camera of the working size.
-    shift: px of the calibrated size that are added to image positions.
-    background: where it is known already. It is not updated, since light does not change depth.
-    """
+    shift: (x, y) offset that is added to positions in the stored maps, px of the calibrated size.
+    background: background model, where it is known already; None: `learn` must be called first. It is not updated,
+        since light does not change depth."""
 
     def __init__(
         self, camera: Camera, small: Camera, shift: tuple[float, float], background: DepthBackground | None = None

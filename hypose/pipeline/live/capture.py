@@ -68,7 +68,7 @@ class LiveView:
 class CaptureOptions:
     """Options of capture.
 
-    rate: of the cameras, Hz; requested from devices, and assumed for files without a rate.
+    rate: rate of the cameras, Hz; requested from devices, and assumed for files without a rate.
     countdown: before the empty room is learned, s.
     silhouettes: how masks are made.
     network: most people that a network finds where the background is not known; 0: the background is learned.
@@ -391,7 +391,8 @@ class CaptureProcess:
             self._pipe.send(request)
 
     def answer(self) -> CaptureResult | None:
-        """Receive the result of the last request; None: all files are over, or `stop` is set."""
+        """Receive the result of the last request; None where all files have been read to their end, or `stop` is
+        set."""
         found = self._received(10.0)
         if isinstance(found, HyposeError):
             raise found

@@ -71,7 +71,7 @@ class LiveTrackingOptions:
 class LiveStatus:
     """State of a live run.
 
-    phase: see `LiveEngine.phase`.
+    phase: EMPTY_ROOM while the background is learned, else the phase of searching or tracking people.
     words: sentences on the cause of a problem or the next step.
     cameras: status of each camera.
     poses: number of instants with poses so far.
@@ -80,8 +80,7 @@ class LiveStatus:
     latency: p50 and p99 of the time from the last picture's arrival to the pose, ms.
     stages: median times of masks (with decoding), tracking, reporting and judging, ms.
     offsets: delays of the cameras, s.
-    fitted: every tracked person has a body of their own.
-    """
+    fitted: every tracked person has a body of their own."""
 
     phase: str
     words: tuple[str, ...]
@@ -124,11 +123,10 @@ class Listener(Protocol):
 class LiveEngine:
     """Live tracking. After `start` it runs until `stop`, the end of all files (`ended`) or an error (`failed`).
 
-    rig, views: cameras in one order.
+    rig, views: calibrated cameras, and how each is opened, in the same order.
     listeners: receivers of the results.
     stop: event from outside that ends it too, also while it starts.
-    Raises: InputError where the number of cameras does not suit.
-    """
+    Raises: InputError where the number of cameras does not suit."""
 
     def __init__(
         self,
@@ -195,7 +193,7 @@ class LiveEngine:
         self._thread.start()
 
     def stop(self) -> None:
-        """End; nothing is reported afterwards."""
+        """End the run; listeners receive nothing afterwards."""
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join(15)
@@ -321,7 +319,7 @@ class LiveEngine:
                 listener.status(status)
 
     def status(self) -> LiveStatus:
-        """Return the state of the run, see `LiveStatus`."""
+        """Return the state of the run: phase, cameras, rate, latency."""
         captured, now = self._captured, time.monotonic()
         cameras = () if captured is None else captured.cameras
         given = np.array(self._given)  # a copy, since the engine's thread continues

@@ -250,8 +250,7 @@ class LivePose:
     motion: motion of this frame alone, with pose, covariance, error probability and low-confidence joints.
     body: body of the pose.
     joints: (J, 3) m, world; after a change of the body they move to the new place smoothly.
-    views: (C,) True for the cameras that were used.
-    """
+    views: (C,) True for the cameras whose evidence was used."""
 
     person: int
     frame: int
@@ -383,9 +382,8 @@ class LiveTrack:
 
     @property
     def recent(self) -> list[FrameEstimate]:
-        """Estimates of the last SETTINGS.people_together_s seconds; empty where the person has not been tracked for so
-        long.
-        """
+        """Estimates of the last SETTINGS.people_together_s seconds; empty where the person has been tracked for a
+        shorter time."""
         long = self._recent and self._time - self._recent[0][0] >= SETTINGS.people_together_s
         return [e for _, e in self._recent] if long else []
 
@@ -586,13 +584,13 @@ class LivePeople:
     """Live tracking of all people; call `step` with every frame. It never waits.
 
     rig: cameras of the masks.
-    rate: of the frames, Hz.
-    options: height and body are those of the first person.
-    executor: runs searches and duels.
+    rate: rate of the frames, Hz.
+    options: options of tracking; height and body in it are those of the first person.
+    executor: runs searches for people, and duels, in which a pose is compared with the body whose sides are
+        exchanged.
     work: fits bodies and offsets; None: neither is done.
     most: most people at once; with one, all of the masks are evidence for that person.
-    offsets: (C,) delays of the cameras, s; None: not known yet.
-    """
+    offsets: (C,) delays of the cameras, s; None: not known yet."""
 
     def __init__(
         self,
@@ -612,7 +610,8 @@ class LivePeople:
 
     @property
     def phase(self) -> str:
-        """Phase: that of the tracked people, else of the search."""
+        """Phase of the run, a word: the phase of the tracked people, or the phase of the search where no person is
+        tracked."""
         if not self.people:
             return self._search.phase
         return STATE_LOST if all(p.state.lost for p in self.people) else STATE_TRACKING

@@ -34,7 +34,7 @@ class LiveRecorder:
     """Listener of the live engine that writes a recording; the engine must deliver pictures. `close` ends it.
 
     folder: new or empty; it stays empty until there is something to record.
-    height: of the person, m, where known.
+    height: height of the person, m, where known.
     failed: why recording ended early; "" while it continues.
     Raises: InputError where the folder holds something or cannot be made.
     """
