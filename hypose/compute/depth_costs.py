@@ -20,7 +20,7 @@ from hypose.compute.kinematics import (
 )
 from hypose.compute.lane_mesh import moving_parts
 from hypose.compute.threads import over_chunks
-from hypose.compute.zbuffer import NEAR, draw_nearest
+from hypose.compute.zbuffer import draw_nearest, project
 
 
 class SeenDepth(NamedTuple):
@@ -193,7 +193,7 @@ def _roughly(faces, chosen, about, seen, most, standing, size):
     chosen: indices of the limb's faces.
 
     Each face is compared at its middle and weighted by its area, without hiding other faces.
-    about: (4, V) projected vertices, by `_project`.
+    about: (4, V) projected vertices, by `zbuffer.project`.
     seen: (h, w) f4 measured depth, m.
     most: largest difference that counts, m.
     size: (2,) width and height of the picture.
@@ -219,32 +219,8 @@ def _roughly(faces, chosen, about, seen, most, standing, size):
 
 
 @kernel
-def _project(p, vertices, chosen, seen, size, box):
-    """Project the chosen vertices (V, 3) with a camera p (3, 4) f4 about the root.
-
-    seen: (4, V) gets the pixels u and v, the depths, m, and the inverse depths (0: nearer than NEAR).
-    size: (2,) width and height of the picture.
-    box: (4,) gets x0, x1, y0, y1 of the part of the picture in which the vertices in front of NEAR lie.
-    """
-    u, v, z, inverse = seen[0], seen[1], seen[2], seen[3]
-    x0, x1, y0, y1 = f4(1e6), f4(-1e6), f4(1e6), f4(-1e6)
-    for k in range(chosen.shape[0]):
-        i = chosen[k]
-        x, y, d = vertices[i, 0], vertices[i, 1], vertices[i, 2]
-        away = p[2, 0] * x + p[2, 1] * y + p[2, 2] * d + p[2, 3]
-        z[i], inverse[i], u[i], v[i] = away, f4(0), f4(0), f4(0)
-        if away >= f4(NEAR):
-            inverse[i] = f4(1) / away
-            u[i] = (p[0, 0] * x + p[0, 1] * y + p[0, 2] * d + p[0, 3]) * inverse[i]
-            v[i] = (p[1, 0] * x + p[1, 1] * y + p[1, 2] * d + p[1, 3]) * inverse[i]
-            x0, x1, y0, y1 = min(x0, u[i]), max(x1, u[i]), min(y0, v[i]), max(y1, v[i])
-    box[0], box[1] = int(max(x0, f4(0))), int(min(x1 + f4(1), f4(size[0])))
-    box[2], box[3] = int(max(y0, f4(0))), int(min(y1 + f4(1), f4(size[1])))
-
-
-@kernel
 def _draw(about, faces, chosen, size, drawn):
-    """Draw the chosen faces, projected by `_project` into about (4, V), into drawn (h, w) f4, 1/m."""
+    """Draw the chosen faces, projected by `zbuffer.project` into about (4, V), into drawn (h, w) f4, 1/m."""
     draw_nearest(about[0], about[1], about[3], faces, chosen, True, drawn[: size[1], : size[0]], None)
 
 
@@ -283,7 +259,7 @@ def _stand(q, tree, mesh, faces, seen, most, rotations, centres, drawn, cost):
     drawn[:] = f4(0)
     for c in range(seen.maps.shape[0]):
         camera_about_root(seen.projections[c], q, p)
-        _project(p, vertices, every, about, seen.sizes[c], box)
+        project(p, vertices, every, about, seen.sizes[c], box)
         _draw(about, mesh.faces, faces, seen.sizes[c], drawn[c])
         cost[c] = _cost(drawn[c], seen.maps[c], most, box) / most
 
@@ -318,7 +294,7 @@ def _limb_energies(poses, first, last, tree, mesh, standing, seen, most, rough, 
         skin_vertices(maps, mesh, moved, vertices)
         for c in range(p.shape[0]):
             size, measured = seen.sizes[c], seen.maps[c]
-            _project(p[c], vertices, moved, about, size, box)
+            project(p[c], vertices, moved, about, size, box)
             if rough:
                 grown = _roughly(mesh.faces, standing.faces, about, measured, most, drawn[c], size)
                 out[n, c] = standing.cost[c] + grown / most
@@ -350,7 +326,7 @@ def _limb_shown(tree, mesh, standing, seen, centre, reach, apart, out):
     for c in range(seen.maps.shape[0]):
         whole, width, height = standing.drawn[c].copy(), seen.sizes[c, 0], seen.sizes[c, 1]
         camera_about_root(seen.projections[c], standing.pose, p)
-        _project(p, vertices, standing.vertices, about, seen.sizes[c], box)
+        project(p, vertices, standing.vertices, about, seen.sizes[c], box)
         _draw(about, mesh.faces, standing.faces, seen.sizes[c], whole)
         for k in range(3):
             at[k] = p[k, 0] * centre[0] + p[k, 1] * centre[1] + p[k, 2] * centre[2] + p[k, 3]

@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from hypose.compute.arrays import (
     RIM,
-    ContourArrays,
     Cues,
     MeshArrays,
     PriorArrays,
@@ -185,19 +184,31 @@ def form_found(found_of, mesh, ws):
 
 
 @kernel
-def contour_costs(q, mesh, contours, scale, ws, found_of, counts):
-    """Compute the cost of the contours of a body whose skinned vertices, relative to the root's position, are in the
-    workspace.
+def cost_at(q, tree, mesh, contours, scale, keypoints, points, depth, priors, ws, found_of, counts):
+    """Compute the cost of all evidence and priors at pose q (D,).
 
-    q: (D,) pose, of which the root's position is used.
-    mesh, contours: mesh of the body, and contours of the masks.
+    tree, mesh: joint tree and mesh of the body.
+    contours, keypoints, points, priors: evidence and priors (ContourArrays, KeypointArrays, PointArrays,
+        PriorArrays).
     scale: robust scale of the contours, px.
-    ws, found_of: scratch memory, and the state that `cost_at` describes.
-    counts: (C, 2) gets forward and reverse rows of each view."""
+    ws: scratch memory.
+    depth: DepthArrays; None: no depth, compiled separately without the code for depth.
+    counts: (C + 3, 2) gets forward and reverse rows of each view, then the key points, the points, and those of
+        depth.
+    found_of: gets what waits in the workspace for `normal_equations`: cameras (C + VIEWS, 3, 4) f4 about the root,
+        first (C + 1,) found point of each view, and state (3,): rows, views computed, views whose rows are made."""
     cameras, first, state = found_of
+    joint_frames(q, tree, ws.rotations, ws.centres, ws.twists)
+    ws.wrench_hessian[:] = 0.0
+    ws.wrench_gradient[:] = 0.0
+    n_views = contours.sdf.shape[0]
+    counts[n_views:] = 0
     cost, n_found, n_union = 0.0, 0, 0
+    state[:] = 0
     first[0] = 0
-    for c in range(contours.sdf.shape[0]):
+    if n_views > 0 or depth is not None:
+        skin_about_root(ws.rotations, ws.centres, tree, mesh, ws.vertices)
+    for c in range(n_views):
         k = c % VIEWS
         if k == 0:
             p = cameras[c : c + VIEWS]
@@ -215,51 +226,6 @@ def contour_costs(q, mesh, contours, scale, ws, found_of, counts):
             cost += view_cost
         first[c + 1] = n_found
         state[_VIEWS] = c + 1
-    return cost
-
-
-def found_contours(
-    vertices: Array, mesh: MeshArrays, contours: ContourArrays, scale: float, ws: Workspace
-) -> tuple[NDArray[np.int64], Array, float]:
-    """Find the two-way contour rows of a posed body in one view.
-
-    vertices: (V, 3) m, world.
-    mesh, contours, ws: mesh of the body, contours of that view alone, and scratch memory.
-    scale: robust scale, px.
-    Returns: (N, 2) vertices of the edge of each row; (N, 5): place on the edge 0..1, gradient of the residual along u
-        and v per px, weight (derivative of the loss included), residual, px; the cost.
-    """
-    ws.vertices[:] = vertices
-    first, counts = np.zeros(2, np.int64), np.zeros((1, 2), np.int64)
-    found_of = np.empty((1 + VIEWS, 3, 4), np.float32), first, np.zeros(3, np.int64)
-    cost = contour_costs(np.zeros(3), mesh, contours, scale, ws, found_of, counts)
-    return ws.ends[:, : first[1]].T.astype(np.int64), ws.found[:, : first[1]].T.astype(np.float64), float(cost)
-
-
-@kernel
-def cost_at(q, tree, mesh, contours, scale, keypoints, points, depth, priors, ws, found_of, counts):
-    """Compute the cost of all evidence and priors at pose q (D,).
-
-    tree, mesh: joint tree and mesh of the body.
-    contours, keypoints, points, priors: evidence and priors (ContourArrays, KeypointArrays, PointArrays,
-        PriorArrays).
-    scale: robust scale of the contours, px.
-    ws: scratch memory.
-    depth: DepthArrays; None: no depth, compiled separately without the code for depth.
-    counts: (C + 3, 2) gets forward and reverse rows of each view, then the key points, the points, and those of
-        depth.
-    found_of: gets what waits in the workspace for `normal_equations`: cameras (C + VIEWS, 3, 4) f4 about the root,
-        first (C + 1,) found point of each view, and state (3,): rows, views computed, views whose rows are made."""
-    state = found_of[2]
-    joint_frames(q, tree, ws.rotations, ws.centres, ws.twists)
-    ws.wrench_hessian[:] = 0.0
-    ws.wrench_gradient[:] = 0.0
-    n_views = contours.sdf.shape[0]
-    counts[n_views:] = 0
-    state[:] = 0
-    if n_views > 0 or depth is not None:
-        skin_about_root(ws.rotations, ws.centres, tree, mesh, ws.vertices)
-    cost = contour_costs(q, mesh, contours, scale, ws, found_of, counts)
     cost += keypoint_rows(
         q, keypoints, ws.rotations, ws.centres, ws.wrench_hessian, ws.wrench_gradient, counts[n_views]
     )

@@ -92,11 +92,14 @@ def choose(tracks: Sequence[PersonTrack]) -> int | None:
 
 
 def joined(tracks: Sequence[PersonTrack], names: Sequence[str], frame_rate: float) -> list[PersonTrack]:
-    """Join tracks that are one person before and after a gap; the tracks seen in most frames and views come first.
+    """Join tracks that are one person before and after a gap; those seen most come first.
 
-    tracks: tracks of the whole clip; names: names of the K key points; frame_rate: Hz.
+    tracks: all tracks of the clip.
+    names: names of the K key points.
+    frame_rate: frames per second, Hz.
     Two tracks are joined where the bones have the same lengths, the place can be reached in the gap, and no other
-    person fits."""
+    person fits.
+    """
     left = sorted(tracks, key=lambda t: t.first)
     sizes = [_bones(t, names) for t in left]
     while True:
@@ -167,7 +170,6 @@ def _one(a: PersonTrack, b: PersonTrack) -> PersonTrack:
     return PersonTrack(a.first, points, world, candidates)
 
 
-_MEASURED, _REMEMBERED = 10, 50  # frames after which a bone's length is known, and over which it is averaged
 _LEAST_POINTS = 4  # least key points of a candidate that is a person; fewer are parts that can complete one
 _GROUPS = (
     ("shoulder", "elbow", "wrist"),
@@ -200,18 +202,18 @@ class AssociationSettings:
     near: m, largest distance of a ray that counts for a point.
     complete: m, largest distance at which a single free point completes a person.
     limit: m; larger distances count as this.
-    merge: m, two people nearer than this are one; apart: m, no new person starts nearer than this to another.
+    merge: m, two people nearer than this are one.
+    apart: m, no new person starts nearer than this to another.
     patience: s without two views after which a track ends.
     stale: s for which a point that is not seen is predicted with the others.
     trial: s for which a person seen by two views must be tracked to be accepted; three views are accepted at once.
-    exchanged: largest share of the distance that remains when left and right are exchanged; exchanged_m: m that the
-        exchange must gain.
+    exchanged: largest share of the distance that remains when left and right are exchanged.
+    exchanged_m: m that the exchange must gain.
     plausible: least share of bones with a body's lengths.
-    stretched: the end of a limb is not accepted when only two views show it and its bone is longer than this many times
-        its usual length.
     walk, restart: m/s and m, largest distance of a person after a gap.
     alike: largest mean difference of the logarithms of bones' lengths of the same body.
-    motion: share of the last step of a point that predicts the next one; jump: m, a longer step predicts none.
+    motion: share of the last step of a point that predicts the next one.
+    jump: m, a longer step predicts none.
     objects: m, largest mean distance of the rays of one person's objects; large, because outlines are no points.
     """
 
@@ -228,7 +230,6 @@ class AssociationSettings:
     exchanged: float = 0.6
     exchanged_m: float = 0.03
     plausible: float = 0.7
-    stretched: float = 1.35
     walk: float = 2.5
     restart: float = 0.5
     alike: float = 0.12
@@ -243,15 +244,15 @@ def people_of(
     rig: CameraRig,
     frame_rate: float = 25.0,
 ) -> list[PersonTrack]:
-    """Find the people of a clip by matching the detections of all views; the people seen in most frames and views
-    come first.
+    """Find the people of a clip; those seen most come first.
 
-    frame_rate: Hz.
+    frame_rate: frames per second, Hz.
     candidates: per frame and view the detections (P, K, 3 or more) = (u px, v px, confidence, ...) in undistorted
-        pixels of the pinhole `rig`, confidence 0 where missing; None where a view has no detections. Further columns
-        are kept. A candidate with fewer than four points is a part that may complete a person.
+        pixels of the pinhole `rig`, confidence 0 where missing; None where there is none. Further columns are kept. A
+        candidate with fewer than four points is a part that may complete a person.
     names: names of the K points.
-    There is no person with one view alone, or with two that do not agree: see `hypose.evidence.one_person`."""
+    There is no person with one view alone, or with two that do not agree: see `hypose.evidence.one_person`.
+    """
     given = (view.shape[2] for frame in candidates for view in frame if view is not None and len(view))
     at = Association(names, rig, frame_rate, columns=max(given, default=3))
     for frame in candidates:
@@ -263,10 +264,11 @@ def people_of(
 class _Followed:
     """State of a person who is being tracked.
 
-    points: (K, 3) last known points, m; motion: (K, 3) per frame; stale: (K,) frames for which each has not been seen.
+    points: (K, 3) last known points, m.
+    motion: (K, 3) motion of each point, m per frame.
+    stale: (K,) number of frames for which each point has not been seen.
     exchanged: (C, G + 1) groups of points whose sides were exchanged in a view of the last frame.
     votes: (G + 1,) how often views named the sides of a group of points as they are, less how often the other way.
-    length: (B,) bones of the limbs, m; measured: (B,) how often each was measured.
     """
 
     first: int
@@ -275,8 +277,6 @@ class _Followed:
     stale: NDArray[np.int64]
     exchanged: NDArray[np.bool_]
     votes: NDArray[np.int64]
-    length: Array
-    measured: NDArray[np.int64]
     needed: int
     hits: int = 0
     missed: int = 0
@@ -288,7 +288,9 @@ class _Followed:
 class Association:
     """Association of detections with people, frame by frame: call `step` for every frame, then `people`.
 
-    names: names of the K key points; rig: pinhole cameras; frame_rate: Hz.
+    names: names of the K key points.
+    rig: pinhole cameras.
+    frame_rate: frames per second, Hz.
     columns: number of columns of all candidates, at least 3 (u px, v px, confidence).
     """
 
@@ -311,9 +313,6 @@ class Association:
                 if part in parts and self._twin[i] != i:
                     self._group[i] = g
         self._bones = [(column[a], column[b], lo, hi) for a, b, lo, hi in _BONES if a in column and b in column]
-        ends = ("elbow", "wrist", "knee", "ankle")
-        limbs = [(column[a], column[b]) for a, b, _, _ in _BONES if a in column and b in column and b.endswith(ends)]
-        self._limbs = np.array(limbs, dtype=np.int64).reshape(-1, 2)
         o = self.settings
         self._patience = max(3, round(o.patience * frame_rate))
         self._stale = max(2, round(o.stale * frame_rate))
@@ -342,8 +341,8 @@ class Association:
         if self._alive:
             self._complete(seen, found, free, free & ~is_person, which, expected)
             seen = self._right_sides(seen, expected)
-            world, used = meet(self._views, seen, self.settings.near, expected)
-            self._update(seen, self._of_own_size(world, used), which)
+            world, _ = meet(self._views, seen, self.settings.near, expected)
+            self._update(seen, world, which)
         self._end()
         self._frame += 1
 
@@ -412,7 +411,8 @@ class Association:
         """Compute the distances (C, N, P, K), m, of candidates (C, P, K, 3) as named, and with left and right
         exchanged.
 
-        expected: (N, K, 3) predicted points of the people, m; found: (C, P, K, 3) px and confidence.
+        expected: (N, K, 3) predicted points of the people, m.
+        found: (C, P, K, 3) px and confidence.
         Returns: two arrays; NaN where one of the two points is unknown.
         """
         limit = self.settings.limit
@@ -460,7 +460,8 @@ class Association:
     def _born(self, found: Array, is_person: NDArray[np.bool_], free: NDArray[np.bool_]) -> list[list[tuple[int, int]]]:
         """Start new people from the remaining candidates; return (view, candidate) pairs of each.
 
-        found: (C, P, K, 3) candidates of each view; is_person: (C, P) free candidates with enough points for a person.
+        found: (C, P, K, 3) candidates of each view.
+        is_person: (C, P) free candidates with enough points for a person.
         free: (C, P) candidates that are not assigned to a person; those of the new people are set to False.
         The new people are added to the tracked ones.
         """
@@ -487,8 +488,6 @@ class Association:
                 np.where(np.isfinite(points[0, :, 0]), 0, far).astype(np.int64),
                 np.zeros((len(found), len(_GROUPS) + 1), dtype=np.bool_),
                 np.zeros(len(_GROUPS) + 1, dtype=np.int64),
-                np.zeros(len(self._limbs)),
-                np.zeros(len(self._limbs), dtype=np.int64),
                 needed,
             )
             self._alive.append(t)
@@ -519,9 +518,11 @@ class Association:
         """Fill missing points in `seen` with free detections near their expected places.
 
         seen: (C, N, K, 3) points of each person, changed in place; the confidence of a filled point is halved.
-        found: (C, P, K, 3) candidates; free: (C, P) those not assigned; parts: (C, P) free ones that are too small for
-            a person.
-        which: (C, N) candidate of each person, -1 for none; expected: (N, K, 3) predicted points, m.
+        found: (C, P, K, 3) candidates.
+        free: (C, P) those not assigned.
+        parts: (C, P) free ones that are too small for a person.
+        which: (C, N) candidate of each person, -1 for none.
+        expected: (N, K, 3) predicted points, m.
         A free detection with enough points for a person only completes a person whom that view already sees, because it
         was then detected in two pieces.
         """
@@ -538,34 +539,12 @@ class Association:
         seen[c, n, k] = left[c, best[c, n, k], k]
         seen[c, n, k, 2] *= 0.5
 
-    def _of_own_size(self, world: Array, used: NDArray[np.bool_]) -> Array:
-        """Remove ends of limbs (NaN) that only two rays show and that lie further away than the person's bone is long.
-
-        world: (N, K, 3) m, NaN where unknown; returned with the removed points as NaN.
-        used: (C, N, K) rays used per point. The other points update the lengths of the bones.
-        """
-        if not len(self._limbs):
-            return world
-        a, b = self._limbs.T
-        length = np.sqrt(((world[:, a] - world[:, b]) ** 2).sum(-1))
-        rays = used.sum(0)
-        out = world.copy()
-        for n, t in enumerate(self._alive):
-            known = np.isfinite(length[n])
-            wrong = known & (t.measured >= _MEASURED) & (length[n] > self.settings.stretched * t.length)
-            wrong &= rays[n, b] <= 2
-            out[n, b[wrong]] = np.nan
-            fine = known & ~wrong & (rays[n, a] > 2) & (rays[n, b] > 2)
-            share = 1.0 / np.minimum(t.measured[fine] + 1, _REMEMBERED)
-            t.length[fine] += share * (length[n, fine] - t.length[fine])
-            t.measured[fine] += 1
-        return out
-
     def _update(self, seen: Array, world: Array, which: NDArray[np.int64]) -> None:
         """Update the points, the motion and the history of all tracked people after a frame.
 
-        seen: (C, N, K, 3) px and confidence; world: (N, K, 3) m, NaN where unknown; which: (C, N) candidate, -1 for
-            none.
+        seen: (C, N, K, 3) px and confidence.
+        world: (N, K, 3) m, NaN where unknown.
+        which: (C, N) candidate, -1 for none.
         """
         for n, t in enumerate(self._alive):
             got = np.isfinite(world[n, :, 0])

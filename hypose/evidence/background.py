@@ -160,7 +160,9 @@ def _masked_median(
 def _from_free_frames(stack: Image, covered: NDArray[np.bool_], plate: BackgroundModel | None) -> BackgroundModel:
     """Build the model from the frames in which each pixel is free of the person.
 
-    stack: (N, h, w, 3) frames; covered: (N, h, w) true where the person is or may be; plate: model of photos, or None.
+    stack: (N, h, w, 3) frames.
+    covered: (N, h, w) true where the person is or may be.
+    plate: model of photos, or None.
     Returns: the model; pixels that are hardly ever free come from the photos, without photos they are not valid.
     """
     median, sd, count = _masked_median(stack, ~covered)
@@ -207,7 +209,9 @@ def _cure_ghosts(
 ) -> BackgroundModel:
     """Replace a model by the recording's median where a static thing contradicts it (see from_recording).
 
-    stack: (N, h, w, 3) frames; median, sd: (h, w, 3) of them; plate: model of photos, in the brightness of the median.
+    stack: (N, h, w, 3) frames.
+    median, sd: (h, w, 3) median and standard deviation of the frames.
+    plate: model of photos, in the brightness of the median.
     """
     stable = (_deviation(stack, median) < _STATIC).mean(0) > _STATIC_SHARE
     ghost = stable & (np.abs(median - plate.mean).max(2) > _OTHER_THING)
@@ -272,7 +276,8 @@ def _parts_of_the_person(ghost: NDArray[np.bool_], differs: NDArray[np.floating]
 def _deviation(stack: Image, median: NDArray[np.float32]) -> NDArray[np.uint8]:
     """Compute the largest channel difference (N, h, w) from the median picture.
 
-    stack: (N, h, w, 3) frames; median: (h, w, 3) grey levels.
+    stack: (N, h, w, 3) frames.
+    median: (h, w, 3) grey levels.
     """
     reference = np.rint(median).astype(np.uint8)
     out = np.empty(stack.shape[:3], np.uint8)

@@ -28,12 +28,15 @@ UNNAMED = -1
 def visibility(hull: Hull, rig: CameraRig, usable: NDArray[np.bool_] | None = None) -> Array:
     """Compute how well each camera sees each surface point.
 
-    hull: visual hull with S surface points; rig: pinhole cameras; usable: (C,) views that count (default: all). A
-        point is seen where no other surface point lies in front of it (z-buffer with cells of two voxels, so that
-        the points leave no holes) and it faces the camera. The factor is -z_c . n_q, with the camera's optical axis
-        z_c and the normal n_q.
+    hull: whose surface points are used.
+    rig: pinhole cameras.
+    usable: (C,) views that count (default: all).
+    A point is seen where no other surface point lies in front of it (z-buffer with cells of two voxels, so that the
+    points leave no holes) and it faces the camera. The factor is -z_c . n_q, with the camera's optical axis z_c and the
+    normal n_q.
     Returns: (C, S) factors, 0 where not seen; columns sum to 1, or are all 0 where no camera sees the point.
-    Source: Alcoverro 2014, eq. 2.16, normalised as after eq. 2.17."""
+    Source: Alcoverro 2014, eq. 2.16, normalised as after eq. 2.17.
+    """
     out = np.zeros((len(rig), len(hull.surface_points)))
     for c, camera in enumerate(rig):
         if usable is not None and not usable[c]:
@@ -100,11 +103,13 @@ def likely_clusters(
 ) -> tuple[Array, Array]:
     """Cluster the likely surface points: points within the tolerance of each other (single linkage on a kd-tree).
 
-    hull: visual hull with S surface points.
-    settings: limits of a cluster; stature: stature of the person, m; sizes grow in proportion to it.
-    probability: (S,) probability of each surface point.
+    hull: whose surface points are used.
+    settings: limits of a cluster.
+    stature: height of the person, m; sizes grow in proportion to it.
+    probability: (S,) of the surface points.
     Returns: centres (E, 3), m, and mean probabilities (E,), largest cluster first.
-    Source: Alcoverro 2014, eq. 2.18 and the clustering after it."""
+    Source: Alcoverro 2014, eq. 2.18 and the clustering after it.
+    """
     from scipy.sparse import coo_matrix  # takes long to import
     from scipy.sparse.csgraph import connected_components  # takes long to import
     from scipy.spatial import KDTree  # takes long to import
@@ -129,7 +134,9 @@ def likely_clusters(
 def assign_ends(points: ArrayLike, ends: ArrayLike, limits: ArrayLike) -> NDArray[np.int64]:
     """Assign detected points to body ends: as many as possible within the limits, then with the least total distance.
 
-    points: (E, 3) m; ends: (I, 3) end effectors of the previous pose, m; limits: (I,) m (Upsilon).
+    points: (E, 3) m.
+    ends: (I, 3) end effectors of the previous pose, m.
+    limits: (I,) m (Upsilon).
     Returns: (E,) index of the end of each point, UNNAMED for none; each end gets at most one point.
     Source: Alcoverro 2014, eq. 2.19. Deviations: the printed equation has the least mean distance of an assignment,
         which a single close pair would minimise; this follows the text instead. It is solved exactly instead of
@@ -162,16 +169,17 @@ def detect_ends(
     voxel: float = 0.03,
     settings: ClusterSettings = ClusterSettings(),
 ) -> tuple[Detections, Array]:
-    """Detect body ends (hands and head), without names, in one frame: clusters of high detector probability on
-    the surface of the visual hull.
+    """Detect the unnamed body ends of one frame from a detector's maps, on the surface of the silhouettes' hull.
 
-    stature: stature of the person, m; voxel: edge length of the hull, m; settings: limits of a cluster.
-    maps: (C, h, w) probability of a body end at each pixel of the masks.
-    centre: (3,) m, approximate place of the person (the start pose's pelvis); the hull is carved within 0.75
-        statures
+    stature: height of the person, m.
+    voxel: edge length of the hull, m.
+    settings: limits of a cluster.
+    maps: (C, h, w) probabilities.
+    centre: (3,) m, approximate place of the person (the start pose's pelvis); the hull is carved within 0.75 statures
         of it.
     Returns: the detections (none without a hull); the hull's centroid (3,), m, as the centre for the next frame.
-    With four views or more, one of them may miss a part of the person."""
+    With four views or more, one of them may miss a part of the person.
+    """
     reach = 0.75 * stature
     bounds = np.stack([centre - reach, centre + reach])
     try:
@@ -193,8 +201,9 @@ def end_colors(
 ) -> ColorTable:
     """Learn the colours of a person's head and hands against the rest, from one frame with a known pose (D,).
 
-    silhouettes: masks of the frame; images: (C, h, w, 3) uint8 BGR at the masks' pixels. Pixels count where the posed
-        body shows a part at least a pixel inside the mask.
+    silhouettes: masks of the frame.
+    images: (C, h, w, 3) uint8 BGR at the masks' pixels. Pixels count where the posed body shows a part at least a pixel
+        inside the mask.
     prior: share of head and hands among the pixels.
     Returns: table of probabilities, see `skin.ColorTable`.
     """

@@ -81,9 +81,11 @@ class PoseMemory(Generic[_Found]):
         return self._found.get(self._key(body, pose))
 
     def keep(self, body: Body, pose: Array, found: _Found) -> _Found:
-        """Store the result of a pose and return it.
+        """Store a result and return it.
 
-        pose: (D,); found: its result."""
+        pose: (D,).
+        found: its result.
+        """
         self._found[self._key(body, pose)] = found
         return found
 
@@ -248,7 +250,8 @@ class DepthEvidence(Evidence):
     def shows_arm(self, body: Body, standing: StandingDepth, shoulder: int) -> bool:
         """Decide whether depth cameras show an arm at its place in a pose, and nothing unexplained in its reach.
 
-        standing: the rest of the body, drawn; shoulder: joint of the arm.
+        standing: the rest of the body, drawn.
+        shoulder: joint of the arm.
         """
         at = standing.pose[:3] + standing.centres[shoulder]
         given = body.skeleton.tree, body.coarse.arrays, self.maps

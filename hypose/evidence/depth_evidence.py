@@ -47,8 +47,11 @@ class DepthNoise:
 class SurfacePoints:
     """Measured points on the person's surface in the world.
 
-    points: (M, 3) m; normals: (M, 3) outward unit vectors; sd: (M,) standard deviation along the ray, m.
-    first: (C + 1,) points first[c] to first[c + 1] are those of view c."""
+    points: (M, 3) m.
+    normals: (M, 3) outward unit vectors.
+    sd: (M,) along the ray, m.
+    first: (C + 1,) points first[c] to first[c + 1] are those of view c.
+    """
 
     points: Array
     normals: Array
@@ -131,7 +134,8 @@ def back_projected(camera: Camera, u: ArrayLike, v: ArrayLike, z: ArrayLike) -> 
     """Back-project pixels (...,) at z (...,) m along the optical axis of a pinhole camera; return (..., 3), m, in its
     frame.
 
-    u, v: pixel coordinates; z: depth; arrays of one shape.
+    u, v: pixel coordinates.
+    z: depth; arrays of one shape.
     """
     u, v, z = (np.asarray(a, dtype=np.float64) for a in (u, v, z))
     return np.stack([(u - camera.K[0, 2]) / camera.K[0, 0] * z, (v - camera.K[1, 2]) / camera.K[1, 1] * z, z], -1)

@@ -83,12 +83,11 @@ def occupied_space(frame: Frame, bounds: Array | None = None) -> Hull:
 
 
 def people_seen(frame: Frame, known: Sequence[Other] = (), *, floor: float = 0.0) -> list[HullPerson]:
-    """Find the people in a frame who are not known yet, in depth maps where the frame has some, else in the visual
-    hull; the largest come first.
+    """Find the people in a frame who are not known yet, the largest first: by depth where there is depth, else by the
+    hull.
 
-    known: people who are left out.
-
-    floor: its height, m."""
+    floor: height of the floor, m.
+    """
     if frame.depth is not None:
         return people_in_depth(frame.depth, known, floor=floor)
     return [] if frame.silhouettes is None else people_in_hull(frame.silhouettes, known, floor=floor)
@@ -100,7 +99,9 @@ def people_in_depth(
     """Find the people in depth maps who are not known yet, the largest first.
 
     Each pixel belongs to the nearest axis. Values between both sides of a depth edge are left out.
-    known: people who are left out; floor: its height, m; most: largest number of people.
+    known: people who are left out.
+    floor: height of the floor, m.
+    most: largest number of people.
     """
     at, points = depth.pixels
     calm = np.stack([cv2.dilate(m, _EDGE[:3, :3]) - cv2.erode(m, _EDGE[:3, :3]) < 2 * JUMP_M for m in depth.maps])
@@ -169,7 +170,8 @@ def own_frame(frame: Frame, own: StandingShape, others: Sequence[Other], anywher
 def _nearby(of_depth: Silhouettes, of_colour: Silhouettes, colour: NDArray[np.bool_]) -> Silhouettes:
     """Combine silhouettes of depth cameras with those of colour cameras, where `colour` (C,).
 
-    of_depth: usable in the views of depth cameras; of_colour: usable in those where `colour` is true.
+    of_depth: usable in the views of depth cameras.
+    of_colour: usable in those where `colour` is true.
     """
 
     def merged(a: NDArray[Any], b: NDArray[Any]) -> NDArray[Any]:

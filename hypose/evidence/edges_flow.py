@@ -116,7 +116,8 @@ def _flow_error(there: NDArray[np.float32], back: NDArray[np.float32]) -> NDArra
 def _wide_enough(box: tuple[int, int, int, int], w: int, h: int) -> tuple[int, int, int, int]:
     """Clip the box to the picture, and enlarge it to at least _LEAST_SIDE_PX px where possible.
 
-    box: y0, y1, x0, x1, half open; w, h: size of the picture, px.
+    box: y0, y1, x0, x1, half open.
+    w, h: size of the picture, px.
     """
     out: list[int] = []
     for low, high, size in ((box[0], box[1], w), (box[2], box[3], h)):

@@ -115,10 +115,12 @@ class Keypoints:
 
 @dataclass(frozen=True)
 class Detections:
-    """Body ends that a detector found in one frame; the search moves particles to them.
+    """Body parts that a detector found; they drive kernels of the search.
 
-    points: (M, 3) in the world, m; score: (M,) confidence; part: (M,) index of the body end in `END_NAMES` of
-        tracking/detection_kernels.py, negative for one without a name."""
+    points: (M, 3) in the world, m.
+    score: (M,) score of the detector.
+    part: (M,) index of the part.
+    """
 
     points: Array
     score: Array
@@ -129,10 +131,14 @@ class Detections:
 class SensorReport:
     """Skeleton of one person at one instant, as a depth sensor reports it.
 
-    sensor: name; time: on the sensor's clock, s; arrival: on the receiving computer's clock, s, None: unknown.
+    sensor: name.
+    time: on the sensor's clock, s.
+    arrival: on the receiving computer's clock, s, None: unknown.
     person: the sensor's number of the person; None when it sees no person (the arrays are empty).
-    joint_names: (J,); positions: (J, 3) in the sensor's frame, m, NaN where missing.
-    state: (J,) uint8, per joint: 0 not tracked, 1 inferred, 2 tracked."""
+    joint_names: (J,).
+    positions: (J, 3) in the sensor's frame, m, NaN where missing.
+    state: (J,) uint8: 0 not tracked, 1 inferred, 2 tracked.
+    """
 
     sensor: str
     time: float
@@ -150,7 +156,8 @@ class SensorJoints:
     positions: (K, J, 3) m, each in its own sensor's frame (or in a common frame after registration); NaN where missing.
     state: (K, J) uint8: 0 = not tracked, 1 = inferred, 2 = tracked; 0 where the position is missing.
     times: (K,) on the common clock, s; NaN for a sensor without a skeleton.
-    joint_names: (J,); sensor_names: (K,).
+    joint_names: (J,).
+    sensor_names: (K,).
     depth: (K, h, w) float32 depth maps, m, 0 = hole, with their intrinsics (K, 3, 3); or None.
     joint_depth: (K, J) depth at the joint's pixel where no whole map is kept, m, 0 = hole; or None.
     The constructor makes all forms of "missing" (NaN, -9999, state 0) the same.
@@ -207,7 +214,8 @@ class Picture:
     """Picture of one camera.
 
     camera: pinhole camera of the same size.
-    image: (h, w, 3) uint8 BGR, undistorted; before: the previous picture, None at the first.
+    image: (h, w, 3) uint8 BGR, undistorted.
+    before: the previous picture, None at the first.
     mask: (h, w), not 0 on the person; None: unknown.
     """
 
@@ -234,8 +242,9 @@ class Colours:
 class Frame:
     """Evidence of one instant; each piece is None when the frame has none of this kind.
 
-    time: s; index: frame number.
-    more: pieces of further cues (`hypose.evidence.terms.Piece`), such as `hypose.evidence.limb_maps.LimbMaps`.
+    time: s.
+    index: frame number.
+    more: pieces of further cues (`hypose.evidence.terms.Piece`), such as `examples/python/limb_maps.py`.
     """
 
     time: float

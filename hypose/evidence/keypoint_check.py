@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose.cameras.camera import PARALLEL, Camera, CameraRig, triangulate, widest_angle
-from hypose.evidence.keypoints import other_sides
+from hypose.evidence.keypoints import other_sides, person_size
 from hypose.geometry import Array, se3_inverse
 
 SeenT = TypeVar("SeenT")
@@ -95,7 +95,7 @@ def sizes(pixels: Array) -> Array:
     Returns: (C,) px; 0 where no person is seen."""
     out = np.zeros(len(pixels))
     for c, view in enumerate(pixels):
-        found = [np.ptp(p[p[:, 2] > 0.3, :2], axis=0).max() for p in view if (p[:, 2] > 0.3).sum() > 5]
+        found = [size for p in view if (size := person_size(p, least=6)) > 0]
         out[c] = float(np.median(found)) if found else 0.0
     return out
 
@@ -170,7 +170,7 @@ def trials(
         return moved(views, change, exchanged)
 
     def scaled(views: Sequence[int], factor: ArrayLike, offset: ArrayLike = 0.0) -> Array:
-        return moved(views, lambda _, xy: (xy + 0.5) * factor - 0.5 + offset)
+        return moved(views, lambda _, xy: (xy + 0.5) * np.asarray(factor) - 0.5 + np.asarray(offset))
 
     # a mirrored picture exchanges left and right; a reversed axis alone does not
     yield from geometric_trials(
@@ -309,7 +309,9 @@ def misread(people: Sequence[Sequence[Array | None]], names: Sequence[str], rig:
 def _one_person(people: Sequence[Sequence[Array | None]], count: int, views: int) -> Array | None:
     """Select frames (C, T, K, 3) in which two or more views see exactly one person; None when there are too few.
 
-    people: per view and frame the people (P, K, 3), None where there are none; count: K; views: number of views.
+    people: per view and frame the people (P, K, 3), None where there are none.
+    count: K.
+    views: number of views.
     """
     frames = range(max((len(p) for p in people), default=0))
     single = [

@@ -322,17 +322,22 @@ def triangulate_keypoints(
 def _reprojection(rig: CameraRig, x: Array, uv: Array, w: Array) -> Array:
     """Compute the distances (C, N), px, between projections of x (N, 3) and uv (C, N, 2); very large behind a camera.
 
-    x: (N, 3) m; uv: (C, N, 2) px; w: (C, N) weights, 0 where a point is not seen.
+    x: (N, 3) m.
+    uv: (C, N, 2) px.
+    w: (C, N) weights, 0 where a point is not seen.
     """
     d = np.stack([np.linalg.norm(camera.project_pinhole(x) - uv[c], axis=-1) for c, camera in enumerate(rig)])
     return np.where(w > 0, np.nan_to_num(d, nan=1e6), 0.0)
 
 
-def person_size(points: ArrayLike, min_confidence: float = 0.3) -> float:
-    """Compute the longer side of the box around the confident points (K, 3), px; 0 when there are fewer than three."""
+def person_size(points: ArrayLike, min_confidence: float = 0.3, least: int = 3) -> float:
+    """Compute the longer side of the box around the confident points (K, 3), px; 0 where there are fewer than `least`.
+
+    min_confidence: points with a larger confidence count.
+    """
     p = np.asarray(points, dtype=np.float64)
     p = p[p[:, 2] > min_confidence]
-    return float(np.ptp(p[:, :2], axis=0).max()) if len(p) > 2 else 0.0
+    return float(np.ptp(p[:, :2], axis=0).max()) if len(p) >= least else 0.0
 
 
 def thick_skeleton(

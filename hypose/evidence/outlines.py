@@ -50,12 +50,12 @@ class ViewOutline:
 
 @dataclass(frozen=True)
 class Outlines:
-    """Outlines of the masks of all views of a frame; zero for views that are not usable.
+    """Outlines of all views; zero for views that are not usable. See ViewOutline for the fields.
 
     distance: (C, h, w), each view in its own size (sizes (C, 2)) at its corner (corners (C, 2)).
-    points: (C, K, 2) float32 px on the edge.
-    found, extent, shrunk: (C,) number of edge pixels, longer side of the mask's box, and factor by which the mask
-        was shrunk, as in ViewOutline."""
+    points: (C, K, 2).
+    found, extent, shrunk: (C,).
+    """
 
     distance: NDArray[np.float32]
     points: NDArray[np.float32]
@@ -134,8 +134,10 @@ def _outline_around(
 ) -> ViewOutline:
     """Compute the outline of a person whom the function put(mask, corner (y, x)) draws into an empty part of the mask.
 
-    box: y0, y1, x0, x1 around the person; shape: (h, w) of the whole mask; count: number of outline points;
-        working_height: px, see `outline_in_box`.
+    box: y0, y1, x0, x1 around the person.
+    shape: (h, w) of the whole mask.
+    count: number of outline points.
+    working_height: px, see `outline_in_box`.
     """
     extent = max(box[1] - box[0], box[3] - box[2])
     halves = _halves(extent, working_height)
@@ -165,7 +167,8 @@ def _around(box: tuple[int, ...], shape: tuple[int, ...], halves: int) -> tuple[
 def _no_outline(shape: tuple[int, ...], count: int, extent: int, working_height: int | None) -> ViewOutline:
     """Build the outline of a mask that is too small: all zero, in the shape of the mask part, with `count` points.
 
-    extent: longer side of the mask's box, px; working_height: as requested.
+    extent: longer side of the mask's box, px.
+    working_height: as requested.
     """
     nothing = np.zeros(shape, np.float32), np.zeros((count, 2), np.float32)
     return ViewOutline(*nothing, 0, extent, working_height=working_height)
@@ -226,7 +229,8 @@ def shared_outline(
 def _halves(extent: int, working_height: int | None) -> int:
     """Compute twice the factor by which to shrink: so many pixels become 2.
 
-    extent: longer side of the box, px; working_height: wanted height, px, None: nothing is shrunk (2 is returned).
+    extent: longer side of the box, px.
+    working_height: wanted height, px, None: nothing is shrunk (2 is returned).
     """
     return 2 if working_height is None else max(2, 2 * extent // working_height)
 

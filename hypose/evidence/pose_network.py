@@ -130,7 +130,9 @@ class PoseNetwork:
     def _in_crops(self, image: Image, crops: Sequence[Crop], found: list[Sighting]) -> list[Sighting]:
         """Add the people in the crops to those found, unless they are the same.
 
-        image: (h, w, 3) BGR; crops: where to search; found: people found before, who come first in the result.
+        image: (h, w, 3) BGR.
+        crops: where to search.
+        found: people found before, who come first in the result.
         """
         out = list(found)
         for crop in crops:
@@ -173,7 +175,8 @@ class PoseNetwork:
     def _in_square(self, image: Image, x: int, y: int, side: int) -> Iterator[tuple[float, Crop]]:
         """Detect people in a square of the picture, which may reach beyond it; yield scores and crops.
 
-        x, y: left upper corner of the square, px; side: its length, px.
+        x, y: left upper corner of the square, px.
+        side: its length, px.
         """
         part = image[max(y, 0) : y + side, max(x, 0) : x + side]
         scale = DETECTOR / side

@@ -93,8 +93,9 @@ def make_now(silhouettes: Silhouettes) -> None:
 def outlines(silhouettes: Silhouettes, count: int = OUTLINE_POINTS, working_height: int | None = None) -> Outlines:
     """Compute the outlines of a frame's usable views, or take them from the cache.
 
-    count: points per view; working_height: for tracking: a mask taller than this is shrunk, px; None: it is not
-        shrunk."""
+    count: points per view.
+    working_height: as for `view_outline`.
+    """
     known: _Made = silhouettes.ahead or _NOTHING
     tracking = (count, working_height) == (OUTLINE_POINTS, WORKING_HEIGHT)
     if tracking and known.stacked is not None:
@@ -114,8 +115,10 @@ def _outline(
 ) -> ViewOutline:
     """Compute the outline of one view, of size (w, h), without the ignored pixels.
 
-    silhouettes: silhouettes of the frame; view: its index; count: number of points; working_height: as for
-        `view_outline`.
+    silhouettes: of the frame.
+    view: its index.
+    count: number of points.
+    working_height: as for `view_outline`.
     """
     w, h = size
     mask, ignored = silhouettes.masks[view, :h, :w], silhouettes.ignored

@@ -33,7 +33,9 @@ _NEAR_M = 0.05
 class BodyShape:
     """Skin of a posed body as pinhole cameras see it.
 
-    vertices: (V, 3) m; faces: (F, 3) of a closed surface; rig: the cameras.
+    vertices: (V, 3) m.
+    faces: (F, 3) of a closed surface.
+    rig: the cameras.
     """
 
     vertices: Array
@@ -118,9 +120,10 @@ class Other:
 def _hide(ignored: NDArray[np.uint8], shape: StandingShape, view: int, share: float, within: Sequence[int]) -> None:
     """Draw the widened silhouette of a shape into ignored (h, w), inside y0, y1, x0, x1, in place.
 
-    ignored: changed in place; view: index of the view; share: share of the longer side of the box by which the
-        silhouette is
-        widened; within: the region.
+    ignored: changed in place.
+    view: index of the view.
+    share: of the longer side of the box by which the silhouette is widened.
+    within: the region.
     """
     y0, y1, x0, x1 = shape.boxes[view].tolist()
     px = max(1, round(share * max(y1 - y0, x1 - x0)))

@@ -85,19 +85,19 @@ class ContourTerm(Term):
 
     sdf: (C, h, w) float32 signed distance, px, negative inside.
     outline: (C, K, 2) float32 points on the mask's edge, px.
-    usable: (C,); sizes: (C, 2) width, height; projections: (C, 3, 4) pinhole.
-    weight: weight of one row at the reference density (rows 6 px apart on a person 260 px tall, 130 outline points a
-        view).
-    scale_px, coarse_scale_px: Geman-McClure scale of the distance, px: the final one, and that of the first
-        iterations.
-    row_spacing_px: distance of the forward rows along the body's outline, px.
+    usable: (C,).
+    sizes: (C, 2) width, height.
+    projections: (C, 3, 4) pinhole.
+    weight: of one row at the reference density (rows 6 px apart on a person 260 px tall, 130 outline points a view).
+    scale_px, coarse_scale_px: Geman-McClure scale of the distance.
+    row_spacing_px: distance of the forward rows along the body's outline.
     outline_count: K (at most 1000).
-    height_px: height of the person in the picture, px (median over the usable views).
-    shrunk: (C,) factor of the larger pixels in which sdf, outline, sizes and projections are; all other lengths are
-        in
+    height_px: height of the person in the picture (median over the usable views).
+    shrunk: (C,) factor of the larger pixels in which sdf, outline, sizes and projections are; all other lengths are in
         the original pixels.
     corners: (C, 2), sdf_sizes: (C, 2): the part of each image that its sdf covers; rows outside cost as at infinite
-        distance."""
+        distance.
+    """
 
     sdf: NDArray[np.float32]
     outline: NDArray[np.float32]
@@ -216,7 +216,8 @@ class RowTerm(Term):
     """Residuals of body points in one frame, with a Cauchy (Lorentzian) cost of each point's residuals together.
 
     The cost is 2 w log(1 + |r|^2 / 4), with r in standard deviations, as for key points.
-    joint: (P,) joint of each point; offset: (P, 3) in the joint's frame, m (default: its centre).
+    joint: (P,) joint of each point.
+    offset: (P, 3) in the joint's frame, m (default: its centre).
     residuals: function of the points (P, 3), m, in the world; returns r (P, R), in sd, and its derivative with respect
         to the point (P, R, 3), in sd per m. NaN leaves a point out.
     weight: (P,) factors w on the points' costs, 0 for one that is not seen (default 1).
@@ -317,13 +318,17 @@ _MAP_SIDE = 160
 class DepthTerm(Term):
     """Term of depth in the solver; built by `depth_term`.
 
-    points, normals: (M, 3) in the world, m; weight: (M,); first: (C + 1,) ranges of each sensor's points.
+    points, normals: (M, 3) in the world, m.
+    weight: (M,).
+    first: (C + 1,) ranges of each sensor's points.
     eyes: (C, 3) positions of the sensors, m.
-    maps: (C, h, w) float32 m, 0: unknown; sizes: (C, 2) width, height; projections: (C, 3, 4).
-    free_share: weight, per point, of body parts in front of the measured surface.
+    maps: (C, h, w) float32 m, 0: unknown.
+    sizes: (C, 2) width, height.
+    projections: (C, 3, 4).
+    free_share: weight, per point, of body in front of what was seen.
     scale_m: Geman-McClure scale of a point's distance, m.
-    A body part up to SLACK_M (m) in front of the measured surface costs nothing; beyond that, its robust scale is
-    FREE_SCALE_M (m)."""
+    Body up to SLACK_M in front of what was seen costs nothing; beyond that its scale is FREE_SCALE_M.
+    """
 
     points: Array
     normals: Array

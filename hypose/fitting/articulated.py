@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from hypose.body.body import Body
 from hypose.compute import solver
@@ -185,12 +185,12 @@ def fit_poses(
 _OWN = threading.local()
 
 
-def workspace_for(body: Body, sizes: NDArray[np.int64]) -> Workspace:
-    """Return this thread's scratch memory for fits of this body to images of sizes (C, 2) = width, height, px.
+def workspace_for(body: Body, cues: Cues) -> Workspace:
+    """Return this thread's scratch memory for fits of this body to images of this size.
 
     Why: allocating it and touching its pages takes as long as two evaluations.
     """
-    (w, h), mesh, tree = sizes.max(0, initial=2), body.coarse.arrays, body.skeleton.tree
+    (w, h), mesh, tree = cues.contours.sizes.max(0, initial=2), body.coarse.arrays, body.skeleton.tree
     known: Workspace | None = getattr(_OWN, "workspace", None)
     counts = len(mesh.vertices), len(mesh.faces), len(mesh.edges), len(tree.parents), len(tree.axes)
     if known is not None and known.difference.shape[0] > h and known.difference.shape[1] >= w:
@@ -242,7 +242,7 @@ class _Problem:
     def fit(self, start: ArrayLike) -> PoseFit:
         """Solve from a start pose (D,); the result is on the branch of the start."""
         q = self.start(start)
-        out = self._solve(q, self.priors(q), workspace_for(self.body, self.cues.contours.sizes))
+        out = self._solve(q, self.priors(q), workspace_for(self.body, self.cues))
         pose = out.pose.copy()
         pose[3:6] = nearest_branch(pose[3:6], np.asarray(start, dtype=np.float64)[3:6])
         return PoseFit(
@@ -258,7 +258,8 @@ class _Problem:
         )
 
     def _solve(self, q: Array, priors: PriorArrays, ws: Workspace) -> Solution:
-        """Solve from a checked start q (D,): compiled, or step by step where a term needs Python; ws: scratch."""
+        """Solve from a checked start q (D,): compiled, or step by step where a term needs Python; ws: scratch memory.
+        Solve from a checked start q (D,): compiled, or step by step where a term needs Python; ws: scratch memory."""
         o = self.settings
         if not self.rows:
             return solve(q, self.tree, self.mesh, self.cues, priors, o, ws)

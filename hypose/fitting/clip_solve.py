@@ -232,7 +232,7 @@ class _Clip(Problem[Array, tuple[Array, Array]]):
             centre = self.centre.copy()
             centre[:, 3:6] = nearest_branch(centre[:, 3:6], q[k, 3:6])
             (cues, rows), priors = self.cues[k], PriorArrays(centre, self.weight, self.lower, self.upper)
-            e = solver.evaluate(q[k], self.tree, self.mesh, cues, priors, workspace_for(self.body, cues.contours.sizes))
+            e = solver.evaluate(q[k], self.tree, self.mesh, cues, priors, workspace_for(self.body, cues))
             if rows:
                 e = with_rows(e, q[k], self.body, rows)
             cost += e.cost

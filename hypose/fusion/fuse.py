@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from hypose.body.motion import Motion, isotropic
 from hypose.body.skeleton import Skeleton
 from hypose.errors import InputError
-from hypose.evidence.frame import SensorJoints
+from hypose.evidence.frame import TRACKED, SensorJoints
 from hypose.fusion import joints as jt
 from hypose.fusion.confidence import confidence_step, normalised, start_confidence
 from hypose.fusion.fit import (
@@ -34,7 +34,6 @@ from hypose.fusion.register import (
     by_triangles,
     check_same_person,
     common_joints,
-    confidence_of,
     measured_joint_depth,
     register,
 )
@@ -271,7 +270,7 @@ def _with_rest(
             anchor = int(of.parent[anchor])
         at = common.get(anchor, jt.TORSO)
         offsets = world[:, :, j] - world[:, :, of.common[at]]
-        weights = np.where(np.isfinite(offsets[..., 0]), shares[:, at], 0.0) * confidence_of(states[:, :, j])
+        weights = np.where(np.isfinite(offsets[..., 0]), shares[:, at], 0.0) * states[:, :, j] / TRACKED
         total = weights.sum(1)
         mean = np.einsum("tk,tka->ta", weights, np.nan_to_num(offsets)) / np.maximum(total, 1e-300)[:, None]
         fused = np.where((total > 0)[:, None], joints[:, at] + mean, np.nan)

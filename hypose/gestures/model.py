@@ -39,8 +39,8 @@ def check_gesture_name(name: str) -> None:
 class GestureModel:
     """Trained model of one gesture.
 
-    name: name of the gesture.
-    learner: the forest, and the state needed to continue its training.
+    name: of the gesture.
+    learner: the forest, with the state from which its training continues.
     threshold: score (cm^2) from which the gesture counts as shown; None: not known yet.
     history: sessions that it was trained on, plain values.
     Raises: InputError where the name is not valid.

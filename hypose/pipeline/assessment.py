@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,8 @@ from numpy.typing import NDArray
 
 from hypose.body.motion import Motion
 from hypose.calibration.findings import INFO, INVALID, REVIEW, Finding
+from hypose.errors import InputError
+from hypose.io.files import read_json
 from hypose.pipeline.frame_anomalies import in_words
 from hypose.pipeline.input_checks import sentences
 from hypose.pipeline.settings import SETTINGS
@@ -94,6 +97,14 @@ class Assessment:
         """Restore the assessment from the JSON values that `document` returned."""
         frames = tuple(range(int(a), int(b)) for a, b in kept["frames"])
         return Assessment(str(kept["assessment"]), tuple(map(Finding.of_document, kept["findings"])), frames)
+
+
+def load_assessment(folder: Path) -> Assessment | None:
+    """Load assessment.json of a results folder; None where it is missing or damaged."""
+    try:
+        return Assessment.of_document(read_json(folder / ASSESSMENT_FILE, "an assessment"))
+    except (InputError, ValueError, KeyError, TypeError):
+        return None
 
 
 def not_shown(joints: Sequence[str]) -> Finding:

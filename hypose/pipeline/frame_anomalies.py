@@ -119,7 +119,8 @@ def with_anomalies(motion: Motion, seen: Sequence[NDArray[np.float32]]) -> tuple
     table = np.stack(seen).astype(np.float64)
     known = ~(motion.lost | motion.extrapolated)
     views = motion.provenance.get("settings", {}).get("views", [])
-    names = [f"camera {v}" for v in views] if len(views) == table.shape[1] else _numbered(table.shape[1])
+    count = table.shape[1]
+    names = [f"camera {v}" for v in views] if len(views) == count else [f"view {c + 1}" for c in range(count)]
     return _marked(motion, find_anomalies(table[..., 0], table[..., 1], table[..., 2], known, motion.frame_rate, names))
 
 
@@ -192,10 +193,6 @@ def find_anomalies(
     doubted = np.any([frames for _, frames in out], axis=0)
     out.append(("the body fits less well than before that", _not_back(overlap, doubted, known, frame_rate)))
     return [(what, frames) for what, frames in out if frames.any()]
-
-
-def _numbered(count: int) -> list[str]:
-    return [f"view {c + 1}" for c in range(count)]
 
 
 def _repeats(change: Array, frame_rate: float, still: float = SETTINGS.doubts_still) -> NDArray[np.bool_]:

@@ -139,11 +139,8 @@ def _assembled(
     rough_weights = carried_weights(rough, vertex_normals(rough, rough_faces), vertices, faces, weights)
     meshes = []
     for v, f, w in ((rough, rough_faces, rough_weights), (vertices, faces, weights)):
-        index, value = influences(w)
-        dense = np.zeros((len(v), w.shape[1]))
-        for k in range(4):
-            np.add.at(dense, (np.arange(len(v)), index[:, k]), value[:, k])
-        meshes.append(Mesh(unposed(frame, pose, v, dense), np.asarray(f, dtype=np.int32), index, value))
+        posed = Mesh(v, np.asarray(f, dtype=np.int32), *influences(w))
+        meshes.append(replace(posed, vertices=unposed(frame, pose, v, posed.dense_weights(w.shape[1]))))
     name = text_of(Path(person.source).stem) if person.source != "The mesh" else "own body"
     return Body(name, frame.skeleton, meshes[0], meshes[1], frame.landmarks)
 

@@ -115,7 +115,7 @@ def lasting(paths: Sequence[Path], looks: Sequence[int]) -> list[Path]:
 
 
 @dataclass(frozen=True)
-class Wanted:
+class KnownPerson:
     """Prior knowledge of a person, from a [[person]] of recording.toml.
 
     height: m.
@@ -144,7 +144,7 @@ class Wanted:
 
 
 def names_at_places(
-    wanted: Sequence[Wanted],
+    wanted: Sequence[KnownPerson],
     count: int,
     place: Callable[[int, int], Array],
     frame_rate: float,
@@ -173,11 +173,13 @@ def names_at_places(
     return [names[k] if k in names else next(rest) for k in range(count)]
 
 
-def said_of_places(wanted: Sequence[Wanted], count: int) -> tuple[str, ...]:
-    """Write the note for the user about people whose given places are too early to identify them among `count`
-    people.
+def said_of_places(wanted: Sequence[KnownPerson], count: int) -> tuple[str, ...]:
+    """Return a sentence for the user that given places are too early to tell who is who.
 
-    Returns: one sentence; empty where all places are usable."""
+    wanted: people with their places.
+    count: number of people found.
+    Returns: one sentence; none where all places can be used, or one person was found.
+    """
     early = [w for w in wanted if w.early]
     if not early or count < 2:
         return ()
@@ -272,8 +274,9 @@ def padded(motion: Motion, first: int, total: int) -> Motion:
 
 
 def per_frame(motion: Motion, rows: np.ndarray) -> dict[str, np.ndarray]:
-    """Select rows of all arrays of a motion that have one row per frame.
+    """Select frames of a motion.
 
-    rows: (N,) indices, or (T,) bool.
-    Returns: the selected arrays by the name of their field."""
+    rows: their numbers, or a (T,) mask.
+    Returns: by name of the field, the selected rows of each array that has one row per frame, for `replace`.
+    """
     return {k: v[rows] for k, v in vars(motion).items() if isinstance(v, np.ndarray) and len(v) == len(motion)}

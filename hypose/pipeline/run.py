@@ -35,15 +35,15 @@ from hypose.pipeline.passes import (
 from hypose.pipeline.people import PeopleFinder
 from hypose.pipeline.person_paths import (
     KeypointPeople,
+    KnownPerson,
     PointFrames,
-    Wanted,
     names_at_places,
     padded,
     per_frame,
     said_of_places,
 )
-from hypose.pipeline.track_loop import Followed, FrameSource, StageProgress, tracker_of
-from hypose.pipeline.track_management import unfollowed
+from hypose.pipeline.track_loop import FrameSource, StageProgress, TrackedPerson, tracker_of
+from hypose.pipeline.track_management import untracked_note
 from hypose.pipeline.track_options import TrackOptions
 from hypose.tracking.contacts import runs
 
@@ -238,7 +238,7 @@ def track_source(
     )
     if subject is not None:
         tracker = tracker_of(subject, options, frame_rate, method, own)
-        clip = replace(clip, people=(Followed.at_start("", subject, tracker),))
+        clip = replace(clip, people=(TrackedPerson.at_start("", subject, tracker),))
     return _run(clip)[1][0]
 
 
@@ -248,7 +248,7 @@ def track_people(
     options: TrackOptions,
     *,
     count: int | None = None,
-    wanted: Sequence[Wanted] = (),
+    wanted: Sequence[KnownPerson] = (),
     points: KeypointPeople | None = None,
     folders: bool = True,
     **kept: Any,
@@ -276,7 +276,7 @@ def track_people(
     finder = PeopleFinder(source, frame_rate, options, count, wanted, used)
     clip, done = _run(ClipState(source, frame_rate, options, finder=finder, folders=folders, **kept))
     complete, names = all(p.complete for p in done), [p.name for p in clip.people]
-    said = *_who_is_there(done, frame_rate), *unfollowed(clip.coming)
+    said = *_who_is_there(done, frame_rate), *untracked_note(clip.candidates)
     said += tuple(w.not_found for w in wanted if w.name not in names)
     said += said_of_places(wanted, len(names))
     return PeopleResult(tuple(done), complete, said, len(names) - len(done), clip.findings)
@@ -287,7 +287,7 @@ def _by_keypoints(
     frame_rate: float,
     options: TrackOptions,
     count: int | None,
-    wanted: Sequence[Wanted],
+    wanted: Sequence[KnownPerson],
     points: KeypointPeople | None,
     kept: dict[str, Any],
 ) -> PeopleResult:
@@ -298,12 +298,12 @@ def _by_keypoints(
             "with `hypose check`, or use silhouettes."
         )
     total, done, tracks = len(source), list[TrackResult](), points.lasting(len(source))
-    where, order = [points.tracks[k] for k in tracks], [w.name for w in wanted]
+    where, ranks = [points.tracks[k] for k in tracks], {w.name: k for k, w in enumerate(wanted)}
     names = names_at_places(wanted, len(where), lambda k, t: where[k].place(t)[:2], frame_rate)
-    ranked = sorted(range(len(tracks)), key=lambda k: order.index(names[k]) if names[k] in order else len(order))
+    ranked = sorted(range(len(tracks)), key=lambda k: ranks.get(names[k], len(ranks)))
     results = kept.pop("results", None)
     for k in ranked[:count]:
-        known = next((w for w in wanted if w.name == names[k]), Wanted(names[k]))
+        known = next((w for w in wanted if w.name == names[k]), KnownPerson(names[k]))
         frames = PointFrames(source, points, tracks[k])
         own, folder = replace(options, height=known.height or options.height), None
         if results is not None:

@@ -240,7 +240,7 @@ def _offset(motion: Motion, known: Array, stream: SensorStream) -> float:
     return begin + found
 
 
-_LEGS = ((jt.LEFT_HIP, jt.LEFT_KNEE, jt.LEFT_FOOT), (jt.RIGHT_HIP, jt.RIGHT_KNEE, jt.RIGHT_FOOT))
+_LEGS = ([jt.LEFT_HIP, jt.LEFT_KNEE, jt.LEFT_FOOT], [jt.RIGHT_HIP, jt.RIGHT_KNEE, jt.RIGHT_FOOT])
 _CURE = "place the sensors so that one of them sees each side of the person, and nothing is in between"
 
 
@@ -278,7 +278,7 @@ def assess_fused(
 
 def _of_size(motion: Motion) -> Iterator[str]:
     joints = motion.joints[:, [motion.skeleton.joint(n) for n in jt.COMMON]]
-    legs = [_length(joints, a, b) + _length(joints, b, c) for a, b, c in _LEGS]
+    legs = [np.linalg.norm(np.diff(joints[:, leg], axis=1), axis=-1).sum(1) for leg in _LEGS]
     long = float(np.nanmedian(np.concatenate(legs)[np.tile(~motion.lost, 2)])) if (~motion.lost).any() else np.nan
     if np.isfinite(long) and not SETTINGS.sensor_legs_m[0] <= long <= SETTINGS.sensor_legs_m[1]:
         tall = long / SETTINGS.sensor_of_height
@@ -288,10 +288,6 @@ def _of_size(motion: Motion) -> Iterator[str]:
             f"the person would be {tall:.3g} m tall, by their legs{unit}; correct the unit, since skeletons must be in "
             "metres"
         )
-
-
-def _length(joints: Array, a: int, b: int) -> Array:
-    return np.linalg.norm(joints[:, a] - joints[:, b], axis=-1)
 
 
 def _of_clocks(times: Array, clip: Sequence[SensorJoints], names: Sequence[str]) -> Iterator[str]:

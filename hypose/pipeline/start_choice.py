@@ -82,7 +82,7 @@ def apparent_height(silhouettes: Silhouettes) -> float | None:
         middles[c] = 0.5 * (u.min() + u.max()), 0.5 * (v.min() + v.max())
         extents[c] = max(np.ptp(u) / rig[c].K[0, 0], np.ptp(v) / rig[c].K[1, 1])
     point = triangulate(rig, middles, usable)[0]
-    depths = np.array([c.camera_from_world[2, :3] @ point + c.camera_from_world[2, 3] for c in rig])
+    depths = np.array([camera.depths(point) for camera in rig])
     ahead = usable & (depths > 0)
     return float(np.median((extents * depths)[ahead])) if ahead.any() else None
 

@@ -25,7 +25,7 @@ from hypose.fitting.articulated import SolveSettings
 from hypose.geometry import Array
 from hypose.io.files import write_text
 from hypose.io.motions.results import load_body, save_body
-from hypose.pipeline.left_right import correct_left_right
+from hypose.pipeline.retracking import correct_left_right
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.start_choice import best_ways, both_ways, check_borders, check_person_size, no_two_views
 from hypose.tracking.frame_evidence import PreparedFrame, mean_overlap, prepare

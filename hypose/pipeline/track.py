@@ -22,7 +22,7 @@ from hypose.io.recordings.recording import Recording, load_recording
 from hypose.io.recordings.recording_people import load_person
 from hypose.pipeline.assessment import other_people_note
 from hypose.pipeline.input_checks import places_refuted
-from hypose.pipeline.person_paths import KeypointPeople, Wanted, said_of_places
+from hypose.pipeline.person_paths import KeypointPeople, KnownPerson, said_of_places
 from hypose.pipeline.recorded_frames import check_views, frames_wanted, people_frames, with_all_people
 from hypose.pipeline.run import PeopleResult, TrackResult, track_people, track_source
 from hypose.pipeline.subject_from_motion import load_subject
@@ -170,12 +170,11 @@ def _track_people(
 _COUNT = re.compile(r"[1-9][0-9]?")
 
 
-def wanted_of(recording: Recording) -> list[Wanted]:
-    """Read the prior knowledge of people (tables [[person]]) from a recording's recording.toml; empty where it has
-    none."""
+def wanted_of(recording: Recording) -> list[KnownPerson]:
+    """Read the prior knowledge of people from a recording: name, height, body, place and time of each [[person]]."""
     first = recording.frames.start / recording.frame_rate
     return [
-        Wanted(
+        KnownPerson(
             p.name,
             p.height,
             None if p.body is None else load_subject(p.body),
@@ -186,11 +185,11 @@ def wanted_of(recording: Recording) -> list[Wanted]:
     ]
 
 
-def wanted_first(recording: Recording, options: TrackOptions) -> list[Wanted]:
+def wanted_first(recording: Recording, options: TrackOptions) -> list[KnownPerson]:
     """Return the prior knowledge of the one person to track: the first person of recording.toml, with the requested
     body or height.
     """
-    first = (wanted_of(recording) or [Wanted("person-1")])[0]
+    first = (wanted_of(recording) or [KnownPerson("person-1")])[0]
     body = first.body if options.subject is None else load_subject(options.subject)
     return [replace(first, height=first.height or options.height, body=body)]
 
@@ -205,7 +204,7 @@ def keypoint_people(recording: Recording, small: CameraRig) -> KeypointPeople | 
     return KeypointPeople(found.one.people, keypoint_names(recording.keypoint_set), small)
 
 
-def chosen_people(text: str, wanted: Sequence[Wanted]) -> tuple[int | None, str | None]:
+def chosen_people(text: str, wanted: Sequence[KnownPerson]) -> tuple[int | None, str | None]:
     """Parse the option --people: 'all', a number, or a name in recording.toml.
 
     Returns: maximum number of people (None: all), and the only name whose results are wanted (None: all).
@@ -229,7 +228,7 @@ def track_one_of(
     frame_rate: float,
     options: TrackOptions,
     *,
-    wanted: Sequence[Wanted] = (),
+    wanted: Sequence[KnownPerson] = (),
     points: KeypointPeople | None = None,
     command: str = "--people all",
     **kept: Any,

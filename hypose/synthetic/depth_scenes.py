@@ -261,8 +261,7 @@ def _cosines(z: DepthMap, camera: Camera) -> DepthMap:
 
 def _drawn(camera: Camera, vertices: Array, faces: NDArray[np.int32]) -> DepthMap:
     """Render a mesh: depth (h, w) m, infinite where nothing is drawn; vertices (V, 3) m world, faces (F, 3)."""
-    z = vertices @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
-    return rasterize(camera.project_pinhole(vertices), z, faces, camera.size)[0]
+    return rasterize(camera.project_pinhole(vertices), camera.depths(vertices), faces, camera.size)[0]
 
 
 def _room(camera: Camera, things: tuple[Array, NDArray[np.int32]]) -> DepthMap:

@@ -251,7 +251,7 @@ class Scene(OfPerformance):
         if mesh is None:
             return None
         camera = self.rig.pinhole().scaled(scale)[view]
-        return rasterize(*_projected(camera, mesh[0]), mesh[1], camera.size)[0]
+        return rasterize(camera.project_pinhole(mesh[0]), camera.depths(mesh[0]), mesh[1], camera.size)[0]
 
     def _mask(self, view: int, subject: SyntheticSubject, vertices: Array, scale: float) -> Mask:
         """Render the mask of one body, cut by the occluder.
@@ -261,7 +261,7 @@ class Scene(OfPerformance):
         scale: size of the mask relative to the camera's picture.
         """
         camera, hidden = self.rig.pinhole().scaled(scale)[view], self.occluder_depth(view, scale)
-        uv, z = _projected(camera, vertices)
+        uv, z = camera.project_pinhole(vertices), camera.depths(vertices)
         if hidden is None:
             return covered(uv, z, subject.faces, camera.size[::-1])
         return (rasterize(uv, z, subject.faces, camera.size)[0] < hidden).astype(np.uint8)
@@ -350,12 +350,6 @@ class Scene(OfPerformance):
         size = self.rig.sizes.max(0)
         rng = np.random.default_rng([self.seed, _NOISE])
         return noise_bank((int(size[0]), int(size[1])), self.sensor.noise_sd, rng)
-
-
-def _projected(camera: Camera, vertices: Array) -> tuple[Array, Array]:
-    """Project vertices (V, 3) m, world, to pixels (V, 2) of a pinhole camera, with their depths (V,) m."""
-    z = vertices @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
-    return camera.project_pinhole(vertices), z
 
 
 def keypoint_detections(scene: Scene, view: int, noise_px: float = 4.0) -> Array:

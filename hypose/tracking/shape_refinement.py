@@ -65,6 +65,7 @@ class ShapeSettings:
     weight: weight of a contour row at the reference density, as for the pose solver (errors of one frame's rows are
         correlated).
     pose_sd: how far poses may move from their start, rad.
+    normals: rows whose outline directions differ by more than 60 degrees (this cosine) are left out.
     prior: factor on the anthropometric prior's weight.
     row_spacing_px: distance of contour rows, px.
     """
@@ -73,6 +74,7 @@ class ShapeSettings:
     coarse: tuple[float, ...] = (4.0, 2.0, 1.0)
     weight: float = 1.0
     pose_sd: float = 0.5
+    normals: float = 0.5
     prior: float = 1.0
     row_spacing_px: float = 4.0
 
@@ -139,7 +141,7 @@ def _cue(one: Term, options: ShapeSettings) -> Cue[Array]:
 
     def rows(at: Posed, _: Array, factor: float) -> Iterable[Rows]:
         if isinstance(one, ContourTerm):
-            return rows_of_contours(at, one, factor, options.weight, options.row_spacing_px)
+            return rows_of_contours(at, one, factor, options.weight, options.row_spacing_px, options.normals)
         assert isinstance(one, DepthTerm), "a shape is fitted to outlines and depth"
         return rows_of_depth(at, one, factor, options.weight / CONTOUR_WEIGHT)
 

@@ -36,7 +36,6 @@ from hypose.fusion.align import AlignSettings, Instant, SensorBody, SensorView
 from hypose.fusion.clocks import offset_by_movement
 from hypose.fusion.fuse import Fused, FusionSettings, fuse_clip
 from hypose.fusion.joints import COMMON, joint_set
-from hypose.fusion.live import LiveSettings
 from hypose.fusion.people import PeopleTracker
 from hypose.fusion.register import Registration, check_same_person, common_joints, register, upright_axes, upward
 from hypose.geometry import Array, se3, transform
@@ -81,7 +80,7 @@ def fuse(c: FuseCommand) -> None:
         if c.recording is not None:
             raise InputError("--live takes no recording; leave one of the two out.")
         ports = {} if c.udp is None and c.ws is None else {"udp": c.udp, "ws": c.ws}
-        settings = LiveSettings(AlignSettings(rate=30.0 if c.rate is None else c.rate, wait=c.wait / 1000))
+        settings = AlignSettings(rate=30.0 if c.rate is None else c.rate, wait=c.wait / 1000)
         about = {"osc": c.osc, "token": c.token, "record": c.record, "settings": settings}
         asyncio.run(run_live(FusionServerOptions(host=c.host, **ports, **about), say, print_note))
         return

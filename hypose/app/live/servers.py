@@ -75,21 +75,20 @@ knowledge.
 
 
 class SocketServer:
-    """WebSocket server of one event loop, whose clients receive the posted items, or send lines. A listener that is
-    too
+    """WebSocket server of one event loop, whose clients listen to posted items, or send lines. A listener that is too
     slow loses its oldest items.
 
-    hello: function of the path that a listener requests; returns the first item for this listener, or None where
-        there is no such path.
+    hello: gives the first item for a listener by the path it asks for; None: there is no such path.
     waiting: items kept for a slow listener.
     clients: most connections at a time.
-    take: function that receives each line that a client sends to the path /in, and returns why the line is ignored,
-        or None where it is used; None instead of a function: no lines are accepted.
+    take: receives each line that a client sends to the path /in, and returns why it is ignored, else None; None: no
+        lines are taken.
     token: secret that clients must show; "": none, and pages of other computers are refused.
 
     Attributes:
     queues: of the listeners.
-    dropped: number of lost items."""
+    dropped: number of lost items.
+    """
 
     def __init__(
         self,
@@ -173,7 +172,7 @@ class SocketServer:
                 await connection.send(json.dumps({"type": "error", "reason": reasons[0], "lines": len(reasons)}))
 
     async def _send(self, connection: ServerConnection, path: str) -> None:
-        """Send the first item and all posted items to a listener until the end mark, or until the listener leaves."""
+        """Send the first item and all posted ones to a listener, until the end mark or until the listener leaves."""
         queue: Queue = asyncio.Queue(self._waiting)
         if hello := self._hello(path):
             queue.put_nowait(hello)

@@ -149,7 +149,7 @@ def plan_job(kind: str, request: Mapping[str, Any], catalog: Catalog) -> Plan:
     unknown = [str(o)[:40] for o in given if o not in known]
     if unknown:
         raise InputError(f"The job {kind} has no option {unknown[0]!r}; it has {', '.join(known)}.")
-    arguments = _arguments(kind, given)
+    arguments = () if kind in _OWN else _arguments(kind, given)
     if kind == "demo":
         out = free_folder(catalog.root, "demo")
         result = catalog.id_of("result", out / "results" / "default")

@@ -63,9 +63,9 @@ class ViewBackground:
         """Whether something moved while the background was learned, such as a person who has not left; False without a
         background.
         """
-        room = self.background
-        return (
-            room is not None and float((room.sd.max(2) > SETTINGS.rooms_moved_grey).mean()) > SETTINGS.rooms_moved_share
+        known = self.background
+        return known is not None and float((known.sd.max(2) > SETTINGS.scene_moved_grey).mean()) > (
+            SETTINGS.scene_moved_share
         )
 
     def learn(self, images: Sequence[Image]) -> None:
@@ -85,7 +85,7 @@ class ViewBackground:
     def due(self, time: float) -> bool:
         """Return whether an update of the background is due at a time (s): the background is known, and its last
         update is long enough ago."""
-        return self.background is not None and time - self._learnt >= SETTINGS.rooms_every_s
+        return self.background is not None and time - self._learnt >= SETTINGS.scene_every_s
 
     def follow(self, image: Image, time: float, person: Mask | None) -> None:
         """Update the background to slow changes of the scene, if an update is due.
@@ -102,14 +102,14 @@ class ViewBackground:
             return
         assert self._segment is not None
         found, picture = mask_runs.draw(mask_in(image, self._prepare, self._segment)[0]), self._prepare(image)
-        sparse, before = np.s_[:: SETTINGS.rooms_sparse, :: SETTINGS.rooms_sparse], self.background.mean
+        sparse, before = np.s_[:: SETTINGS.scene_sparse, :: SETTINGS.scene_sparse], self.background.mean
         gain = gain_between(before[sparse], picture[sparse].astype(np.float32))
         mean = np.clip(before * gain, 0, 255)
         other = _around(found)
         free = np.ones_like(other) if person is None else 1 - _around(person)
-        cv2.accumulateWeighted(picture, mean, -np.expm1(-passed / SETTINGS.rooms_light_s), free & (1 - other))
+        cv2.accumulateWeighted(picture, mean, -np.expm1(-passed / SETTINGS.scene_light_s), free & (1 - other))
         if person is not None:
-            cv2.accumulateWeighted(picture, mean, -np.expm1(-passed / SETTINGS.rooms_thing_s), free & other)
+            cv2.accumulateWeighted(picture, mean, -np.expm1(-passed / SETTINGS.scene_thing_s), free & other)
         self._take(replace(self.background, mean=mean))
 
     def _take(self, background: BackgroundModel) -> None:
@@ -122,19 +122,19 @@ def _around(mask: Mask) -> Mask:
     box = bounding_box(mask)
     if box is None:
         return mask
-    size = 2 * max(2, round(SETTINGS.rooms_margin * (box[1] - box[0]))) + 1
+    size = 2 * max(2, round(SETTINGS.scene_margin * (box[1] - box[0]))) + 1
     return np.asarray(cv2.dilate(mask, np.ones((size, size), np.uint8)), dtype=np.uint8)
 
 
-class NetworkRoom:
-    """Segmentation of one view by a network that finds people, in place of a `ViewBackground`; it needs no
-    background,
+class NetworkBackground:
+    """Segmentation of one view by a network that finds people, in place of a `ViewBackground`; it needs no background,
     and is used by one thread at a time.
 
-    camera: calibrated camera.
+    camera: as calibrated.
     small: pinhole camera of the working size.
-    shift: (x, y) offset that is added to positions in the stored pictures, px of the calibrated size.
-    network: finds people and their masks in a picture."""
+    shift: px of the calibrated size that are added to image positions.
+    network: finds people and their masks in a picture.
+    """
 
     background, moved = "not needed", False
 
@@ -189,11 +189,10 @@ class DepthViewBackground:
     @property
     def moved(self) -> bool:
         """Whether something moved while the background was learned; False without a background."""
-        room = self.background
-        known = None if room is None else room.depth > 0
-        if room is None or known is None or not known.any():
+        background = self.background
+        if background is None or not background.depth.any():
             return False
-        return float((room.sd[known] > SETTINGS.rooms_moved_m).mean()) > SETTINGS.rooms_moved_share
+        return float((background.sd[background.depth > 0] > SETTINGS.scene_moved_m).mean()) > SETTINGS.scene_moved_share
 
     def learn(self, maps: Sequence[DepthMap]) -> None:
         """Learn the background from stored maps (H, W) m of the empty room."""

@@ -15,38 +15,36 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.body import BONE_END, Body, Landmarks
-from hypose.cameras.camera import Camera
+from hypose.cameras.camera import Camera, CameraRig
 from hypose.compute import mono
 from hypose.compute.arrays import plain
 from hypose.compute.linear import weighted_squares
 from hypose.compute.losses import lorentzian
-from hypose.compute.mask_distance import signed_distance
 from hypose.compute.mono import (
     EdgeArrays,
     FlowArrays,
     FlowSettings,
-    MaskArrays,
-    MaskSettings,
     MonoModel,
     MonoWorkspace,
     PictureArrays,
 )
-from hypose.compute.rows import outline_points
 from hypose.compute.solver import bounded_step
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.edges_flow import Flow, edge_field
-from hypose.evidence.frame import Frame, Picture
-from hypose.evidence.terms import KeypointTerm
+from hypose.evidence.frame import Frame, Picture, Silhouettes
+from hypose.evidence.terms import ContourTerm, KeypointTerm, contour_term
 from hypose.fitting.problem import Posed, Problem, Quadratic, Rows, Rule
-from hypose.fitting.rows import rows_of_keypoints
+from hypose.fitting.rows import rows_of_contours, rows_of_keypoints
 from hypose.geometry import Array
 from hypose.tracking.contacts import soles_of
 from hypose.tracking.monocular.settings import MonoSettings
 
 SMALLEST_MASK = 50
 """px: a silhouette of fewer pixels shows no person"""
-OUTLINE = 130
-"""number of points sampled on a silhouette's outline"""
+_NORMALS = 0.0
+"""least cosine between the normals of the body's and the mask's outline"""
+MASK_SCALE = 2.0
+"""factor on the robust scale of a mask's contours: with one view poses are farther off than with several"""
 TOLERANCE = 0.02
 """m: two parts that overlap by this much have cost one half (at weight 1)"""
 FIRM = 0.85
@@ -98,6 +96,21 @@ def grey(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
 
 
+def mask_contours(picture: Picture, settings: MonoSettings) -> ContourTerm | None:
+    """Build the term of the outer contour against the picture's mask; None without a mask, or where it has no outline.
+
+    settings: of the cost; with mask weight 0 the term is left out.
+    """
+    if picture.mask is None or settings.mask_weight <= 0:
+        return None
+    mask = (picture.mask != 0).astype(np.uint8)[None]
+    seen = Silhouettes(mask, CameraRig((picture.camera,)), np.ones(1, np.bool_), ("",))
+    try:
+        return contour_term(seen, settings.mask_weight)
+    except EvidenceError:  # foreground from border to border
+        return None
+
+
 def edge_arrays(field: NDArray[np.float32], flow: Flow | None, settings: MonoSettings) -> EdgeArrays:
     """Build the arrays of the edge term.
 
@@ -120,20 +133,6 @@ def flow_arrays(flow: Flow | None, settings: FlowSettings) -> FlowArrays:
         none = np.zeros((0, 0), np.float32)
         flow = Flow(np.zeros((0, 0, 2), np.float32), none, none, (0, 0))
     return FlowArrays(flow.flow, flow.error, np.array(flow.corner, dtype=np.int64), settings)
-
-
-def mask_arrays(mask: NDArray[np.uint8] | None, settings: MaskSettings) -> MaskArrays:
-    """Build the arrays of the silhouette term; without a mask, or with height 0, the term is left out.
-
-    mask: (h, w), not 0 on the person.
-    settings: settings of the term.
-    """
-    if mask is None or settings.height <= 0:
-        return MaskArrays(np.zeros((0, 0), np.float32), np.zeros((0, 2), np.float32), 0.0, settings)
-    h, w = mask.shape
-    distance = signed_distance((mask != 0).astype(np.uint8)[None], np.array([[w, h]]))[0]
-    outline, found = outline_points(distance, (w, h), OUTLINE)
-    return MaskArrays(np.ascontiguousarray(distance), outline if found else outline[:0], found / OUTLINE, settings)
 
 
 class Spheres(NamedTuple):
@@ -361,13 +360,16 @@ class MonoSolution(NamedTuple):
 class PictureEvidence(NamedTuple):
     """Evidence and priors of one hypothesis in one picture.
 
-    fixed: parts of the problem that do not change from frame to frame.
-    arrays: edges, flow and mask.
-    points: key points or clicked joints; None: there are none.
-    prediction: pull of the active dof to their prediction; None: none."""
+    fixed: parts of the problem that stay.
+    arrays: edges and flow.
+    contours: outline of the mask, where there is one.
+    points: key points or clicked joints, where there are any.
+    prediction: pull of the active dof to their prediction; None: none.
+    """
 
     fixed: Fixed
     arrays: PictureArrays
+    contours: ContourTerm | None
     points: KeypointTerm | None
     prediction: Quadratic | None = None
 
@@ -399,9 +401,9 @@ class PictureProblem(Problem[Array, tuple[Array, Array]]):
 
     def evaluate(self, state: Array) -> tuple[float, Callable[[], tuple[Array, Array]]]:
         """Compute the cost of a pose, with Hessian (A, A) and gradient (A,) by the active dof; see `Problem`."""
-        (fixed, arrays, _, prediction), ws = self.evidence, self.ws
+        (fixed, arrays, *_, prediction), ws = self.evidence, self.ws
         cost, n = mono.picture_cost(state, arrays, self.sigma, self.n_flow, ws)
-        parts, at = list(self._joint_rows(state)), state[fixed.active]
+        parts, at = list(self._rows(state)), state[fixed.active]
         pulls = [Quadratic(np.zeros(len(at)), fixed.posture)]
         if prediction is not None:
             pulls.append(prediction)
@@ -418,10 +420,12 @@ class PictureProblem(Problem[Array, tuple[Array, Array]]):
 
         return float(cost), equations
 
-    def _joint_rows(self, pose: Array) -> Iterator[Rows]:
-        """Compute the rows of points on joints: key points, spheres, floor."""
-        fixed, _, points, _ = self.evidence
-        posed = Posed(fixed.body, pose, self.ws.vertices.astype(np.float64))
+    def _rows(self, pose: Array) -> Iterator[Rows]:
+        """Compute the rows of mask, key points, spheres and floor."""
+        fixed, _, contours, points, _ = self.evidence
+        posed = Posed(fixed.body, pose, self.ws.vertices + pose[:3])
+        if contours is not None:
+            yield from rows_of_contours(posed, contours, MASK_SCALE, contours.weight, contours.row_spacing_px, _NORMALS)
         if points is not None:
             yield rows_of_keypoints(posed, points, points.projections)
         yield sphere_rows(posed, fixed.spheres)
@@ -514,6 +518,5 @@ def frame_evidence(
         fixed.model,
         edge_arrays(field, flow, settings),
         flow_arrays(flow, settings.flow),
-        mask_arrays(picture.mask, settings.mask),
     )
-    return PictureEvidence(fixed, arrays, points)
+    return PictureEvidence(fixed, arrays, mask_contours(picture, settings), points)

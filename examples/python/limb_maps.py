@@ -1,8 +1,8 @@
-"""Limb segmentation maps: a label image per view that gives the limb of the person at each pixel.
+"""A cue of your own that is measured per frame: label images that give the limb of the person at each pixel.
 
 Human-parsing networks make such maps. Labels distinguish an arm in front of the trunk from one behind it; outlines do
-not. A search counts the pixels where a body shows another limb; a solve draws bones into their regions. Both are
-hypose's own.
+not. A search counts the pixels where a body shows another limb; a solve draws bones into their regions. Give the maps
+of a frame as `replace(frame, more=(LimbMaps(labels, rig),))`.
 """
 
 from __future__ import annotations
@@ -157,3 +157,17 @@ def limb_of_faces(body: Body) -> NDArray[np.uint8]:
 def limb_of_joints(names: Sequence[str]) -> NDArray[np.uint8]:
     """Look up to which limb each joint (J,) belongs, by its name: the limb's label in LABELS, minus 1."""
     return np.array([next((k + 1 for k, own in enumerate(LABELS) if n in own), 0) for n in names], dtype=np.uint8)
+
+
+if __name__ == "__main__":
+    from hypose.body.default_body import human
+    from hypose.compute.part_colours import shown_parts
+    from hypose.synthetic.scenes import camera_rig
+    from hypose.tracking.starts import known_pose
+
+    person, cameras = human(), camera_rig("humaneva-4").pinhole()
+    right, wrong = (known_pose(person, name) for name in ("standing", "hands-up"))
+    drawn = person.skin(right), person.coarse.faces, limb_of_faces(person)
+    shown = np.stack([shown_parts(*drawn, c.projection, c.size[::-1])[0] for c in cameras])
+    energies = LimbMaps(shown, cameras).prepared(person).energy(person, np.stack([right, wrong]))
+    print(f"energy of the labels: {energies[0]:.2f} at the right pose, {energies[1]:.2f} with the hands up")
