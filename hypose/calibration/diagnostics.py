@@ -298,7 +298,7 @@ def _best_moved(
     small: the cameras of the masks, at their size.
     tracks: mask track of each view.
     size: (C,) size of the person in each view, px of the masks.
-    silhouettes: of the frames, for points of the person.
+    silhouettes: silhouettes of the frames, for points of the person.
     o: limits.
     Returns: None where the planes agree already, or there are two views.
     """

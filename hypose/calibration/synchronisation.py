@@ -98,8 +98,7 @@ def points_at(points: Array, late: float) -> Array:
 
     points: (T, K, 3) px, px, confidence.
     late: delay of the view, frames.
-    Returns: (T, K, 3); confidence is 0 outside the clip and where a needed neighbour is missing. A missing neighbour
-        is
+    Returns: (T, K, 3); confidence is 0 outside the clip and where a needed neighbour is missing. A missing neighbour is
         replaced by the other one up to half a frame away."""
     n = len(points)
     out = np.zeros_like(points)

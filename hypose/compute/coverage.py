@@ -378,8 +378,7 @@ def prepare_edge(u, v, a, b, window, edge, columns):
 
 @kernel
 def write_crossings(edge, lane, skip, rows, stride, out, place):
-    """Write the pixel indices row * stride + column at which the prepared edge of a lane crosses its columns, from
-    the
+    """Write the pixel indices row * stride + column at which the prepared edge of a lane crosses its columns, from the
     skip-th on.
 
     edge: as returned by `prepare_edge`.

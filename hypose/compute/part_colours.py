@@ -58,8 +58,7 @@ def rim_edges(masks: PreparedMasks, edges: NDArray[np.uint8] | None) -> tuple[ND
 
     masks: masks of the frame.
     edges: (C, 2, h, w) changes of colour; None: zeros.
-    Returns: per view (2, h, w), at the pixels that `colour_sums` reads: the change of colour in multiples of the
-        usual
+    Returns: per view (2, h, w), at the pixels that `colour_sums` reads: the change of colour in multiples of the usual
         change within the mask, at most 1, minus its mean over the mask."""
     out = list[NDArray[np.float32]]()
     for c, (w, h) in enumerate(masks.sizes.tolist()):

@@ -366,8 +366,7 @@ def least_energies(poses, first, last, tree, mesh, turning, prepared, boxes, dra
     poses: (N, D).
     tree, mesh, turning, prepared, boxes, drawn_counts, scratch: as for `_silhouette_xor`.
     cells: as returned by `uncovered`. The other arguments are as for `_silhouette_xor`, which has computed the joints
-        that do not
-        turn.
+        that do not turn.
     """
     frames, centres, axis, turn, maps, points, u, v, p, bounds, window, origin = scratch[:12]
     for block in range(first, last):

@@ -49,7 +49,7 @@ def outline_rows(
     size: (2,) width, height, px.
     sdf, outline: (h, w) signed distance, px, negative inside, and (K, 2) px of the mask.
     height_px: height of the person, px.
-    spacing_px: of the rows along the body's outline, px.
+    spacing_px: spacing of the rows along the body's outline, px.
     least_cosine: rows whose outlines have normals with a smaller cosine are omitted.
     Returns: ends (R, 2): vertices a, b; values (R, 6): along, so that the row's point is (1 - along) a + along b;
         residual, px; its gradient (3) by the point, px/m; weight. None where the body is not in the view.

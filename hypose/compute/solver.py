@@ -147,8 +147,7 @@ def bounded_step_kernel(hessian, gradient, q, lower, upper, damping, step):
 def bounded_step(
     hessian: ArrayLike, gradient: ArrayLike, at: ArrayLike, lower: ArrayLike, upper: ArrayLike, damping: float
 ) -> Array | None:
-    """Compute the step (D,) from `at` that minimises 1/2 s' (H + damping max(diag H, 1)) s + g' s within lower <= at
-    +
+    """Compute the step (D,) from `at` that minimises 1/2 s' (H + damping max(diag H, 1)) s + g' s within lower <= at +
     s <= upper.
 
     hessian, gradient: H (D, D) and g (D,).

@@ -145,12 +145,12 @@ def people_in_hull(
 
 
 def people_of_hull(hull: Hull, floor: float, most: int, surface: float = 0.0) -> list[HullPerson]:
-    """Split a hull into parts that stand on the floor; ghosts are included.
+    """Split a hull into parts that stand on the floor, one per person; parts that are no person (ghosts, where
+    silhouettes of different people intersect) are included.
 
     floor: height of the floor, m.
     most: largest number of people.
-    surface: least volume of a person where the voxels are only its surface, litres; 0: the voxels fill the person.
-    """
+    surface: least volume of a person where the voxels are only its surface, litres; 0: the voxels fill the person."""
     return [HullPerson(_part(hull, own, axis), axis) for axis, own in _axes(hull, floor, most, surface)]
 
 

@@ -59,7 +59,7 @@ class LiveFrame:
 class LiveFuser:
     """Live fusion of the skeletons of several people from several sensors.
 
-    settings: of the output instants.
+    settings: settings of the output instants.
 
     Call `push` for every report as it arrives, and `poll` at the time `due()` or more often. All times are s of one
     monotonic host clock.

@@ -173,8 +173,7 @@ def _points(
     """Compute the arm's points (N, 8, 3), m, in the parent's frame, for values (N, d) of its coordinates.
 
     the_way: as returned by `_way_to`; own: (d,) indices of the coordinates; chain: shoulder, elbow, wrist; tip: (3,) of
-        the hand in
-        the wrist's frame, m.
+        the hand in the wrist's frame, m.
     """
     way, tree = the_way
     poses = np.zeros((len(values), len(tree.axes)))

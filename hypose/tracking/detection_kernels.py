@@ -179,13 +179,11 @@ class DetectorDriven:
     limb: the posed part, which names the roles.
     noise: sd of a detection per axis, m.
     swivel, far_swivel: sd of the rotation about the line to the end, rad; far_swivel for a third of the members.
-    step: share of the members that change their kind per layer; least: smallest share of either kind.
-    Limbs are posed by analytic inverse kinematics. For the head, members take the least step, in units of sigma,
-    that
-    brings it to the detection (the gain of a Kalman update). Kinds: half of the members are posed at first; later,
-    where more than half of the survivors are of that kind, its share grows by `step`, otherwise it shrinks. Without
-    a
-    detection all members only diffuse and keep their kinds."""
+    step: share of the members that change their kind per layer; least: smallest share of either kind. Limbs are posed
+        by analytic inverse kinematics. For the head, members take the least step, in units of sigma, that brings it to
+        the detection (the gain of a Kalman update). Kinds: half of the members are posed at first; later, where more
+        than half of the survivors are of that kind, its share grows by `step`, otherwise it shrinks. Without a
+        detection all members only diffuse and keep their kinds."""
 
     body: Body
     ends: Landmarks

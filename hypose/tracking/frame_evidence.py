@@ -52,8 +52,7 @@ class PreparedFrame:
     frame: the frame as it was read.
     body: body that is searched.
     evidence: cues of the frame, each prepared once.
-    prediction: (D,) pose predicted without the frame's evidence; prediction_weight: pull of solves to it, 1 / rad^2
-        in
+    prediction: (D,) pose predicted without the frame's evidence; prediction_weight: pull of solves to it, 1 / rad^2 in
         units of the robust rows' cost.
     usual_iou: usual overlap of the body with the masks so far; NaN: unknown.
     done: number of frames tracked before.

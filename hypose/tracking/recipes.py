@@ -268,8 +268,7 @@ class LimbSearch:
     sigma: (D,) sd of a step.
     lower, upper: (D,) range in which a share `redrawn` of the hypotheses is drawn uniformly.
     long, longer: share of the steps that are lengthened, and the factor by which they are.
-    Why: with tens of hypotheses, resampling would leave most of them on values that are known to be worse. Poses
-        that
+    Why: with tens of hypotheses, resampling would leave most of them on values that are known to be worse. Poses that
         are certainly worse than the first hypothesis are not evaluated in full."""
 
     skeleton: Skeleton

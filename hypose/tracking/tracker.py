@@ -54,8 +54,7 @@ class TrackerSettings:
         'auto' (all there is).
     seed: seed of every random draw.
     frame_rate: Hz.
-    prediction_weight: pull of a solve to the prediction at 25 fps; it grows with the square of the frame rate, as
-        the
+    prediction_weight: pull of a solve to the prediction at 25 fps; it grows with the square of the frame rate, as the
         prediction's error shrinks.
     lost_share, lost_floor: lost when the mean IoU falls below this share of its usual value, or below this value.
     contour_weight: weight of one residual of a contour.

@@ -52,11 +52,10 @@ class FusionServerOptions:
     host: address to listen on.
     udp, ws: ports of UDP and WebSocket; 0: any free one, None: the protocol is not used.
     osc: HOST:PORT to which results are sent by OSC; None: not sent.
-    token: secret that senders and listeners must show; where it is missing, one is made unless only this computer
-        can
+    token: secret that senders and listeners must show; where it is missing, one is made unless only this computer can
         connect.
     record: new folder for a recording; None: nothing is recorded.
-    settings: of the output instants.
+    settings: settings of the output instants.
     lines_per_s, burst: limits of received lines.
     clients: most WebSocket connections.
     waiting: messages kept for a slow listener.

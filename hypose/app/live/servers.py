@@ -78,17 +78,17 @@ class SocketServer:
     """WebSocket server of one event loop, whose clients listen to posted items, or send lines. A listener that is too
     slow loses its oldest items.
 
-    hello: gives the first item for a listener by the path it asks for; None: there is no such path.
+    hello: function of the path that a listener requests; returns the first item for this listener, or None where
+        there is no such path.
     waiting: items kept for a slow listener.
     clients: most connections at a time.
-    take: receives each line that a client sends to the path /in, and returns why it is ignored, else None; None: no
-        lines are taken.
+    take: function that receives each line that a client sends to the path /in, and returns why the line is ignored,
+        or None where it is used; None instead of a function: no lines are accepted.
     token: secret that clients must show; "": none, and pages of other computers are refused.
 
     Attributes:
     queues: of the listeners.
-    dropped: number of lost items.
-    """
+    dropped: number of lost items."""
 
     def __init__(
         self,

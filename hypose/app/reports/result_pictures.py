@@ -386,11 +386,10 @@ class PictureRows:
 
 @dataclass(frozen=True)
 class OverlayRows:
-    """Pictures by row of the motion.
+    """Pictures that were drawn for a report, by row of the motion.
 
     stills: close-ups.
-    small: the recorded picture of every view as JPEG, b"" where there is none.
-    """
+    small: the recorded picture of every view as JPEG, b"" where there is none."""
 
     stills: dict[int, Image] = field(default_factory=dict)
     small: dict[int, list[bytes]] = field(default_factory=dict)
@@ -439,7 +438,7 @@ def write_overlay(
     """Draw people over their recording, several of them each in a colour of their own. The recorded pictures are read
     once.
 
-    path: of the video; not used without a video.
+    path: path of the video; not used without a video.
     source: gives the silhouettes; row i of the motions is frame i of the source, and recording.frames[i].
     wanted: rows that are drawn.
     Returns: stills and small pictures by row.
@@ -478,7 +477,7 @@ def _drawing(source: FrameSource, people: Sequence[Shown], row: int, number: int
     """Prepare the drawing of one row: masks, the bodies of the people whose pose is known, and a title that says how
     each fits.
 
-    number: of the frame.
+    number: number of the frame.
     """
     drawn, alarm = list[DrawnBody](), False
     parts = [f"frame {number}", f"{people[0].motion.times[row]:.2f} s"]

@@ -90,7 +90,7 @@ class Hub:
     def post(self, topic: str, message: Message | str, key: Hashable = None) -> None:
         """Send a message (or its JSON text) to all pages that listen to a topic.
 
-        key: of waiting messages with the same key only the newest is kept; None: all are kept."""
+        key: key of waiting messages with the same key only the newest is kept; None: all are kept."""
         if self.listens(topic):
             text = message if isinstance(message, str) else _text(message)
             self._later(lambda: [page.put(text, key) for page in self._pages[topic]])

@@ -76,12 +76,10 @@ def _video_cameras(
 def read_qualisys(source: Source, rig: RigFile) -> None:
     """Add the cameras of a calibration of Qualisys Track Manager (XML) to a rig.
 
-    Intrinsics are in 1/64 px, the translation is the camera's position in mm, the rotation is world_from_camera
-    stored
+    Intrinsics are in 1/64 px, the translation is the camera's position in mm, the rotation is world_from_camera stored
     by columns, of a camera that looks along -z with y up (rotated by pi about x into OpenCV's).
 
-    Why: Pose2Sim divides the distortion coefficients by 64 as well. They belong to normalised coordinates, and
-        without
+    Why: Pose2Sim divides the distortion coefficients by 64 as well. They belong to normalised coordinates, and without
         the division they agree with a chessboard calibration of the same cameras, so they are not divided here."""
 
     def is_video(element: Element) -> bool:
@@ -118,8 +116,7 @@ def read_vicon(source: Source, rig: RigFile) -> None:
     FOCAL_LENGTH and PRINCIPAL_POINT are in px, ORIENTATION is the quaternion (x, y, z, w) of camera_from_world,
     POSITION is that of the camera in mm, VICON_RADIAL2 is "name cx cy k1 k2 k3", VICON_RADIAL is "k1 k2".
 
-    The radial coefficients are used as OpenCV's, as in Pose2Sim and OpenCap. Coefficients so small that they can
-    only
+    The radial coefficients are used as OpenCV's, as in Pose2Sim and OpenCap. Coefficients so small that they can only
     belong to radii in pixels are converted from Vicon's own model, u = c + (1 + k1 r^2 + k2 r^4)(d - c), which gives
     undistorted positions u from distorted positions d."""
     from scipy.spatial.transform import Rotation  # takes long to import

@@ -57,8 +57,7 @@ _LIMBS = {
 
 
 def shoulder_places(skeleton: Skeleton, poses: Array) -> tuple[tuple[str, ...], Array]:
-    """Compute the shoulder coordinates: the displacement of each shoulder's centre by the clavicle, from its place
-        at
+    """Compute the shoulder coordinates: the displacement of each shoulder's centre by the clavicle, from its place at
     rest.
 
     skeleton: skeleton of the tracked body.

@@ -350,8 +350,7 @@ def build_backgrounds(
 class FrameStream:
     """Frames of a recording as evidence: `len(stream)`, `stream.frame(i)`, iteration, and `with` to close it.
 
-    A view is not usable in a frame where it has no image, an empty mask, or a mask far from its usual area (the
-    median
+    A view is not usable in a frame where it has no image, an empty mask, or a mask far from its usual area (the median
     of about the last two seconds at 25 frames/s, or of the first at the start). The reason names camera and frame.
 
     recording: the recording to read.

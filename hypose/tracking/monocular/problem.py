@@ -99,7 +99,7 @@ def grey(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
 def mask_contours(picture: Picture, settings: MonoSettings) -> ContourTerm | None:
     """Build the term of the outer contour against the picture's mask; None without a mask, or where it has no outline.
 
-    settings: of the cost; with mask weight 0 the term is left out.
+    settings: settings of the cost; with mask weight 0 the term is left out.
     """
     if picture.mask is None or settings.mask_weight <= 0:
         return None
@@ -360,12 +360,11 @@ class MonoSolution(NamedTuple):
 class PictureEvidence(NamedTuple):
     """Evidence and priors of one hypothesis in one picture.
 
-    fixed: parts of the problem that stay.
+    fixed: parts of the problem that do not change from frame to frame.
     arrays: edges and flow.
     contours: outline of the mask, where there is one.
-    points: key points or clicked joints, where there are any.
-    prediction: pull of the active dof to their prediction; None: none.
-    """
+    points: key points or clicked joints; None: there are none.
+    prediction: pull of the active dof to their prediction; None: none."""
 
     fixed: Fixed
     arrays: PictureArrays
