@@ -272,7 +272,7 @@ class CameraRig:
     def scaled(self, factor: float) -> CameraRig:
         """Copy the rig for images that were resampled.
 
-        factor: of both sides of each image; the new sizes are rounded to whole pixels, at least 1.
+        factor: factor of both sides of each image; the new sizes are rounded to whole pixels, at least 1.
         """
         return CameraRig(
             tuple(

@@ -173,38 +173,12 @@ def _forward_kinematics(poses, tree, rotations, centres):
 
 
 @kernel
-def skin_batch(rotations, centres, tree, mesh, out):
-    """Skin the mesh of N poses in float64 by linear blend skinning.
-
-    rotations, centres: (N, J, 3, 3) world_from_joint, and (N, J, 3) joint centres in the world, m.
-    tree: joint tree of the body.
-    mesh: mesh at rest with its skinning weights.
-    out: (N, V, 3) gets the vertices in the world, m.
-    """
-    for n in range(rotations.shape[0]):
-        for v in range(mesh.vertices.shape[0]):
-            px = py = pz = 0.0
-            for k in range(mesh.skin_count[v]):
-                j = mesh.skin_index[v, k]
-                w = np.float64(mesh.skin_weight[v, k])
-                x = mesh.vertices[v, 0] - tree.joints[j, 0]
-                y = mesh.vertices[v, 1] - tree.joints[j, 1]
-                z = mesh.vertices[v, 2] - tree.joints[j, 2]
-                r = rotations[n, j]
-                c = centres[n, j]
-                px += w * (c[0] + r[0, 0] * x + r[0, 1] * y + r[0, 2] * z)
-                py += w * (c[1] + r[1, 0] * x + r[1, 1] * y + r[1, 2] * z)
-                pz += w * (c[2] + r[2, 0] * x + r[2, 1] * y + r[2, 2] * z)
-            out[n, v, 0], out[n, v, 1], out[n, v, 2] = px, py, pz
-
-
-@kernel
 def bone_map(rotation, centre, joint, out):
     """Compute the affine map that moves vertices of the resting body rigidly with a joint.
 
     rotation, centre: frame of the joint in the pose, (3, 3) and (3,) m.
     joint: (3,) centre of the joint at rest, m.
-    out: (12,) float32 gets the matrix (3, 4) of the map, row by row.
+    out: (12,) gets the matrix (3, 4) of the map, row by row.
     """
     for i in range(3):
         x, y, z = rotation[i, 0], rotation[i, 1], rotation[i, 2]
@@ -216,15 +190,14 @@ def bone_map(rotation, centre, joint, out):
 
 @kernel
 def skin_vertices(maps, mesh, chosen, out):
-    """Skin some vertices of one pose in float32 by linear blend skinning.
+    """Skin some vertices of one pose by linear blend skinning, in the numbers of the maps.
 
-    maps: (J, 12) float32, map of each joint as `bone_map` computes it.
+    maps: (J, 12) float32 or float64, map of each joint as `bone_map` computes it.
     mesh: mesh at rest with its skinning weights.
     chosen: (K,) indices of the vertices to skin.
-    out: (V, 3) float32; the rows of these vertices get their positions, m, in the frame of the maps; other rows stay as
-        they are.
+    out: (V, 3) gets the positions of these vertices, m, in the frame of the maps; other rows stay as they are.
     """
-    b = np.empty(12, np.float32)
+    b = np.empty(12, maps.dtype)
     for n in range(chosen.shape[0]):
         v = chosen[n]
         w = mesh.skin_weight[v, 0]
@@ -257,6 +230,16 @@ def skin_about_root(rotations, centres, tree, mesh, out):
     for j in range(n_joints):
         bone_map(rotations[j], centres[j], tree.joints[j], maps[j])
     skin_vertices(maps, mesh, np.arange(mesh.vertices.shape[0]), out)
+
+
+@kernel
+def _skin(rotations, centres, tree, mesh, out):
+    """Skin N poses in float64; see `skin`."""
+    maps, every = np.empty((tree.parents.shape[0], 12)), np.arange(mesh.vertices.shape[0])
+    for n in range(rotations.shape[0]):
+        for j in range(maps.shape[0]):
+            bone_map(rotations[n, j], centres[n, j], tree.joints[j], maps[j])
+        skin_vertices(maps, mesh, every, out[n])
 
 
 @kernel
@@ -297,5 +280,5 @@ def skin(rotations: ArrayLike, centres: ArrayLike, tree: TreeArrays, mesh: MeshA
     """
     r, c = plain(rotations, np.float64), plain(centres, np.float64)
     out = np.empty((len(r), len(mesh.vertices), 3))
-    skin_batch(r, c, tidy(tree), tidy(mesh), out)
+    _skin(r, c, tidy(tree), tidy(mesh), out)
     return out

@@ -25,7 +25,7 @@ from hypose.geometry import Array
 class AlignSettings:
     """Settings of the output instants.
 
-    rate: of the output, Hz.
+    rate: rate of the output, Hz.
     wait: s for which a frame waits, after its instant, for sensors that have not reported yet; it bounds the latency.
     timeout: s of silence after which a sensor counts as dead and is not waited for.
     hold: s for which a skeleton is continued after its last report.
@@ -70,7 +70,7 @@ class SensorBody:
 class SensorView:
     """One sensor at an instant.
 
-    name: of the sensor.
+    name: name of the sensor.
     alive: whether it reported within the time-out before the instant.
     life: number of times that it came back after a silence.
     bodies: the persons that it sees.
@@ -100,9 +100,9 @@ class Instant:
 class SensorStatus:
     """State of one sensor, for display.
 
-    name: of the sensor.
+    name: name of the sensor.
     alive: whether it reported within the time-out.
-    rate: of its reports, Hz.
+    rate: rate of its reports, Hz.
     offset: s to add to its clock to get the host's.
     jumps: number of jumps of its clock.
     returns: number of times that it came back after a silence.
@@ -278,7 +278,7 @@ class _Sensor:
 class Aligner:
     """Buffer that brings the reports of all sensors to the output instants n / rate after the first report.
 
-    settings: of the output instants.
+    settings: settings of the output instants.
 
     Call `push` for every report and `poll` at the time `due()` or more often. A frame is made as soon as every living
     sensor has reported from its instant or later, and at the latest `wait` after its instant: late sensors are

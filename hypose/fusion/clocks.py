@@ -102,7 +102,7 @@ def offset_by_movement(
 
     times_a, times_b: (T,) s from each sensor's own start.
     positions_a, positions_b: (T, J, 3) m in each sensor's frame, NaN where missing.
-    rate: of the correlation, Hz.
+    rate: rate of the correlation, Hz.
     limit: largest offset, s.
     Returns: seconds to add to the times of b, and the correlation of the speeds (0..1). Below 0.5 the offset means
         nothing: the person stood still, or the recordings show different persons.

@@ -114,12 +114,12 @@ def confidence_step(
     """Compute the measures inverse fluidity F, depth error D and unnatural posture A of one frame, before
     normalisation.
 
-    memory: of the frames before.
+    memory: memory of the frames before.
     positions: (K, 15, 3) m in the sensors' frames.
     state: (K, 15) joint states.
     depth: (K, 15) m, depth map at the joints' pixels, 0 = hole; None: no depth maps.
     times: (K,) s of the reports.
-    settings: of the measures.
+    settings: settings of the measures.
     Returns: the new memory, and (3, K, 15) = F (m/s, eq. 5), D (m), A (0..1). The speed of a joint that was missing, or
         of a report without a new time, counts as 0.
     """
@@ -222,8 +222,8 @@ class NoiseRules:
     and output lie in [0, 1].
 
     low_centre, high_centre: centres of the sigmoids "low" and "high".
-    slope: of both sigmoids.
-    medium_centre, medium_sd: of the Gaussian "medium".
+    slope: slope of both sigmoids.
+    medium_centre, medium_sd: medium centre and medium sd of the Gaussian "medium".
     points: number of samples of the output for the centroid.
     """
 

@@ -24,7 +24,7 @@ from hypose.geometry import Array
 class LiveSkeleton:
     """One fused person in an output frame.
 
-    id: of the person.
+    id: identifier of the person.
     joints: (15, 3) m, joints.COMMON in the frame of the first sensor.
     sd: (15,) m per axis.
     sensors: names of the sensors that see the person now.
@@ -109,7 +109,7 @@ class LiveFuser:
         """Fuse one person at an instant.
 
         p: the person's skeletons.
-        names: of all sensors.
+        names: names of all sensors.
         now: s of the host's clock.
         """
         positions, eyes = np.full((len(names), 15, 3), np.nan), np.full((len(names), 3), np.nan)

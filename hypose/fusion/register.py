@@ -186,8 +186,8 @@ def check_same_person(positions: ArrayLike, registration: Registration, names: S
     point.
 
     positions: (T, K, 15, 3) m in the sensors' frames.
-    registration: of the sensors.
-    names: of the sensors, for the message.
+    registration: registration of the sensors.
+    names: names of the sensors, for the message.
     """
     s = np.asarray(positions, dtype=np.float64)
     a, b = jt.SKELETON_BONES[:, 0], jt.SKELETON_BONES[:, 1]

@@ -62,7 +62,7 @@ def import_depth(
     empty: recordings of the empty room in the same order, or none.
     frame_rate: Hz of folders of maps, which do not contain it; None: 30 Hz.
     millimetres: millimetres per step of a value, of folders of maps.
-    seed: of random numbers.
+    seed: seed of random numbers.
     progress: called with stage, done, total.
     Returns: path of recording.toml, and sentences for the user.
     Raises: InputError names the input that cannot be used; then, and after an interruption, the folder is left as it

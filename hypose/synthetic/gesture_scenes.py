@@ -177,8 +177,8 @@ class SimulatedFrame:
 def live_person(number: int, name: str, rng: np.random.Generator, rate: float) -> Generator[SimulatedFrame, bool, None]:
     """Yield endless frames of a simulated person in a furnished room before a fixed camera.
 
-    number: of the person.
-    name: of the gesture.
+    number: number of the person.
+    name: name of the gesture.
     rate: Hz.
 
     After the first frame `send(True)` asks the person for the gesture, `send(False)` for anything else.
@@ -197,9 +197,9 @@ def _frames(
 ) -> Generator[SimulatedFrame, bool, None]:
     """Yield the frames of `live_person`.
 
-    number: of the person, which decides the leading hand.
+    number: number of the person, which decides the leading hand.
     puppet: the person, who is posed.
-    name: of the gesture.
+    name: name of the gesture.
     rng: random numbers.
     rate: Hz.
     """
@@ -234,7 +234,7 @@ def _goal(puppet: Puppet, name: str | None, others: list[str], leading: str, rng
     """Draw the next pose of the simulated person.
 
     puppet: the person, who is posed in it.
-    name: of the gesture that is asked for; None: movement, or one of the other gestures.
+    name: name of the gesture that is asked for; None: movement, or one of the other gestures.
     others: names of the other gestures.
     leading: side of the leading hand.
     rng: random numbers.

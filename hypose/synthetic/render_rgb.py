@@ -304,7 +304,7 @@ def cast_shadow(
 
     picture: (h, w, 3) float32 BGR.
     backdrop: whose visible floor is darkened.
-    camera: of the picture.
+    camera: camera of the picture.
     subject, vertices: the body, and its vertices (V, 3) m, world.
     """
     mask = shadow_mask(camera, subject.faces, vertices)

@@ -70,7 +70,7 @@ def look_at(
 ) -> Camera:
     """Make an upright camera at `position` (3,) m that looks at `target` (3,) m.
 
-    name: of the camera.
+    name: name of the camera.
     focal_px: focal length, px.
     size: (width, height), px.
     distortion: (5,) of the lens, or None.
@@ -148,13 +148,13 @@ _CLOTHES, _MOTION, _ROOM, _RIG, _DROPS, _MASKS, _NOISE, _PHASE, _OTHER = range(9
 class Scene(OfPerformance):
     """Synthetic recording of colour cameras with known truth.
 
-    name: of the scene.
+    name: name of the scene.
     subject: true body of the person (dressed).
     performance: motion of the person.
     rig: the true cameras.
     given_rig: the calibration that the user has.
     corruption: faults of the recording.
-    seed: of everything random.
+    seed: seed of all random numbers.
     others: further people in view (subject, performance) that are not to be tracked.
     sensor: properties of the cameras.
     hands_only: whether the clothes leave only face and hands bare, and none has the colour of skin.
@@ -407,7 +407,7 @@ def make_scene(
     subject: a name of `load_subjects` ("": chosen by the seed), or a SyntheticSubject.
     rig: a name (`camera_rig`) or a rig; "court-4" adds a second person.
     seconds, frame_rate: s and Hz.
-    seed: of everything random.
+    seed: seed of all random numbers.
     corruption: Corruptions, or names of them.
     clothing_m: thickness of the clothes, 0 to 0.04 m.
     distorted: whether lenses have distortion.

@@ -105,7 +105,8 @@ MAX_CLOTHING_M = 0.04
 def dress(subject: SyntheticSubject, thickness_m: float, rng: np.random.Generator) -> SyntheticSubject:
     """Dress a subject: move its surface outwards, joints stay.
 
-    thickness_m: of the clothes (<= 0.04 m); the displacement is 0.3 to 1 times this where cloth_weight is 1, less
+    thickness_m: thickness of the clothes (<= 0.04 m); the displacement is 0.3 to 1 times this where cloth_weight is 1,
+        less
         towards bare parts.
     Returns: the dressed subject.
     Raises: InputError for a thickness outside the range.

@@ -67,7 +67,7 @@ class PersonResult:
 
     motion: in a world with z up.
     files: files that were written.
-    assessment: of the motion.
+    assessment: assessment of the motion.
     """
 
     motion: Motion
@@ -292,7 +292,7 @@ def _registration(people: Sequence[Sequence[SensorJoints]], names: Sequence[str]
     """Register the sensors from all persons together, so that all share one frame of reference.
 
     people: one clip per person.
-    names: of the sensors.
+    names: names of the sensors.
     Raises: InputError where no joint is seen, or the sensors do not see the same person.
     """
     clips = [[common_joints(f) for f in clip] for clip in people]
