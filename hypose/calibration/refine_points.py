@@ -125,7 +125,7 @@ def changes(old: CameraRig, new: CameraRig, points_world: Array) -> tuple[Camera
 
     old, new: the rigs, with the same cameras in the same order.
     points_world: (N, 3) points of the person, m.
-    """
+    Returns: one per camera: rotation, displacement, focal factor, and movement of the points in the image."""
     out = []
     p = points_world[np.isfinite(points_world).all(1)]
     for a, b in zip(old, new, strict=True):

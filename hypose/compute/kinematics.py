@@ -100,8 +100,8 @@ def frames_of(q, tree, joints, rotations, centres, twists):
     q: (D,) pose.
     tree: joint tree of the body.
     joints: (K,) indices of the joints to compute, parents before their children.
-    rotations, centres, twists: arrays as in `joint_frames`; the rows of these joints and of their dof are filled, other
-        rows stay as they are."""
+    rotations, centres, twists: (J, 3, 3) world_from_joint, (J, 3) m and (D, 6), as `joint_frames` describes them;
+        the rows of these joints and of their dof are filled, other rows stay as they are."""
     local = np.empty((3, 3))
     jacobian = np.empty((3, 3))
     turned = np.empty((3, 3))

@@ -34,10 +34,10 @@ def shown_parts(
 
     vertices: (V, 3) m.
     faces, part: (F, 3), and (F,) part of each.
-    projection: (3, 4).
+    projection: (3, 4) pinhole projection.
     shape: (h, w) of the view.
-    Returns: (h, w) 1 + the part, 0 where there is no body; and the rows and columns that contain the body.
-    """
+    Returns: (h, w) number of the visible part plus 1, 0 where there is no body; and the rows and columns that
+        contain the body."""
     out, (uv, z, reach) = np.zeros(shape, np.uint8), projected(vertices, projection)
     x0, y0 = (int(np.clip(np.ceil(reach[k, 0]), 0, shape[1 - k])) for k in range(2))
     x1, y1 = (int(np.clip(np.floor(reach[k, 1]) + 1, n, shape[1 - k])) for k, n in enumerate((x0, y0)))

@@ -195,12 +195,12 @@ _BONES = (
 class AssociationSettings:
     """Settings of the association of detections with people.
 
-    gate: m, largest mean distance between prediction and detection.
+    gate: m, largest mean distance between the predicted points of a person and a detection of this person.
     birth: m, largest mean distance of the rays of two detections of a new person; the other pairs of its detections may
         have 1.5 times as much.
     near: m, largest distance of a ray that counts for a point.
     complete: m, largest distance at which a single free point completes a person.
-    limit: m; larger distances count as this.
+    limit: m, upper bound of a distance; larger distances are replaced by it.
     merge: m, two people nearer than this are one.
     apart: m, no new person starts nearer than this to another.
     patience: s without two views after which a track ends.
@@ -212,9 +212,8 @@ class AssociationSettings:
     walk, restart: m/s and m, largest distance of a person after a gap.
     alike: largest mean difference of the logarithms of bones' lengths of the same body.
     motion: share of the last step of a point that predicts the next one.
-    jump: m, a longer step predicts none.
-    objects: m, largest mean distance of the rays of one person's objects; large, because outlines are no points.
-    """
+    jump: m, after a step that is longer than this no motion is predicted.
+    objects: m, largest mean distance of the rays of one person's objects; large, because outlines are no points."""
 
     gate: float = 0.22
     birth: float = 0.10

@@ -110,7 +110,7 @@ def arranged(names: Sequence[str], points: Array) -> tuple[str, Array, list[str]
 
 
 def bone_excess(points: ArrayLike, keypoint_set: str) -> float:
-    """Compute by how much the bones of people are too long when their points are read as a given set.
+    """Compute by how much people's bones are too long if their points are read as points of a certain key-point set.
 
     points: (N, K, 3) px and confidence, of N people.
     Returns: mean over bones of the median excess over their longest usual length, in units of it; NaN where too little

@@ -137,7 +137,7 @@ class Setting:
 
     @cached_property
     def behind(self) -> NDArray[np.float32]:
-        """(480, 640) inverse depth of the empty room, 1/m."""
+        """Picture (480, 640) of the inverse depth of the empty room, 1/m."""
         inverse = np.zeros((PICTURE_SIZE[1], PICTURE_SIZE[0]), np.float32)
         depth_sensor.draw(transform(self.view, self.room.vertices), self.room.faces, _PINHOLE, inverse)
         return inverse

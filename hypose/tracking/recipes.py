@@ -143,8 +143,8 @@ def dd_hpf_rivals(body: Body, particles: int = 500, frame_rate: float = 25.0, ri
     """Build `published_recipes.dd_hpf_plus` with contour refinement, rival arms, a solved start, prediction and
     recovery.
 
-    The particles find what the detections show, the rivals what the detections miss.
-    """
+    The particles find limbs whose ends are detected; the rivals (alternative arms) find arms whose detection is
+    missing."""
     base = published.dd_hpf_plus(body, particles, frame_rate=frame_rate)
     layers = (
         *base.layers,

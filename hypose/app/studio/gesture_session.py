@@ -99,7 +99,7 @@ class GestureTopic(Topic):
             run.requests.put("again")
 
     async def heard(self, message: dict[str, Any]) -> None:
-        """Start a session, or pass a message to the running one."""
+        """Handle a message of a page: start a session, or pass the message to the running session."""
         if message["t"] == "start":
             await asyncio.to_thread(self._start, message)
         elif (run := self.running) is None:
