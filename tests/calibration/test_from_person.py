@@ -8,7 +8,7 @@ import pytest
 from benchmarks.cameras.boardless import errors, without_poses
 from benchmarks.synthetic.wandering import RATE, WanderingSettings, wandering
 from hypose.app.cli import run_cli
-from hypose.app.jobs.person_job import with_focal_lengths
+from hypose.app.commands.commands_calibrate import with_focal_lengths
 from hypose.calibration.from_person import calibrate_from_person
 from hypose.calibration.sync_motion import Curves
 from hypose.calibration.two_views import rival_offsets

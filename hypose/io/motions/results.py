@@ -412,7 +412,7 @@ class Checkpoint:
     def load(path: str | Path, identity: Mapping[str, Any]) -> Checkpoint:
         """Read a checkpoint of the same run.
 
-        identity: of the present run.
+        identity: identity of the present run.
         Raises: InputError where an input, a setting, the seed or a version differs; it names the difference.
         """
         found = Checkpoint.read(path)
