@@ -130,7 +130,8 @@ def test_spoilt_files_are_refused_in_a_sentence_or_read_as_they_are(good, target
             if found is not None and 0 < k <= 10:  # cut: what is read is what stands there
                 for name, values in found.items():
                     part = want[name].ravel()[: values.size]
-                    same = np.isclose(values.ravel()[: part.size], part, atol=1e-6, equal_nan=True)
+                    found_part = values.ravel()[: part.size]
+                    same = np.isclose(found_part, part, atol=1e-6) | np.isnan(found_part)  # NaN: what was cut off
                     assert same.all(), (target.name, k, name)
     finally:
         file.write_bytes(whole)
