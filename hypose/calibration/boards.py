@@ -81,10 +81,9 @@ class Board:
 
     @cached_property
     def points(self) -> Array:
-        """Corners (N, 3) in the board's frame, row by row, m.
+        """Positions (N, 3) of the board's corners in the board's frame, m, row by row.
 
-        z is 0. Seen from the front, x points right, y down and z into the board.
-        """
+        z is 0. Seen from the front, x points right, y down and z into the board."""
         nx, ny = self.size
         xy = np.stack(np.meshgrid(np.arange(nx), np.arange(ny)), -1).reshape(-1, 2)
         first = 0 if self.kind == "chessboard" else 1

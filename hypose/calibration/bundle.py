@@ -297,8 +297,8 @@ class _Problem(SharedProblem[list[Camera]]):
         """Apply a step; changes of focal lengths are limited, so that a camera stays possible.
 
         state: cameras and world_from_board (F, 4, 4).
-        step: (C p,) of the cameras.
-        own: (F, 6) of the boards.
+        step: (C p,) step of the cameras.
+        own: (F, 6) step of the boards.
         Returns: the new state, and infinity, because the descent does not stop by the size of a step.
         """
         cameras, frames = state

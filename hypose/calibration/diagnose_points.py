@@ -314,7 +314,7 @@ def _undecided(
     """Make the finding that pairs of cameras disagree, where it is unknown which camera is wrong.
 
     views: indices of the cameras that moved.
-    confidence: (C, T, K) of the key points.
+    confidence: (C, T, K) confidence of the key points.
     before, after: median residual before and after the refinement, px.
     image_px: largest movement of the person in an image by the refinement, px.
     """

@@ -353,8 +353,8 @@ class PointBundle(SharedProblem[_Shared]):
         """Apply a step to cameras and points.
 
         state: cameras with their radial terms, and points (N, 3), m.
-        step: (C P,) of the cameras.
-        own: (N, 3) of the points.
+        step: (C P,) step of the cameras.
+        own: (N, 3) step of the points.
         Returns: the new state, and the largest change of a camera.
         """
         (cameras, radial), points = state

@@ -178,12 +178,12 @@ class DepthArrays(NamedTuple):
 
     points: (M, 3) m, world.
     normals: (M, 3) unit, outward.
-    weight: (M,) of each point.
+    weight: (M,) weight of each point.
     first: (C + 1,) points first[c] to first[c + 1] are those of sensor c.
     eyes: (C, 3) m, positions of the sensors in the world.
     maps: (C, h, w) depth maps, m along the optical axis; 0: not known.
     sizes: (C, 2) width and height of each map, px.
-    projections: (C, 3, 4) of the maps' pixels; the last row has unit length, so that it gives metres.
+    projections: (C, 3, 4) projections of the maps' pixels; the last row has unit length, so that it gives metres.
     ring_first: (V + 1,) the faces around vertex v are ring[ring_first[v]] to ring[ring_first[v + 1]].
     ring: (3 F, 3) the other two corners of such a face, in the face's order, and the row of the face at the edge to the
         first.

@@ -158,7 +158,7 @@ def frames_of(q, tree, joints, rotations, centres, twists):
 def _forward_kinematics(poses, tree, rotations, centres):
     """Compute the joint frames of N poses; see `forward_kinematics`.
 
-    poses: (N, D).
+    poses: (N, D) pose vectors, rad and m.
     tree: joint tree of the body.
     rotations, centres: (N, J, 3, 3) and (N, J, 3) get the rotations world_from_joint and the centres in the world, m.
     """

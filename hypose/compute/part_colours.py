@@ -35,7 +35,7 @@ def shown_parts(
     vertices: (V, 3) m.
     faces, part: (F, 3), and (F,) part of each.
     projection: (3, 4) pinhole projection.
-    shape: (h, w) of the view.
+    shape: (h, w) shape of the view.
     Returns: (h, w) number of the visible part plus 1, 0 where there is no body; and the rows and columns that
         contain the body."""
     out, (uv, z, reach) = np.zeros(shape, np.uint8), projected(vertices, projection)

@@ -62,7 +62,7 @@ def draw_parts(
     uv, z: (V, 2) px and (V,) m of the vertices.
     faces, part: (F, 3), and (F,) part of each.
     n_parts: number of parts.
-    shape: (h, w) of the picture.
+    shape: (h, w) shape of the picture.
     closed: the faces of a part have no holes, so that those facing the camera cover what all of them cover.
     Returns: (n_parts, W, h) bits.
     """
@@ -117,7 +117,7 @@ def touched_area(
     """Measure the connected pieces of the overlap of two masks.
 
     bits, others: (H, B) masks, packed as by `prepare_masks`.
-    size: (width, height) of the masks.
+    size: (width, height) size of the masks.
     step: distance between the rows and columns that are read, px.
     at: (N, 2) px of the masks; points outside touch nothing.
     Returns: pixels of the pieces (connected over corners too) that the points touch, and of the largest of the other

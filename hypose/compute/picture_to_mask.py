@@ -30,7 +30,7 @@ _LANES = 16
 class Undistortion(NamedTuple):
     """Tables that convert stored pictures of one camera to undistorted ones (h, w) of the working size.
 
-    stored: (width, height) of the stored pictures, which are first shrunk by area.
+    stored: (width, height) size of the stored pictures, which are first shrunk by area.
     columns, column_weights: (w,) and (w, K) int32: working column x is the sum over k of column_weights[x, k] times
         stored column columns[x] + k, after the rows.
     rows, row_weights: (h,) and (h, L) uint16, the same of rows.

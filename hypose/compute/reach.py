@@ -122,7 +122,7 @@ def _score_points(points, weights, rotation, centre, prepared, bits, cutoff, out
     """Score points of limbs into out (N,), as `score_points`.
 
     points: (N, P, 3) m, in the frame of a joint.
-    weights: (P,) of the points.
+    weights: (P,) weights of the points.
     rotation, centre: frame of the joint in the world, (3, 3) and (3,) m.
     prepared: masks of the frame.
     bits: (C, h, B) the standing parts, packed like the masks.

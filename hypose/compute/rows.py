@@ -380,7 +380,7 @@ def outline_points(sdf: NDArray[np.float32], size: tuple[int, int], k: int) -> t
     """Find up to k points on the zero line of a signed distance.
 
     sdf: (h, w) signed distance, px.
-    size: (width, height) of the view in it.
+    size: (width, height) size of the view in it.
     k: number of points.
     Returns: (k, 2) float32 px (repeated where the outline has fewer pixels, -1e6 where it has none), and the number of
         outline pixels. Three pixels along the image border are omitted, because there the image cuts the person off.

@@ -87,7 +87,7 @@ def bone_maps(poses, first, tree, needed, frames, centres, axis, scratch, maps):
 
     first: index of the first pose.
     tree: joint tree of the body.
-    poses: (N, D).
+    poses: (N, D) pose vectors, rad and m.
     needed: (J,) bool, joints to compute.
     frames, centres: (J + 1, 9, LANES) and (J, 3, LANES), kinematics in float64.
     axis, scratch: scratch.
@@ -276,7 +276,7 @@ def _silhouette_xor(
     """Compare blocks first..last (of LANES poses) with the masks, inside boxes (C, 4), in the views that are usable
     (C,).
 
-    poses: (N, D).
+    poses: (N, D) pose vectors, rad and m.
     tree, mesh: joint tree and mesh of the body, the mesh as LaneMesh.
     prepared: masks of the frame.
     box_areas: (C,) pixels of the masks in the boxes.
@@ -366,7 +366,7 @@ def least_energies(poses, first, last, tree, mesh, turning, prepared, boxes, dra
     """Compute lower bounds of the silhouette cost of poses, for the blocks first..last of LANES poses each, into out
     (N, C).
 
-    poses: (N, D).
+    poses: (N, D) pose vectors, rad and m.
     tree, mesh, prepared: joint tree and mesh of the body, and masks of the frame.
     turning, boxes, drawn_counts, scratch: the same arrays with which `_silhouette_xor` was called.
     cells: sums as filled by `uncovered`."""

@@ -83,7 +83,7 @@ class PoseMemory(Generic[_Found]):
     def keep(self, body: Body, pose: Array, found: _Found) -> _Found:
         """Store the result of a pose and return it.
 
-        pose: (D,).
+        pose: (D,) pose vector, rad and m.
         found: its result."""
         self._found[self._key(body, pose)] = found
         return found

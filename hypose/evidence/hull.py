@@ -196,7 +196,7 @@ def _free_cells(
     camera: camera of the view.
     mask: (h, w) 0 or 1.
     sums: (h + 1, w + 1) its integral image.
-    centres: (M, 3) of the cubes, m.
+    centres: (M, 3) centres of the cubes, m.
     Returns: (M,) true where the whole cube projects into the image and on no pixel of a person; (M,) true where some
         pixel of a person may belong to it.
     edge: edge of the cubes, m; 0: only their centres are tested.

@@ -350,7 +350,7 @@ def thick_skeleton(
     """Draw a person as a mask: limbs `radius` px thick to either side, a filled torso, head and hands.
 
     points: (K, 3) px of that image; bones with an end below min_confidence are left out.
-    shape: (h, w) of the mask.
+    shape: (h, w) shape of the mask.
     """
     p = np.asarray(points, dtype=np.float64)
     mask = np.zeros(shape, np.uint8)

@@ -134,7 +134,7 @@ def _outline_around(
     """Compute the outline of a person whom the function put(mask, corner (y, x)) draws into an empty part of the mask.
 
     box: y0, y1, x0, x1 around the person.
-    shape: (h, w) of the whole mask.
+    shape: (h, w) shape of the whole mask.
     count: number of outline points.
     working_height: px, see `outline_in_box`.
     """

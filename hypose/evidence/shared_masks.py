@@ -34,7 +34,7 @@ class BodyShape:
     """Skin of a posed body as pinhole cameras see it.
 
     vertices: (V, 3) m.
-    faces: (F, 3) of a closed surface.
+    faces: (F, 3) faces of a closed surface.
     rig: the cameras.
     """
 

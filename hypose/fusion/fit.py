@@ -69,7 +69,7 @@ def remaining_uncertainty(
     states: (K, 15), their states.
     eyes: (K, 3) m, positions of the sensors, NaN where unknown.
     left: (3,) direction to the person's left, of any length.
-    lengths: (18,) m of joints.SKELETON_BONES, 0 where unknown.
+    lengths: (18,) m, lengths of joints.SKELETON_BONES, 0 where unknown.
     joints: (15, 3) m, the fused joints.
     variance: (15,) m^2 per axis, the part that averages out over frames and sensors.
     Returns: systematic variance (15,) m^2 per axis, and probability (15,) of an error above LARGE_ERROR_M.
@@ -106,7 +106,7 @@ def seen_joints(positions: Array, states: NDArray[np.uint8], eyes: Array, left: 
     states: (K, 15) joint states (0 missing, 1 inferred, 2 tracked).
     eyes: (K, 3) m, positions of the sensors, NaN where unknown.
     left: (3,) direction to the person's left, of any length.
-    lengths: (18,) m of joints.SKELETON_BONES, 0 where unknown.
+    lengths: (18,) m, lengths of joints.SKELETON_BONES, 0 where unknown.
 
     A joint is doubted where the body hides it from the sensor, where the sensor sees the back, where its state is
     inferred, and where its bone has an unusual length."""
@@ -185,7 +185,7 @@ class FitSettings:
 class FitState:
     """Memory of the fit between two frames.
 
-    joints: (15, 3) m of the last frame; None before the first.
+    joints: (15, 3) m, joints of the last frame; None before the first.
     velocity: (15, 3) m/s of the last frame.
     time: s of that frame.
     seen: (15,) s, time at which each joint last had evidence.
@@ -227,8 +227,8 @@ class FitEstimate:
 def start_fit(lengths: ArrayLike | None = None) -> FitState:
     """Make the state before the first frame.
 
-    lengths: (18,) m of joints.SKELETON_BONES where known (0 = unknown), which are then kept; None: they are estimated
-        from the frames.
+    lengths: (18,) m, lengths of joints.SKELETON_BONES where known (0 = unknown), which are then kept; None: they are
+        estimated from the frames.
     """
     return FitState(
         None,

@@ -493,7 +493,7 @@ def _fit(body: Array, ours: Array, iterations: int) -> tuple[Array, float] | Non
     """Estimate where a sensor stands from skeletons of the same person, robustly.
 
     body: (T, 15, 3) m in the sensor's frame.
-    ours: (T, 15, 3) m of the tracked person in the common frame.
+    ours: (T, 15, 3) m, joints of the tracked person in the common frame.
     iterations: largest number of weighted solves.
     Returns: common_from_sensor (4, 4) and the median distance, m; None with fewer than 20 common joints.
     """

@@ -208,7 +208,8 @@ def frames_backwards(frames: FrameRange, stop: int) -> Iterator[Frame]:
 
 
 def with_last(backwards: Iterable[Frame]) -> Iterator[tuple[Frame, Frame | None]]:
-    """Yield frames that come backwards, each with the one before it in time."""
+    """Yield the frames of a sequence that runs backwards in time, each with the frame before it in time (None for
+    the first frame of the clip)."""
     return ((frame, last) for frame, last in pairwise(chain(backwards, (None,))) if frame is not None)
 
 

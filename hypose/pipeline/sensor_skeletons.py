@@ -143,7 +143,7 @@ def skeleton_rows(
 ) -> tuple[SkeletonRows, Registration]:
     """Make evidence from skeletons (T) in the world of a motion (T) of the same person.
 
-    indices: (T,) of the frames.
+    indices: (T,) indices of the frames.
     Returns: the evidence, and the registration of the sensors; its sensor 0 is the motion itself. A sensor that stays
         apart from the motion is not registered and gives no evidence.
     """

@@ -257,7 +257,7 @@ def _travel(angles: Angles, subject: SyntheticSubject, rotations: Array) -> tupl
 
     angles: angles of the motion.
     subject: the person.
-    rotations: (T, 19, 3, 3) of the joints, facing -y.
+    rotations: (T, 19, 3, 3) rotations of the joints, facing -y.
     Returns: root path (T, 3) m, and heading rotations (T, 3, 3) by which the rotations are to be turned.
     """
     times = angles.times

@@ -77,7 +77,7 @@ class Backdrop:
 
     image: (h, w, 3) float32 BGR.
     floor: (h, w) bool, pixels of the floor that nothing hides.
-    depth: (h, w) m of the occluders (inf elsewhere).
+    depth: (h, w) m, depth of the occluders (inf elsewhere).
     """
 
     image: Floats
@@ -350,7 +350,7 @@ def noise_bank(size: tuple[int, int], sd: float, rng: np.random.Generator) -> ND
     """Draw a picture of Gaussian noise that is larger than the frames, from which `develop` takes a window for each
     frame.
 
-    size: (w, h) of the pictures, px.
+    size: (w, h) size of the pictures, px.
     sd: standard deviation, grey levels.
     rng: random numbers.
     Returns: (h + 64, w + 64, 3) whole grey levels."""
@@ -374,7 +374,7 @@ def blend_shaded(
     """Blend a drawn mesh into a picture (h, w, 3), in place.
 
     face, bary: result of `rasterize` at samples x samples per pixel.
-    faces: (F, 3) of the mesh.
+    faces: (F, 3) faces of the mesh.
     values: (V, 5) per vertex: BGR colour, cosine to the light, and upward component of the normal.
     samples: samples per pixel and axis.
     light: (ambient, direct, sky).

@@ -73,7 +73,7 @@ def look_at(
     name: name of the camera.
     focal_px: focal length, px.
     size: (width, height), px.
-    distortion: (5,) of the lens, or None.
+    distortion: (5,) distortion of the lens, or None.
     """
     c, t = np.asarray(position, dtype=np.float64), np.asarray(target, dtype=np.float64)
     forward = (t - c) / np.linalg.norm(t - c)

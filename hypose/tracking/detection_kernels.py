@@ -87,7 +87,7 @@ class DetectedLimb:
 
     joint: index of the ball joint; parent: parent of the joint that carries it.
     ball, hinge: index in the pose of the first coordinate of the ball joint, and of the coordinate of the hinge.
-    upper: (3,) hinge minus ball; lower: (3,) end minus hinge; axis: (3,) of the hinge; in the model frame at rest,
+    upper: (3,) hinge minus ball; lower: (3,) end minus hinge; axis: (3,) axis of the hinge; in the model frame at rest,
         m.
     The end is fixed to the hinge's segment (wrists do not move; an ankle's own freedom does not move its centre)."""
 

@@ -233,7 +233,8 @@ def limb_energy(
     whose energy is near that of the first one.
 
     frame: prepared frame.
-    poses: (N, D); moving: (J,) true for the joints that differ; rest: drawing of the parts that do not move; None:
+    poses: (N, D) pose vectors, rad and m; moving: (J,) true for the joints that differ; rest: drawing of the parts that
+        do not move; None:
         it is made.
     slack: poses that cost more than this many times the first pose may get an infinite energy.
     rest_depth: the parts that do not move, as depth cameras see them."""

@@ -78,7 +78,7 @@ class TrackerSettings:
 class FrameEstimate:
     """Result of one frame.
 
-    pose: (D,); uncertainty: uncertainty of the pose and its joints.
+    pose: (D,) pose vector, rad and m; uncertainty: uncertainty of the pose and its joints.
     cost: 1 - `agreement` with the masks; NaN without masks.
     lost: the person is lost; extrapolated: there was no evidence; n_views: number of views with evidence.
     overlap: (C,) IoU of the body with each view's mask, NaN where not usable; empty when not computed.

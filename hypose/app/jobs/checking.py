@@ -381,7 +381,7 @@ def _hull_facts(
 def _hull_warnings(recording: Recording, heights: np.ndarray, ious: np.ndarray) -> list[str]:
     """List sentences on views that contradict the others, and on a hull of a height that no person has.
 
-    heights: (N,) of the hulls, m.
+    heights: (N,) heights of the hulls, m.
     ious: (N, C) IoU of each hull with each view's mask; NaN where the mask is unusable.
     """
     out = []

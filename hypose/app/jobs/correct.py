@@ -179,7 +179,7 @@ _UNKNOWN = {
 def join(old: Motion, new: Motion, row: int, record: Mapping[str, Any] | None) -> Motion:
     """Replace rows of a motion by those of another one.
 
-    row: as returned by `old` in which `new` begins.
+    row: row of `old` in which `new` begins.
     record: added to the corrections in the provenance; None: nothing is added.
     Returns: the joined motion. Values that `new` does not have are those of `_UNKNOWN` in its rows.
     """

@@ -45,7 +45,7 @@ _SMALL = 640 * 480
 def tile_layout(sizes: Sequence[tuple[int, int]]) -> tuple[list[tuple[int, int, int, int]], tuple[int, int]]:
     """Arrange the views in tiles below a title bar, each at most 960 px wide and all together 1920 px.
 
-    sizes: (width, height) of the recorded pictures, px.
+    sizes: (width, height) sizes of the recorded pictures, px.
     Returns: (x, y, width, height) px of each view in the picture, and (width, height) px of the picture before it is
         cut to even numbers, which videos need.
     """
@@ -327,7 +327,7 @@ def close_up(
     image: (h, w, 3) BGR.
     camera: camera whose pixels are those of the image.
     points: (N, 3) m, world, of the person; the whole picture is shown where none of them is in front of the camera.
-    size: (width, height) of the cut picture, px.
+    size: (width, height) size of the cut picture, px.
     room: size of the part that is shown, relative to that of the points.
     Returns: the cut picture, grey beyond the borders of the image, and the camera whose pixels are those of it.
     """

@@ -145,7 +145,7 @@ class Controls:
     def change(self, message: Mapping[str, Any], size: tuple[int, int]) -> bool:
         """Apply a message that changes box, threshold, hold or map.
 
-        size: (width, height) of the pictures, px; a box outside is moved to the border.
+        size: (width, height) size of the pictures, px; a box outside is moved to the border.
         Returns: False where the message is none of these.
         Raises: InputError where its value is not possible.
         """

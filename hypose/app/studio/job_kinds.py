@@ -35,7 +35,7 @@ walks.
 class Plan:
     """Command of a job.
 
-    arguments: as returned by `hypose`.
+    arguments: arguments of the command `hypose`.
     title: for the page.
     recording, result: ids; the result may not exist yet.
     resumable: whether the same command with --resume continues an unfinished job.

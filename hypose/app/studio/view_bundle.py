@@ -51,12 +51,11 @@ _THREADS = 2
 
 @dataclass(frozen=True)
 class Rivals:
-    """Other poses that the evidence allows.
+    """Other poses that the evidence of a motion's frames allows.
 
     rows: (N,) rows of the motion that have another pose.
-    joints: (N, R, J, 3) m of these, best first; NaN where a frame has fewer.
-    weights: (T, 1 + R), first the weight of the motion's own pose.
-    """
+    joints: (N, R, J, 3) m, joints of the R other poses, best first; NaN where a frame has fewer.
+    weights: (T, 1 + R) probabilities; column 0 is that of the motion's own pose."""
 
     rows: NDArray[np.int64]
     joints: NDArray[np.float32]

@@ -154,7 +154,7 @@ def check_picture_size(
 def check_background(view: ViewSettings, camera: Camera, size: tuple[int, int] | None) -> None:
     """Check that the background of a view fits its pictures.
 
-    size: (width, height) of the view's pictures.
+    size: (width, height) size of the view's pictures.
     Raises: InputError where it does not fit.
     """
     assert view.background is not None

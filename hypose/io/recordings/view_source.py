@@ -177,10 +177,10 @@ def places_in_stored(
 ) -> NDArray[np.float32]:
     """Compute where the pixels of the undistorted picture lie in a stored picture.
 
-    size: (width, height) of the undistorted picture.
+    size: (width, height) size of the undistorted picture.
     camera: calibrated camera.
     shift: (x, y) that is added to positions in the stored picture, px of the calibrated size.
-    stored: (width, height) of the stored picture.
+    stored: (width, height) size of the stored picture.
     Returns: (h, w, 2) px."""
     moved = np.array(shift) * stored / np.array(camera.size)
     return np.asarray(np.stack(camera.undistort_maps(size, stored), -1) - moved, dtype=np.float32)

@@ -367,11 +367,12 @@ def _opener(view: LiveView, size: tuple[int, int], rate: float, begin: float) ->
 
 
 class CaptureProcess:
-    """Capture in another process: call `ask`, then `answer`; between the two there is time for other work.
+    """Cameras with their masks in another process: call `ask` to send a request, and `answer` to receive its result;
+    between the two the caller can do other work.
 
-    stop: once it is set, nothing is waited for, also while cameras are being opened; then only `close` may be called.
-    Raises: InputError where a camera cannot be opened.
-    """
+    stop: event; once it is set, no call waits any more, also while cameras are being opened, and only `close` may be
+        called.
+    Raises: InputError where a camera cannot be opened."""
 
     def __init__(
         self, rig: CameraRig, views: Sequence[LiveView], options: CaptureOptions, stop: threading.Event | None = None

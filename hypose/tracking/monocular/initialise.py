@@ -221,7 +221,7 @@ def _contour_cost(
     search: settings of the cost.
     points_on: places the picture's points on a body.
     frame: with the picture.
-    pose: (D,).
+    pose: (D,) pose vector, rad and m.
     """
     light = without_display(template)
 
