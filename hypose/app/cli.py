@@ -150,7 +150,7 @@ class _Command(click.Command):
 def make_command(name: str, declares: Callable[..., Any], load: Callable[[], Any] | None = None) -> click.Command:
     """Make a command with the options that a function or dataclass declares (`hypose.options.declared`).
 
-    name: of the command.
+    name: name of the command.
     declares: called with the values of the options: a function does the work, a dataclass keeps the values.
     load: imports and returns the function that does the work and takes the instance of the dataclass; None where
         `declares` does it.
@@ -226,7 +226,7 @@ def run_cli(arguments: Sequence[str] | None = None, command: click.Command = app
         others are those of the commands.
     arguments: default: those of the process; then some of its settings are adapted as well.
     command: group of commands, `hypose` by default.
-    name: of the program, for the help.
+    name: name of the program, for the help.
     """
     if arguments is None:
         _read_names_as_utf8()

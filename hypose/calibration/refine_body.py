@@ -29,6 +29,10 @@ from hypose.tracking.refinement import anatomical_prior
 _Cameras = list[Camera]
 
 
+_NORMALS = 0.3
+"""Smallest cosine between the outline normals of a row; other rows are left out."""
+
+
 @dataclass(frozen=True)
 class BodySettings:
     """Settings of the refinement with a body.
@@ -91,7 +95,7 @@ def _cue(one: ContourTerm, o: BodySettings) -> Cue[_Cameras]:
 
     def rows(at: Posed, cameras: _Cameras, factor: float) -> Iterable[Rows]:
         projections = np.stack([c.projection for c in cameras])
-        return rows_of_contours(at, one, factor, o.contour_weight, one.row_spacing_px, projections)
+        return rows_of_contours(at, one, factor, o.contour_weight, one.row_spacing_px, _NORMALS, projections)
 
     return rows
 

@@ -20,7 +20,7 @@ from hypose.compute.kinematics import (
 )
 from hypose.compute.lane_mesh import moving_parts
 from hypose.compute.threads import over_chunks
-from hypose.compute.zbuffer import NEAR, draw_nearest
+from hypose.compute.zbuffer import draw_nearest, project
 
 
 class SeenDepth(NamedTuple):
@@ -28,9 +28,9 @@ class SeenDepth(NamedTuple):
 
     maps: (C, h, w) m along the optical axis at the person's pixels, 0 elsewhere.
     sizes: (C, 2) width, height of each.
-    projections: (C, 3, 4) of these pixels, the last row of unit length.
-    counts: (C,) number of pixels of the person.
-    """
+    projections: (C, 3, 4) pinhole projections to these pixels; the last row has unit length, so that it gives
+        metres.
+    counts: (C,) number of pixels of the person."""
 
     maps: NDArray[np.float32]
     sizes: NDArray[np.int64]
@@ -41,15 +41,14 @@ class SeenDepth(NamedTuple):
 class StandingDepth(NamedTuple):
     """Parts of a body that stand still while a limb is searched, drawn once.
 
-    pose: (D,).
+    pose: (D,) pose in which they were drawn.
     rotations: (J, 3, 3) of all joints at this pose.
     centres: (J, 3) m, relative to the root's position.
     joints: indices of the joints that turn, in the tree's order.
     faces: indices of the faces that move.
     vertices: indices of their vertices.
     drawn: (C, h, w) 1/m, 0 = none: inverse depth of the standing faces.
-    cost: (C,) pixels, cost of these.
-    """
+    cost: (C,) depth cost of the standing faces in each view, in pixels."""
 
     pose: NDArray[np.float64]
     rotations: NDArray[np.float64]
@@ -66,15 +65,14 @@ def depth_energy(
 ) -> NDArray[np.float64]:
     """Compute how badly the depths of posed bodies fit the depth maps.
 
-    tree, mesh: of the body.
-    poses: (N, D).
+    tree, mesh: joint tree and mesh of the body.
+    poses: (N, D) pose vectors, rad and m.
     seen: depth maps of the person.
     most_m: largest difference that counts, m.
     threads: number of threads; None: the default.
     Returns: (N, C): the sum over pixels that show both the person and the body of min(|z - z'|, most_m) / most_m,
         divided by the person's pixels. Pixels that show only one of them are left to the silhouettes. 0 for a view
-        without the person. The result is the same for any number of threads, and for a pose alone or among others.
-    """
+        without the person. The result is the same for any number of threads, and for a pose alone or among others."""
     q = plain(poses, np.float64)
     out = np.zeros((len(q), len(seen.maps)))
     given = tidy(tree), tidy(mesh), seen, np.float32(most_m)
@@ -87,11 +85,11 @@ def standing_depth(
 ) -> StandingDepth:
     """Draw the parts of a body at a pose (D,) that stand still while a limb moves.
 
-    tree, mesh: of the body.
+    tree, mesh: joint tree and mesh of the body.
     seen: depth maps of the person.
     most_m: largest difference of depth that counts, m.
     moving: (J,) bool, joints that move; they and the joints below them are left out.
-    """
+    Returns: the drawn parts, for `limb_depth_energy`."""
     q = plain(pose, np.float64)
     n = len(tree.parents)
     parts = moving_parts(mesh, tree, plain(moving, np.bool_))
@@ -116,12 +114,12 @@ def limb_depth_energy(
     """Compute `depth_energy` of poses that differ only in one limb from the standing parts.
 
     poses: (N, D).
-    tree, mesh: of the body.
-    seen, most_m: as in `depth_energy`.
+    tree, mesh: joint tree and mesh of the body.
+    seen: depth maps of the person.
+    most_m: largest difference of depth that counts, m.
     standing: drawn by `standing_depth`.
     rough: do not draw the limb, but compare each of its faces at its middle, which takes half the time.
-    Returns: (N, C), as of `depth_energy`.
-    """
+    Returns: (N, C) depth energy of each pose in each view, as defined in `depth_energy`."""
     q = plain(poses, np.float64)
     out = np.zeros((len(q), len(seen.maps)))
     given = tidy(tree), tidy(mesh), standing, seen, np.float32(most_m), rough
@@ -140,7 +138,7 @@ def limb_shown(
 ) -> NDArray[np.float64]:
     """Measure how much of a limb a sensor shows, at the pose at which the standing parts were drawn.
 
-    tree, mesh: of the body.
+    tree, mesh: joint tree and mesh of the body.
     seen: depth maps of the person.
     standing: parts without the limb.
     centre: (3,) m, world; areas are computed at its distance.
@@ -195,7 +193,7 @@ def _roughly(faces, chosen, about, seen, most, standing, size):
     chosen: indices of the limb's faces.
 
     Each face is compared at its middle and weighted by its area, without hiding other faces.
-    about: (4, V) projected vertices, by `_project`.
+    about: (4, V) projected vertices, by `zbuffer.project`.
     seen: (h, w) f4 measured depth, m.
     most: largest difference that counts, m.
     size: (2,) width and height of the picture.
@@ -221,32 +219,8 @@ def _roughly(faces, chosen, about, seen, most, standing, size):
 
 
 @kernel
-def _project(p, vertices, chosen, seen, size, box):
-    """Project the chosen vertices (V, 3) with a camera p (3, 4) f4 about the root.
-
-    seen: (4, V) gets the pixels u and v, the depths, m, and the inverse depths (0: nearer than NEAR).
-    size: (2,) width and height of the picture.
-    box: (4,) gets x0, x1, y0, y1 of the part of the picture in which the vertices in front of NEAR lie.
-    """
-    u, v, z, inverse = seen[0], seen[1], seen[2], seen[3]
-    x0, x1, y0, y1 = f4(1e6), f4(-1e6), f4(1e6), f4(-1e6)
-    for k in range(chosen.shape[0]):
-        i = chosen[k]
-        x, y, d = vertices[i, 0], vertices[i, 1], vertices[i, 2]
-        away = p[2, 0] * x + p[2, 1] * y + p[2, 2] * d + p[2, 3]
-        z[i], inverse[i], u[i], v[i] = away, f4(0), f4(0), f4(0)
-        if away >= f4(NEAR):
-            inverse[i] = f4(1) / away
-            u[i] = (p[0, 0] * x + p[0, 1] * y + p[0, 2] * d + p[0, 3]) * inverse[i]
-            v[i] = (p[1, 0] * x + p[1, 1] * y + p[1, 2] * d + p[1, 3]) * inverse[i]
-            x0, x1, y0, y1 = min(x0, u[i]), max(x1, u[i]), min(y0, v[i]), max(y1, v[i])
-    box[0], box[1] = int(max(x0, f4(0))), int(min(x1 + f4(1), f4(size[0])))
-    box[2], box[3] = int(max(y0, f4(0))), int(min(y1 + f4(1), f4(size[1])))
-
-
-@kernel
 def _draw(about, faces, chosen, size, drawn):
-    """Draw the chosen faces, projected by `_project` into about (4, V), into drawn (h, w) f4, 1/m."""
+    """Draw the chosen faces, projected by `zbuffer.project` into about (4, V), into drawn (h, w) f4, 1/m."""
     draw_nearest(about[0], about[1], about[3], faces, chosen, True, drawn[: size[1], : size[0]], None)
 
 
@@ -255,7 +229,7 @@ def _energies(poses, first, last, tree, mesh, seen, most, out):
     """Compute the costs of drawn poses against depth maps: the sum of `_off`, over most.
 
     poses, first, last: (N, D), of which those from first to last are computed.
-    tree, mesh: of the body.
+    tree, mesh: joint tree and mesh of the body.
     seen: SeenDepth.
     most: largest difference that counts, m.
     out: (N, C) gets the costs, in pixels.
@@ -270,7 +244,7 @@ def _energies(poses, first, last, tree, mesh, seen, most, out):
 def _stand(q, tree, mesh, faces, seen, most, rotations, centres, drawn, cost):
     """Draw some faces of the body at pose q (D,) and compute their cost; all outputs are overwritten.
 
-    tree, mesh: of the body.
+    tree, mesh: joint tree and mesh of the body.
     faces: indices of the faces that are drawn.
     most: largest difference that counts, m.
     seen: SeenDepth.
@@ -285,7 +259,7 @@ def _stand(q, tree, mesh, faces, seen, most, rotations, centres, drawn, cost):
     drawn[:] = f4(0)
     for c in range(seen.maps.shape[0]):
         camera_about_root(seen.projections[c], q, p)
-        _project(p, vertices, every, about, seen.sizes[c], box)
+        project(p, vertices, every, about, seen.sizes[c], box)
         _draw(about, mesh.faces, faces, seen.sizes[c], drawn[c])
         cost[c] = _cost(drawn[c], seen.maps[c], most, box) / most
 
@@ -295,7 +269,7 @@ def _limb_energies(poses, first, last, tree, mesh, standing, seen, most, rough, 
     """Compute the costs out (N, C), as `_energies`, of poses that differ only in one limb from the standing parts.
 
     poses, first, last: (N, D), of which those from first to last are computed.
-    tree, mesh: of the body.
+    tree, mesh: joint tree and mesh of the body.
     standing: StandingDepth.
     seen: SeenDepth.
     most: largest difference that counts, m.
@@ -320,7 +294,7 @@ def _limb_energies(poses, first, last, tree, mesh, standing, seen, most, rough, 
         skin_vertices(maps, mesh, moved, vertices)
         for c in range(p.shape[0]):
             size, measured = seen.sizes[c], seen.maps[c]
-            _project(p[c], vertices, moved, about, size, box)
+            project(p[c], vertices, moved, about, size, box)
             if rough:
                 grown = _roughly(mesh.faces, standing.faces, about, measured, most, drawn[c], size)
                 out[n, c] = standing.cost[c] + grown / most
@@ -337,7 +311,7 @@ def _limb_energies(poses, first, last, tree, mesh, standing, seen, most, rough, 
 def _limb_shown(tree, mesh, standing, seen, centre, reach, apart, out):
     """Measure the visible areas of a limb into out (C, 3), zero before, as `limb_shown`.
 
-    tree, mesh: of the body.
+    tree, mesh: joint tree and mesh of the body.
     standing: StandingDepth, the parts without the limb.
     seen: SeenDepth.
     centre: (3,) m from the root.
@@ -352,7 +326,7 @@ def _limb_shown(tree, mesh, standing, seen, centre, reach, apart, out):
     for c in range(seen.maps.shape[0]):
         whole, width, height = standing.drawn[c].copy(), seen.sizes[c, 0], seen.sizes[c, 1]
         camera_about_root(seen.projections[c], standing.pose, p)
-        _project(p, vertices, standing.vertices, about, seen.sizes[c], box)
+        project(p, vertices, standing.vertices, about, seen.sizes[c], box)
         _draw(about, mesh.faces, standing.faces, seen.sizes[c], whole)
         for k in range(3):
             at[k] = p[k, 0] * centre[0] + p[k, 1] * centre[1] + p[k, 2] * centre[2] + p[k, 3]

@@ -1,4 +1,4 @@
-"""Evidence of a pose in one picture: contours against edges and a mask, inner points against optical flow (kernels).
+"""Evidence of a pose in one picture: contours against edges, inner points against optical flow (kernels).
 
 Every term gives rows: a point of the body's surface (a blend of up to three vertices), a direction in the world, and
 the first and second derivative of the cost along it. hypose.tracking.monocular.problem adds the rows of other cues and
@@ -19,7 +19,7 @@ from hypose.compute.losses import along_kernel as along
 from hypose.compute.losses import leclerc_kernel as leclerc
 from hypose.compute.losses import lorentzian_kernel as lorentzian
 from hypose.compute.losses import quadratic_kernel as quadratic
-from hypose.compute.mono_nodes import bilinear, contour_nodes, fill_depth, inner_nodes, pose_mesh
+from hypose.compute.mono_nodes import contour_nodes, fill_depth, inner_nodes, pose_mesh
 from hypose.geometry import Array
 
 GAUSSIAN, LORENTZIAN, LECLERC = 0, 1, 2
@@ -35,13 +35,14 @@ class MonoModel(NamedTuple):
     """Body before a camera, with the parts that the estimated degrees of freedom move.
 
     tree, mesh: of the body.
-    all_faces, moving_faces: indices of all faces, and of those that they move.
+    all_vertices, all_faces, moving_faces: indices of all vertices and faces, and of the faces that they move.
     moving_vertices: (V,) vertices of which they carry more than half.
     projection: (3, 4) pinhole.
     """
 
     tree: TreeArrays
     mesh: MeshArrays
+    all_vertices: NDArray[np.int64]
     all_faces: NDArray[np.int64]
     moving_faces: NDArray[np.int64]
     moving_vertices: NDArray[np.bool_]
@@ -51,7 +52,7 @@ class MonoModel(NamedTuple):
 class EdgeSettings(NamedTuple):
     """Settings of the edge term, which compares contours with image edges.
 
-    form: of the loss: GAUSSIAN, LORENTZIAN or LECLERC.
+    form: form of the loss: GAUSSIAN, LORENTZIAN or LECLERC.
     sigma_px: its scale, px.
     height: nu, the cost of one independent sample that finds no edge.
     sample_px: px of contour per independent sample.
@@ -85,7 +86,7 @@ class EdgeSettings(NamedTuple):
 class FlowSettings(NamedTuple):
     """Settings of the flow term, which compares inner nodes with optical flow.
 
-    form, sigma_px, height: of the loss, as for edges.
+    form, sigma_px, height: form, scale (px) and height of the loss, as for edges.
     area_px: side of the square that makes one independent sample, px.
     spacing_px: distance of the grid's nodes, px.
     consistency_px: nodes with a larger forward-backward error are outliers.
@@ -99,25 +100,12 @@ class FlowSettings(NamedTuple):
     consistency_px: float = 1.0
 
 
-class MaskSettings(NamedTuple):
-    """Settings of the silhouette term, which compares the outer contour with a mask.
-
-    form, sigma_px, height: of the loss, as for edges; height 0: the term is left out.
-    sample_px: px of contour per independent sample.
-    """
-
-    form: int = LORENTZIAN
-    sigma_px: float = 4.0
-    height: float = 2.0
-    sample_px: float = 8.0
-
-
 class EdgeArrays(NamedTuple):
     """Evidence of the edge term.
 
     field: (h, w, 2) image gradient in units of a full edge, weighted by the motion boundaries.
     use: False: the term is omitted.
-    settings: of the term.
+    settings: settings of the term.
     """
 
     field: NDArray[np.float32]
@@ -131,7 +119,7 @@ class FlowArrays(NamedTuple):
     flow: (h, w, 2) px from the previous picture to this one, of a part of the image; (0, 0, 2) where there is none.
     error: (h, w) px, forward-backward.
     corner: (2,) x, y of the part's first pixel.
-    settings: of the term.
+    settings: settings of the term.
     """
 
     flow: NDArray[np.float32]
@@ -140,32 +128,16 @@ class FlowArrays(NamedTuple):
     settings: FlowSettings
 
 
-class MaskArrays(NamedTuple):
-    """Evidence of the outer contour against a silhouette, in both directions.
-
-    distance: (h, w) signed distance to the mask's edge, px, negative inside; (0, 0): the term is omitted.
-    outline: (K, 2) px, points of the mask's outline.
-    outline_share: px of outline for which one of these points stands.
-    settings: of the term.
-    """
-
-    distance: NDArray[np.float32]
-    outline: NDArray[np.float32]
-    outline_share: float
-    settings: MaskSettings
-
-
 class PictureArrays(NamedTuple):
     """Evidence of one picture.
 
     model: the body before the camera.
-    edges, flow, mask: the terms.
+    edges, flow: the terms.
     """
 
     model: MonoModel
     edges: EdgeArrays
     flow: FlowArrays
-    mask: MaskArrays
 
 
 class MonoWorkspace(NamedTuple):
@@ -173,12 +145,12 @@ class MonoWorkspace(NamedTuple):
 
     rotations, centres, twists: joint frames of the pose, about the root.
     vertices: (V, 3) about the root.
-    uvz: (V, 3) pixel and depth.
-    inverse: (V,) 1 / depth, 0 where that is too near.
+    seen: (4, V) pixels u and v, depths and inverse depths, of `zbuffer.project`.
+    box: (4,) part of the picture in which the body lies.
     front: (F,) 1: seen from outside.
     depth: (h, w) z-buffer, 1/m, 0 = nothing.
     node_ends: (N, 2) vertices between which a contour node lies.
-    nodes: (N, 8): place 0..1, u, v, normal u, v, length px, seen, outer.
+    nodes: (N, 7): place 0..1, u, v, normal u, v, length px, seen.
     flow_faces: (M, 3) vertices around an inner node.
     flow_nodes: (M, 5): weights of the second and third vertex, target u, v, weight.
     row_vertices: (R, 3) vertices of a row's point.
@@ -190,8 +162,8 @@ class MonoWorkspace(NamedTuple):
     centres: NDArray[np.float64]
     twists: NDArray[np.float64]
     vertices: NDArray[np.float32]
-    uvz: NDArray[np.float32]
-    inverse: NDArray[np.float32]
+    seen: NDArray[np.float32]
+    box: NDArray[np.int64]
     front: NDArray[np.uint8]
     depth: NDArray[np.float32]
     node_ends: NDArray[np.int32]
@@ -206,13 +178,14 @@ class MonoWorkspace(NamedTuple):
 def model(tree: TreeArrays, mesh: MeshArrays, carried: NDArray[np.bool_], projection: Array) -> MonoModel:
     """Make the model of a body before a camera.
 
-    tree, mesh: of the body.
+    tree, mesh: joint tree and mesh of the body.
     carried: (J,) joints that the estimated degrees of freedom move.
     projection: (3, 4) pinhole.
     """
     share = (mesh.skin_weight * carried[mesh.skin_index]).sum(1)
     moving = np.flatnonzero((share > 0.01)[mesh.faces].any(1))
-    return MonoModel(tree, mesh, np.arange(len(mesh.faces)), moving, share > 0.5, plain(projection, np.float64))
+    every = np.arange(len(mesh.vertices)), np.arange(len(mesh.faces))
+    return MonoModel(tree, mesh, *every, moving, share > 0.5, plain(projection, np.float64))
 
 
 def workspace(m: MonoModel, height: int, width: int) -> MonoWorkspace:
@@ -225,12 +198,12 @@ def workspace(m: MonoModel, height: int, width: int) -> MonoWorkspace:
         np.zeros((j, 3)),
         np.zeros((d, 6)),
         np.zeros((v, 3), f4),
-        np.zeros((v, 3), f4),
-        np.zeros(v, f4),
+        np.zeros((4, v), f4),
+        np.zeros(4, np.int64),
         np.zeros(f, np.uint8),
         np.zeros((height, width), f4),
         np.zeros((MOST_NODES, 2), i4),
-        np.zeros((MOST_NODES, 8)),
+        np.zeros((MOST_NODES, 7)),
         np.zeros((MOST_INNER, 3), i4),
         np.zeros((MOST_INNER, 5)),
         np.zeros((rows, 3), i4),
@@ -241,12 +214,11 @@ def workspace(m: MonoModel, height: int, width: int) -> MonoWorkspace:
 
 @kernel
 def robust(form, s, sigma2):
-    """Compute rho(s) and its first and second derivative for height 1: equations (2) and (3) of Sminchisescu & Triggs
+    """Compute rho(s) and its first and second derivative (height 1): equations (2) and (3) of Sminchisescu & Triggs
     2001, and s / sigma^2 for the Gaussian.
 
     s, sigma2: squared length of the residual, and squared scale, px^2 or m^2.
-    form: GAUSSIAN, LORENTZIAN or LECLERC.
-    """
+    form: GAUSSIAN, LORENTZIAN or LECLERC."""
     t, gain = s / sigma2, 1 / sigma2
     if form == GAUSSIAN:
         value, first, second = quadratic(t, gain)
@@ -271,12 +243,13 @@ def curvature(first, second, s):
 
 @kernel
 def image_direction(p, u, v, depth, nx, ny):
-    """Compute the derivative (x, y, z) by a point in the world of its pixel (u, v) along (nx, ny), px / m.
+    """Compute the derivative of a pixel's position along an image direction with respect to the point in the world,
+    px / m.
 
     p: (3, 4) projection.
     u, v, depth: pixel and depth of the point, px and m.
     nx, ny: direction in the image.
-    """
+    Returns: derivatives by x, y and z."""
     iz = 1 / depth
     dx = (nx * (p[0, 0] - u * p[2, 0]) + ny * (p[1, 0] - v * p[2, 0])) * iz
     dy = (nx * (p[0, 1] - u * p[2, 1]) + ny * (p[1, 1] - v * p[2, 1])) * iz
@@ -307,7 +280,7 @@ def contour_row(p, ws, r, i, nx, ny, first, second):
     """
     node = ws.nodes[i]
     a, b, t = ws.node_ends[i, 0], ws.node_ends[i, 1], node[0]
-    depth = (1 - t) * ws.uvz[a, 2] + t * ws.uvz[b, 2]
+    depth = (1 - t) * ws.seen[2, a] + t * ws.seen[2, b]
     dx, dy, dz = image_direction(p, node[1], node[2], depth, nx, ny)
     put_row(ws, r, a, b, a, t, 0.0, dx, dy, dz, first, second)
 
@@ -450,70 +423,6 @@ def flow_terms(q, n_flow, picture, ws, n_rows):
 
 
 @kernel
-def mask_terms(n_nodes, picture, ws, n_rows):
-    """Compute the cost of the outer contour against a silhouette, in both directions.
-
-    picture, ws: PictureArrays and scratch memory.
-
-    Nodes are compared with the distance to the mask's edge, and points of the mask's outline with the nearest node
-    (along its normal), so that neither a small nor a large body is preferred.
-    n_nodes, n_rows: as in `edge_terms`.
-    Returns: cost, and number of rows.
-    """
-    mask, how, p = picture.mask, picture.mask.settings, picture.model.projection
-    h, w = mask.distance.shape
-    if h < 3 or w < 3:
-        return 0.0, n_rows
-    form, sigma2, cost = how.form, how.sigma_px**2, 0.0
-    outer = np.empty(n_nodes, np.int64)
-    places = np.empty((2, n_nodes), np.float32)
-    n = 0
-    for i in range(n_nodes):
-        node = ws.nodes[i]
-        if node[6] == 0 or node[7] == 0:
-            continue
-        outer[n] = i
-        places[0, n], places[1, n] = node[1], node[2]
-        n += 1
-        x, y = min(max(node[1], 1.0), w - 3.0), min(max(node[2], 1.0), h - 3.0)
-        d = bilinear(mask.distance, x, y)
-        gx = 0.5 * (bilinear(mask.distance, x + 1, y) - bilinear(mask.distance, x - 1, y))
-        gy = 0.5 * (bilinear(mask.distance, x, y + 1) - bilinear(mask.distance, x, y - 1))
-        slope = math.sqrt(gx * gx + gy * gy)
-        weight = 0.5 * how.height * node[5] / how.sample_px
-        value, first, second = robust(form, d * d, sigma2)
-        cost += 0.5 * weight * value
-        if slope > 0.1 and n_rows < ws.row_values.shape[0]:
-            bend = curvature(first, second, d * d)
-            contour_row(p, ws, n_rows, i, gx / slope, gy / slope, weight * first * d, weight * bend)
-            n_rows += 1
-    weight = 0.5 * how.height * mask.outline_share / how.sample_px
-    for m in range(mask.outline.shape[0]):
-        x, y = mask.outline[m, 0], mask.outline[m, 1]
-        nearest, best = f4(1e12), -1
-        for i in range(n):
-            dx, dy = places[0, i] - x, places[1, i] - y
-            d2 = dx * dx + dy * dy
-            if d2 < nearest:
-                nearest, best = d2, i
-        if best < 0:
-            cost += 0.5 * weight * robust(form, 1e6, sigma2)[0]
-            continue
-        node = ws.nodes[outer[best]]
-        d = node[3] * (node[1] - x) + node[4] * (node[2] - y)
-        # the distance along the contour is that between nodes, unless there is no contour near
-        aside = max(nearest - d * d - 100.0, 0.0)
-        s = d * d + aside
-        value, first, second = robust(form, s, sigma2)
-        cost += 0.5 * weight * value
-        if n_rows < ws.row_values.shape[0]:
-            bend = curvature(first, second, d * d)
-            contour_row(p, ws, n_rows, outer[best], node[3], node[4], weight * first * d, weight * bend)
-            n_rows += 1
-    return cost, n_rows
-
-
-@kernel
 def prepare_terms(before, picture, ws):
     """Place the inner nodes of the flow on the surface of the pose before (D,), that in the previous picture.
 
@@ -529,25 +438,21 @@ def prepare_terms(before, picture, ws):
 
 @kernel
 def picture_cost(q, picture, sigma, n_flow, ws):
-    """Compute the cost of edges, mask and flow at pose q (D,): equations (6) and (7) of Sminchisescu & Triggs 2001.
+    """Compute the cost of edges and flow at pose q (D,): equations (6) and (7) of Sminchisescu & Triggs 2001.
 
     picture, ws: PictureArrays and scratch memory, which gets the rows.
     sigma: scale of the edges, px.
     n_flow: number of inner nodes (0: without flow).
     Returns: cost, and number of rows.
-    Deviation: the evidence is not divided by N nu; masks are added.
+    Deviation: the evidence is not divided by N nu.
     """
     ws.counts[:] = 0
     pose_mesh(q, picture.model, ws)
     cost, n_rows = 0.0, 0
-    if picture.edges.use or picture.mask.distance.size > 0:
+    if picture.edges.use:
         fill_depth(picture.model, ws)
         n = contour_nodes(picture.model, picture.edges.settings.spacing_px, ws)
-        if picture.edges.use:
-            part, n_rows = edge_terms(n, picture, sigma, ws, n_rows)
-            cost += part
-        part, n_rows = mask_terms(n, picture, ws, n_rows)
-        cost += part
+        cost, n_rows = edge_terms(n, picture, sigma, ws, n_rows)
     part, n_rows = flow_terms(q, n_flow, picture, ws, n_rows)
     cost += part
     for f in range(ws.front.shape[0]):
@@ -560,14 +465,13 @@ def warm_up(tree: TreeArrays, mesh: MeshArrays, pose: Array, projection: Array) 
     """Compile (or load from the cache) every kernel of monocular tracking on a toy body at pose (D,), before a pinhole
     (3, 4) of 32 x 32 px.
 
-    tree, mesh: of the body.
+    tree, mesh: joint tree and mesh of the body.
     """
     still, error = np.zeros((32, 32, 2), np.float32), np.zeros((32, 32), np.float32)
     picture = PictureArrays(
         model(tree, mesh, np.ones(len(tree.parents), dtype=np.bool_), projection),
         EdgeArrays(still, True, EdgeSettings()),
         FlowArrays(still, error, np.zeros(2, dtype=np.int64), FlowSettings()),
-        MaskArrays(error, np.full((1, 2), 16.0, np.float32), 1.0, MaskSettings()),
     )
     ws = workspace(picture.model, 32, 32)
     picture_cost(pose, picture, 1.0, prepare_terms(pose, picture, ws), ws)

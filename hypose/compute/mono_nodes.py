@@ -10,7 +10,7 @@ import numpy as np
 
 from hypose.compute.compiled import kernel
 from hypose.compute.kinematics import camera_about_root, joint_frames, skin_about_root
-from hypose.compute.zbuffer import draw_nearest
+from hypose.compute.zbuffer import draw_nearest, project
 
 f4 = np.float32
 NEAR = f4(0.1)
@@ -27,30 +27,24 @@ INNER, OUTER = 1.5, 1.7
 
 @kernel
 def pose_mesh(q, model, ws):
-    """Compute the joint frames, the vertices about the root, their pixels and depths, and which faces are seen from
-    outside.
+    """Compute the joint frames, the vertices about the root, their pixels and depths, and the faces that are seen
+    from outside, at pose q (D,).
 
-    q: (D,) pose.
+    q: (D,) pose, rad and m.
     model: MonoModel.
-    ws: scratch memory that gets them.
-    """
+    ws: scratch memory that gets them."""
     joint_frames(q, model.tree, ws.rotations, ws.centres, ws.twists)
     skin_about_root(ws.rotations, ws.centres, model.tree, model.mesh, ws.vertices)
     p = np.empty((3, 4), np.float32)
     camera_about_root(model.projection, q, p)
-    x, out, inverse = ws.vertices, ws.uvz, ws.inverse
-    for v in range(x.shape[0]):
-        z = p[2, 0] * x[v, 0] + p[2, 1] * x[v, 1] + p[2, 2] * x[v, 2] + p[2, 3]
-        iz = f4(1) / z if z > NEAR else f4(0)
-        inverse[v] = iz
-        out[v, 0] = (p[0, 0] * x[v, 0] + p[0, 1] * x[v, 1] + p[0, 2] * x[v, 2] + p[0, 3]) * iz
-        out[v, 1] = (p[1, 0] * x[v, 0] + p[1, 1] * x[v, 1] + p[1, 2] * x[v, 2] + p[1, 3]) * iz
-        out[v, 2] = z
-    faces, front = model.mesh.faces, ws.front
+    size = np.empty(2, np.int64)
+    size[0], size[1] = ws.depth.shape[1], ws.depth.shape[0]
+    project(p, ws.vertices, model.all_vertices, ws.seen, size, ws.box)
+    u, v, z, faces, front = ws.seen[0], ws.seen[1], ws.seen[2], model.mesh.faces, ws.front
     for f in range(faces.shape[0]):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        area = (out[b, 0] - out[a, 0]) * (out[c, 1] - out[a, 1]) - (out[c, 0] - out[a, 0]) * (out[b, 1] - out[a, 1])
-        near = out[a, 2] <= NEAR or out[b, 2] <= NEAR or out[c, 2] <= NEAR
+        area = (u[b] - u[a]) * (v[c] - v[a]) - (u[c] - u[a]) * (v[b] - v[a])
+        near = z[a] <= NEAR or z[b] <= NEAR or z[c] <= NEAR
         # pixels run downwards: counter-clockwise from outside has a negative area
         front[f] = 1 if area < f4(-1e-9) and not near else 0
 
@@ -63,28 +57,17 @@ def _depth(nearest):
 
 @kernel
 def fill_depth(model, ws):
-    """Draw the z-buffer of the body around its moving parts.
+    """Draw the z-buffer of the body.
 
-    model, ws: MonoModel and scratch memory; ws.depth gets the picture.
+    model, ws: MonoModel and scratch memory; ws.depth gets the picture, in the body's box and a few pixels around it.
     """
     h, w = ws.depth.shape
-    x0, x1, y0, y1 = f4(1e6), f4(-1e6), f4(1e6), f4(-1e6)
-    uvz, faces = ws.uvz, model.mesh.faces
-    for n in range(model.moving_faces.shape[0]):
-        for k in range(3):
-            v = faces[model.moving_faces[n], k]
-            if uvz[v, 2] > NEAR:
-                x0, x1 = min(x0, uvz[v, 0]), max(x1, uvz[v, 0])
-                y0, y1 = min(y0, uvz[v, 1]), max(y1, uvz[v, 1])
-    x0, x1 = max(x0 - f4(6), f4(0)), min(x1 + f4(7), f4(w))
-    y0, y1 = max(y0 - f4(6), f4(0)), min(y1 + f4(7), f4(h))
-    if x1 > x0 and y1 > y0:
-        left, right = int(x0), int(x1)
-        for y in range(int(y0), int(y1)):
-            row = ws.depth[y, left:right]
-            for x in range(row.shape[0]):
-                row[x] = f4(0)
-    draw_nearest(uvz[:, 0], uvz[:, 1], ws.inverse, faces, model.all_faces, True, ws.depth, None)
+    left, right = max(ws.box[0] - 6, 0), min(ws.box[1] + 6, w)
+    for y in range(max(ws.box[2] - 6, 0), min(ws.box[3] + 6, h)):
+        row = ws.depth[y, left:right]
+        for x in range(row.shape[0]):
+            row[x] = f4(0)
+    draw_nearest(ws.seen[0], ws.seen[1], ws.seen[3], model.mesh.faces, model.all_faces, True, ws.depth, None)
 
 
 @kernel
@@ -98,7 +81,7 @@ def contour_nodes(model, spacing, ws):
     front of it and its outer side shows a surface well behind it (the background: outer). Else it is occluded (kept,
     seen = 0), or not a contour (omitted).
     """
-    mesh, uvz, depth, nodes = model.mesh, ws.uvz, ws.depth, ws.nodes
+    mesh, seen, depth, nodes = model.mesh, ws.seen, ws.depth, ws.nodes
     h, w = depth.shape
     n = 0
     for e in range(mesh.edges.shape[0]):
@@ -108,16 +91,16 @@ def contour_nodes(model, spacing, ws):
         a, b = mesh.edges[e, 0], mesh.edges[e, 1]
         if not (model.moving_vertices[a] and model.moving_vertices[b]):
             continue
-        if uvz[a, 2] <= NEAR or uvz[b, 2] <= NEAR:
+        if seen[2, a] <= NEAR or seen[2, b] <= NEAR:
             continue
-        dx, dy = np.float64(uvz[b, 0] - uvz[a, 0]), np.float64(uvz[b, 1] - uvz[a, 1])
+        dx, dy = np.float64(seen[0, b] - seen[0, a]), np.float64(seen[1, b] - seen[1, a])
         length = math.sqrt(dx * dx + dy * dy)
         if length < 0.3:
             continue
         face = f if ws.front[f] == 1 else g
         c = mesh.faces[face, 0] + mesh.faces[face, 1] + mesh.faces[face, 2] - a - b
         nx, ny = dy / length, -dx / length
-        if nx * (uvz[c, 0] - uvz[a, 0]) + ny * (uvz[c, 1] - uvz[a, 1]) > 0:
+        if nx * (seen[0, c] - seen[0, a]) + ny * (seen[1, c] - seen[1, a]) > 0:
             nx, ny = -nx, -ny
         parts = min(4, max(1, int(length / spacing + 0.5)))
         for k in range(parts):
@@ -125,26 +108,25 @@ def contour_nodes(model, spacing, ws):
                 return n
             # the place in space, so that the node is a fixed point of the body
             t = (k + 0.5) / parts
-            za, zb = np.float64(uvz[a, 2]), np.float64(uvz[b, 2])
+            za, zb = np.float64(seen[2, a]), np.float64(seen[2, b])
             z = (1 - t) * za + t * zb
-            x = ((1 - t) * za * uvz[a, 0] + t * zb * uvz[b, 0]) / z
-            y = ((1 - t) * za * uvz[a, 1] + t * zb * uvz[b, 1]) / z
+            x = ((1 - t) * za * seen[0, a] + t * zb * seen[0, b]) / z
+            y = ((1 - t) * za * seen[1, a] + t * zb * seen[1, b]) / z
             xi, yi = int(x - INNER * nx + 0.5), int(y - INNER * ny + 0.5)
             xo, yo = int(x + OUTER * nx + 0.5), int(y + OUTER * ny + 0.5)
             if min(min(xi, yi), min(xo, yo)) < 2 or max(xi, xo) >= w - 2 or max(yi, yo) >= h - 2:
                 continue
             outside = _depth(depth[yo, xo])
             if outside < z - _HIDDEN or _depth(depth[yi, xi]) < z - ROUND:
-                seen = 0.0
+                visible = 0.0
             elif outside > z + BEYOND:
-                seen = 1.0
+                visible = 1.0
             else:
                 continue
             ws.node_ends[n, 0], ws.node_ends[n, 1] = a, b
             node = nodes[n]
             node[0], node[1], node[2], node[3], node[4], node[5] = t, x, y, nx, ny, length / parts
-            node[6] = seen
-            node[7] = 1.0 if depth[yo, xo] == f4(0) else 0.0
+            node[6] = visible
             n += 1
     return n
 
@@ -175,7 +157,7 @@ def inner_nodes(model, flow, ws):
     fh, fw = flow.error.shape
     if fh < 2 or fw < 2:
         return 0
-    faces, uvz, depth = model.mesh.faces, ws.uvz, ws.depth
+    faces, seen, depth = model.mesh.faces, ws.seen, ws.depth
     how = flow.settings
     step = how.spacing_px
     n = 0
@@ -186,8 +168,8 @@ def inner_nodes(model, flow, ws):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
         if not (model.moving_vertices[a] and model.moving_vertices[b] and model.moving_vertices[c]):
             continue
-        x0, y0, x1, y1 = np.float64(uvz[a, 0]), np.float64(uvz[a, 1]), np.float64(uvz[b, 0]), np.float64(uvz[b, 1])
-        x2, y2 = np.float64(uvz[c, 0]), np.float64(uvz[c, 1])
+        x0, y0, x1, y1 = np.float64(seen[0, a]), np.float64(seen[1, a]), np.float64(seen[0, b]), np.float64(seen[1, b])
+        x2, y2 = np.float64(seen[0, c]), np.float64(seen[1, c])
         area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
         left, right = max(min(x0, min(x1, x2)), 5.0), min(max(x0, max(x1, x2)), w - 6.0)
         top, bottom = max(min(y0, min(y1, y2)), 5.0), min(max(y0, max(y1, y2)), h - 6.0)
@@ -201,7 +183,7 @@ def inner_nodes(model, flow, ws):
                 if k1 < 0 or k2 < 0 or k1 + k2 > 1:
                     continue
                 # weights in space from those in the image
-                wa, wb, wc = (1 - k1 - k2) / uvz[a, 2], k1 / uvz[b, 2], k2 / uvz[c, 2]
+                wa, wb, wc = (1 - k1 - k2) / seen[2, a], k1 / seen[2, b], k2 / seen[2, c]
                 z = 1 / (wa + wb + wc)
                 xi, yi = int(x + 0.5), int(y + 0.5)
                 if _depth(depth[yi, xi]) < z - 0.03:

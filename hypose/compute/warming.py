@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from hypose.compute import mask_runs, mono, picture_to_mask, reach
+from hypose.compute import mask_runs, mono, picture_to_mask, reach, shape_rows
 from hypose.compute.arrays import (
     BALL,
     FIXED,
@@ -45,7 +45,7 @@ from hypose.compute.mask_distance import shrink_mask, signed_distance
 from hypose.compute.parts import covered, draw_parts, parts_against_mask, projected, touched_area
 from hypose.compute.rows import outline_points
 from hypose.compute.scorer import limb_energies, silhouette_xor
-from hypose.compute.solver import found_contours, solve, workspace
+from hypose.compute.solver import solve, workspace
 from hypose.compute.threads import default_threads
 
 # it imports the same modules as this process, and nothing from the folder in which it runs
@@ -141,10 +141,9 @@ def _evidence(depth: DepthArrays | None = None) -> tuple[np.ndarray, tuple[Any, 
 
 
 def _solver() -> None:
-    """Call the solver without depth, and the contours alone."""
+    """Call the solver without depth."""
     q, given, ws = _evidence()
     solve(q, *given, SolveLimits(1, 0, 1e-3, 1e-2, 4), ws)
-    found_contours(given[1].vertices, given[1], given[2].contours, 1.0, ws)
 
 
 def _depth() -> None:
@@ -166,13 +165,15 @@ KERNEL_GROUPS: dict[str, tuple[Callable[[], None], ...]] = {
     "solver": (_solver,),
     "scorer": (_scorer, _points),
     "outlines": (_outlines, picture_to_mask.warm_up_masks, mask_runs.warm_up, _parts),
+    "shape": (lambda: shape_rows.warm_up(_toy()[1]),),
     "pictures": (picture_to_mask.warm_up, mask_runs.warm_up),
     "monocular": (_monocular,),
     "depth": (_depth,),
 }
 """Groups of kernels by name, the one that takes longest in mask tracking first. solver: poses from contours, key points
-and points. scorer: silhouettes of many poses. outlines: outlines of masks, and a body's parts against them. pictures:
-masks from pictures. monocular: one camera. depth: poses from depth as well.
+and points. scorer: silhouettes of many poses. outlines: outlines of masks, and a body's parts against them. shape: rows
+by which a body is fitted to outlines. pictures: masks from pictures. monocular: one camera. depth: poses from depth as
+well.
 """
 
 
@@ -193,14 +194,14 @@ def _run(parts: Iterable[str]) -> None:
             gc.enable()
 
 
-TRACKING_KERNELS = ("solver", "scorer", "outlines", "pictures")
+TRACKING_KERNELS = ("solver", "scorer", "outlines", "shape", "pictures")
 """Groups of kernels that mask tracking needs."""
 
 
 def warm_up(*names: str, load: bool = True, progress: Callable[[int, int], None] | None = None) -> float:
     """Compile groups of kernels, in one process per core where that is worth it; return the seconds that it took.
 
-    names: of KERNEL_GROUPS; none: TRACKING_KERNELS.
+    names: names of KERNEL_GROUPS; none: TRACKING_KERNELS.
     load: whether to load kernels that are in the cache into this process too; else they are loaded at their first call.
     progress: called with how many of the groups that have to be compiled are done, when there are any.
 
@@ -288,9 +289,9 @@ def _in_another_process(part: str, began: list[subprocess.Popen[bytes]]) -> None
 
 
 def run_for_another() -> None:
-    """Compile the groups on the command line (program of the other process), and end when the input ends, that is with
-    the process that started it.
-    """
+    """Compile the kernel groups named on the command line; main program of a process that `warm_up` starts.
+
+    The process ends when its standard input ends, which happens when the process that started it ends."""
 
     def watch() -> None:
         """End this process when its input ends."""

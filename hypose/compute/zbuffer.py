@@ -20,16 +20,40 @@ NEAR = 0.05
 
 
 @kernel
-def draw_nearest(u, v, inverse, faces, chosen, cull, nearest, face):
-    """Draw the chosen faces (N,) of faces (F, 3), where they lie in front of the present content.
+def project(p, vertices, chosen, seen, size, box):
+    """Project the chosen vertices (V, 3) with a camera p (3, 4) f4 about the root.
 
-    u, v: (V,) px.
-    inverse: (V,) 1/m, 0: faces with this corner are omitted.
+    seen: (4, V) gets the pixels u and v, the depths, m, and the inverse depths (0: nearer than NEAR).
+    size: (2,) width and height of the picture.
+    box: (4,) gets x0, x1, y0, y1 of the part of the picture in which the vertices in front of NEAR lie.
+    """
+    u, v, z, inverse = seen[0], seen[1], seen[2], seen[3]
+    x0, x1, y0, y1 = f4(1e6), f4(-1e6), f4(1e6), f4(-1e6)
+    for k in range(chosen.shape[0]):
+        i = chosen[k]
+        x, y, d = vertices[i, 0], vertices[i, 1], vertices[i, 2]
+        away = p[2, 0] * x + p[2, 1] * y + p[2, 2] * d + p[2, 3]
+        z[i], inverse[i], u[i], v[i] = away, f4(0), f4(0), f4(0)
+        if away >= f4(NEAR):
+            inverse[i] = f4(1) / away
+            u[i] = (p[0, 0] * x + p[0, 1] * y + p[0, 2] * d + p[0, 3]) * inverse[i]
+            v[i] = (p[1, 0] * x + p[1, 1] * y + p[1, 2] * d + p[1, 3]) * inverse[i]
+            x0, x1, y0, y1 = min(x0, u[i]), max(x1, u[i]), min(y0, v[i]), max(y1, v[i])
+    box[0], box[1] = int(max(x0, f4(0))), int(min(x1 + f4(1), f4(size[0])))
+    box[2], box[3] = int(max(y0, f4(0))), int(min(y1 + f4(1), f4(size[1])))
+
+
+@kernel
+def draw_nearest(u, v, inverse, faces, chosen, cull, nearest, face):
+    """Draw some faces into a z-buffer: a pixel changes where the face lies in front of its present content.
+
+    faces, chosen: (F, 3) triangles, and (N,) indices of those to draw.
+    u, v: (V,) positions of the vertices in the picture, px.
+    inverse: (V,) inverse depth of the vertices, 1/m; faces with a corner of value 0 are omitted.
     cull: whether to omit faces seen from inside (the corners of the others run clockwise in a picture whose y points
         down).
     nearest: (h, w) f4, gets the inverse depth.
-    face: (h, w) i4, gets the numbers of the faces, or None.
-    """
+    face: (h, w) i4, gets the numbers of the faces, or None."""
     h, w = nearest.shape
     for n in range(chosen.shape[0]):
         f = chosen[n]
@@ -109,10 +133,12 @@ def draw_faces(
     *,
     cull: bool = False,
 ) -> None:
-    """Draw all faces (F, 3) of vertices at uv (V, 2) px, with inverse depths (V,) 1/m, into nearest (h, w), in place.
+    """Draw all faces (F, 3) of vertices at uv (V, 2) px, with inverse depths (V,) 1/m, into nearest (h, w), in
+    place.
 
-    nearest, face, cull: as in `draw_nearest`.
-    """
+    nearest: (h, w) float32 inverse depth, 1/m, which is changed.
+    face: (h, w) int32 that gets the numbers of the visible faces; None: not wanted.
+    cull: whether to omit faces seen from inside."""
     u, v = (plain(x, np.float64) for x in np.asarray(uv, dtype=np.float64).T)
     f = plain(faces, np.int32)
     draw_nearest(u, v, inverse, f, np.arange(len(f)), cull, nearest, face)

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from hypose.body.body import Body
 from hypose.compute import solver
@@ -71,14 +71,13 @@ class PoseFit:
 
     pose: (D,), the root's rotation vector on the branch of the start.
     solved: (D,) the same pose on the branch on which it was solved.
-    cost: F.
+    cost: F, half the weighted sum of robust squared residuals, plus the priors.
     hessian: (D, D) Gauss-Newton Hessian of F in the coordinates of `solved`.
     gradient: (D,) of F in the same coordinates.
     iterations: number of iterations.
     evaluations: number of evaluations of F.
     converged: whether the last step was below the tolerance.
-    rows: number of rows of evidence (0: only the priors determine the pose).
-    """
+    rows: number of rows of evidence (0: only the priors determine the pose)."""
 
     pose: Array
     solved: Array
@@ -92,9 +91,8 @@ class PoseFit:
 
     @cached_property
     def information(self) -> Array:
-        """(D, D) Hessian by the pose's coordinates, with the root's rotation as a small turn in the world: the same for
-        every branch of its rotation vector.
-        """
+        """Inverse covariance (D, D) of the pose: the Hessian with the root's rotation as a small turn in the world,
+        which is the same for every branch of its rotation vector."""
         return by_turns(self.hessian, self.solved)
 
 
@@ -115,9 +113,9 @@ def by_turns(hessian: Array, pose: Array) -> Array:
 def cues_of(body: Body, evidence: Sequence[Term]) -> tuple[Cues, tuple[RowTerm, ...]]:
     """Convert terms of evidence to the flat arrays of the compiled solve.
 
-    Returns: the arrays, and the terms that need Python.
-    Raises: InputError where there are two terms of a kind that a frame has once, or a joint is not one of the body's.
-    """
+    Returns: the arrays; the terms whose residuals are Python functions, which the compiled solve cannot use.
+    Raises: InputError where there are two terms of a kind that a frame has once, or a joint is not one of the
+        body's."""
     once: dict[type[Term], Term] = {}
     for term in evidence:
         if isinstance(term, ContourTerm | KeypointTerm | DepthTerm) and once.setdefault(type(term), term) is not term:
@@ -168,11 +166,11 @@ def fit_poses(
     priors: Sequence[Quadratic] = (),
     options: SolveSettings | None = None,
 ) -> list[PoseFit]:
-    """Fit poses from several starts (N, D) to the same evidence, in parallel threads; otherwise as `fit_pose`.
+    """Fit poses from several starts (N, D) to the same evidence, in parallel threads; each fit is done as by
+    `fit_pose`.
 
     priors: quadratic costs on the pose; options: settings of the solve.
-    Returns: one result per start, the same for any number of threads.
-    """
+    Returns: one result per start, the same for any number of threads."""
     problem = _Problem(body, evidence, priors, options or SolveSettings())
     fits: list[PoseFit | None] = [None] * len(starts)
 
@@ -187,12 +185,12 @@ def fit_poses(
 _OWN = threading.local()
 
 
-def workspace_for(body: Body, sizes: NDArray[np.int64]) -> Workspace:
-    """Return this thread's scratch memory for fits of this body to images of sizes (C, 2) = width, height, px.
+def workspace_for(body: Body, cues: Cues) -> Workspace:
+    """Return this thread's scratch memory for fits of this body to images of this size.
 
     Why: allocating it and touching its pages takes as long as two evaluations.
     """
-    (w, h), mesh, tree = sizes.max(0, initial=2), body.coarse.arrays, body.skeleton.tree
+    (w, h), mesh, tree = cues.contours.sizes.max(0, initial=2), body.coarse.arrays, body.skeleton.tree
     known: Workspace | None = getattr(_OWN, "workspace", None)
     counts = len(mesh.vertices), len(mesh.faces), len(mesh.edges), len(tree.parents), len(tree.axes)
     if known is not None and known.difference.shape[0] > h and known.difference.shape[1] >= w:
@@ -244,7 +242,7 @@ class _Problem:
     def fit(self, start: ArrayLike) -> PoseFit:
         """Solve from a start pose (D,); the result is on the branch of the start."""
         q = self.start(start)
-        out = self._solve(q, self.priors(q), workspace_for(self.body, self.cues.contours.sizes))
+        out = self._solve(q, self.priors(q), workspace_for(self.body, self.cues))
         pose = out.pose.copy()
         pose[3:6] = nearest_branch(pose[3:6], np.asarray(start, dtype=np.float64)[3:6])
         return PoseFit(
@@ -260,7 +258,8 @@ class _Problem:
         )
 
     def _solve(self, q: Array, priors: PriorArrays, ws: Workspace) -> Solution:
-        """Solve from a checked start q (D,): compiled, or step by step where a term needs Python; ws: scratch."""
+        """Solve from a checked start q (D,): compiled, or step by step where a term needs Python; ws: scratch memory.
+        Solve from a checked start q (D,): compiled, or step by step where a term needs Python; ws: scratch memory."""
         o = self.settings
         if not self.rows:
             return solve(q, self.tree, self.mesh, self.cues, priors, o, ws)
@@ -316,11 +315,11 @@ def with_rows(known: Evaluation, pose: Array, body: Body, rows: Sequence[RowTerm
 
 
 class FrameProblem(Problem[Array, Evaluation]):
-    """Solve of one frame, step by step as in the compiled solve, for an evaluation that needs Python.
+    """Least-squares problem of one frame's pose for evidence whose residuals are Python functions; the steps are
+    those of the compiled solve.
 
     evaluation(pose, coarse): cost and derivatives at a pose (D,).
-    lower, upper: (D,) joint limits.
-    """
+    lower, upper: (D,) joint limits."""
 
     def __init__(self, evaluation: Callable[[Array, bool], Evaluation], lower: Array, upper: Array) -> None:
         self.evaluation, self.lower, self.upper, self.coarse = evaluation, lower, upper, False
@@ -343,7 +342,10 @@ class FrameProblem(Problem[Array, Evaluation]):
         return np.clip(state + step, self.lower, self.upper), moved
 
     def solution(self, start: Array, iterations: tuple[int, int], rule: Rule) -> Solution:
-        """Solve from a start with a number of coarse and of fine iterations."""
+        """Solve from a start pose (D,).
+
+        iterations: numbers of coarse and of fine iterations.
+        rule: damping and stopping rule."""
         found, used, evaluations = None, 0, 0
         q = np.clip(start, self.lower, self.upper)
         for self.coarse, n in zip((True, False), iterations, strict=True):

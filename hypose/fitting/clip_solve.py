@@ -29,7 +29,7 @@ from hypose.geometry import Array, nearest_branch, so3_exp, so3_left_jacobian, s
 
 @dataclass(frozen=True)
 class Gaussian(Term):
-    """Evidence of one frame, summarised as a Gaussian of the pose: cost 1/2 off' information off.
+    """Evidence of one frame, summarised as a Gaussian distribution of the pose: cost 1/2 off' information off.
 
     centre: (D,) most probable pose.
     information: (D, D) inverse covariance, with the root's rotation as a small turn in the world
@@ -38,8 +38,7 @@ class Gaussian(Term):
     `off` is the difference (D,) of a pose from the centre: for the root the turn in the world log(R R0'), for other
     balls the turn from there log(R0' R), in the coordinates at the centre.
     Why: the rotation of a stretched arm about its own axis is undetermined. With turns it stays undetermined for any
-    angle; along a straight line of rotation vectors it would move the elbow.
-    """
+    angle; along a straight line of rotation vectors it would move the elbow."""
 
     centre: Array
     information: Array
@@ -233,7 +232,7 @@ class _Clip(Problem[Array, tuple[Array, Array]]):
             centre = self.centre.copy()
             centre[:, 3:6] = nearest_branch(centre[:, 3:6], q[k, 3:6])
             (cues, rows), priors = self.cues[k], PriorArrays(centre, self.weight, self.lower, self.upper)
-            e = solver.evaluate(q[k], self.tree, self.mesh, cues, priors, workspace_for(self.body, cues.contours.sizes))
+            e = solver.evaluate(q[k], self.tree, self.mesh, cues, priors, workspace_for(self.body, cues))
             if rows:
                 e = with_rows(e, q[k], self.body, rows)
             cost += e.cost

@@ -9,19 +9,15 @@ Sources: two-way contour distances as in Gall et al. 2009, with the loss of Gema
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 
 from hypose.compute.losses import geman_mcclure, lorentzian
-from hypose.compute.solver import found_contours
+from hypose.compute.shape_rows import outline_rows
 from hypose.evidence.terms import ContourTerm, DepthTerm, KeypointTerm
-from hypose.fitting.articulated import workspace_for
 from hypose.fitting.problem import Posed, Rows
 from hypose.geometry import Array
 
-_OF_VIEWS = "sdf", "outline", "usable", "sizes", "shrunk", "corners", "sdf_sizes"
-"""Fields of ContourArrays with one row per view."""
 _FARTHEST_M = 0.3
 _TURNED_M = 0.06
 """m, extra distance of a surface whose normal points the opposite way."""
@@ -39,34 +35,33 @@ def rows_of_contours(
     factor: float,
     weight: float,
     spacing_px: float,
+    normals: float,
     projections: Array | None = None,
 ) -> Iterator[Rows]:
-    """Compute contour rows in both directions between the outlines of the body and of the masks, as in the compiled
-    solve of one frame.
+    """Compute contour rows in both directions between the outlines of the body and of the masks.
 
     at: the posed body.
     term: outlines of the masks.
-    factor: of the term's robust scale.
-    weight: of a row at the reference density.
+    factor: factor of the term's robust scale.
+    weight: weight of a row at the reference density.
     spacing_px: distance of the rows along the body's outline, px.
+    normals: least cosine between the normals of both outlines; other rows are omitted.
     projections: (C, 3, 4) cameras; None: those of the term.
     Returns: rows of each usable view.
     """
-    arrays = replace(term, weight=weight, row_spacing_px=spacing_px).arrays
-    p = np.ascontiguousarray(term.projections if projections is None else projections, dtype=np.float64)
-    ws = workspace_for(at.body, term.sizes)
     for c in np.flatnonzero(term.usable).tolist():
-        one = slice(c, c + 1)
-        shown = {name: getattr(arrays, name)[one] for name in _OF_VIEWS}
-        view = arrays._replace(**shown, projections=p[one])
-        ends, found, cost = found_contours(at.vertices, at.mesh.arrays, view, arrays.scale * factor, ws)
-        share = np.column_stack([1 - found[:, 0], found[:, 0], np.zeros(len(ends))])
-        carrier = ends[:, [0, 1, 1]]
-        point = np.einsum("rc,rcd->rd", share, at.vertices[carrier])
-        h = point @ p[c, :, :3].T + p[c, :, 3]
-        along = found[:, 1:3]
-        slope = along @ p[c, :2, :3] - ((along * h[:, :2]).sum(1) / h[:, 2])[:, None] * p[c, 2, :3]
-        yield Rows(carrier, share, point, slope / h[:, 2:], found[:, 4], found[:, 3], np.full(len(ends), c), cost)
+        seen = (term.projections if projections is None else projections)[c], term.sizes[c].tolist()
+        given = at.vertices, at.mesh.faces, at.mesh.edges, *seen, term.sdf[c], term.outline[c]
+        found = outline_rows(*given, term.height_px, spacing_px, normals)
+        if found is not None:
+            (ends, values), scale = found, term.scale_px * factor
+            own = weight * values[:, 5]
+            rho, pull, _ = geman_mcclure((values[:, 1] / scale) ** 2, own / scale**2)
+            share = np.column_stack([1 - values[:, 0], values[:, 0], np.zeros(len(ends))])
+            carrier = ends[:, [0, 1, 1]]
+            point = np.einsum("rc,rcd->rd", share, at.vertices[carrier])
+            cost = 0.5 * float((own * rho).sum())
+            yield Rows(carrier, share, point, values[:, 2:5], values[:, 1], pull, np.full(len(ends), c), cost)
 
 
 def rows_of_keypoints(
@@ -102,8 +97,8 @@ def rows_of_depth(at: Posed, term: DepthTerm, factor: float = 1.0, gain: float =
 
     at: the posed body.
     term: measured points with normals, by sensor.
-    factor: of the robust scale.
-    gain: of the weights.
+    factor: factor of the robust scale.
+    gain: gain of the weights.
     Returns: rows of each sensor.
     """
     from scipy.spatial import KDTree  # takes long to import

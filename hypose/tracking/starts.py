@@ -123,11 +123,10 @@ def start_in_pose(
 ) -> PoseFit:
     """Find the known pose and the heading that explain the silhouettes best, placed at the visual hull and solved.
 
-    frame: prepared, with masks; options: of the last solves (default: SETTLING).
+    frame: prepared, with masks; options: settings of the last solves (default: SETTLING).
     names: known poses to try; headings: number of headings.
     Raises: EvidenceError where the views have no common hull.
-    Source: Alcoverro 2014, section 2.3.3 step 1.
-    """
+    Source: Alcoverro 2014, section 2.3.3 step 1."""
     hull = hull_of(frame)
     candidates = [
         _centred(body, turn_pose(known_pose(body, name), heading), hull)
@@ -200,7 +199,8 @@ def _best_refined(
 ) -> PoseFit:
     """Solve the best of many candidate poses (N, D) in two rounds; return the one with the least evidence energy.
 
-    frame: prepared; options: of the last solves; tried, keep: numbers of poses in the first and the second round.
+    frame: prepared; options: settings of the last solves; tried, keep: numbers of poses in the first and the second
+        round.
     The `tried` best are solved briefly, the `keep` best of these at length. Why: a wrong heading may overlap better
     than the right one until the limbs have moved.
     """

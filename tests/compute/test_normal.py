@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from hypose.compute.linear import SharedEquations, weighted_squares
-from hypose.compute.solver import bounded_step
 
 
 @pytest.mark.parametrize("rows", [0, 1, 4, 7, 203])
@@ -59,13 +58,3 @@ def test_unknowns_of_different_units_and_a_group_of_which_nothing_is_known():
     assert (
         SharedEquations(-np.eye(1), np.ones(1), own[:1], np.zeros((1, 2)), np.zeros((1, 2, 1))).reduced().step() is None
     )
-
-
-def test_a_bounded_step_is_the_free_one_or_ends_at_the_bounds(rng):
-    x = rng.normal(size=(6, 6))
-    h, g, q = x @ x.T + np.eye(6), rng.normal(size=6), np.zeros(6)
-    free = bounded_step(h, g, q, np.full(6, -np.inf), np.full(6, np.inf), 0.0)
-    np.testing.assert_allclose(free, -np.linalg.solve(h, g), rtol=1e-9)
-    tight = bounded_step(h, g, q, np.full(6, -0.01), np.full(6, 0.01), 0.0)
-    assert tight is not None and np.abs(tight).max() == 0.01
-    assert bounded_step(-h, g, q, np.full(6, -np.inf), np.full(6, np.inf), 0.0) is None

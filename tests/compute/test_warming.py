@@ -23,7 +23,7 @@ def parts(tmp_path, monkeypatch):
 
     def elsewhere(part, began):
         others.append(part)
-        if part != "pictures":
+        if part != "shape":
             warming._mark(part).touch()
 
     monkeypatch.setattr(warming, "_in_another_process", elsewhere)
@@ -43,7 +43,7 @@ def test_what_is_there_is_not_done_again_and_nothing_twice(parts):
 def test_what_another_process_could_not_do_is_done_here(parts):
     here, others = parts
     warm_up(load=False)
-    assert here == ["pictures"] and sorted(others) == sorted(TRACKING_KERNELS)
+    assert here == ["shape"] and sorted(others) == sorted(TRACKING_KERNELS)
 
 
 @pytest.mark.parametrize("change", [(compiled, "cache_folder", lambda: None), (sys, "executable", "/opt/bin/studio")])

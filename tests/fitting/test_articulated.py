@@ -70,9 +70,7 @@ def evaluate(pose, *evidence, forward=None):
         cues = cues._replace(contours=cues.contours._replace(forward_weight=forward))
     d = SKELETON.dof
     priors = PriorArrays(np.zeros((0, d)), np.zeros((0, d)), np.full(d, -np.inf), np.full(d, np.inf))
-    return solver.evaluate(
-        pose, SKELETON.tree, BODY.coarse.arrays, cues, priors, workspace_for(BODY, cues.contours.sizes)
-    )
+    return solver.evaluate(pose, SKELETON.tree, BODY.coarse.arrays, cues, priors, workspace_for(BODY, cues))
 
 
 def numeric_gradient(pose, term, step=1e-5):

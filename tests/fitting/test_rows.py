@@ -2,6 +2,7 @@
 entry below, or these tests fail."""
 
 import inspect
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,6 +17,8 @@ from hypose.fitting import rows
 from hypose.fitting.problem import Posed, PoseProblem, Quadratic, Rows, Rule
 from hypose.tracking import shape_refinement
 from hypose.tracking.keypoint_evidence import keypoint_model, keypoint_term
+from hypose.tracking.monocular import points
+from hypose.tracking.monocular.proportions import proportions
 from hypose.tracking.starts import known_pose
 from tests.depth_pictures import frame_of, sensors
 
@@ -35,7 +38,7 @@ def keypoints():
 
 KEYPOINTS = keypoints()
 CUES = {
-    "rows_of_contours": lambda at, _, factor: rows.rows_of_contours(at, CONTOURS, factor, 1.0, 4.0),
+    "rows_of_contours": lambda at, _, factor: rows.rows_of_contours(at, CONTOURS, factor, 1.0, 4.0, 0.5),
     "rows_of_depth": lambda at, _, factor: rows.rows_of_depth(at, DEPTH, factor),
     "rows_of_keypoints": lambda at, _, factor: [rows.rows_of_keypoints(at, KEYPOINTS, RIG.projections)],
 }
@@ -153,8 +156,16 @@ def by_corners(at, _, factor):
     return [Rows(carrier, share, point, slope, r, np.ones(len(r)), none, 0.5 * float(r @ r))]
 
 
+def proportions_of_points(_):
+    prior = proportions(BODY, None)
+    seen = replace(KEYPOINTS, points=KEYPOINTS.points[:1], projections=RIG.projections[:1])
+    made = points._PointsProblem(BODY, [lambda body: seen] * 2, prior.centre, prior, [], None)
+    return made, prior.centre[points.INTERNAL]
+
+
 TRUE_POINTS = BODY.skin(TRUTH[None])[0]
 BLOCKS = {
+    "_PointsProblem": (proportions_of_points, None),
     "_ShapeProblem": (shape, by_corners),
     "_BodyProblem": (cameras, by_cameras),
     "_SensorProblem": (places, by_sensors),
@@ -179,5 +190,5 @@ def test_the_gradient_by_what_frames_share_is_that_of_the_cost(name, rng):
         costs = [asked.evaluate((asked.shared_moved(shared, s), q))[0] for s in (step, -step)]
         slope = (costs[0] - costs[1]) / 2e-5
         # sizes are differentiated by steps of 1 %
-        rough = 0.05 if name == "_ShapeProblem" else 1e-4
+        rough = 0.05 if name in ("_ShapeProblem", "_PointsProblem") else 1e-4
         assert equations.gradient[d] == pytest.approx(slope, rel=rough, abs=rough * np.abs(equations.gradient).max()), d

@@ -176,6 +176,5 @@ def test_occluding_contour_runs_along_the_silhouette():
     nodes = ws.nodes[: counts[0] + counts[3]]
     seen = nodes[nodes[:, 6] == 1]
     assert len(seen) == counts[0] > 60
-    assert (seen[:, 7] == 1).mean() > 0.6  # most of it lies before the wall
     # more of a trunk's outline is seen than hidden, round as it is
     assert counts[3] < counts[0]

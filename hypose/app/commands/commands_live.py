@@ -35,8 +35,8 @@ def live(c: LiveCommand) -> None:
         from hypose.app.live.pose_outputs import PoseOutputs
         from hypose.pipeline.live.capture import CaptureOptions
         from hypose.pipeline.live.engine import LiveEngine, LiveTrackingOptions
+        from hypose.pipeline.live.live_people import LivePersonOptions
         from hypose.pipeline.live.live_rig import live_rig
-        from hypose.pipeline.live.live_search import LivePersonOptions
         from hypose.pipeline.live.recorder import LiveRecorder
         from hypose.pipeline.subject_from_motion import load_subject
         from hypose.pipeline.track_options import TrackOptions
@@ -48,7 +48,7 @@ def live(c: LiveCommand) -> None:
     person = LivePersonOptions(
         TrackOptions(seed=c.seed), c.height or cameras.height, None if c.subject is None else load_subject(c.subject)
     )
-    network = c.people if _finds_people(c.detector, cameras.roomless) else 0
+    network = c.people if _finds_people(c.detector, cameras.no_background) else 0
     views = tuple(replace(v, background=None) for v in cameras.views) if network else cameras.views
     capture = CaptureOptions(cameras.rate, c.countdown, cameras.silhouettes, network=network)
     names = tuple(v.name for v in cameras.views)
@@ -90,17 +90,17 @@ def live(c: LiveCommand) -> None:
     say(f"{counted(status.poses, 'pose')}. {_summary(status)}")
 
 
-def _finds_people(wanted: bool | None, roomless: bool) -> bool:
+def _finds_people(wanted: bool | None, no_background: bool) -> bool:
     """Decide whether the detector finds people.
 
     wanted: option --detector; None: as the recording needs it.
-    roomless: the empty room is not known.
+    no_background: the empty room is not known.
     Returns: True where it is wanted, or where the empty room is not known and the detector is installed.
     Raises: InputError where it is wanted and not installed.
     """
     from hypose.io.keypoints.detectors import open_network
 
-    if wanted is False or not (wanted or roomless):
+    if wanted is False or not (wanted or no_background):
         return False
     try:
         open_network()

@@ -203,7 +203,7 @@ def play_motion(
     """Send a motion with poses to an avatar at its own pace.
 
     Late frames are skipped; lost frames repeat the last pose and are marked.
-    body: of the motion.
+    body: body of the motion.
     send: sends the messages of a frame.
     speed: factor of the pace.
     loop: repeat until interrupted.

@@ -257,7 +257,7 @@ def _video_in_step(view: ViewSettings, recording: Recording, late: float, folder
     """Write the pictures of a view on the common clock, each from the nearest frame of its video.
 
     late: frames by which the view is late.
-    folder: of the video.
+    folder: folder of the video.
     Returns: path of the video.
     """
     assert view.source is not None

@@ -334,7 +334,7 @@ def write_findings(path: Path, found: Findings, report: PersonReport | None) -> 
 def _mask_warnings(silhouettes: Silhouettes, number: int) -> list[str]:
     """List sentences on masks that are unusable, or cover too little or too much of the picture.
 
-    number: of the frame.
+    number: number of the frame.
     """
     out = []
     pixels = silhouettes.rig.sizes.prod(1)
@@ -356,7 +356,7 @@ def _hull_facts(
 ) -> tuple[float, np.ndarray] | None:
     """Compute the height of the visual hull and its overlap with the masks, and add sentences on them.
 
-    number: of the frame.
+    number: number of the frame.
     facts, warnings: receive the sentences.
     several: several people are in the masks, so that all parts of the hull count.
     Returns: height in m, and IoU with each view's mask (C,), NaN for unusable masks; None without a hull.

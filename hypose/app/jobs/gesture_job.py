@@ -276,7 +276,7 @@ def watch(
     """Localise the gestures of all models in every frame of a source, and yield the result of each frame.
 
     source: depth pictures; closed at the end.
-    settings: of the localisation.
+    settings: settings of the localisation.
     limits: settings of the events, per gesture.
     say: prints a sentence when no depth is near enough.
     Raises: EvidenceError at the end of a source without usable depth.
@@ -377,7 +377,7 @@ WAITING = 256
 def event_line(event: Event, names: Sequence[str]) -> str:
     """Encode an event as one line of JSON.
 
-    names: of the gestures, by their number minus 1.
+    names: names of the gestures, by their number minus 1.
     """
     value = {
         "event": event.kind,
@@ -396,7 +396,7 @@ def gesture_osc(watched: Watched, names: Sequence[str], limits: Sequence[float])
     Wekinator's /wek/outputs (each gesture's score over its threshold, at most 1).
 
     watched: result of the frame; scores in cm^2, places in m (0 where they are not known).
-    names: of the gestures, by their number minus 1.
+    names: names of the gestures, by their number minus 1.
     limits: thresholds of the gestures, cm^2.
     """
     messages = []
@@ -413,7 +413,7 @@ def gesture_lines(watched: Watched, names: Sequence[str]) -> list[str]:
     """Encode one frame as lines of JSON: {"time", "scores": {name: cm^2}}, and every event as on stdout.
 
     watched: result of the frame.
-    names: of the gestures, by their number minus 1.
+    names: names of the gestures, by their number minus 1.
     """
     scores = {names[f.gesture - 1]: round(f.score, 3) for f in watched.found}
     frame = json.dumps({"time": round(watched.time, 4), "scores": scores})

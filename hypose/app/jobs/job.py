@@ -51,7 +51,7 @@ from hypose.pipeline.first_frame import SubjectOptions
 from hypose.pipeline.frame_anomalies import in_words
 from hypose.pipeline.one_camera import POINT_STARTS, clicks_of, depth_note
 from hypose.pipeline.passes import MODES
-from hypose.pipeline.person_paths import Wanted, said_of_places
+from hypose.pipeline.person_paths import KnownPerson, said_of_places
 from hypose.pipeline.recorded_frames import check_views, frames_wanted, one_view, people_frames
 from hypose.pipeline.run import PeopleResult, TrackResult, track_people
 from hypose.pipeline.subject_from_motion import load_subject, subject_file
@@ -128,11 +128,11 @@ def job_of(command: TrackCommand, recording: Recording | None = None) -> TrackJo
 class Outcome:
     """Result of a job.
 
-    motion: of the person, or of the first of several.
+    motion: motion of the person, or of the first of several.
     complete: every frame was tracked.
     notes: for the user.
     truth: comparison with the true motion, if there is one.
-    assessment: of the motion; of several people the worst.
+    assessment: assessment of the motion; of several people the worst.
     """
 
     motion: Motion
@@ -229,7 +229,8 @@ def _kernels(recording: Recording, options: TrackOptions) -> tuple[str, ...]:
     depth = ("depth",) if recording.depth_views else ()
     if options.looks_at == "keypoints":
         return ("solver", *depth)
-    masks = ("solver", *depth, "scorer", "outlines")
+    # a given body is not fitted to outlines
+    masks = ("solver", *depth, "scorer", "outlines", *(() if options.subject else ("shape",)))
     return masks if all(view.masks is not None for view in recording.views) else (*masks, "pictures")
 
 
@@ -263,7 +264,7 @@ def _track(
     return _alone(track_person(source, options, resume=job.command.resume, command=command, **about))
 
 
-def _absent(found: PeopleResult, only: Sequence[Wanted]) -> str:
+def _absent(found: PeopleResult, only: Sequence[KnownPerson]) -> str:
     """Return the sentence that the one person who was asked for by name was not found; "" where there is none."""
     for why in said_of_places(only, len(found.people) + found.others):
         return f"who of several people is {only[0].name} is not known: {why}"

@@ -114,7 +114,7 @@ def detect(
     """Detect key points with progress; an interrupted run says how to continue, and exits with code 130.
 
     target: folder to write to.
-    frames: of the recording; None: all.
+    frames: frames of the recording; None: all.
     resume: skip frames that have a file.
     """
     with contextlib.ExitStack() as stack:
@@ -135,7 +135,7 @@ def detect(
 def detected(loaded: Recording, frames: range, *, yes: bool, why: str) -> DetectedKeypoints:
     """Detect key points of a recording and save them in its folder; frames that were detected already are skipped.
 
-    frames: of the recording.
+    frames: frames of the recording.
     yes: the detector's models may be downloaded without asking.
     why: first words of the sentence on a missing detector.
     """

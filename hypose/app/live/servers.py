@@ -62,7 +62,7 @@ def same_secret(shown: str, secret: str) -> bool:
 def shows_secret(query: str, authorization: str, secret: str) -> bool:
     """Test whether a request contains the secret.
 
-    query: of the address, with the token as ?token=.
+    query: query of the address, with the token as ?token=.
     authorization: value of the header, with the token as Bearer.
     """
     shown = parse_qs(query).get("token", [""])[0]

@@ -74,7 +74,7 @@ def _drawn(picture: Image, found: np.ndarray, expected: np.ndarray, confidence: 
 
     found, expected: (K, 2) px in the picture; NaN where nothing is expected.
     confidence: (K,); points of at most 0.3 are left out.
-    name: of the camera.
+    name: name of the camera.
     """
     known = (confidence > 0.3) & np.isfinite(expected).all(1)
     if not known.any():
@@ -168,7 +168,7 @@ def draw_sheet(views: Sequence[CameraViews], board: Board, result: BoardCalibrat
     were found (green to red by their error, up to 2 px), a picture without a board and why, and below them a strip with
     the result of each frame.
     views: detections of all cameras, also of videos for the lenses alone.
-    result: of the calibration; None where it failed: then corners have no error and are grey.
+    result: result of the calibration; None where it failed: then corners have no error and are grey.
     """
     rows = []
     seen = Counter(f for view in (views if result is None else result.views) for f in view.sightings)
@@ -196,7 +196,7 @@ def _row(
     """Draw the row of one camera.
 
     sightings: boards by frame, as numbered by the calibration.
-    errors: of the boards by frame, px; a frame may be missing.
+    errors: errors of the boards by frame, px; a frame may be missing.
     common: frames in which most cameras see the board, in order of preference.
     """
     scale = _WIDTH / view.size[0]
@@ -254,7 +254,7 @@ def _picture(view: CameraViews, frame: int | None, size: tuple[int, int], text: 
 def _draw_board(image: Image, sighting: BoardDetection, board: Board, scale: float) -> None:
     """Draw the corners of a board: the first row red, the first column orange, the others green.
 
-    scale: of the picture to the recorded one.
+    scale: scale of the picture to the recorded one.
     """
     nx = board.size[0]
     at = dict(zip(sighting.ids.tolist(), (scale * sighting.pixels).round().astype(int).tolist(), strict=True))

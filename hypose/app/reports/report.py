@@ -49,7 +49,7 @@ def write_report(path: Path, result: ViewResult, recording: Recording | None) ->
 def drawn_of(result: ViewResult, recording: Recording | None) -> OverlayRows:
     """Draw the pictures for a report of a result.
 
-    recording: of the result; None: there are no pictures.
+    recording: recording of the result; None: there are no pictures.
     """
     motion, body, wanted = result.motion, result.body, picture_rows(result, False)
     if recording is None:

@@ -75,7 +75,7 @@ def summarize(motion: Motion) -> Summary:
 def require_found(motion: Motion, name: str, kept: Path) -> None:
     """Raise EvidenceError where the person was found in no frame of a motion.
 
-    name: of the recording, for the message.
+    name: name of the recording, for the message.
     kept: folder of the motion's files.
     """
     if not (motion.lost | motion.extrapolated).all():

@@ -92,7 +92,7 @@ class Rivals:
 class ViewResult:
     """Result to show.
 
-    title: of the page.
+    title: title of the page.
     motion: the motion.
     body, rig: None where not known, e.g. for a fused skeleton.
     image_shifts: (x, y) px per camera, as in recording.toml.
@@ -105,7 +105,7 @@ class ViewResult:
     truth: comparison with the true motion of a synthetic recording.
     complete: every frame was tracked.
     rivals: other poses, where the method keeps any.
-    assessment: of the result; None where there is none.
+    assessment: assessment of the result; None where there is none.
     date: day on which the first recorded file was last written, YYYY-MM-DD; "" where not known.
     """
 
@@ -437,8 +437,8 @@ def _citation(motion: Motion) -> str:
 def _body(folder: ResultsFolder, motion: Motion) -> Body | None:
     """Load the body of a result.
 
-    folder: of the result.
-    motion: of the result.
+    folder: folder of the result.
+    motion: motion of the result.
     Returns: None where the motion has no poses, or no body was kept.
     Raises: InputError where body and motion do not belong together.
     """
@@ -469,8 +469,8 @@ def _assessment(folder: Path, motion: Motion) -> Assessment | None:
 def quality_of(folder: Path, motion: Motion) -> dict[str, Any]:
     """Summarize the quality of a result for a list.
 
-    folder: of the result.
-    motion: of the result.
+    folder: folder of the result.
+    motion: motion of the result.
     Returns: assessment (word or None) and its sentence, iou (0..1), sd_mm, lost (share of frames).
     """
     reported, s = _assessment(folder, motion), summarize(motion)

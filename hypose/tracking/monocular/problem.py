@@ -15,38 +15,36 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.body import BONE_END, Body, Landmarks
-from hypose.cameras.camera import Camera
+from hypose.cameras.camera import Camera, CameraRig
 from hypose.compute import mono
 from hypose.compute.arrays import plain
 from hypose.compute.linear import weighted_squares
 from hypose.compute.losses import lorentzian
-from hypose.compute.mask_distance import signed_distance
 from hypose.compute.mono import (
     EdgeArrays,
     FlowArrays,
     FlowSettings,
-    MaskArrays,
-    MaskSettings,
     MonoModel,
     MonoWorkspace,
     PictureArrays,
 )
-from hypose.compute.rows import outline_points
 from hypose.compute.solver import bounded_step
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.edges_flow import Flow, edge_field
-from hypose.evidence.frame import Frame, Picture
-from hypose.evidence.terms import KeypointTerm
+from hypose.evidence.frame import Frame, Picture, Silhouettes
+from hypose.evidence.terms import ContourTerm, KeypointTerm, contour_term
 from hypose.fitting.problem import Posed, Problem, Quadratic, Rows, Rule
-from hypose.fitting.rows import rows_of_keypoints
+from hypose.fitting.rows import rows_of_contours, rows_of_keypoints
 from hypose.geometry import Array
 from hypose.tracking.contacts import soles_of
 from hypose.tracking.monocular.settings import MonoSettings
 
 SMALLEST_MASK = 50
 """px: a silhouette of fewer pixels shows no person"""
-OUTLINE = 130
-"""number of points sampled on a silhouette's outline"""
+_NORMALS = 0.0
+"""least cosine between the normals of the body's and the mask's outline"""
+MASK_SCALE = 2.0
+"""factor on the robust scale of a mask's contours: with one view poses are farther off than with several"""
 TOLERANCE = 0.02
 """m: two parts that overlap by this much have cost one half (at weight 1)"""
 FIRM = 0.85
@@ -98,12 +96,27 @@ def grey(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
 
 
+def mask_contours(picture: Picture, settings: MonoSettings) -> ContourTerm | None:
+    """Build the term of the outer contour against the picture's mask; None without a mask, or where it has no outline.
+
+    settings: of the cost; with mask weight 0 the term is left out.
+    """
+    if picture.mask is None or settings.mask_weight <= 0:
+        return None
+    mask = (picture.mask != 0).astype(np.uint8)[None]
+    seen = Silhouettes(mask, CameraRig((picture.camera,)), np.ones(1, np.bool_), ("",))
+    try:
+        return contour_term(seen, settings.mask_weight)
+    except EvidenceError:  # foreground from border to border
+        return None
+
+
 def edge_arrays(field: NDArray[np.float32], flow: Flow | None, settings: MonoSettings) -> EdgeArrays:
     """Build the arrays of the edge term.
 
     field: (h, w, 2) edges of a picture, from `edge_field`.
     flow: optical flow, whose motion boundaries weight the edges; None: no weighting.
-    settings: of the cost.
+    settings: settings of the cost.
     """
     edge = settings.edge
     if flow is not None:
@@ -122,20 +135,6 @@ def flow_arrays(flow: Flow | None, settings: FlowSettings) -> FlowArrays:
     return FlowArrays(flow.flow, flow.error, np.array(flow.corner, dtype=np.int64), settings)
 
 
-def mask_arrays(mask: NDArray[np.uint8] | None, settings: MaskSettings) -> MaskArrays:
-    """Build the arrays of the silhouette term; without a mask, or with height 0, the term is left out.
-
-    mask: (h, w), not 0 on the person.
-    settings: of the term.
-    """
-    if mask is None or settings.height <= 0:
-        return MaskArrays(np.zeros((0, 0), np.float32), np.zeros((0, 2), np.float32), 0.0, settings)
-    h, w = mask.shape
-    distance = signed_distance((mask != 0).astype(np.uint8)[None], np.array([[w, h]]))[0]
-    outline, found = outline_points(distance, (w, h), OUTLINE)
-    return MaskArrays(np.ascontiguousarray(distance), outline if found else outline[:0], found / OUTLINE, settings)
-
-
 class Spheres(NamedTuple):
     """Spheres in the parts of the body that must not intersect.
 
@@ -143,8 +142,7 @@ class Spheres(NamedTuple):
     offset: (S, 3) m, centre in the joint's frame.
     pairs: (P, 2) spheres of parts that can meet.
     apart: (P,) m, distance of their centres below which the prior acts.
-    weight: 1 / m^2.
-    """
+    weight: weight of the prior, 1 / m^2."""
 
     joint: NDArray[np.int64]
     offset: Array
@@ -154,10 +152,10 @@ class Spheres(NamedTuple):
 
 
 def sphere_rows(at: Posed, spheres: Spheres) -> Rows:
-    """Compute the rows of interpenetration: 1/2 weight (apart - distance)^2 for pairs of spheres that are too near.
+    """Compute the residuals with derivatives (rows) of the prior against interpenetration: 1/2 weight (apart -
+    distance)^2 for pairs of spheres that are too near.
 
-    at: the posed body.
-    """
+    at: the posed body."""
     centre = at.body.skeleton.points(spheres.joint, spheres.offset, at.pose)
     away = centre[spheres.pairs[:, 0]] - centre[spheres.pairs[:, 1]]
     distance = np.linalg.norm(away, axis=1)
@@ -190,12 +188,12 @@ def floor_of(body: Body, height: float | None, settings: MonoSettings) -> Floor 
 
 
 def floor_rows(at: Posed, floor: Floor) -> Rows:
-    """Compute the rows of the floor: the lowest point of the soles stands on it, and no point lies under it.
+    """Compute the residuals with derivatives (rows) of the floor: the lowest point of the soles stands on it, and no
+    point lies under it.
 
     at: the posed body.
-    Returns: one row per point of the soles, with weight 0 for those that are free.
-    The loss is that of a key point, so that a jump costs little more than a step.
-    """
+    Returns: one row per point of the soles, with weight 0 for points that nothing holds. The loss is that of a key
+        point, so that a jump costs little more than a step."""
     point = at.body.skeleton.points(floor.soles.joint, floor.soles.offset, at.pose)
     above, n = point[:, 2] - floor.height, len(point)
     on = (above < 0) | (np.arange(n) == above.argmin())
@@ -212,7 +210,7 @@ def part_spheres(body: Body, weight: float) -> Spheres:
     Limb spheres lie on the bones and have the median distance of the skin as radius. Trunk spheres lie side by side and
     have half the trunk's depth as radius. Pairs: arms with trunk, with thighs and with each other; one leg with the
     other. The distance that two parts keep is at most 0.95 of that at rest.
-    weight: of the prior.
+    weight: weight of the prior.
     """
     parts: list[tuple[str, int, Array, float]] = []
     for j, name in enumerate(body.skeleton.joint_names):
@@ -276,16 +274,15 @@ def prediction_spread(sigma: Array, settings: MonoSettings) -> Array:
 class Fixed:
     """Parts of the problem that do not change from frame to frame.
 
-    body: the person.
+    body: body of the person.
     model: the body before the camera.
     active: (A,) dof that are estimated.
-    moves: (V + J, A) share of their motion at each vertex of the coarse mesh, and at each joint.
+    moves: (V + J, A) share of each active dof's motion that each vertex of the coarse mesh, and each joint, follows.
     spheres: prior against interpenetration.
     floor: on which the person stands; None: unknown.
     lower, upper: (A,) joint limits.
     spread: (A,) usual error of the prediction of each active dof.
-    posture: (A,) weight of the weak pull to the rest posture.
-    """
+    posture: (A,) weight of the weak pull to the rest posture."""
 
     body: Body
     model: MonoModel
@@ -305,9 +302,9 @@ def fixed_parts(
     """Build the parts of the problem that do not change from frame to frame.
 
     body: its coarse mesh is compared with the pictures.
-    camera: of the pictures.
+    camera: camera of the pictures.
     active: (A,) ascending indices of the dof to estimate.
-    settings: of the cost.
+    settings: settings of the cost.
     floor: its height in the world, m; None: unknown or none.
     Raises: InputError where the active dof are not dof of the body.
     """
@@ -336,7 +333,7 @@ def field_of(image: NDArray[np.uint8], settings: MonoSettings) -> NDArray[np.flo
     """Compute the edges (h, w, 2) of a picture; all 0 where edges are not used.
 
     image: (h, w, 3) BGR.
-    settings: of the cost.
+    settings: settings of the cost.
     """
     if not settings.edges:
         return np.zeros((*image.shape[:2], 2), np.float32)
@@ -364,13 +361,15 @@ class PictureEvidence(NamedTuple):
     """Evidence and priors of one hypothesis in one picture.
 
     fixed: parts of the problem that stay.
-    arrays: edges, flow and mask.
+    arrays: edges and flow.
+    contours: outline of the mask, where there is one.
     points: key points or clicked joints, where there are any.
     prediction: pull of the active dof to their prediction; None: none.
     """
 
     fixed: Fixed
     arrays: PictureArrays
+    contours: ContourTerm | None
     points: KeypointTerm | None
     prediction: Quadratic | None = None
 
@@ -402,9 +401,9 @@ class PictureProblem(Problem[Array, tuple[Array, Array]]):
 
     def evaluate(self, state: Array) -> tuple[float, Callable[[], tuple[Array, Array]]]:
         """Compute the cost of a pose, with Hessian (A, A) and gradient (A,) by the active dof; see `Problem`."""
-        (fixed, arrays, _, prediction), ws = self.evidence, self.ws
+        (fixed, arrays, *_, prediction), ws = self.evidence, self.ws
         cost, n = mono.picture_cost(state, arrays, self.sigma, self.n_flow, ws)
-        parts, at = list(self._joint_rows(state)), state[fixed.active]
+        parts, at = list(self._rows(state)), state[fixed.active]
         pulls = [Quadratic(np.zeros(len(at)), fixed.posture)]
         if prediction is not None:
             pulls.append(prediction)
@@ -421,10 +420,12 @@ class PictureProblem(Problem[Array, tuple[Array, Array]]):
 
         return float(cost), equations
 
-    def _joint_rows(self, pose: Array) -> Iterator[Rows]:
-        """Compute the rows of points on joints: key points, spheres, floor."""
-        fixed, _, points, _ = self.evidence
-        posed = Posed(fixed.body, pose, self.ws.vertices.astype(np.float64))
+    def _rows(self, pose: Array) -> Iterator[Rows]:
+        """Compute the rows of mask, key points, spheres and floor."""
+        fixed, _, contours, points, _ = self.evidence
+        posed = Posed(fixed.body, pose, self.ws.vertices + pose[:3])
+        if contours is not None:
+            yield from rows_of_contours(posed, contours, MASK_SCALE, contours.weight, contours.row_spacing_px, _NORMALS)
         if points is not None:
             yield rows_of_keypoints(posed, points, points.projections)
         yield sphere_rows(posed, fixed.spheres)
@@ -507,16 +508,15 @@ def frame_evidence(
 ) -> PictureEvidence:
     """Build the evidence of one frame, with the pull to the rest posture but without a prediction.
 
-    fixed: parts of the problem that stay.
-    picture: of the frame.
-    points, flow: None where there are none.
+    fixed: parts of the problem that do not change from frame to frame.
+    picture: picture of the frame.
+    points, flow: key points or clicked joints, and optical flow from the previous picture; None where there are
+        none.
     field: (h, w, 2) edges of the picture, from `field_of`.
-    settings: of the cost.
-    """
+    settings: settings of the cost."""
     arrays = PictureArrays(
         fixed.model,
         edge_arrays(field, flow, settings),
         flow_arrays(flow, settings.flow),
-        mask_arrays(picture.mask, settings.mask),
     )
-    return PictureEvidence(fixed, arrays, points)
+    return PictureEvidence(fixed, arrays, mask_contours(picture, settings), points)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.skeleton import Skeleton
-from hypose.compute.mono import EdgeSettings, FlowSettings, MaskSettings
+from hypose.compute.mono import EdgeSettings, FlowSettings
 
 
 def body_dofs(skeleton: Skeleton) -> NDArray[np.int64]:
@@ -50,14 +50,15 @@ class SearchSettings:
 class MonoSettings:
     """All settings of a monocular tracker.
 
-    edge, flow, mask, search: settings of the terms and of the search.
+    edge, flow, search: settings of the terms and of the search.
+    mask_weight: weight of a contour row of a mask, as for `contour_term` (0: masks are not used).
     edges: False leaves the edges out.
     velocity: share of the last step that is predicted again (0: none, as in the printed listing).
     motion_scale: expected error of that prediction, in units of the skeleton's usual motion per frame.
     posture_scale: spread of the weak pull to the rest posture, in the same units.
     interpenetration: weight of the prior that keeps limbs out of each other and the trunk (0: none).
     floor_sd_m: usual distance of the lower sole from a known floor, m.
-    iterations, coarse_iterations: of the Newton search per frame.
+    iterations, coarse_iterations: number of all and of coarse iterations of the Newton search per frame.
     inflation: factor on the standard deviations of the reported posterior, because errors of neighbouring nodes are
         correlated (chosen on other scenes).
     frame_rate: Hz.
@@ -65,7 +66,7 @@ class MonoSettings:
 
     edge: EdgeSettings = EdgeSettings()
     flow: FlowSettings = FlowSettings()
-    mask: MaskSettings = MaskSettings()
+    mask_weight: float = 0.75
     search: SearchSettings = SearchSettings()
     edges: bool = True
     velocity: float = 1.0
@@ -79,7 +80,6 @@ class MonoSettings:
     frame_rate: float = 25.0
 
     def robust(self, form: int) -> MonoSettings:
-        """Copy the settings with one form of loss for edges, flow and mask (GAUSSIAN is the ablation without robust
+        """Copy the settings with one form of loss for edges and flow (GAUSSIAN is the ablation without robust
         losses)."""
-        edge, flow, mask = (term._replace(form=form) for term in (self.edge, self.flow, self.mask))
-        return replace(self, edge=edge, flow=flow, mask=mask)
+        return replace(self, edge=self.edge._replace(form=form), flow=self.flow._replace(form=form))
