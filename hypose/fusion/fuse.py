@@ -328,7 +328,7 @@ def _motion(
         provenance,
         error_probability=p,
         low_confidence_joints=low_confidence,
-        low_confidence=low_confidence.any(1),
+        low_confidence=np.asarray(low_confidence.any(1)),
         systematic_covariance=isotropic(known["systematic"][:, order]),
     )
 

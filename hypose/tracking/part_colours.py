@@ -156,7 +156,7 @@ def known_colours(frame: PreparedFrame, settings: ColourSettings) -> KnownColour
         for colours in frame.frame.of(Colours):
             seen = masks._replace(usable=masks.usable & colours.seen) if len(masks.usable) else masks
             if counts is not None and len(counts) == len(masks.masks) and seen.usable.any():
-                table, edges = table_of(counts, settings), rim_edges(seen, colours.edges)
+                table, edges = colour_table(counts, settings), rim_edges(seen, colours.edges)
                 known = KnownColours(colours.codes, table, seen, edges)
         frame.shared["known colours"] = known
     return frame.shared["known colours"]
@@ -183,7 +183,7 @@ def colour_scores(poses: Array, frame: PreparedFrame, settings: ColourSettings) 
     return -(sums[:, use] / area + settings.edges * rims[:, use] / np.sqrt(area)).mean(1)
 
 
-def table_of(counts: NDArray[np.float32], settings: ColourSettings) -> NDArray[np.float32]:
+def colour_table(counts: NDArray[np.float32], settings: ColourSettings) -> NDArray[np.float32]:
     """Compute the log-likelihood ratios (C, P, COLOURS) of each colour in a part against anywhere on the person.
 
     counts: (C, P, COLOURS) number of pixels; settings: settings for colours.
