@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+from numpy.typing import ArrayLike
 
 from benchmarks.bench_report import BenchOptions, BenchReport, Row
 from benchmarks.synthetic.noisy_masks import noisy_scene
@@ -147,7 +148,7 @@ def _clip(o: Observed, c: int, clip: ViewFile) -> Observed:
     return replace(o, clips=tuple(clips))
 
 
-def _points(o: Observed, c: int, xy: Array, order: list[int] | None = None) -> Observed:
+def _points(o: Observed, c: int, xy: Array, order: ArrayLike | None = None) -> Observed:
     assert o.keypoints is not None
     points = o.keypoints.copy()
     points[c, ..., :2] = np.where(points[c, ..., 2:] > 0, xy, 0.0)
@@ -276,7 +277,7 @@ def _turned(o: Observed, c: int, rng: np.random.Generator) -> Planted:
     return _flipped(o, c, "turned", xy, None, -1)
 
 
-def _flipped(o: Observed, c: int, kind: str, xy: Array, order: list[int] | None, code: int) -> Planted:
+def _flipped(o: Observed, c: int, kind: str, xy: Array, order: ArrayLike | None, code: int) -> Planted:
     made = o if o.keypoints is None else _points(o, c, xy, order)
     return Planted(kind, _masks(made, c, lambda m: cv2.flip(m, code)), (kind,), (o.rig.names[c],))
 

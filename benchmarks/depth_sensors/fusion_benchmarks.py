@@ -26,10 +26,10 @@ from hypose.fusion.fit import LARGE_ERROR_M, FitSettings, fit_step, start_fit
 from hypose.fusion.fuse import FusionSettings, common_positions, fuse_clip
 from hypose.fusion.people import PeopleTracker
 from hypose.fusion.register import common_joints, register
-from hypose.geometry import Array, so3_exp, transform
+from hypose.geometry import Array, transform
 from hypose.io.files import csv_rows
 from hypose.io.motions.results import ResultsFolder
-from hypose.io.sensors.skeleton_streams import MISSING_MARK, SkeletonRecording, StreamRows, checked_recording
+from hypose.io.sensors.skeleton_files import read_skeletons
 from hypose.pipeline.assessment import GOOD, UNTRUSTED
 
 
@@ -164,7 +164,7 @@ def _verdicts(file: Path, frames: list[SensorJoints], found: dict[tuple[str, str
     header, rows = csv_rows(file, "a CSV of KinectMultiTrack")
     hard = bool({cells[header.index("Scenario_Id")] for _, cells in rows} & {"4", "5", "6", "8"})
     with TemporaryDirectory() as folder:
-        people, *_ = run_fuse(read_kinect_multitrack(file), ResultsFolder(Path(folder)), FuseCommand(formats="csv"))
+        people, *_ = run_fuse(read_skeletons(file), ResultsFolder(Path(folder)), FuseCommand(formats="csv"))
     words = [p.assessment.word for p in people]
     case = "occlusion or two people" if hard else "one person"
     found.setdefault(("not_good", case, "share"), []).append(float(any(w != GOOD for w in words)))
@@ -175,44 +175,9 @@ def _verdicts(file: Path, frames: list[SensorJoints], found: dict[tuple[str, str
     found.setdefault(("doubtful_frames", case, "share"), []).append(float(np.mean(low_confidence)))
 
 
-def read_kinect_multitrack(path: Path) -> SkeletonRecording:
-    """Read a CSV of KinectMultiTrack (C.-J. Wu, 2015), one row per skeleton of two Kinect v2.
-
-    There is one stream per Kinect_Id, with people by Person_Id.
-
-    Times are those of Tracker_Time (one clock, ms), shifted to start at 0. No tracking state is logged, so a joint that
-    is present counts as tracked; -9999 means missing.
-    The logger moves every skeleton into the frame of the first row's sensor, by the angle (rad) and distance (m) at
-    which the person first stood in front of each sensor (Skeleton_Init_Angle, Skeleton_Init_Dist). This is undone, so
-    the positions are in each sensor's own frame, m.
-    """
-    header, lines = csv_rows(path, "a CSV of KinectMultiTrack")
-    at = {name: i for i, name in enumerate(header)}
-    starts = [i for i, c in enumerate(header) if c.endswith("_X")]
-    joints = tuple(header[i][:-2] for i in starts)
-    places: dict[str, Array] = {}
-    sensors: dict[str, StreamRows] = {}
-    for _, cells in lines:
-        name = cells[at["Kinect_Id"]]
-        values = np.array([[float(c) for c in cells[i : i + 3]] for i in starts])
-        place = np.array([cells[at["Skeleton_Init_Angle"]], cells[at["Skeleton_Init_Dist"]]], dtype=np.float64)
-        angle, distance = places.setdefault(name, place)
-        first_angle, first_distance = next(iter(places.values()))
-        known = (values > MISSING_MARK).all(1)
-        turn = so3_exp(np.array([0.0, angle - first_angle, 0.0]))
-        values[known] = (values[known] - [0.0, 0.0, first_distance]) @ turn + [0.0, 0.0, distance]
-        time, person = float(cells[at["Tracker_Time"]]) * 1e-3, int(float(cells[at["Person_Id"]]))
-        sensors.setdefault(name, StreamRows(name, joints)).add(time, person, values, np.full(len(joints), 2))
-    # seconds since the year 1 would lose microseconds in later arithmetic
-    zero = min(t for rows in sensors.values() for t in rows.times)
-    for rows in sensors.values():
-        rows.times = [t - zero for t in rows.times]
-    return checked_recording(path.name.partition(".")[0], list(sensors.values()), str(path), {path.name: path})
-
-
 def main_person(file: Path) -> list[SensorJoints]:
     """Instants in which both sensors report the person that is seen most, common joints."""
-    recording = read_kinect_multitrack(file)
+    recording = read_skeletons(file)
     if len(recording.streams) < 2:
         raise InputError(f"{file} holds one sensor; two are compared here.")
     a, b = recording.streams[:2]

@@ -220,7 +220,7 @@ def _look(source: BoardFootage, numbers: Sequence[int], board: Board, step: Call
             if sum(k.sighting is not None and not k.reason for k in looks.values()) >= _ENOUGH_BOARDS:
                 break
             for number in [n for n in rest[start::every] if n not in looks]:
-                image = cv2.cvtColor(reader.read(number + source.lag), cv2.COLOR_BGR2GRAY)
+                image = np.asarray(cv2.cvtColor(reader.read(number + source.lag), cv2.COLOR_BGR2GRAY), np.uint8)
                 if not quick or likely_shown(image, board):
                     looks[number] = _examine(image, detect)
                 if quick:

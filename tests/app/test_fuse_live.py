@@ -14,7 +14,7 @@ import pytest
 from websockets.asyncio.client import connect
 from websockets.exceptions import InvalidStatus
 
-from hypose.app.live.live_server import FusionServerOptions, LiveServer, is_loopback
+from hypose.app.live.live_server import FusionServerOptions, LiveServer
 from hypose.app.live.servers import quiet_logs
 from hypose.errors import InputError
 from hypose.evidence.frame import SensorReport
@@ -188,10 +188,10 @@ def test_the_token_is_asked_for_and_strangers_use_up_no_lines():
 
 
 def test_other_hosts_get_a_token_made():
-    assert all(map(is_loopback, ("127.0.0.1", "localhost", "::1")))
-    assert not any(map(is_loopback, ("0.0.0.0", "example.org")))
-    assert len(LiveServer(FusionServerOptions(host="0.0.0.0")).token) >= 20
-    assert LiveServer(FusionServerOptions()).token == ""
+    for host in ("0.0.0.0", "example.org"):
+        assert len(LiveServer(FusionServerOptions(host=host)).token) >= 20
+    for host in ("127.0.0.1", "localhost", "::1"):
+        assert LiveServer(FusionServerOptions(host=host)).token == ""
 
 
 def test_a_taken_port_is_named():

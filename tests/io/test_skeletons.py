@@ -152,6 +152,55 @@ def test_a_picture_bomb_is_not_unpacked(tmp_path):
         read_depth_png(tmp_path / "d.png")
 
 
+# ---- CSV of Kinects ----
+
+
+def kinect_csv(rows=20, joints=("Head", "Neck"), change=lambda lines: lines):
+    names = ",".join(f" {j}_{x}" for j in joints for x in "XYZ")
+    lines = [f"\ufeffStudy_Id, Tracker_Time, Person_Id, Skeleton_Time, Kinect_Id,{names}"]
+    for n in range(rows):
+        for k in "ab":
+            values = ", ".join(f"{v:.4f}" for v in np.full(3 * len(joints), n / 100 + (k == "b")))
+            lines.append(f"2, {63562191989440 + 33 * n}, 0, {330000 * n + 5}, {k}, {values}")
+    return "\r\n".join(change(lines)) + "\r\n"
+
+
+@pytest.mark.parametrize("name", ["k.csv", "k.csv.gz"])
+def test_kinect_csv(tmp_path, name):
+    text = kinect_csv(change=lambda ln: [x.replace("0.0300", "-9999") for x in ln]).encode()
+    (tmp_path / name).write_bytes(gzip.compress(text) if name.endswith("gz") else text)
+    made = read_skeletons(tmp_path / name)
+    assert [s.name for s in made.streams] == ["a", "b"] and made.name == "k"
+    a, b = made.streams
+    assert a.times[:3] == pytest.approx([0, 0.033, 0.066], abs=1e-5)
+    assert a.joint_names == ("Head", "Neck")
+    assert a.positions[5, 0, 1] == pytest.approx([0.05] * 3) and b.positions[5, 0, 1] == pytest.approx([1.05] * 3)
+    assert np.isnan(a.positions[3, 0]).all()
+
+
+def test_each_kinects_skeletons_are_put_back_before_it(tmp_path):
+    """The logger turns them by how the person stood, and puts them where the first sensor saw it."""
+
+    def change(lines):
+        first = lines[0].replace("Study_Id,", "Study_Id, Skeleton_Init_Angle, Skeleton_Init_Dist,")
+        said = {"a": "0.1, 2.0", "b": "-0.6853982, 3.0"}  # 45 degrees apart
+        return [first, *(ln.replace("2, ", f"2, {said[ln.split(',')[4].strip()]}, ", 1) for ln in lines[1:])]
+
+    (tmp_path / "k.csv").write_text(kinect_csv(change=change))
+    a, b = (s.positions[5, 0, 0] for s in read_skeletons(tmp_path / "k.csv").streams)
+    assert a == pytest.approx([0.05] * 3)
+    turn = np.array([[1, 0, 1], [0, np.sqrt(2), 0], [-1, 0, 1]]) / np.sqrt(2)
+    assert b == pytest.approx(turn @ [1.05, 1.05, 1.05 - 2] + [0, 0, 3], abs=1e-6)
+
+
+def test_real_recordings_of_two_kinects(shared_data):
+    made = read_skeletons(shared_data("kinect_multitrack") / "Study_2_Kinect_2_Time_12_32_04_PM.csv.gz")
+    assert len(made.streams) == 2 and made.common_clock
+    for s in made.streams:
+        assert len(s.joint_names) == 25 and 25 < s.rate < 32
+        assert np.isfinite(s.positions).all(-1).mean() > 0.4
+
+
 # ---- bounds ----
 
 

@@ -16,7 +16,7 @@ from hypose.app.commands.commands_results import tell_untrusted
 from hypose.app.commands.console import Stages, counted, each, print_notes, say
 from hypose.app.options import CompareCommand
 from hypose.app.reports.charts import RIGHT_COLOUR, Axes, chart, over_known
-from hypose.app.reports.summary import list_of, page, table_of
+from hypose.app.reports.summary import html_list, html_table, page
 from hypose.body.default_body import JOINT_NAMES
 from hypose.errors import InputError
 from hypose.io.files import check_writable, write_text
@@ -163,7 +163,7 @@ def write_comparison_page(path: Path, compared: Sequence[Compared], failed: Sequ
         if f.angles:
             parts += ["<h3>Angles</h3>", _table(f.angles)]
         if f.notes:
-            parts.append(list_of(f.notes))
+            parts.append(html_list(f.notes))
     parts.append(
         "<p class='dim'>Median, 95th percentile and RMSE of the distance between the two (angles: of the absolute "
         "difference), as it is and without the constant offset of each joint in its segment, by which two programs "
@@ -187,7 +187,7 @@ def _table(rows: Sequence[Agreement]) -> str:
         cells += [" / ".join(_number(v) for v in a.bias.tolist()), limits, " / ".join(f"{v:.3f}" for v in a.r.tolist())]
         cells.append("-" if covered != covered else f"{100 * covered:.0f} %")
         out.append(cells)
-    return table_of(out, head, range(1, len(head))) + "<p class='dim'>* without the constant offset</p>"
+    return html_table(out, head, range(1, len(head))) + "<p class='dim'>* without the constant offset</p>"
 
 
 def _number(value: float) -> str:

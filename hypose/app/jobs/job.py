@@ -22,7 +22,15 @@ from hypose.app.commands.console import ProgressCall, Stages, counted, each, ign
 from hypose.app.options import TrackCommand
 from hypose.app.reports.report import picture_rows, report_html
 from hypose.app.reports.result_pictures import PictureRows, Shown, colour_of, write_overlay
-from hypose.app.reports.summary import CONTENT_POLICY, DESCRIPTIONS, list_of, page, require_found, summarize, table_of
+from hypose.app.reports.summary import (
+    CONTENT_POLICY,
+    DESCRIPTIONS,
+    html_list,
+    html_table,
+    page,
+    require_found,
+    summarize,
+)
 from hypose.app.studio.view_bundle import Rivals, in_recording
 from hypose.body.body import Body
 from hypose.body.motion import Motion
@@ -516,8 +524,8 @@ def _index(job: TrackJob, people: Sequence[TrackResult], notes: Sequence[str]) -
         )
         rows.append(cells)
     film = '<p><video src="overlay.mp4" controls></video></p>' if job.command.overlay else ""
-    table = table_of(rows, ("", "person", "height", "there", "assessment"))
-    body = f"<h1>{html.escape(job.recording.name)}</h1>{table}{film}{list_of(notes)}"
+    table = html_table(rows, ("", "person", "height", "there", "assessment"))
+    body = f"<h1>{html.escape(job.recording.name)}</h1>{table}{film}{html_list(notes)}"
     return page(job.recording.name, body, policy=f"{CONTENT_POLICY}; media-src 'self'")
 
 

@@ -9,11 +9,9 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import ipaddress
 import json
 import math
 import re
-import secrets
 import socket
 import threading
 import time
@@ -27,7 +25,7 @@ import numpy as np
 
 from hypose.app.commands.console import counted, ended_by_signals
 from hypose.app.live.osc import OscTarget, people_osc
-from hypose.app.live.servers import SocketServer, listen_error, quiet_logs, same_secret
+from hypose.app.live.servers import SocketServer, listen_error, quiet_logs, same_secret, token_for
 from hypose.errors import InputError, visible
 from hypose.fusion.align import AlignSettings
 from hypose.fusion.joints import COMMON
@@ -78,16 +76,6 @@ class FusionServerOptions:
             raise InputError("A token must have 8 to 128 letters, digits, _ . and -; leave it out to have one made.")
 
 
-def is_loopback(host: str) -> bool:
-    """Return whether an address can be reached from this computer only."""
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
-
-
 class LiveServer:
     """Server of live fusion; it runs in the event loop from `start` to `stop`, and counts lines and frames.
 
@@ -99,7 +87,7 @@ class LiveServer:
         self, options: FusionServerOptions, note: _Say = lambda text: None, clock: Callable[[], float] | None = None
     ) -> None:
         self.options = options
-        self.token = options.token or ("" if is_loopback(options.host) else secrets.token_urlsafe(16))
+        self.token = token_for(options.host, options.token)
         self.fuser = LiveFuser(options.settings)
         self.received = self.used = self.ignored = self.frames = 0
         self.latencies: deque[float] = deque(maxlen=3000)

@@ -11,6 +11,7 @@ import logging
 import math
 import os
 import re
+import secrets
 import threading
 from collections.abc import Callable, Coroutine
 from contextlib import suppress
@@ -37,6 +38,17 @@ _FOREIGN = (
 """Beginnings of log messages about what a client has sent, not about this program. websockets logs the last one when
 frames come with a request that it refuses.
 """
+
+
+LOOPBACK = frozenset({"127.0.0.1", "localhost", "::1"})
+"""Addresses that only this computer reaches."""
+
+
+def token_for(host: str, token: str | None = None) -> str:
+    """Return the secret that clients must show to a server on this host: the given one, a new one where other computers
+    can connect, else "".
+    """
+    return token or ("" if host in LOOPBACK else secrets.token_urlsafe(16))
 
 
 def same_secret(shown: str, secret: str) -> bool:

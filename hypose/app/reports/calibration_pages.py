@@ -15,7 +15,7 @@ import numpy as np
 
 from hypose import __version__
 from hypose.app.reports.result_pictures import jpeg, open_images, put_text
-from hypose.app.reports.summary import list_of, page, picture_of, table_of
+from hypose.app.reports.summary import html_list, html_table, page, picture_of
 from hypose.calibration.boards import Board, BoardDetection
 from hypose.calibration.diagnostics import Cured, Observed, PersonReport
 from hypose.calibration.from_boards import BoardCalibration
@@ -130,8 +130,8 @@ def write_check_page(
     parts = [
         f"<h1>{html.escape(title)}: is the calibration right?</h1>",
         '<p class="good">No fault found.</p>' if fine else '<p class="bad">Something is wrong; see below.</p>',
-        "<h2>Findings</h2>" + list_of([*found, *warnings] or ["none"]),
-        "<h2>Cameras</h2>" + table_of(rows, (*head, "a refinement moves it by", "assessment"), range(1, 6)),
+        "<h2>Findings</h2>" + html_list([*found, *warnings] or ["none"]),
+        "<h2>Cameras</h2>" + html_table(rows, (*head, "a refinement moves it by", "assessment"), range(1, 6)),
         "<p class='dim'>Residual: median distance of the camera's key points from the triangulation of all "
         "views; left out: of the other views. Silhouette: by how much the planes that touch the person differ from "
         "those of the other views.</p>",
@@ -141,7 +141,7 @@ def write_check_page(
         parts.append(picture_of(jpeg(picture, picture.shape[1], 85), "jpeg"))
     if sheet.is_file():
         parts.append("<h2>Masks</h2>" + picture_of(sheet.read_bytes(), "png"))
-    parts.append("<h2>Notes</h2>" + list_of(facts))
+    parts.append("<h2>Notes</h2>" + html_list(facts))
     parts.append(f"<p class='dim'>hypose {__version__}</p>")
     write_text(path, page(f"{title}: check", "\n".join(parts)))
 

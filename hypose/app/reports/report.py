@@ -16,7 +16,7 @@ import numpy as np
 from hypose import __version__
 from hypose.app.reports import charts
 from hypose.app.reports.result_pictures import OverlayRows, PictureRows, Shown, jpeg, still_rows, write_overlay
-from hypose.app.reports.summary import list_of, page, picture_of, subject_rows, summarize, table_of
+from hypose.app.reports.summary import html_list, html_table, page, picture_of, subject_rows, summarize
 from hypose.app.studio.view_bundle import ViewResult, view_bundle
 from hypose.body.body import Body
 from hypose.body.motion import Motion, sd_per_axis
@@ -109,7 +109,7 @@ def _text(what: ViewResult, drawn: OverlayRows) -> str:
     if not what.complete:
         parts.append('<p class="bad">The run was interrupted: this is what was tracked until then.</p>')
     if what.notes:
-        parts.append("<h2>Notes</h2>" + list_of(what.notes))
+        parts.append("<h2>Notes</h2>" + html_list(what.notes))
     if what.truth is not None:
         text = f"The recording is synthetic, so the truth is known: {what.truth.mean_mm:.1f} mm mean distance over "
         text += f"{len(what.truth.names)} joints. {what.truth.note}"
@@ -151,7 +151,7 @@ def _text(what: ViewResult, drawn: OverlayRows) -> str:
     )
     parts.append(f"<div><h2>Subject</h2>{_subject(what.body)}</div></div>" if what.body is not None else "</div>")
     if what.files:
-        parts.append("<h2>Files</h2>" + table_of((html.escape(n), html.escape(t)) for n, t, _ in what.files))
+        parts.append("<h2>Files</h2>" + html_table((html.escape(n), html.escape(t)) for n, t, _ in what.files))
     parts.append(_origin(what))
     return "\n".join(parts)
 
@@ -208,7 +208,7 @@ def gait_section(motion: Motion, body: Body | None) -> str:
         (f.name.replace("_", " "), f"{f.mean:.3g} {html.escape(f.unit)}", f"{f.low:.3g} to {f.high:.3g}", str(f.n))
         for f in found.figures
     ]
-    out = "<h2>Gait</h2>" + table_of(rows, ("", "mean", "with 90 %", "n"), range(1, 4))
+    out = "<h2>Gait</h2>" + html_table(rows, ("", "mean", "with 90 %", "n"), range(1, 4))
     if cycles := angle_cycles(found.events, motion):
         caption = "From strike to strike of the same foot. Bands: one standard deviation between strides, or of the "
         caption += "tracking where there is one. hypose gait writes the numbers, and each event and step."
@@ -217,7 +217,7 @@ def gait_section(motion: Motion, body: Body | None) -> str:
 
 
 def _subject(body: Body) -> str:
-    table = table_of(((html.escape(n), f"{v:.3f} m") for n, v in subject_rows(body)), (), (1,))
+    table = html_table(((html.escape(n), f"{v:.3f} m") for n, v in subject_rows(body)), (), (1,))
     return f'{table}<p class="dim">Between joint centres; limbs: mean of both sides.</p>'
 
 
@@ -233,7 +233,7 @@ def _passes(motion: Motion) -> str:
         where = f"{most.joint.replace('_', ' ')}, frames {most.frames.start} to {most.frames.stop - 1} of the clip"
         cells = (stage, f"{frames}", f"{1e3 * most.moved:.0f} mm: {where}", most.reason)
         rows.append([html.escape(c) for c in cells])
-    table = table_of(rows, ("pass", "frames", "largest", "why"))
+    table = html_table(rows, ("pass", "frames", "largest", "why"))
     least = f"Displacements of more than {1e3 * SETTINGS.trace_least_m:.0f} mm."
     how = f'<p class="dim">{least} hypose explain RESULT --joint NAME --frame N tells it of one joint.</p>'
     return f"<details><summary>What each pass moved</summary>{table}{how}</details>"
@@ -245,7 +245,7 @@ def _origin(what: ViewResult) -> str:
     if what.citation:
         out += f"<p>Method: {html.escape(what.citation)}</p>"
     if what.seconds:
-        table = table_of(((html.escape(k), f"{v:.1f} s") for k, v in what.seconds.items()), (), (1,))
+        table = html_table(((html.escape(k), f"{v:.1f} s") for k, v in what.seconds.items()), (), (1,))
         out += f"<details><summary>Time per stage</summary>{table}</details>"
     record.pop("trace", None)  # it is shown in the table above
     text = html.escape(to_json(record))

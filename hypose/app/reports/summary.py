@@ -147,7 +147,7 @@ def page(title: str, body: str, style: str = "", scripts: str = "", policy: str 
     )
 
 
-def table_of(rows: Iterable[Sequence[str]], head: Sequence[str] = (), numbers: Container[int] = ()) -> str:
+def html_table(rows: Iterable[Sequence[str]], head: Sequence[str] = (), numbers: Container[int] = ()) -> str:
     """Build an HTML table.
 
     rows: HTML of the cells.
@@ -160,7 +160,7 @@ def table_of(rows: Iterable[Sequence[str]], head: Sequence[str] = (), numbers: C
     return "<table>" + "\n".join(f"<tr>{line}</tr>" for line in (*top, *lines)) + "</table>"
 
 
-def list_of(texts: Iterable[str]) -> str:
+def html_list(texts: Iterable[str]) -> str:
     """Build an HTML list of plain texts."""
     return "<ul>" + "".join(f"<li>{html.escape(text)}</li>" for text in texts) + "</ul>"
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import inspect
 import re
-import secrets
 from collections.abc import AsyncIterator, Callable, Sequence
 from http import HTTPStatus
 from typing import Any
@@ -21,7 +20,7 @@ from starlette.responses import JSONResponse, Response, StreamingResponse
 from starlette.routing import Route
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from hypose.app.live.servers import shows_secret
+from hypose.app.live.servers import LOOPBACK, shows_secret
 from hypose.app.studio.catalog import NotFound
 from hypose.app.studio.view_bundle import json_values
 from hypose.errors import HyposeError, InputError
@@ -225,7 +224,6 @@ def _capital(what: str) -> str:
 # be a name of this server; otherwise a foreign name that resolves to 127.0.0.1 would pass.
 
 
-LOOPBACK = frozenset({"127.0.0.1", "localhost", "::1"})
 _CHANGING = frozenset({"POST", "PUT", "DELETE", "PATCH"})
 _POLICY = (
     "default-src 'self'; img-src 'self' data: blob:; style-src 'self' 'unsafe-inline'; connect-src 'self'; "
@@ -236,20 +234,13 @@ page.
 """
 
 
-def token_for(host: str, token: str | None = None) -> str | None:
-    """Return the token that pages must show to a server on this host: the given one, a new one where other computers
-    can connect, else None.
-    """
-    return token or (None if host in LOOPBACK else secrets.token_urlsafe(16))
-
-
 class Guard:
-    """ASGI application that wraps another one and refuses foreign requests before they reach it.
+    """Application that refuses foreign requests before any other code sees them.
 
-    app: the wrapped application.
-    token: secret that requests must contain; None where the server listens on this computer only."""
+    token: "" where the server listens on this computer only.
+    """
 
-    def __init__(self, app: ASGIApp, token: str | None) -> None:
+    def __init__(self, app: ASGIApp, token: str) -> None:
         self._app, self._token = app, token
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -273,7 +264,7 @@ class Guard:
         headers = Headers(scope=scope)
         asked = headers.get("host", "")
         name = (urlsplit(f"//{asked}").hostname or "").lower() if asked.isprintable() else ""
-        if self._token is None and name not in LOOPBACK:
+        if not self._token and name not in LOOPBACK:
             return HTTPStatus.FORBIDDEN, f"This server does not go by {asked[:80]!r}; open it as http://127.0.0.1."
         changing = scope["type"] == "websocket" or scope["method"] in _CHANGING
         origin = headers.get("origin")
@@ -281,8 +272,8 @@ class Guard:
         if changing and (foreign or headers.get("sec-fetch-site") in ("cross-site", "same-site")):
             return HTTPStatus.FORBIDDEN, "Pages of other sites may not talk to this server; open its own page."
         query, bearer = scope["query_string"].decode("latin-1"), headers.get("authorization", "")
-        secret = self._token is not None and scope["path"].startswith(("/api/", "/ws/"))
-        if secret and not shows_secret(query, bearer, self._token or ""):
+        secret = bool(self._token) and scope["path"].startswith(("/api/", "/ws/"))
+        if secret and not shows_secret(query, bearer, self._token):
             return HTTPStatus.UNAUTHORIZED, "The token is missing or wrong; use the address that `hypose view` printed."
         return None
 

@@ -23,7 +23,7 @@ from starlette.routing import BaseRoute, Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 
 from hypose import __version__
-from hypose.app.live.servers import quiet_logs
+from hypose.app.live.servers import listen_error, quiet_logs, token_for
 from hypose.app.reports.calibration_pages import printed_board
 from hypose.app.reports.summary import DESCRIPTIONS, OPENSIM_FILES
 from hypose.app.studio import clicks
@@ -41,7 +41,6 @@ from hypose.app.studio.http import (
     request_choice,
     route,
     text,
-    token_for,
 )
 from hypose.app.studio.hub import MAX_MESSAGE, Hub
 from hypose.app.studio.job_kinds import forms, fused_in
@@ -203,10 +202,9 @@ def open_port(host: str, port: int) -> socket.socket:
         opened.listen()
     except (OSError, OverflowError) as error:
         opened.close()
-        reason = getattr(error, "strerror", None) or str(error)
         raise InputError(
-            f"Port {port} on {host} cannot be used ({reason.lower()}); choose another with --port, 0 takes any free "
-            "one."
+            f"Port {port} on {host} cannot be used ({listen_error(error)}); choose another with --port, 0 takes any "
+            "free one."
         ) from None
     return opened
 

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.errors import InputError
-from hypose.geometry import Array
+from hypose.geometry import Array, so3_exp
 from hypose.io.file_names import text_of
 from hypose.io.files import (
     MAX_TEXT_BYTES,
@@ -39,6 +39,7 @@ from hypose.io.motions.results import to_json
 from hypose.io.sensors.depth import read_depth_png, sample_depth
 from hypose.io.sensors.skeleton_streams import (
     MAX_JOINTS,
+    MISSING_MARK,
     SKELETON_UNITS,
     SkeletonRecording,
     StreamRows,
@@ -304,6 +305,63 @@ class FolderWriter:
 # ---- other formats -------------------------------------------------------------------------------------------------
 
 
+def read_kinect_csv(source: Source) -> SkeletonRecording:
+    """Read a CSV of KinectMultiTrack (C.-J. Wu, 2015; .csv or .csv.gz): one stream per Kinect_Id, people by Person_Id.
+
+    Times are those of Tracker_Time (one clock, ms), shifted to start at 0. No tracking state is logged, so a joint that
+    is present counts as tracked.
+    The logger moves every skeleton into the frame of the first row's sensor, by the angle and distance at which the
+    person first stood in front of each sensor (Skeleton_Init_Angle, Skeleton_Init_Dist). This is undone, so the
+    positions are in each sensor's own frame, m.
+
+    Raises: InputError where columns are missing or a line cannot be used.
+    """
+    path = source.path
+    header, lines = csv_rows(path, source.kind)
+    at = {name: i for i, name in enumerate(header)}
+    starts = [i for i, c in enumerate(header) if c.endswith("_X")]
+    joints = tuple(header[i][:-2] for i in starts)
+    wrong = [c for i, c in zip(starts, joints, strict=True) if header[i : i + 3] != [f"{c}_{x}" for x in "XYZ"]]
+    if not 1 <= len(joints) <= MAX_JOINTS or wrong or len(set(joints)) < len(joints):
+        raise InputError(
+            f"{path} needs columns <Joint>_X, <Joint>_Y, <Joint>_Z of 1 to {MAX_JOINTS} joints; export it "
+            "with such a first line."
+        )
+    sensor_column = at[next((n for n in at if n.startswith("Kinect_Id") or n == "Kinect#"), "Kinect_Id")]
+    person_column = at.get("Person_Id", at.get("Skeleton_Id"))
+    time_column, turned = at["Tracker_Time"], [at[n] for n in ("Skeleton_Init_Angle", "Skeleton_Init_Dist") if n in at]
+    turns: dict[str, Array] = {}
+    sensors: dict[str, StreamRows] = {}
+    for number, cells in lines:
+        with numbers_of(f"{path}: line {number}"):
+            time = float(cells[time_column]) * 1e-3
+            person = int(float(cells[person_column])) if person_column is not None else 0
+            values = np.array([[float(c) for c in cells[i : i + 3]] for i in starts])
+            turn = np.array([float(cells[i]) for i in turned])
+        if not math.isfinite(time):
+            raise InputError(f"{path}: line {number} has no time; Tracker_Time must be a number.")
+        name = cells[sensor_column]
+        if len(turn) == 2:
+            own, known = turns.setdefault(name, turn), (values > MISSING_MARK).all(1)
+            values[known] = _before_own_sensor(values[known], next(iter(turns.values())), own)
+        sensors.setdefault(name, StreamRows(name, joints)).add(time, person, values, np.full(len(joints), 2))
+    # seconds since the year 1 would lose microseconds in later arithmetic
+    zero = min((t for rows in sensors.values() for t in rows.times), default=0.0)
+    for rows in sensors.values():
+        rows.times = [t - zero for t in rows.times]
+    title = path.name.removesuffix(".gz").removesuffix(".csv")
+    return checked_recording(title, list(sensors.values()), str(path), {path.name: path})
+
+
+def _before_own_sensor(points: Array, first: Array, own: Array) -> Array:
+    """Move points (N, 3), m, from the first sensor's frame back to their own sensor's frame.
+
+    first, own: initial angle about the vertical, rad, and distance, m, of the person, for the first and the own sensor.
+    """
+    moved = (points - [0.0, 0.0, first[1]]) @ so3_exp(np.array([0.0, own[0] - first[0], 0.0]))
+    return np.asarray(moved + [0.0, 0.0, own[1]])
+
+
 def read_azure(source: Source) -> SkeletonRecording:
     """Read the .json files of Azure Kinect's offline_processor, one per sensor, each with its own clock.
 
@@ -360,6 +418,12 @@ SKELETONS = FormatTable(
             ("/", ".json"),
             read_azure,
             lambda source: any("joint_names" in _json(file) for file in source.files(".json")[:1]),
+        ),
+        Format(
+            "KinectMultiTrack",
+            (".csv", ".csv.gz"),
+            read_kinect_csv,
+            lambda source: any("Kinect" in c for c in source.header),
         ),
         Format("lines of hypose", (".jsonl", ".ndjson", ".jsonl.gz", ".ndjson.gz"), read_lines),
     ),

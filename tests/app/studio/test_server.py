@@ -10,8 +10,8 @@ import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from hypose.app.commands.commands_live import view
+from hypose.app.live.servers import token_for
 from hypose.app.studio import server as studio_server
-from hypose.app.studio.http import token_for
 from hypose.calibration.findings import Finding
 from hypose.pipeline.assessment import Assessment
 from tests.app.studio.conftest import serving
@@ -156,7 +156,7 @@ def test_too_many_connections_are_refused(served):
 
 
 def test_others_than_this_computer_need_the_token(served):
-    assert token_for("0.0.0.0") and token_for("127.0.0.1") is None
+    assert token_for("0.0.0.0") and token_for("127.0.0.1") == ""
     with serving(served, host="0.0.0.0", token="secret") as client:
         assert client.ask("/api/state")[0] == 401
         assert client.ask("/api/state?token=wrong")[0] == 401

@@ -96,7 +96,7 @@ function teachFields(state: State, kinds: Kind[], wish: Wish, draw: () => void):
     h("h2", {}, "Who is seen"),
     h("div", { class: "kinds", role: "radiogroup", "aria-label": "Source" }, ...kinds.map((k) => kindCard(k, k === chosen, wish, draw))),
     ...(chosen && chosen.sources.length > 1 ? [field(chosen.name === "simulated" ? "Person" : "Which one", sourceSelect(chosen, wish, draw))] : []),
-    field("Gesture", gestures.length ? gestureSelect(gestures, wish, draw) : gestureName(wish, showLearn)),
+    field("Gesture", gestures.length ? gestureSelect(gestures, wish, draw) : gestureName(wish, showLearn), ...(gestures.length ? [h("span", { class: "dim" }, MEANT[wish.gesture] ?? "")] : [])),
     field("Learn", learn),
     field("Rounds", number("Rounds", wish.rounds, 1, 100, 1, (n) => {
       wish.rounds = n;
@@ -161,8 +161,7 @@ function sourceSelect(kind: Kind, wish: Wish, draw: () => void): HTMLElement {
 }
 
 function gestureSelect(gestures: readonly string[], wish: Wish, changed: () => void): HTMLElement {
-  const told = (name: string): string => name.replaceAll("_", " ") + (MEANT[name] ? `: ${MEANT[name]}` : "");
-  return select("Gesture", gestures.map((g) => ({ value: g, label: told(g) })), wish.gesture, (value) => {
+  return select("Gesture", gestures.map((g) => ({ value: g, label: g.replaceAll("_", " ") })), wish.gesture, (value) => {
     wish.gesture = value;
     changed();
   });
