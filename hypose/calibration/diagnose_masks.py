@@ -45,15 +45,15 @@ _CLEAR = 0.085  # of the person's size: limbs nearer to another part of the body
 
 @dataclass(frozen=True)
 class LimbOffsets:
-    """N offsets between bones and the middles of the mask across them, in px of the working size.
+    """Offsets of limbs in one view: for N points on bones, how far the middle of the mask, measured across the bone,
+        lies from the bone. Pixels are those of the working size.
 
     normal: (N, 2) normal of the bone.
     offset: (N,) offset of the middle from the bone along the normal, px.
     velocity: (N, 2) velocity of the point on the bone, px per frame.
     position: (N, 2) point on the bone, px.
     limb: (N,) index of the limb.
-    frame: (N,) index of the frame.
-    """
+    frame: (N,) index of the frame."""
 
     normal: Array
     offset: Array
@@ -339,7 +339,7 @@ G kinds of residuals have errors that last over the R instants.
 
 @dataclass(frozen=True)
 class CommonFocal:
-    """A common error of all focal lengths.
+    """Estimated common error of the focal lengths of all cameras.
 
     factor: factor by which all focal lengths must be multiplied.
     sd: standard deviation of its logarithm; infinite where nothing is known."""

@@ -217,8 +217,7 @@ class PointAdjustment:
     radial: (C,) radial distortion term of each camera; 0 unless it was estimated.
     radial_sd: (C,) standard deviation of radial; 0 unless it was estimated.
     before: median reprojection error at the start, px, over the detections used.
-    after: the same after the adjustment, px.
-    """
+    after: median reprojection error after the adjustment, px, over the same detections."""
 
     rig: CameraRig
     points: Array

@@ -97,14 +97,13 @@ def keypoint_curves(
     *,
     step: float = _STEP,
 ) -> Curves:
-    """Compute the curves of disagreement from key points.
+    """Compute from key points how much each pair of views disagrees, as a function of the time offset between them.
 
     pixels: (C, T, K, 2) undistorted px of the rig.
-    confidence: (C, T, K).
+    confidence: (C, T, K) confidence of each point.
     largest: largest offset, frames.
     scale_px: standard deviation of a detection, px.
-    step: step of the offsets, frames.
-    """
+    step: step of the offsets, frames."""
     n, frames = pixels.shape[:2]
     lags = _lags(largest, frames, step)
     margin = int(np.ceil(lags[-1])) + 1
@@ -257,13 +256,14 @@ def tangent_planes(rig: CameraRig, tracks: Sequence[MaskTrack], a: int, b: int) 
 
 
 def silhouette_curves(rig: CameraRig, tracks: Sequence[MaskTrack], largest: float, scale_px: float) -> Curves:
-    """Compute the curves of disagreement from silhouettes: their frontier planes, and where along the pencil they
-    change.
+    """Compute from silhouettes how much each pair of views disagrees, as a function of the time offset between them.
+
+    Compared are the planes through both cameras that are tangent to the person, and the directions about the baseline
+    in which the masks change.
 
     tracks: mask track of each view.
     largest: largest offset, frames.
-    scale_px: standard deviation of a tangent, px.
-    """
+    scale_px: standard deviation of a tangent, px."""
     frames = len(tracks[0].area)
     lags = _lags(largest, frames)
     margin = int(np.ceil(lags[-1])) + 1

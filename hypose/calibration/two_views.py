@@ -43,13 +43,13 @@ def on_common_clock(points: Array, late: Array, frames: NDArray[np.int64]) -> Ar
 
 
 def epipolar_curves(points: Array, lenses: Sequence[Array] | None, sd: float, largest: int) -> Curves:
-    """Compute the disagreement of pairs of views with their best epipolar geometry, over whole offsets.
+    """Compute how much the key points of each pair of views disagree with the epipolar geometry that fits them best,
+    for every whole time offset between the two views.
 
     points: (C, T, K, 3) undistorted px, and confidence.
     lenses: K (3, 3) of each view; None where unknown.
     sd: standard deviation of a detection, px.
-    largest: largest offset, frames.
-    """
+    largest: largest offset, frames."""
     rng = np.random.default_rng(0)
     count, frames, kinds = points.shape[:3]
     lags = np.arange(-largest, largest + 1)

@@ -192,7 +192,8 @@ def grown(bits, spans, box, flip, out):
     """Dilate a packed mask by a structuring element, within a box.
 
     spans: (n, 4) the structuring element (`element_spans`).
-    flip: 0; or ALL: the unset pixels are dilated, and out gets the rest (erosion).
+    bits, box: packed mask, and rows and columns to compute.
+    flip: 0: dilation; ALL: the unset pixels are dilated instead, so that out gets the erosion of the mask.
     out: gets the result in the box."""
     begin, words, n = box[2] >> 6, ((box[3] + 63) >> 6) - (box[2] >> 6), box[1] - box[0]
     union = np.zeros((words + 2, n), np.uint64)  # of the rows of a span; a word more on both sides

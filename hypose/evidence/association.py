@@ -44,7 +44,7 @@ class PersonTrack:
 
     @property
     def last(self) -> int:
-        """Last frame of the clip in the track."""
+        """Index of the last frame of the clip that belongs to the track."""
         return self.first + len(self) - 1
 
     @property

@@ -39,7 +39,7 @@ _TWO_VALUED, _LABELS = 48, 32
 
 
 class Segmenter(Protocol):
-    """Interface of a function that segments the person in an image of one view."""
+    """Interface of an object that segments the person in the images of one view (method `runs`)."""
 
     glance: Glance | None
     """quick test of a stored picture for any foreground; None: the whole image is needed"""

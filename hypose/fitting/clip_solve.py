@@ -137,9 +137,8 @@ class Coupling:
                     self.bands[second - first, first : first + len(weight)] += stencil[first] * stencil[second] * weight
 
     def cost(self, q: Array) -> tuple[float, Array]:
-        """Compute the cost of poses (T, D) and its gradient (T, D), for the root's rotation by small turns in the
-        world.
-        """
+        """Compute the cost of poses (T, D) and its gradient (T, D); the derivatives by the root's rotation are by small
+        turns in the world."""
         v = pose_steps(q)
         a = np.diff(v, axis=0)
         cost = 0.5 * float((self.acceleration * a**2).sum() + (self.velocity * v**2).sum())

@@ -56,7 +56,7 @@ def correct_left_right(
 ) -> tuple[list[FrameEstimate], list[range]]:
     """Find stretches of a tracked clip in which left and right were exchanged, and track them again.
 
-    estimates: estimates of the frames 0, 1, ...
+    estimates: one estimate per frame, from frame 0 on.
     frames: function that reads the frames of a range.
     sure_start: left and right are known to be right in frame 0, so the frames that follow from it are kept.
     memory: what the recipe has learned about the person.

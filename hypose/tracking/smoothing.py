@@ -140,12 +140,13 @@ def smooth_poses(
     settings: ClipSettings | None = None,
     contacts: Sequence[Sequence[PointTerm]] | None = None,
 ) -> Array:
-    """Solve the poses (T, D) of a clip from those of its frames and the information on each.
+    """Smooth the poses (T, D) of a clip: solve all frames together from the pose of each frame and its inverse
+        covariance.
 
     frame_rate: Hz; settings: limits and windows (default: ClipSettings()).
     poses: (T, D) pose vectors, rad and m; ignored in frames without evidence.
     information: (T, D, D) inverse covariance of each frame's pose; zero in frames without evidence.
-    contacts: points that stand still, per frame."""
+    contacts: terms of points that stand still, one list per frame; None: none."""
     settings = settings or ClipSettings()
     known = np.asarray(information.any((1, 2)))
     given = bridged(poses, known)

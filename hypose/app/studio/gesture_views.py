@@ -64,7 +64,7 @@ def _levels() -> NDArray[np.uint8]:
 
 
 def sessions_shown(catalog: Catalog) -> list[dict[str, Any]]:
-    """List the recorded sessions, without reading their pictures."""
+    """List the recorded gesture sessions for the page, as JSON values, without reading their pictures."""
     return [
         {**_named(item, item.path.name, catalog), "gesture": ", ".join(gestures), "frames": frames}
         for item in catalog.items("session")
@@ -73,7 +73,7 @@ def sessions_shown(catalog: Catalog) -> list[dict[str, Any]]:
 
 
 def models_shown(catalog: Catalog) -> list[dict[str, Any]]:
-    """List the usable models."""
+    """List the usable gesture models for the page, as JSON values."""
     found = [(item, _facts_of_model(item.path, item.changed)) for item in catalog.items("model")]
     return [{**_named(item, item.path.stem, catalog), **facts} for item, facts in found if facts is not None]
 
@@ -94,7 +94,8 @@ def _facts_of_model(path: Path, changed: float) -> dict[str, Any] | None:
 
 
 def sources_shown(catalog: Catalog) -> list[dict[str, Any]]:
-    """List the sources of depth; with "missing" where a source is not available."""
+    """List the sources of depth pictures for the page, as JSON values; a source that is not available has the key
+    "missing"."""
     people = [
         {"value": f"simulated:{n}", "title": f"Simulated person {n + 1}", "gestures": GESTURES}
         for n in range(len(load_people()))

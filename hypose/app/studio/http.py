@@ -235,10 +235,9 @@ page.
 
 
 class Guard:
-    """Application that refuses foreign requests before any other code sees them.
+    """ASGI application that wraps another one and refuses foreign requests before they reach it.
 
-    token: "" where the server listens on this computer only.
-    """
+    token: "" where the server listens on this computer only."""
 
     def __init__(self, app: ASGIApp, token: str) -> None:
         self._app, self._token = app, token
