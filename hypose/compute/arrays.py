@@ -250,22 +250,22 @@ class PriorArrays(NamedTuple):
     upper: NDArray[np.float64]
 
 
-class SolveLimits(NamedTuple):
-    """Settings of one solve.
+class SolveSettings(NamedTuple):
+    """Settings of the solve of one pose.
 
-    iterations: number of iterations, the coarse ones included.
-    coarse_iterations: number of coarse iterations.
-    tolerance: stop when no dof moves further (rad; for metres half as much).
-    damping: initial Levenberg-Marquardt damping relative to the diagonal.
-    tries: number of attempts at a step, each with more damping, before the solve ends (in the coarse iterations: before
-        the fine ones).
+    iterations: number of iterations, coarse and fine together.
+    coarse_iterations: number of them, at the start, with the coarse scale of the contours.
+    tolerance: stop when no degree of freedom moves further (rad; for metres half as much).
+    damping: initial damping, relative to the diagonal of the Hessian.
+    tries: number of attempts at a step, each with more damping, before the solve ends (a coarse solve: goes on to the
+        fine one).
     """
 
-    iterations: int
-    coarse_iterations: int
-    tolerance: float
-    damping: float
-    tries: int
+    iterations: int = 8
+    coarse_iterations: int = 4
+    tolerance: float = 1e-3
+    damping: float = 1e-2
+    tries: int = 4
 
 
 class Workspace(NamedTuple):

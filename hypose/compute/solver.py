@@ -13,7 +13,7 @@ from hypose.compute.arrays import (
     Cues,
     MeshArrays,
     PriorArrays,
-    SolveLimits,
+    SolveSettings,
     TreeArrays,
     Workspace,
     plain,
@@ -271,7 +271,7 @@ def _solve(q, tree, mesh, contours, keypoints, points, depth, priors, settings, 
     get those at the result.
 
     tree, mesh, contours, keypoints, points, depth, priors, ws, counts: as in `cost_at`.
-    settings: SolveLimits.
+    settings: SolveSettings.
     Without iterations: compute the cost at q, the coarse one where coarse iterations were asked for.
     info: (4,), zero before, gets cost, iterations, evaluations, converged (1 where the last step was below the
         tolerance); the cost alone where it is not finite at the start.
@@ -427,7 +427,7 @@ def evaluate(
     coarse: whether to use the coarse scale of the contours.
     """
     evidence = tree, mesh, *cues, priors
-    return _solved(np.array(pose, dtype=np.float64), evidence, SolveLimits(0, int(coarse), 0.0, 0.0, 0), ws)[0]
+    return _solved(np.array(pose, dtype=np.float64), evidence, SolveSettings(0, int(coarse), 0.0, 0.0, 0), ws)[0]
 
 
 class Solution(NamedTuple):
@@ -436,13 +436,12 @@ class Solution(NamedTuple):
     pose: (D,) solved pose, rad and m.
     evaluation: cost and derivatives at the pose.
     iterations: number of iterations.
-    evaluations: number of evaluations of the cost.
-    converged: whether the last step was below the tolerance."""
+    converged: whether the last step was below the tolerance.
+    """
 
     pose: Array
     evaluation: Evaluation
     iterations: int
-    evaluations: int
     converged: bool
 
 
@@ -452,7 +451,7 @@ def solve(
     mesh: MeshArrays,
     cues: Cues,
     priors: PriorArrays,
-    settings: SolveLimits,
+    settings: SolveSettings,
     ws: Workspace,
 ) -> Solution:
     """Solve the pose of one frame by bounded damped Gauss-Newton; releases the GIL.
@@ -469,10 +468,10 @@ def solve(
         raise SolverError(
             "The cost at the start pose is not finite; check the start pose, the key points and the masks for NaN."
         )
-    return Solution(q, evaluation, int(info[1]), int(info[2]), bool(info[3]))
+    return Solution(q, evaluation, int(info[1]), bool(info[3]))
 
 
-def _solved(q: Array, evidence: tuple[Any, ...], settings: SolveLimits, ws: Workspace) -> tuple[Evaluation, Array]:
+def _solved(q: Array, evidence: tuple[Any, ...], settings: SolveSettings, ws: Workspace) -> tuple[Evaluation, Array]:
     """Run the solver from pose q, which it changes; return the evaluation and its info (4,).
 
     evidence: tree, mesh, the four cues and the priors.

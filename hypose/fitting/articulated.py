@@ -30,7 +30,7 @@ from hypose.compute.arrays import (
     Cues,
     PointArrays,
     PriorArrays,
-    SolveLimits,
+    SolveSettings,
     Workspace,
 )
 from hypose.compute.linear import weighted_squares
@@ -47,25 +47,6 @@ LARGEST_TURN = 0.35
 
 
 @dataclass(frozen=True)
-class SolveSettings:
-    """Settings of the solve of one pose.
-
-    iterations: number of iterations, coarse and fine together.
-    coarse_iterations: number of them, at the start, with the coarse scale of the contours.
-    tolerance: stop when no degree of freedom moves further (rad; for metres half as much).
-    damping: initial damping, relative to the diagonal of the Hessian.
-    tries: number of attempts at a step, each with more damping, before the solve ends (a coarse solve: goes on to the
-        fine one).
-    """
-
-    iterations: int = 8
-    coarse_iterations: int = 4
-    tolerance: float = 1e-3
-    damping: float = 1e-2
-    tries: int = 4
-
-
-@dataclass(frozen=True)
 class PoseFit:
     """Result of the solve of one pose.
 
@@ -75,7 +56,6 @@ class PoseFit:
     hessian: (D, D) Gauss-Newton Hessian of F in the coordinates of `solved`.
     gradient: (D,) of F in the same coordinates.
     iterations: number of iterations.
-    evaluations: number of evaluations of F.
     converged: whether the last step was below the tolerance.
     rows: number of rows of evidence (0: only the priors determine the pose)."""
 
@@ -85,7 +65,6 @@ class PoseFit:
     hessian: Array
     gradient: Array
     iterations: int
-    evaluations: int
     converged: bool
     rows: int
 
@@ -212,13 +191,7 @@ class _Problem:
         self.centre, self.weight = prior_arrays(priors, body.skeleton.dof)
         self.lower = np.ascontiguousarray(body.skeleton.lower, dtype=np.float64)
         self.upper = np.ascontiguousarray(body.skeleton.upper, dtype=np.float64)
-        self.settings = SolveLimits(
-            int(options.iterations),
-            int(options.coarse_iterations),
-            float(options.tolerance),
-            float(options.damping),
-            int(options.tries),
-        )
+        self.settings = options
 
     def start(self, start: ArrayLike) -> Array:
         """Check a start pose, and move its root's rotation vector inside +-pi, where the exponential map is far from
@@ -252,7 +225,6 @@ class _Problem:
             out.evaluation.hessian,
             out.evaluation.gradient,
             out.iterations,
-            out.evaluations,
             out.converged,
             int(out.evaluation.counts.sum()),
         )
@@ -342,16 +314,13 @@ class FrameProblem(Problem[Array, Evaluation]):
         return np.clip(state + step, self.lower, self.upper), moved
 
     def solution(self, start: Array, iterations: tuple[int, int], rule: Rule) -> Solution:
-        """Solve from a start pose (D,).
-
-        iterations: numbers of coarse and of fine iterations.
-        rule: damping and stopping rule."""
-        found, used, evaluations = None, 0, 0
+        """Solve from a start with a number of coarse and of fine iterations."""
+        found, used = None, 0
         q = np.clip(start, self.lower, self.upper)
         for self.coarse, n in zip((True, False), iterations, strict=True):
             if n or not self.coarse:
                 found = self.solve(q, n, rule)
                 q, rule = found.state, replace(rule, damping=found.damping)
-                used, evaluations = used + found.iterations, evaluations + found.evaluations
+                used += found.iterations
         assert found is not None
-        return Solution(q, found.equations, used, evaluations, found.converged)
+        return Solution(q, found.equations, used, found.converged)

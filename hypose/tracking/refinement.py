@@ -246,7 +246,7 @@ def solve_poses(body: Body, starts: Array, frame: PreparedFrame, options: SolveS
     trunk = anatomical_prior(body.skeleton, frame.keypoints.seen)
     priors = (trunk, prediction_prior(frame.prediction, frame.prediction_weight))
     if frame.depth.seen:
-        options = replace(options, tries=min(options.tries, DEPTH_TRIES))
+        options = options._replace(tries=min(options.tries, DEPTH_TRIES))
     return fit_poses(body, starts, frame.terms, priors=priors, options=options)
 
 
