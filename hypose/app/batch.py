@@ -67,9 +67,8 @@ class Task:
 
     command: recording and options.
     name: name of the options, as the table gives it.
-    key, recording, frames, results: known once the task is planned (`ordered_tasks`): key of the module's description,
-        name of the recording, number of its frames, folder of the results.
-    """
+    key, recording, frames, results: filled in when the task is planned (`ordered_tasks`): key of the task (the
+        module describes it), name of the recording, number of its frames, folder of the results."""
 
     command: TrackCommand
     name: str = "default"
@@ -102,9 +101,8 @@ def read_table(path: Path, more: Mapping[str, Any] = _FILES) -> list[Task]:
     path: table with the columns recording, name and those of `_COLUMNS_OF_TRACK`; paths in it are relative to its
         folder.
     more: options of `TrackCommand` that all rows share.
-    Returns: tasks that are not planned yet.
-    Raises: InputError names the line and the allowed values.
-    """
+    Returns: tasks; `ordered_tasks` plans them.
+    Raises: InputError names the line and the allowed values."""
     reader = csv.DictReader(text_lines(path, "a table of recordings"), restkey="more", restval="")
     unknown = set(reader.fieldnames or ()) - {"recording", "name", *_COLUMNS_OF_TRACK}
     if unknown or "recording" not in (reader.fieldnames or ()):
@@ -179,9 +177,8 @@ def ordered_tasks(
 def finished_metrics(task: Task) -> dict[str, Any] | None:
     """Read the figures of a finished task.
 
-    Returns: content of task.json; None where the task is not finished: no such file, another key, other files to write,
-        or no motion.
-    """
+    Returns: content of task.json; None where the task is not finished: the file or the motion is missing, or the
+        file is of another key or other wanted files."""
     try:
         found = read_json(task.results / "task.json", "the record of a task")
     except InputError:
@@ -213,10 +210,9 @@ def _cell(value: Any) -> str:
 
 
 def dask_setup(worker: object) -> None:
-    """Let a worker process ignore Ctrl-C; Dask calls this in each local worker.
+    """Make a worker process ignore Ctrl-C; Dask calls this function in each local worker.
 
-    Why: Ctrl-C reaches all processes of a terminal, and workers must not end before they have saved their work.
-    """
+    Why: Ctrl-C reaches all processes of a terminal, and workers must not end before they have saved their work."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
@@ -301,11 +297,10 @@ def run_batch(
     workers: number of processes on this computer.
     threads: threads of each worker; None: the cores are shared among the workers.
     scheduler: address of a running Dask scheduler, used instead of own processes.
-    Returns: a row of the table for every task, in state "done", "failed" or "stopped"; before=True: it had been
-        finished earlier. After a KeyboardInterrupt, tasks that run save their work and are "stopped"; a second
-        KeyboardInterrupt returns at once, with checkpoints kept.
-    Raises: InputError where the workers cannot be started or the folder cannot be written.
-    """
+    Returns: a row of the table for every task, in state "done", "failed" or "stopped"; the column before is True
+        where the task had been finished earlier. After a KeyboardInterrupt, tasks that run save their work and are
+        "stopped"; a second KeyboardInterrupt returns at once, with checkpoints kept.
+    Raises: InputError where the workers cannot be started or the folder cannot be written."""
     out = {task.key: {**known, "before": True} for task in tasks if (known := finished_metrics(task)) is not None}
     left = [t for t in tasks if t.key not in out]
     if left:

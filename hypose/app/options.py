@@ -69,7 +69,7 @@ class TrackCommand(TrackOptions):
 
     @property
     def options(self) -> TrackOptions:
-        """How the recording is tracked."""
+        """Options of tracking in this command, without those of files and output."""
         own = {"floor": self.floor, "colours": self.colours or None}
         chosen: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(TrackOptions)}
         chosen["own"] = {k: v for k, v in own.items() if v is not None}
@@ -235,7 +235,7 @@ class CheckCommand:
 
 @dataclass(frozen=True, kw_only=True)
 class SyncCommand:
-    """How many frames each view is late. With --out, masks, depth maps and key points in step are written."""
+    """Find how many frames each view is late. With --out, masks, depth maps and key points in step are written."""
 
     recording: RecordingPath
     by: Annotated[str, Option("What is seen or heard in all views.", choices=("motion", "sound", "flash"))] = "motion"

@@ -250,7 +250,7 @@ def measure(vertices: Array, faces: NDArray[np.integer], joints: Array) -> Sizes
     """Measure the sizes of a person at rest (standing, arms away from the body).
 
     vertices: (V, 3) m, z up.
-    faces: (F, 3) of the closed mesh.
+    faces: (F, 3) faces of the closed mesh.
     joints: (19, 3) m, joint centres in the order of default_body.JOINT_NAMES.
     Returns: the sizes. A girth is the length of the convex outline of the cross-section around the bone.
     Raises: InputError where a plane misses the mesh.

@@ -46,7 +46,7 @@ class Motion:
     skeleton: the joint tree.
     times: (T,) s.
     joints: (T, J, 3) m, joint centres in the world.
-    poses: (T, D); None where only points are known.
+    poses: (T, D) pose vectors, rad and m; None where only points are known.
     joint_covariance: (T, J, 3, 3) m^2, covariance of each joint's position in the world, NaN where unknown; float32,
         because long recordings have many frames. `region_reach` gives how far its regions reach.
     lost: (T,) whether the person was not found.
@@ -136,11 +136,11 @@ class Modes:
     """Poses (modes) that the evidence of each frame allows: T frames, at most K modes each, best first, NaN where there
     are fewer.
 
-    poses: (T, K, D).
+    poses: (T, K, D) pose vectors, rad and m.
     joints: (T, K, J, 3) m in the world.
     weights: (T, K), sum 1.
     costs: (T, K) negative log posterior given the evidence of the frame.
-    covariances: (T, K, D, D) of the poses, float32, the root's rotation as a small turn in the world.
+    covariances: (T, K, D, D) covariances of the poses, float32, the root's rotation as a small turn in the world.
     joint_covariance: (T, J, 3, 3) m^2, of the best mode.
     depth_sd: (T, J) m along the line of sight, of the best mode.
     alive: (T,) number of modes.

@@ -139,7 +139,7 @@ class Skeleton:
     def forward(self, poses: ArrayLike) -> tuple[Array, Array]:
         """Compute the joint frames and joint centres of poses (forward kinematics).
 
-        poses: (..., D).
+        poses: (..., D) pose vectors, rad and m.
         Returns: world_from_joint rotations (..., J, 3, 3), and joint centres (..., J, 3) m.
         Raises: InputError where the poses do not have D numbers.
         Source: Alcoverro 2014, eq. 2.11, the product of exponentials along the chain. Deviations: the root's
@@ -166,7 +166,7 @@ class Skeleton:
     def world_twists(self, poses: ArrayLike) -> Array:
         """Compute the twist of each dof in the world: the derivative of the body's motion by the dof.
 
-        poses: (..., D).
+        poses: (..., D) pose vectors, rad and m.
         Returns: (..., D, 6) twists (w, v): a point at x (world, m) that moves with the dof has the derivative
             w x x + v. For ball joints these are the derivatives by the components of the rotation vector, not
             rotations about fixed axes.
@@ -192,7 +192,7 @@ class Skeleton:
     def jacobian(self, pose: ArrayLike, joint: int, points_world: ArrayLike) -> Array:
         """Compute the derivatives (N, 3, D) of points on the body by the pose.
 
-        pose: (D,).
+        pose: (D,) pose vector, rad and m.
         joint: index of the joint to which the points are rigidly attached.
         points_world: (N, 3) m.
         """
@@ -222,8 +222,9 @@ class Skeleton:
     def joint_covariances(self, pose: ArrayLike, covariance: ArrayLike) -> Array:
         """Compute the covariances (J, 3, 3) m^2 of the joint centres from that of the pose, to first order.
 
-        pose: (D,).
-        covariance: (D, D) of the pose; rows 3 to 5 are a small rotation of the root about the axes of the world.
+        pose: (D,) pose vector, rad and m.
+        covariance: (D, D) covariance of the pose; rows 3 to 5 are a small rotation of the root about the axes of the
+            world.
         """
         jacobian = self.joint_jacobians(pose)
         # einsum, not @: threaded BLAS costs more than matrices of this size
@@ -233,7 +234,7 @@ class Skeleton:
     def informed_joint_covariances(self, pose: ArrayLike, information: Array, ridge: float = 1e-9) -> Array:
         """Compute the covariances (J, 3, 3) m^2 of the joint centres from the information on a pose, to first order.
 
-        pose: (D,).
+        pose: (D,) pose vector, rad and m.
         information: (D, D) inverse covariance of the pose; rows 3 to 5 are a small rotation of the root about the axes
             of the world.
         ridge: share of the information's diagonal, counted as 1 at least, that is added to it. Why: it makes the
@@ -262,7 +263,7 @@ class Skeleton:
     def on_branch(self, poses: ArrayLike, reference: ArrayLike) -> Array:
         """Replace the root's rotation vector in poses by the equal rotation nearest to that of a reference pose.
 
-        poses: (..., D).
+        poses: (..., D) pose vectors, rad and m.
         reference: (D,), or (..., D) for each pose.
         Returns: (..., D); the root's vectors differ from the old ones by whole turns. Other joints stay, because only
             the root turns by more than half a turn.
@@ -274,7 +275,7 @@ class Skeleton:
     def unwound(self, pose: ArrayLike, reference: ArrayLike | None = None) -> Array:
         """Replace the rotation vectors of all balls but the root by the equal rotations nearest to a reference pose.
 
-        pose: (D,).
+        pose: (D,) pose vector, rad and m.
         reference: (D,); None: all zeros.
         Returns: (D,); a ball stays as it is where the nearest vector is outside the joint limits.
         """

@@ -81,10 +81,9 @@ class Board:
 
     @cached_property
     def points(self) -> Array:
-        """Corners (N, 3) in the board's frame, row by row, m.
+        """Positions (N, 3) of the board's corners in the board's frame, m, row by row.
 
-        z is 0. Seen from the front, x points right, y down and z into the board.
-        """
+        z is 0. Seen from the front, x points right, y down and z into the board."""
         nx, ny = self.size
         xy = np.stack(np.meshgrid(np.arange(nx), np.arange(ny)), -1).reshape(-1, 2)
         first = 0 if self.kind == "chessboard" else 1
@@ -137,8 +136,10 @@ def dictionaries() -> tuple[str, ...]:
 
 
 def make_detector(board: Board) -> Detector:
-    """Make the detector of a board: a function from a grey picture (h, w) to a BoardDetection, or None without a
-    board."""
+    """Make the detector of a board.
+
+    Returns: function of a grey picture (h, w) that returns a BoardDetection, or None where the picture shows no
+        board."""
     if board.kind == "charuco":
         return _charuco_detector(board)
 

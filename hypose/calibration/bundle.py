@@ -55,11 +55,11 @@ class Observations:
 class LensPrior:
     """Prior standard deviations of lens parameters.
 
-    centre: centre of the principal point from the picture's middle, as a share of its width.
-    aspect: aspect of fx / fy from 1.
-    radial, tangential: limits and tangential of the coefficients k1 k2 (and the fisheye's four) and p1 p2 from 0.
-    k3: k3 of the third radial coefficient from 0.
-    """
+    centre: standard deviation of the principal point, whose mean is the picture's middle, as a share of its width.
+    aspect: standard deviation of the ratio fx / fy, whose mean is 1.
+    radial, tangential: standard deviations of the radial coefficients k1 k2 (and the fisheye's four), and of the
+        tangential coefficients p1 p2, whose means are 0.
+    k3: standard deviation of the third radial coefficient, whose mean is 0."""
 
     centre: float = 0.05
     aspect: float = 0.01
@@ -297,8 +297,8 @@ class _Problem(SharedProblem[list[Camera]]):
         """Apply a step; changes of focal lengths are limited, so that a camera stays possible.
 
         state: cameras and world_from_board (F, 4, 4).
-        step: (C p,) of the cameras.
-        own: (F, 6) of the boards.
+        step: (C p,) step of the cameras.
+        own: (F, 6) step of the boards.
         Returns: the new state, and infinity, because the descent does not stop by the size of a step.
         """
         cameras, frames = state

@@ -39,9 +39,8 @@ class CoarseAlignment:
     """A rough registration of two sensors, a and b.
 
     a_from_b: (4, 4) rigid motion, m.
-    seconds: to add to the times of b.
-    apart: median distance of the joints after the alignment, m.
-    """
+    seconds: seconds to add to the times of b, so that both clocks agree.
+    apart: median distance of the joints after the alignment, m."""
 
     a_from_b: Array
     seconds: float

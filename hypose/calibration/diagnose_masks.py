@@ -67,11 +67,10 @@ class LimbOffsets:
 class Alignment:
     """The alignment of one view's key points with its masks.
 
-    lag: key points t belong to video frame t + lag, frames.
+    lag: number of frames: the key points of frame t belong to video frame t + lag.
     lag_sd: standard deviation of the lag, frames.
-    shift: (2,) to add to the images so that they agree, px of the masks.
-    shift_sd: (2,) standard deviation of the shift, px of the masks.
-    """
+    shift: (2,) x and y to add to image positions so that masks and key points agree, px of the masks.
+    shift_sd: (2,) standard deviation of the shift, px of the masks."""
 
     lag: float
     lag_sd: float
@@ -342,9 +341,8 @@ G kinds of residuals have errors that last over the R instants.
 class CommonFocal:
     """A common error of all focal lengths.
 
-    factor: by which all focal lengths must be multiplied.
-    sd: standard deviation of its logarithm; infinite where nothing is known.
-    """
+    factor: factor by which all focal lengths must be multiplied.
+    sd: standard deviation of its logarithm; infinite where nothing is known."""
 
     factor: float
     sd: float

@@ -40,12 +40,15 @@ def undo_faults(
 ) -> tuple[list[Finding], CameraRig, SeenT]:
     """Find and undo gross faults, the one with the largest effect first.
 
-    seen, trials, measure, few: as in `best_trial`.
+    seen: observations of the views: key points (C, T, K, 3) or mask tracks.
+    trials: function that yields the suspected faults of cameras and observations, each one undone.
+    measure: function of cameras, observations and view indices (none: all) that gives the disagreement of these
+        views with the others, in shares of the person's size.
+    few: function that selects the frames by which trials are compared.
     o: limits.
     most: largest number of faults.
     agree: largest disagreement that may remain, in shares of the person's size.
-    Returns: the findings; cameras and observations after the faults were undone.
-    """
+    Returns: the findings; cameras and observations after the faults were undone."""
     findings: list[Finding] = []
     for _ in range(most):
         trial, before, after = best_trial(rig, seen, trials, measure, few)
@@ -79,8 +82,7 @@ def undo_point_faults(
     o: limits.
     most: largest number of faults.
     every: trials are compared by every n-th frame.
-    Returns: as `undo_faults`.
-    """
+    Returns: the findings; the corrected cameras; the corrected key points (C, T, K, 3)."""
     return undo_faults(
         rig, pixels, lambda r, p: trials(r, p, names, stored), disagreement, lambda p: p[:, ::every], o, most
     )
@@ -129,8 +131,8 @@ def certain_delays(
     o: limits of the test.
     least: smallest delay, frames.
     gain: least decrease of the disagreement, in half log likelihoods.
-    Returns: as of `late_views`.
-    """
+    Returns: delay (C,), frames, positive where the view is late, 0 where it is not certain; standard deviation (C,),
+        frames, infinite where the true delay may exceed the searched range."""
     try:
         offsets, reach = solve_widely(curves, n_views, o.largest_lag)
     except EvidenceError:
@@ -176,8 +178,7 @@ def timing_findings(rig: CameraRig, late: Array, sd: Array, fault: bool = True) 
     """Yield a finding for each view that is late or early.
 
     late, sd: (C,) results of `late_views`, frames.
-    fault: whether the findings are faults.
-    """
+    fault: whether the findings count as faults; False: as information only."""
     for name, x, s in zip(rig.names, late, sd, strict=True):
         if x != 0:
             way, cure = "late" if x > 0 else "early", "run hypose sync, and track what it writes"
@@ -313,7 +314,7 @@ def _undecided(
     """Make the finding that pairs of cameras disagree, where it is unknown which camera is wrong.
 
     views: indices of the cameras that moved.
-    confidence: (C, T, K) of the key points.
+    confidence: (C, T, K) confidence of the key points.
     before, after: median residual before and after the refinement, px.
     image_px: largest movement of the person in an image by the refinement, px.
     """

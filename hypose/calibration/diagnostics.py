@@ -298,7 +298,7 @@ def _best_moved(
     small: the cameras of the masks, at their size.
     tracks: mask track of each view.
     size: (C,) size of the person in each view, px of the masks.
-    silhouettes: of the frames, for points of the person.
+    silhouettes: silhouettes of the frames, for points of the person.
     o: limits.
     Returns: None where the planes agree already, or there are two views.
     """
@@ -411,9 +411,8 @@ class Cured:
     rig: corrected cameras.
     keypoints: synchronous key points in the right place.
     late: (C,) delay of each view, frames.
-    shift: (C, 2) to add to the images, px of the calibrated size.
-    keypoint_lag: frames.
-    """
+    shift: (C, 2) x and y to add to image positions of each view, px of the calibrated size.
+    keypoint_lag: number of frames: key points of frame t belong to video frame t + keypoint_lag."""
 
     rig: CameraRig
     keypoints: Array | None

@@ -40,11 +40,11 @@ class Limits:
     """Limits above which the diagnostics report a fault; shares are of the person's longer side in the image.
 
     gross: disagreement of a view with the others above which gross faults are tried, share.
-    gross_lens: the same for lens conventions.
+    gross_lens: disagreement above which other lens conventions are tried, share.
     gross_cured: share of the disagreement that may remain after the cure.
     largest_lag: largest delay that is searched first, frames.
     late: delay from which a view counts as late, frames.
-    late_sd: the same in standard deviations of the delay.
+    late_sd: delay from which a view counts as late, in standard deviations of the delay.
     late_gain: least gain of half the log likelihood for a late view.
     keypoint_lag_sd: lag of all views' key points against the masks, in its standard deviations.
     own_lag_sd: lag of one view's key points against the masks, in its standard deviations.
@@ -63,8 +63,7 @@ class Limits:
     usual_heights: range of nearly all heights, m.
     height_share: relative difference from the known height that is a fault.
     height_doubt: relative difference from the known height that is worth a check.
-    tangency: disagreement of the silhouettes' tangent planes, share.
-    """
+    tangency: disagreement of the silhouettes' tangent planes, share."""
 
     gross: float = 0.03
     gross_lens: float = 0.012
@@ -237,11 +236,11 @@ def _by_floor(depth: Depth, when: str) -> Iterator[Finding]:
 
 
 def seen_past(depth: Depth) -> tuple[int, int]:
-    """Count the points on people beyond which another camera sees, which shows that no person is there.
+    """Count the points that one depth camera measures on people, but at which another camera sees a surface further
+    away; this shows that no person is there.
 
     depth: depth maps of all cameras at one instant.
-    Returns: number of points at which another camera looks, and number of those beyond which it sees.
-    """
+    Returns: number of points at which another camera looks, and number of those beyond which it sees."""
     surface, looked, past = depth.surface, 0, 0
     for a, b in permutations(np.flatnonzero(depth.usable).tolist(), 2):
         camera = depth.rig[b]

@@ -55,8 +55,7 @@ class BodyAdjustment:
 
     rig: refined cameras, at the size of the given ones.
     poses: (F, D) refined poses.
-    cost: at the scale of the last stage.
-    """
+    cost: cost after the refinement, at the robust scale of the last stage."""
 
     rig: CameraRig
     poses: Array

@@ -125,7 +125,7 @@ def changes(old: CameraRig, new: CameraRig, points_world: Array) -> tuple[Camera
 
     old, new: the rigs, with the same cameras in the same order.
     points_world: (N, 3) points of the person, m.
-    """
+    Returns: one per camera: rotation, displacement, focal factor, and movement of the points in the image."""
     out = []
     p = points_world[np.isfinite(points_world).all(1)]
     for a, b in zip(old, new, strict=True):
@@ -161,13 +161,13 @@ fixes the gauge."""
 
 
 class CameraUnknowns:
-    """Unknowns of a rig's cameras, P per camera: those of `apply_parameters`, and a radial distortion term on request.
+    """Unknowns of a rig's cameras, P per camera: those of `apply_parameters`, and a radial distortion term on
+    request.
 
     focal: focal lengths are unknowns.
     free: (C,) cameras that may move; None for all.
     radial: there is a radial term.
-    hold: standard deviations of the prior, as `HOLD`.
-    """
+    hold: standard deviations of the prior on each camera's change, in the order of `HOLD`."""
 
     def __init__(
         self,
@@ -246,10 +246,9 @@ def adjust(
     free: (C,) cameras that may move; None for all.
     focal: estimate focal lengths as well.
     radial: estimate a radial distortion term per camera as well.
-    hold: standard deviations of the prior, as `HOLD`.
+    hold: standard deviations of the prior on each camera's change, in the order of `HOLD`.
     iterations: largest number of iterations.
-    Raises: EvidenceError where two views see too few common points.
-    """
+    Raises: EvidenceError where two views see too few common points."""
     w = np.where((confidence > 0.3) & np.isfinite(pixels).all(-1), confidence, 0.0)
     uv = np.nan_to_num(pixels)
     keep = (w > 0).sum(0) >= 2
@@ -354,8 +353,8 @@ class PointBundle(SharedProblem[_Shared]):
         """Apply a step to cameras and points.
 
         state: cameras with their radial terms, and points (N, 3), m.
-        step: (C P,) of the cameras.
-        own: (N, 3) of the points.
+        step: (C P,) step of the cameras.
+        own: (N, 3) step of the points.
         Returns: the new state, and the largest change of a camera.
         """
         (cameras, radial), points = state

@@ -120,9 +120,8 @@ class RigCalibration:
     camera_rms: (C,) rms of each camera, px.
     focal_sd: (C,) standard deviation of the focal length, px.
     position_sd: (C,) standard deviation of the position, m.
-    dropped: (camera, frame) of detections that do not fit.
-    notes: sentences for the user.
-    """
+    dropped: (camera, frame) of detections that do not fit and were left out.
+    notes: sentences for the user."""
 
     rig: CameraRig
     boards: Mapping[int, Array]

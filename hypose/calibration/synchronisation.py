@@ -97,10 +97,9 @@ def points_at(points: Array, late: float) -> Array:
     """Interpolate the key points of one view at the times t + late, t = 0..T-1.
 
     points: (T, K, 3) px, px, confidence.
-    late: frames.
+    late: delay of the view, frames.
     Returns: (T, K, 3); confidence is 0 outside the clip and where a needed neighbour is missing. A missing neighbour is
-        replaced by the other one up to half a frame away.
-    """
+        replaced by the other one up to half a frame away."""
     n = len(points)
     out = np.zeros_like(points)
     at = np.arange(n) + (round(late) if abs(late - round(late)) < WHOLE else late)

@@ -45,13 +45,12 @@ class BoardFootage:
 
 @dataclass(frozen=True)
 class Look:
-    """The result of the search in one picture.
+    """The result of the search for a board in one picture.
 
     sighting: the detected board; None without one.
     reason: why it was not found or not used; empty where it was.
     focus: mean of the squared Laplacian, for comparison with other pictures of the same camera only.
-    brightness: mean grey level.
-    """
+    brightness: mean grey level."""
 
     sighting: BoardDetection | None
     reason: str
@@ -61,14 +60,13 @@ class Look:
 
 @dataclass(frozen=True)
 class CameraViews:
-    """The results of the search in the pictures of one camera.
+    """The results of the search for a board in the pictures of one camera.
 
     size: width and height, px.
     n_frames: number of frames.
     looks: results by frame number (of the common time; of photos, by order).
     lag: delay of the video, frames.
-    still: the pictures do not change, and frame 0 stands for their mean.
-    """
+    still: the pictures do not change, and frame 0 stands for their mean."""
 
     name: str
     path: Path
@@ -80,7 +78,7 @@ class CameraViews:
 
     @property
     def sightings(self) -> dict[int, BoardDetection]:
-        """Sharp detections by frame number."""
+        """Detected boards of the sharp pictures, by frame number."""
         return {f: k.sighting for f, k in self.looks.items() if k.sighting is not None and k.reason == ""}
 
     @property

@@ -178,9 +178,9 @@ class Camera:
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Compute the two maps with which cv2.remap undistorts a stored image.
 
-        size: (width, height) of the undistorted image, px; its camera is `self.scaled(size).pinhole()`.
-        image_size: (width, height) of the stored image, px; None: `self.size`. An image of another size is taken for
-            the whole image resampled, not for a part of it.
+        size: (width, height) size of the undistorted image, px; its camera is `self.scaled(size).pinhole()`.
+        image_size: (width, height) image size of the stored image, px; None: `self.size`. An image of another size is
+            taken for the whole image resampled, not for a part of it.
         Returns: map_x and map_y, float32 (height, width): the column and row in the stored image of each pixel of the
             undistorted one.
         """

@@ -107,8 +107,7 @@ class ContourArrays(NamedTuple):
     distance of the mask; reverse rows compare points of the mask's outline with the nearest outline point of the
     body.
 
-    sdf: (C, h, w) signed distance to the mask's edge around the person, px, negative inside; NOT_KNOWN where it
-        depends
+    sdf: (C, h, w) signed distance to the mask's edge around the person, px, negative inside; NOT_KNOWN where it depends
         on ignored pixels.
     outline: (C, K, 2) points on the mask's edge, px; below -1e5: omitted.
     usable: (C,) False: the view is omitted.
@@ -174,21 +173,19 @@ class PointArrays(NamedTuple):
 
 
 class DepthArrays(NamedTuple):
-    """Depth maps of C sensors: points of the person's surface, and how far each sensor sees; Geman-McClure cost of
-        the
+    """Depth maps of C sensors: points of the person's surface, and how far each sensor sees; Geman-McClure cost of the
     distance in m.
 
     points: (M, 3) m, world.
     normals: (M, 3) unit, outward.
-    weight: (M,) of each point.
+    weight: (M,) weight of each point.
     first: (C + 1,) points first[c] to first[c + 1] are those of sensor c.
     eyes: (C, 3) m, positions of the sensors in the world.
     maps: (C, h, w) depth maps, m along the optical axis; 0: not known.
     sizes: (C, 2) width and height of each map, px.
-    projections: (C, 3, 4) of the maps' pixels; the last row has unit length, so that it gives metres.
+    projections: (C, 3, 4) projections of the maps' pixels; the last row has unit length, so that it gives metres.
     ring_first: (V + 1,) the faces around vertex v are ring[ring_first[v]] to ring[ring_first[v + 1]].
-    ring: (3 F, 3) the other two corners of such a face, in the face's order, and the row of the face at the edge to
-        the
+    ring: (3 F, 3) the other two corners of such a face, in the face's order, and the row of the face at the edge to the
         first.
     scale: m, Geman-McClure scale of the points.
     free_weight: weight of the residuals of body parts that lie in front of the measured surface: the sum over all of

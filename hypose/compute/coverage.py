@@ -241,7 +241,7 @@ def front_views(faces, uv, front):
 def contours_of_any(edges, front, union):
     """List the edges that are on a contour in any view.
 
-    edges: (E, 4) of the mesh.
+    edges: (E, 4) edges of the mesh.
     front: (F,) of `front_views`.
     union: (E,) i4 gets the edges.
     Returns: their number.
@@ -258,7 +258,7 @@ def contours_of_view(k, n_union, union, edges, front, uv, start, end, lines):
     """List the directed contour edges of view k, with the front face on their left.
 
     n_union, union: edges that are on a contour in any view, of `contours_of_any`.
-    edges: (E, 4) of the mesh.
+    edges: (E, 4) edges of the mesh.
     front, uv: as returned by `front_views` and `project_views`.
     start, end: (E,) get their vertices.
     lines: (4, E) f4 gets their ends u, v, u, v px.
@@ -378,8 +378,7 @@ def prepare_edge(u, v, a, b, window, edge, columns):
 
 @kernel
 def write_crossings(edge, lane, skip, rows, stride, out, place):
-    """Write the pixel indices row * stride + column at which the prepared edge of a lane crosses its columns, from
-    the
+    """Write the pixel indices row * stride + column at which the prepared edge of a lane crosses its columns, from the
     skip-th on.
 
     edge: as returned by `prepare_edge`.

@@ -42,7 +42,7 @@ class StandingDepth(NamedTuple):
     """Parts of a body that stand still while a limb is searched, drawn once.
 
     pose: (D,) pose in which they were drawn.
-    rotations: (J, 3, 3) of all joints at this pose.
+    rotations: (J, 3, 3) rotations of all joints at this pose.
     centres: (J, 3) m, relative to the root's position.
     joints: indices of the joints that turn, in the tree's order.
     faces: indices of the faces that move.
@@ -113,7 +113,7 @@ def limb_depth_energy(
 ) -> NDArray[np.float64]:
     """Compute `depth_energy` of poses that differ only in one limb from the standing parts.
 
-    poses: (N, D).
+    poses: (N, D) pose vectors, rad and m.
     tree, mesh: joint tree and mesh of the body.
     seen: depth maps of the person.
     most_m: largest difference of depth that counts, m.

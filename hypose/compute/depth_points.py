@@ -28,7 +28,7 @@ def points_of_surface(
     depth: (h, w) m, 0 = hole.
     person: (h, w) 0/1.
     box: x0, y0, x1, y1 around the person (half open).
-    k: (3, 3) of a pinhole camera.
+    k: (3, 3) intrinsic matrix of a pinhole camera, px.
     jump_m: least difference between neighbouring pixels of two surfaces, m.
     count: largest number of points.
     Returns: points (N, 3) m and unit outward normals (N, 3) in the camera's frame, and the cosine (N,) between normal

@@ -96,8 +96,7 @@ def closest_on_triangles(work):
     """Find the point of each of _LANES triangles that is nearest to a given point; every triangle has a point of its
     own.
 
-    work: (12 _LANES,) f4: lines 0 to 8: corners u and v and the point p (x, y, z), relative to the third corner;
-        lines
+    work: (12 _LANES,) f4: lines 0 to 8: corners u and v and the point p (x, y, z), relative to the third corner; lines
         9 to 11 get the shares s and t of the corners u and v, and the squared distance.
     Why in vector lanes: which part of a triangle is nearest cannot be predicted, and a wrong branch takes as long as
     all cases.
@@ -258,10 +257,8 @@ def depth_rows(q, mesh, depth, factor, ws, kept, count):
     factor: factor of the scale.
     count: (2,) gets the numbers of rows of surface points, and of body in front of the measured surface.
 
-    A point of the surface is drawn to the nearest place on the body that faces its sensor and has a similar normal:
-    1/2
-    w e^2 / (1 + e^2), e = distance / scale (Geman & McClure 1985). A vertex that faces the sensor and lies nearer to
-    it
+    A point of the surface is drawn to the nearest place on the body that faces its sensor and has a similar normal: 1/2
+    w e^2 / (1 + e^2), e = distance / scale (Geman & McClure 1985). A vertex that faces the sensor and lies nearer to it
     than the surface measured in its pixel is pushed back along the optical axis, with the same loss. Which place is
     nearest is held fixed in the derivatives."""
     vertices = ws.vertices

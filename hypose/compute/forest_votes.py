@@ -143,11 +143,11 @@ def _scan(picture, span, records, table, first, least, stride, wanted, ratio, ou
 
 
 class Packed(NamedTuple):
-    """Forest in the memory layout for scanning.
+    """Decision forest of nt trees of N nodes and C classes, in the memory layout for scanning pictures.
 
-    records: (nt, N, 8) int16: test, left child, share of class 1 in ten-thousandths, 0.
-    shares: (nt, N, C) uint16, shares of all classes.
-    """
+    records: (nt, N, 8) int16 per node: depth test (5 numbers), index of the left child, share of class 1 in
+        ten-thousandths, 0.
+    shares: (nt, N, C) uint16, shares of all classes."""
 
     records: NDArray[np.int16]
     shares: NDArray[np.uint16]
@@ -219,13 +219,14 @@ MOST_FORESTS = 32
 
 
 def scan(picture: PaddedDepth, packed: Sequence[Packed], clip_mm: Sequence[int], plan: ScanPlan) -> NDArray[np.float32]:
-    """Compute the mean share of class 1 of several forests on the grid.
+    """Compute, at each cell of the scanning grid, the share of class 1 (the gesture) of several forests, mean over
+    the trees.
 
     picture: padded depth picture.
-    packed, clip_mm: forests, and their clipping distances.
+    packed, clip_mm: G forests, and the depth difference at which the tests of each are clipped, mm.
     plan: where to scan.
-    Returns: (G, rows, columns), 0 where rejected. All forests share one coarse pass and one walk over the picture.
-    """
+    Returns: (G, rows, columns), 0 where a cell was rejected. All forests share one coarse pass and one walk over the
+        picture."""
     span = _span(picture, plan)
     records = [p.records.reshape(-1, 8) for p in packed]
     starts = np.cumsum([0, *(len(r) for r in records)])
@@ -246,7 +247,7 @@ def scan(picture: PaddedDepth, packed: Sequence[Packed], clip_mm: Sequence[int],
 def parzen(
     picture: PaddedDepth, scores: NDArray[np.float32], stride: int, majority: float, sigma_px: float
 ) -> tuple[NDArray[np.float32], int]:
-    """Compute the density of the votes on the scanning grid.
+    """Compute the density of the votes for a gesture on the scanning grid (Parzen window estimate).
 
     picture: padded depth picture.
     scores: (rows, columns) mean shares.
@@ -256,8 +257,7 @@ def parzen(
     Returns: m^2 of voting surface per cell (rows, columns), and the flat index of the largest value.
     Deviation: the weight of a vote is share^3 x (z stride / focal)^2, where the thesis counts votes. This is the
         surface for which it stands, so that the sum over a gesture does not depend on its distance. The cube lets the
-        confident middle of a gesture decide where it is, not the weak votes along a limb.
-    """
+        confident middle of a gesture decide where it is, not the weak votes along a limb."""
     rows, columns = (np.arange(n) * stride + stride // 2 for n in scores.shape)
     depth = picture.flat[picture.cells(rows[:, None], columns[None])] * np.float32(0.001 * stride / picture.focal)
     votes = np.where(scores > majority, scores**3 * depth**2, np.float32(0))

@@ -123,9 +123,11 @@ def grow(
 
     cells, labels: (S,) indices in the padded picture's `flat`, and their classes.
     arrays: the forest.
-    clip_mm, rate, alpha, beta, deepest: as in `gestures.forest.ForestSettings`.
-    spread_mm: range of the thresholds, mm.
-    """
+    clip_mm: depth difference at which tests are clipped, mm.
+    rate: mean of the Poisson number of repeats of a sample.
+    alpha, beta: number of samples before a split, and least information gain of a split, bits.
+    deepest: number of levels below the root.
+    spread_mm: range of the thresholds, mm."""
     limits = clip_mm, picture.reach_mm, spread_mm, rate, alpha, beta, deepest
     _grow(picture.flat, picture.width, cells, labels, picture.focal, picture.near_mm, *limits, arrays)
 
@@ -139,12 +141,13 @@ HALF = f4(4096.5)
 
 @kernel(inline=True)
 def response(flat, width, c, d, s, lo, hi, uy, ux, vy, vx):
-    """Compute the response of the test of (uy, ux) against (vy, vx) mm at cell c of depth d.
+    """Compute the response of a depth test: the difference of the depths, mm, at two pixels near cell c.
 
     flat, width: padded picture, and its width.
-    s: focal length / d.
-    lo, hi: bounds to which depths are clipped.
-    """
+    c, d: index of the cell in flat, and its depth, mm.
+    uy, ux, vy, vx: offsets of the two pixels, mm.
+    s: focal length / d, px per mm.
+    lo, hi: bounds to which depths are clipped."""
     y = i4(f4(uy) * s + HALF) - SHIFT
     x = i4(f4(ux) * s + HALF) - SHIFT
     a = i4(flat[u8(np.int64(c) + y * width + x)])
@@ -196,13 +199,13 @@ def _offset(state, t, half):
 
 @kernel
 def draw_test(state, t, half, spread, test):
-    """Draw a random test (5,) into `test`: offsets uniform in the square, half of them against the pixel itself.
+    """Draw a random depth test (5,) into `test`. Its two offsets are uniform in a square; in half of the tests one
+    offset is 0, the pixel itself.
 
     state, t: states of the random numbers, and the tree.
     half: largest offset, mm.
     spread: largest threshold, mm.
-    The threshold is a product of two uniform numbers, so that small differences are the most frequent.
-    """
+    The threshold is a product of two uniform numbers, so that small differences are the most frequent."""
     test[0], test[1] = _offset(state, t, half), _offset(state, t, half)
     if uniform(state, t) < 0.5:
         test[2], test[3] = _offset(state, t, half), _offset(state, t, half)

@@ -55,7 +55,7 @@ def glance_at(room: BackgroundLevels) -> Glance:
 def stored_places(stored: tuple[int, int], map_x: ArrayLike, map_y: ArrayLike) -> StoredPlaces:
     """Compute which place of a stored picture to read for each pixel of the grid.
 
-    stored: (width, height) of the stored picture.
+    stored: (width, height) size of the stored picture.
     map_x, map_y: (h, w) maps of `picture_to_mask.make_lens`.
     """
     mx, my = (np.asarray(m, dtype=np.float64) for m in (map_x, map_y))
@@ -73,7 +73,7 @@ def differing_box(image: Image, places: StoredPlaces, glance: Glance, size: tupl
     image: (H, W, 3) uint8 stored picture.
     places: where it is read, by `stored_places`.
     glance: range of the room at these places, by `glance_at`.
-    size: (width, height) of the working size.
+    size: (width, height) size of the working size.
     Returns: (y0, y1, x0, x1), px; None where nothing differs.
     """
     mean = cv2.remap(image, places.x, places.y, cv2.INTER_LINEAR)  # of the 2 x 2 pixels

@@ -46,7 +46,7 @@ class MaskRuns(NamedTuple):
     """Mask as the runs of set pixels of its rows, in a few thousand bytes.
 
     code: (n, 3) row, first column and column after the last one of each run, from the top left to the bottom right.
-    shape: (h, w) of the mask.
+    shape: (h, w) shape of the mask.
     box: y0, y1, x0, x1 around the mask (zeros where it is empty).
     area: px.
     """
@@ -79,7 +79,7 @@ def clean(bits: Bits, shape: tuple[int, int], how: Cleaning) -> MaskRuns:
     """Clean a mask.
 
     bits: the mask, packed to one bit per pixel (`bits_of`); they are changed.
-    shape: (h, w) of the mask.
+    shape: (h, w) shape of the mask.
     how: settings.
     Returns: the cleaned mask as runs."""
     about = np.zeros(5, np.int64)

@@ -34,11 +34,10 @@ f4 = np.float32
 class MonoModel(NamedTuple):
     """Body before a camera, with the parts that the estimated degrees of freedom move.
 
-    tree, mesh: of the body.
+    tree, mesh: joint tree and mesh of the body.
     all_vertices, all_faces, moving_faces: indices of all vertices and faces, and of the faces that they move.
-    moving_vertices: (V,) vertices of which they carry more than half.
-    projection: (3, 4) pinhole.
-    """
+    moving_vertices: (V,) vertices of which these degrees of freedom carry more than half of the weight.
+    projection: (3, 4) pinhole projection of the camera."""
 
     tree: TreeArrays
     mesh: MeshArrays

@@ -34,10 +34,10 @@ def shown_parts(
 
     vertices: (V, 3) m.
     faces, part: (F, 3), and (F,) part of each.
-    projection: (3, 4).
-    shape: (h, w) of the view.
-    Returns: (h, w) 1 + the part, 0 where there is no body; and the rows and columns that contain the body.
-    """
+    projection: (3, 4) pinhole projection.
+    shape: (h, w) shape of the view.
+    Returns: (h, w) number of the visible part plus 1, 0 where there is no body; and the rows and columns that
+        contain the body."""
     out, (uv, z, reach) = np.zeros(shape, np.uint8), projected(vertices, projection)
     x0, y0 = (int(np.clip(np.ceil(reach[k, 0]), 0, shape[1 - k])) for k in range(2))
     x1, y1 = (int(np.clip(np.floor(reach[k, 1]) + 1, n, shape[1 - k])) for k, n in enumerate((x0, y0)))
@@ -58,8 +58,7 @@ def rim_edges(masks: PreparedMasks, edges: NDArray[np.uint8] | None) -> tuple[ND
 
     masks: masks of the frame.
     edges: (C, 2, h, w) changes of colour; None: zeros.
-    Returns: per view (2, h, w), at the pixels that `colour_sums` reads: the change of colour in multiples of the
-        usual
+    Returns: per view (2, h, w), at the pixels that `colour_sums` reads: the change of colour in multiples of the usual
         change within the mask, at most 1, minus its mean over the mask."""
     out = list[NDArray[np.float32]]()
     for c, (w, h) in enumerate(masks.sizes.tolist()):

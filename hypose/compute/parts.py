@@ -27,8 +27,7 @@ class PartView(NamedTuple):
     exposed: (P,) pixels covered by no other part.
     outside: (P,) pixels outside the mask, without its rim.
     bare: (N,) pixels of the mask without body within a radius of each point.
-    bits: (W, h) where the body is drawn.
-    """
+    bits: (W, h) packed picture of the pixels where the body is drawn."""
 
     area: NDArray[np.int64]
     exposed: NDArray[np.int64]
@@ -63,7 +62,7 @@ def draw_parts(
     uv, z: (V, 2) px and (V,) m of the vertices.
     faces, part: (F, 3), and (F,) part of each.
     n_parts: number of parts.
-    shape: (h, w) of the picture.
+    shape: (h, w) shape of the picture.
     closed: the faces of a part have no holes, so that those facing the camera cover what all of them cover.
     Returns: (n_parts, W, h) bits.
     """
@@ -80,8 +79,7 @@ def covered(
 
     uv, z: (V, 2) px and (V,) m of the vertices.
     faces: (F, 3).
-    closed: as in `draw_parts`.
-    """
+    closed: the faces have no holes, so that those facing the camera cover what all of them cover."""
     f = plain(faces, np.int32)
     return mask_of(draw_parts(uv, z, f, np.zeros(len(f), np.uint8), 1, shape, closed)[0], shape[1])
 
@@ -98,13 +96,13 @@ def parts_against_mask(
     """Compare the parts of a body with a mask, at every step-th row and column of a box.
 
     bits: (H, B) mask, packed as by `prepare_masks`.
-    drawn: (P, W, h) each part in that small picture, of `draw_parts`; it is overwritten.
+    drawn: (P, W, h) packed picture of each part at these rows and columns (the small picture), from `draw_parts`; it
+        is overwritten.
     box: columns and rows of the mask, half open.
-    step: between the rows and columns that are read.
+    step: distance between the rows and columns that are read, px.
     points, radius: (N, 2) and (N,) px of the small picture: around these, bare mask is counted.
     hidden: (H, B) ignored pixels: they are neither bare nor outside, and nothing is exposed there.
-    Returns: the counts. Rims of one pixel and pieces thinner than three pixels count neither as bare nor as outside.
-    """
+    Returns: the counts. Rims of one pixel and pieces thinner than three pixels count neither as bare nor as outside."""
     x0, x1, y0, _ = box
     uv, r, width = plain(points, np.float64), plain(radius, np.float64), -(-(x1 - x0) // step)
     counts, bare = np.zeros((3, len(drawn)), np.int64), np.zeros(len(uv), np.int64)
@@ -119,12 +117,11 @@ def touched_area(
     """Measure the connected pieces of the overlap of two masks.
 
     bits, others: (H, B) masks, packed as by `prepare_masks`.
-    size: (width, height) of the masks.
-    step: between the rows and columns that are read.
+    size: (width, height) size of the masks.
+    step: distance between the rows and columns that are read, px.
     at: (N, 2) px of the masks; points outside touch nothing.
     Returns: pixels of the pieces (connected over corners too) that the points touch, and of the largest of the other
-        pieces.
-    """
+        pieces."""
     w, h = size
     both = np.unpackbits(bits & others, axis=1, count=w, bitorder="little")[:h:step, ::step]
     _, labels, stats, _ = cv2.connectedComponentsWithStats(np.ascontiguousarray(both), connectivity=8)

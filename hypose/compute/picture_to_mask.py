@@ -30,7 +30,7 @@ _LANES = 16
 class Undistortion(NamedTuple):
     """Tables that convert stored pictures of one camera to undistorted ones (h, w) of the working size.
 
-    stored: (width, height) of the stored pictures, which are first shrunk by area.
+    stored: (width, height) size of the stored pictures, which are first shrunk by area.
     columns, column_weights: (w,) and (w, K) int32: working column x is the sum over k of column_weights[x, k] times
         stored column columns[x] + k, after the rows.
     rows, row_weights: (h,) and (h, L) uint16, the same of rows.
@@ -225,9 +225,9 @@ def not_the_room(image: Image, room: BackgroundLevels, box: Box | None = None) -
     image: (h, w, 3).
     room: colours of the empty room.
     box: part of the picture; None: all.
-    Returns: bits, as of `mask_runs.bits_of`. A shadow has the same colour but is darker, and is an area: single pixels
-        along the edge of dark clothing before a bright wall are mixed colours, so that shadows are opened by 3 x 3.
-    """
+    Returns: mask packed to one bit per pixel, as by `mask_runs.bits_of`. A shadow has the same colour but is darker,
+        and is an area: single pixels along the edge of dark clothing before a bright wall are mixed colours, so that
+        shadows are opened by 3 x 3."""
     h, w = image.shape[:2]
     y0, y1, x0, x1 = box or (0, h, 0, w)
     limits = (np.float32(room.darkest), np.float32(room.lightest), np.float32(room.chroma))
@@ -414,11 +414,16 @@ _repeated, _even, _odd = shuffle((0, 1) * 4), shuffle(range(0, 8, 2)), shuffle(r
 
 @kernel
 def weighted_rows(picture, at, stride, weights, first, lines, half, shift, width, sums):
-    """Compute sums (u2) [i], i < width: over k < lines, weights[first + k] (u2) times picture (u1) [at + k stride + i],
-    plus half, shifted down; all in 16 bits.
+    """Compute the weighted sum of several rows of a picture, for shrinking it, in 16-bit whole numbers.
 
-    width: at least STRIP.
-    """
+    sums[i] = (half + sum over k < lines of weights[first + k] picture[at + k stride + i]) shifted right by shift
+    bits, for i < width.
+    picture: flat uint8.
+    at, stride: index of the first byte, and bytes per row.
+    weights: uint16.
+    sums: uint16, gets the result.
+
+    width: number of bytes, at least STRIP."""
     for i in range(0, width, STRIP):
         here = min(i, width - STRIP)
         total = splat(u2(half), STRIP)
@@ -429,12 +434,12 @@ def weighted_rows(picture, at, stride, weights, first, lines, half, shift, width
 
 @kernel
 def weighted_row(sums, columns, start, weights, taps, scale, half, shift, x0, x1, out, to):
-    """Compute pixels x0 <= x < x1, and write them to out (u1), three bytes each from `to` on.
+    """Shrink one row of a picture: compute the pixels x0 <= x < x1, and write them to out (uint8), three bytes each,
+        from index `to` on.
 
     A pixel is the sum over k < taps of weights[x, k] (i4) times the pixel columns[x] - start + k of sums (u2), times
     scale, plus half, shifted down; all in 32 bits. The byte after the last pixel becomes 0, and one element of sums
-    beyond the last pixel is read.
-    """
+    beyond the last pixel is read."""
     for x in range(x0, x1):
         at = (columns[x] - start) * 3
         total = splat(u4(0), 4)  # blue, green, red, and the next byte
@@ -446,12 +451,13 @@ def weighted_row(sums, columns, start, weights, taps, scale, half, shift, x0, x1
 
 @kernel
 def blended_row(picture, step, corner, part, shares, first, count, out, to):
-    """Blend `count` pixels, and write them to out (u1), three bytes each from `to` on.
+    """Interpolate `count` pixels of a row bilinearly in a picture, and write them to out (uint8), three bytes each,
+    from index `to` on.
 
-    Pixel n, from n = first on, is made of the pixel of picture (u1) at number corner[n] (i4), of those right of it,
-    below (step bytes on) and right of that, with shares[part[n]] (K, 4) u2 in 1024ths. One byte after the last pixel is
-    written, and two beyond the pixels are read.
-    """
+    Pixel n (n = first, first + 1, ...) is the weighted mean of four neighbouring pixels of picture (flat uint8):
+    upper left, upper right, lower left, lower right. corner[n] (int32) is the number of the upper left one; the
+    lower ones are `step` bytes further. shares[part[n]] (K, 4) uint16 are the four weights, in 1024ths. One byte
+    after the last pixel is written, and two beyond the pixels are read."""
     for k in range(count):
         at, share = 3 * np.int64(corner[first + k]), 4 * np.int64(part[first + k])
         total = _blended_pair(picture, at, shares, share) + _blended_pair(picture, at + step, shares, share + 2)
@@ -475,11 +481,11 @@ def _blended_pair(picture, at, shares, share):
 
 @kernel
 def outside(picture, low, high, at):
-    """Test GROUP pixels from byte `at` on: bit k of the result is set where pixel k lies in some colour outside
-    low..high (u1).
+    """Test which of GROUP pixels, from byte `at` on, differ from the room: a pixel does where the value of any
+    colour channel is below `low` or above `high`.
 
-    picture, low, high: flat u1.
-    """
+    picture, low, high: flat uint8 pictures.
+    Returns: whole number whose bit k is set where pixel k differs."""
     value = load(picture, at, _BYTES)
     other = (value < load(low, at, _BYTES)) | (value > load(high, at, _BYTES))
     some = where(other, splat(u1(255), _BYTES), splat(u1(0), _BYTES))  # bytes are shuffled faster than bits
@@ -488,16 +494,18 @@ def outside(picture, low, high, at):
 
 @kernel
 def darker(picture, room, at, darkest, lightest, chroma):
-    """Test GROUP pixels from byte `at` on: bit k of the result is set where pixel k shows the room in shadow.
+    """Test which of GROUP pixels, from byte `at` on, show the room in shadow.
+
+    Returns: whole number whose bit k is set where pixel k does.
 
     picture: flat u1.
     at: byte at which the first pixel begins.
-    darkest, lightest, chroma: as in BackgroundLevels.
+    darkest, lightest: least and largest brightness of a shadow relative to the lit room.
+    chroma: largest squared colour distance of a shadow, grey levels^2.
     room: f4, flat as pictures.
 
     The colour is s times the room's colour, s = colour . room / room . room between darkest and lightest, with a rest
-    whose square is below chroma. For a black room the product room . room counts as 1.
-    """
+    whose square is below chroma. For a black room the product room . room counts as 1."""
     colour, mean = load(picture, at, _BYTES), load(room, at, _BYTES)
     x, y, z = _blue(mean, mean), _green(mean, mean), _red(mean, mean)
     b, g, r = cast(_blue(colour, colour), f4), cast(_green(colour, colour), f4), cast(_red(colour, colour), f4)

@@ -122,7 +122,7 @@ def _score_points(points, weights, rotation, centre, prepared, bits, cutoff, out
     """Score points of limbs into out (N,), as `score_points`.
 
     points: (N, P, 3) m, in the frame of a joint.
-    weights: (P,) of the points.
+    weights: (P,) weights of the points.
     rotation, centre: frame of the joint in the world, (3, 3) and (3,) m.
     prepared: masks of the frame.
     bits: (C, h, B) the standing parts, packed like the masks.
@@ -223,15 +223,14 @@ def score_points(
     """Score how badly points of a limb lie on the masks, given in the frame of a joint.
 
     points: (N, P, 3) m.
-    weights: (P,).
+    weights: (P,) weight (area) of each point.
     rotation, centre: frame of the joint in the world, (3, 3) and (3,) m.
     prepared: masks of the frame.
     rest: drawing of the standing parts.
     cutoff: scores above it are not computed to the end.
     Returns: (N,) sums over usable views and points of the weight: plus where there is no mask, minus in the mask where
         the standing parts are not; 0 on the standing parts, outside the image, and nearer than 0.05 m. Above the cutoff
-        a score only means that it lies above it.
-    """
+        a score only means that it lies above it."""
     p, w = plain(points, np.float64), plain(weights, np.float64)
     frame = plain(rotation, np.float64), plain(centre, np.float64)
     out, given = np.empty(len(p)), (w, *frame, tidy(prepared), rest.bits, float(cutoff))

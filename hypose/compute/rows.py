@@ -30,14 +30,13 @@ BORDER = 3
 
 @kernel
 def add_row(hessian, gradient, j, w, r, px, py, pz, gx, gy, gz):
-    """Add the wrench of one row to the sums of its joint.
+    """Add one row (residual with its derivatives) to the normal equations of its joint.
 
     hessian, gradient: (J, 21) and (J, 6) sums per joint.
     j: joint that carries the point.
     w, r: weight and residual.
     px, py, pz: the point, m, relative to the root's position.
-    gx, gy, gz: derivative of the residual by the point.
-    """
+    gx, gy, gz: derivative of the residual by the point."""
     a = py * gz - pz * gy, pz * gx - px * gz, px * gy - py * gx, gx, gy, gz
     c, g, k = hessian[j], gradient[j], 0
     for x in range(6):
@@ -50,11 +49,13 @@ def add_row(hessian, gradient, j, w, r, px, py, pz, gx, gy, gz):
 
 @kernel
 def sum_rows(n, rows, joints, lanes, place, hessian, gradient):
-    """Add n contour rows to hessian (J, 21) and gradient (J, 6), all rows of a joint at once in vector lanes.
+    """Add n rows (residuals with derivatives) to the normal equations of their joints, several rows at a time in
+    vector instructions.
+
+    hessian, gradient: (J, 21) and (J, 6) sums per joint, which are changed.
 
     rows, joints: (M, 8) wrench, weight, residual, and (M,) joint of each row.
-    lanes, place: (9, M), with M of 27 at least, and (J + 1,), scratch.
-    """
+    lanes, place: (9, M), with M of 27 at least, and (J + 1,), scratch."""
     n_joints = hessian.shape[0]
     for j in range(n_joints + 1):
         place[j] = 0
@@ -122,17 +123,18 @@ def _wrenches(work, p):
 
 @kernel
 def form_rows(first, last, ends, found, work, n_rows, vertices, mesh, p, rows, joints):
-    """Append the rows of found points first to last, all of one view, one row for each joint that moves the point.
+    """Append rows (residuals with derivatives) of the outline points first to last, all of one view: one row for
+    each joint that moves the point.
 
     n_rows: number of rows before.
     vertices: (V, 3) f4 m, about the root.
     mesh: mesh of the body.
-    ends, found: as in contours.contour_rows.
+    ends, found: (2, M) vertices of the mesh edge of each point, and (5, M) its values, as `contours.contour_rows`
+        fills them.
     p: (3, 4) f4, camera of the view.
     work: (9 x LANES,) f4, scratch.
     rows, joints: (M, 8) = wrench, weight, residual, and (M,); written from row n_rows on.
-    Returns: number of rows.
-    """
+    Returns: number of rows."""
     skin_index, skin_weight, skin_count = mesh.skin_index, mesh.skin_weight, mesh.skin_count
     for block in range(first, last, LANES):
         some = min(LANES, last - block)
@@ -169,17 +171,16 @@ def form_rows(first, last, ends, found, work, n_rows, vertices, mesh, p, rows, j
 
 @kernel
 def keypoint_rows(q, keypoints, rotations, centres, hessian, gradient, count):
-    """Add the rows of 2D key points; return the cost, 1/2 w 4 log(1 + e^2 / 4) with e = distance / scale (Cauchy, 2
-    sd).
+    """Add the residuals of 2D key points to the normal equations of the joints; return the cost, 1/2 w 4 log(1 + e^2
+    / 4) with e = distance / scale (Cauchy, 2 sd).
 
     q: (D,) pose.
-    keypoints: KeypointArrays.
+    keypoints: key points of the frame (KeypointArrays).
     rotations, centres: (J, 3, 3) and (J, 3) m, joint frames about the root.
     hessian, gradient: (J, 21) and (J, 6) sums per joint.
     count: (2,) its first number grows by the number of key points used.
 
-    A key point behind its camera costs a constant 1/2 w 4 log(1 + 10^6) and has no derivative.
-    """
+    A key point behind its camera costs a constant 1/2 w 4 log(1 + 10^6) and has no derivative."""
     cost = 0.0
     i2 = 1.0 / (keypoints.scale * keypoints.scale)
     for m in range(keypoints.joint.shape[0]):
@@ -216,12 +217,14 @@ def keypoint_rows(q, keypoints, rotations, centres, hessian, gradient, count):
 
 @kernel
 def point_rows(q, points, rotations, centres, hessian, gradient, count):
-    """Add the rows of 3D points; return the cost, 1/2 w 4 log(1 + e^2 / 4) with e = distance / scale (Cauchy, 2 sd).
+    """Add the residuals of 3D points to the normal equations of the joints; return the cost, 1/2 w 4 log(1 + e^2 /
+    4) with e = distance / scale (Cauchy, 2 sd).
 
     q: (D,) pose.
-    points: PointArrays.
-    rotations, centres, hessian, gradient, count: as in `keypoint_rows`.
-    """
+    points: 3D points of the frame (PointArrays).
+    rotations, centres: (J, 3, 3) and (J, 3) m, joint frames about the root.
+    hessian, gradient: (J, 21) and (J, 6) sums per joint.
+    count: (2,) its first number grows by the number of points used."""
     cost = 0.0
     d = np.empty(3)
     for m in range(points.joint.shape[0]):
@@ -306,12 +309,13 @@ _low, _high = shuffle(range(4)), shuffle(range(4, 8))
 
 @kernel
 def wrench_sums(lanes, row, first, last, sums):
-    """Sum the products of columns first..last, a multiple of EIGHT, of lanes (9, row) f8: wrench (6), weight w,
-    residual, scratch.
+    """Sum the weighted products of rows of residuals that belong to one joint, for its normal equations.
+
+    lanes: (9, row) float64, one column per residual: wrench x (6 numbers), weight w, residual, scratch.
+    first, last: range of columns; their number is a multiple of EIGHT.
 
     row: number of columns of `lanes`.
-    sums: (27,) gets, for x = 0..5: w x . y for y = 0..x, then w x . residual.
-    """
+    sums: (27,) gets, for x = 0..5: w x . y for y = 0..x, then w x . residual."""
     s = sums  # in three loops of nine, whose sums share loaded values
     s[0], s[1], s[2], s[3], s[4], s[5], s[6], s[7], s[8] = _among(lanes, row, first, last, 0)
     s[12], s[13], s[17], s[18], s[19], s[23], s[24], s[25], s[26] = _among(lanes, row, first, last, 3)
@@ -376,7 +380,7 @@ def outline_points(sdf: NDArray[np.float32], size: tuple[int, int], k: int) -> t
     """Find up to k points on the zero line of a signed distance.
 
     sdf: (h, w) signed distance, px.
-    size: (width, height) of the view in it.
+    size: (width, height) size of the view in it.
     k: number of points.
     Returns: (k, 2) float32 px (repeated where the outline has fewer pixels, -1e6 where it has none), and the number of
         outline pixels. Three pixels along the image border are omitted, because there the image cuts the person off.

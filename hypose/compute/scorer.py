@@ -41,12 +41,11 @@ f4 = np.float32
 
 @kernel
 def turn_lanes(frame, axis, e, out):
-    """Turn frames by rotation vectors in every lane: out = frame @ exp(axis).
+    """Rotate LANES frames by rotation vectors, one per lane: out = frame @ exp(axis).
 
     frame, out: (9, LANES) rotation matrices, row by row.
     axis: (3, LANES) rad.
-    e: (9, LANES), scratch.
-    """
+    e: (9, LANES), scratch."""
     for k in range(LANES):
         x, y, z = axis[0, k], axis[1, k], axis[2, k]
         t2 = x * x + y * y + z * z
@@ -83,17 +82,16 @@ def copy_lanes(a, out):
 
 @kernel
 def bone_maps(poses, first, tree, needed, frames, centres, axis, scratch, maps):
-    """Compute the maps of the needed joints from the model at rest to the world about each pose's root, for LANES poses
-    from first on (the last one repeated).
+    """Compute the affine maps by which joints carry the vertices of the model at rest, for LANES poses from index
+    `first` on (the last pose is repeated); positions are relative to each pose's root.
 
     first: index of the first pose.
     tree: joint tree of the body.
-    poses: (N, D).
+    poses: (N, D) pose vectors, rad and m.
     needed: (J,) bool, joints to compute.
     frames, centres: (J + 1, 9, LANES) and (J, 3, LANES), kinematics in float64.
     axis, scratch: scratch.
-    maps: (J, 12, LANES) f4 gets the rows of the (3, 4) maps.
-    """
+    maps: (J, 12, LANES) f4 gets the rows of the (3, 4) maps."""
     last = poses.shape[0] - 1
     spare = frames[tree.parents.shape[0]]
     for j in range(tree.parents.shape[0]):
@@ -174,14 +172,15 @@ def _add_row(maps, at, x, y, z, w, total):
 
 @kernel
 def skin_lanes(poses, first, tree, mesh, turning, frames, centres, axis, scratch, maps, points):
-    """Skin the mesh about each pose's root, into points (V, 3, LANES) f4.
+    """Skin the mesh in LANES poses at once.
+
+    points: (V, 3, LANES) float32 gets the vertices relative to each pose's root, m.
 
     tree: joint tree of the body.
-    frames, centres, axis, scratch, maps: as for `bone_maps`.
+    frames, centres, axis, scratch, maps: working arrays of `bone_maps`.
     poses, first: (N, D) poses, and the first of the LANES poses.
     mesh: LaneMesh.
-    turning: (J,) joints that have moved since the last call; the other arguments are as for `bone_maps`.
-    """
+    turning: (J,) joints that have moved since the last call."""
     bone_maps(poses, first, tree, turning, frames, centres, axis, scratch, maps)
     for i in range(points.shape[0]):
         x, y, z = mesh.vertices[i, 0], mesh.vertices[i, 1], mesh.vertices[i, 2]
@@ -207,15 +206,15 @@ def camera_lanes(projection, poses, first, p):
 
 @kernel
 def lane_windows(bounds, box, lanes, window, origin):
-    """Compute the image window of each lane: the part of its silhouette's bounds in the box (x0, x1, y0, y1).
+    """Compute the image window of each of LANES poses: the part of the bounding box of its silhouette that lies in a
+    box (x0, x1, y0, y1).
 
     bounds: (5, LANES), by `coverage.project_vertices`.
     lanes: number of lanes in use.
     window: (5, LANES) f4 gets origin x, y, first and end column, rows.
     origin: (LANES, 4) i8 gets x, y, columns, rows. Windows begin at a multiple of 8 columns, where the mask's bits
         begin a byte.
-    Returns: two masks of lanes: those to draw, and those that reach the near plane (their window is the whole box).
-    """
+    Returns: two masks of lanes: those to draw, and those that reach the near plane (their window is the whole box)."""
     some, near = np.uint32(0), np.uint32(0)
     for k in range(lanes):
         x0, x1, y0, y1 = box[0], box[1], box[2], box[3]
@@ -237,12 +236,15 @@ def lane_windows(bounds, box, lanes, window, origin):
 
 @kernel
 def draw_safely(mesh, points, p, lane, one_sided, x0, y0, width, height, difference):
-    """Draw one lane face by face, where the lists cannot hold it.
+    """Draw the silhouette of one of LANES poses face by face, for a pose whose contour crossings do not fit into the
+    lists.
 
     points: (V, 3, LANES) f4 vertices about the root.
     p: (12, LANES) f4 cameras.
-    one_sided, x0, y0, width, height, difference: as for `coverage.emit_clipped_faces`.
-    """
+    one_sided: False: faces seen from inside are drawn too.
+    x0, y0, width, height: window in the image, px.
+    difference: (height + 1, B) difference image, changed in place; its sums down each column count the faces over
+        each pixel."""
     vertices, camera = np.empty((points.shape[0], 3), np.float32), np.empty((3, 4), np.float32)
     for i in range(points.shape[0]):
         for c in range(3):
@@ -274,7 +276,7 @@ def _silhouette_xor(
     """Compare blocks first..last (of LANES poses) with the masks, inside boxes (C, 4), in the views that are usable
     (C,).
 
-    poses: (N, D).
+    poses: (N, D) pose vectors, rad and m.
     tree, mesh: joint tree and mesh of the body, the mesh as LaneMesh.
     prepared: masks of the frame.
     box_areas: (C,) pixels of the masks in the boxes.
@@ -336,11 +338,11 @@ u1 = np.uint8
 
 @kernel
 def uncovered(prepared, drawn, cells):
-    """Sum the pixels of the masks that are not drawn (C, h, B), both packed, over the cells above and to the left.
+    """Sum the pixels of the masks that the drawing `drawn` (C, h, B), packed as the masks, does not cover, over all
+    cells above and to the left of each cell (integral image).
 
     prepared: masks of the frame.
-    cells: (C, R + 1, B + 1) i4, zero before, gets the sums.
-    """
+    cells: (C, R + 1, B + 1) i4, zero before, gets the sums."""
     for c in range(prepared.bits.shape[0]):
         if not prepared.usable[c]:
             continue
@@ -361,14 +363,13 @@ def uncovered(prepared, drawn, cells):
 
 @kernel
 def least_energies(poses, first, last, tree, mesh, turning, prepared, boxes, drawn_counts, cells, scratch, out):
-    """Compute lower bounds of the cost, of blocks first..last (of LANES poses), into out (N, C).
+    """Compute lower bounds of the silhouette cost of poses, for the blocks first..last of LANES poses each, into out
+    (N, C).
 
-    poses: (N, D).
-    tree, mesh, turning, prepared, boxes, drawn_counts, scratch: as for `_silhouette_xor`.
-    cells: as returned by `uncovered`. The other arguments are as for `_silhouette_xor`, which has computed the joints
-        that do not
-        turn.
-    """
+    poses: (N, D) pose vectors, rad and m.
+    tree, mesh, prepared: joint tree and mesh of the body, and masks of the frame.
+    turning, boxes, drawn_counts, scratch: the same arrays with which `_silhouette_xor` was called.
+    cells: sums as filled by `uncovered`."""
     frames, centres, axis, turn, maps, points, u, v, p, bounds, window, origin = scratch[:12]
     for block in range(first, last):
         begin = block * LANES
@@ -488,14 +489,13 @@ def silhouette_xor(
         has not placed the rest yet).
     moving: (J,) bool: only these joints turn; everything else stands as in the last pose, and is drawn once. Not
         together with boxes or faces.
-    rest: that drawing, made by `reach.standing`; None: it is made.
+    rest: drawing of the parts that do not move, made by `reach.standing`; None: it is made.
     Returns: (N, C, 3) = (xor, model, intersection) pixels; zeros in views that are not usable.
     Raises: SolverError for poses that are not finite.
 
     The counts are the same for any number of threads, and for a pose alone or among others. They are exact up to 1-2
     pixels of a silhouette whose edge passes through a pixel's centre. Parts nearer than 0.05 m to a camera's plane, or
-    behind it, are cut off.
-    """
+    behind it, are cut off."""
     q = _finite(poses)
     n, c = len(q), len(prepared.masks)
     b = reach.whole_images(prepared)

@@ -41,21 +41,20 @@ def outline_rows(
     spacing_px: float,
     least_cosine: float,
 ) -> tuple[NDArray[np.int64], Array] | None:
-    """Compute the rows of one view: the body's outline in the mask's distances, and the mask's outline to the body's
-    nearest.
+    """Compute the rows (residuals with derivatives) of one view between the outlines of body and mask, in both
+    directions.
 
     vertices, faces, edges: (V, 3) m, (F, 3) and (E, 4) of a closed mesh.
-    projection: (3, 4).
+    projection: (3, 4) pinhole projection.
     size: (2,) width, height, px.
     sdf, outline: (h, w) signed distance, px, negative inside, and (K, 2) px of the mask.
     height_px: height of the person, px.
-    spacing_px: of the rows along the body's outline, px.
+    spacing_px: spacing of the rows along the body's outline, px.
     least_cosine: rows whose outlines have normals with a smaller cosine are omitted.
     Returns: ends (R, 2): vertices a, b; values (R, 6): along, so that the row's point is (1 - along) a + along b;
         residual, px; its gradient (3) by the point, px/m; weight. None where the body is not in the view.
 
-    Which points are the outline, and which is nearest, is held fixed in the derivatives.
-    """
+    Which points are the outline, and which is nearest, is held fixed in the derivatives."""
     reference = max(_REFERENCE_PX / _HEIGHT_PX * height_px, 1.0)
     lengths = np.array([reference, _FARTHEST * height_px, _OUTLINE / max(len(outline), 1)])
     v, p = plain(vertices, np.float64), plain(projection, np.float64)
@@ -88,9 +87,8 @@ _FEWEST = 8
 
 @kernel
 def bilinear(image, x, y, out):
-    """Interpolate an image (h, w) at a point inside it; out (4,) gets value, gradient, and the largest of the four
-    pixels.
-    """
+    """Interpolate an image (h, w) bilinearly at a point (x, y), px, inside it; out (4,) gets value, gradient, and
+    the largest of the four pixels."""
     i = min(max(int(math.floor(x)), 0), image.shape[1] - 2)
     j = min(max(int(math.floor(y)), 0), image.shape[0] - 2)
     fx, fy = x - i, y - j

@@ -147,8 +147,7 @@ def bounded_step_kernel(hessian, gradient, q, lower, upper, damping, step):
 def bounded_step(
     hessian: ArrayLike, gradient: ArrayLike, at: ArrayLike, lower: ArrayLike, upper: ArrayLike, damping: float
 ) -> Array | None:
-    """Compute the step (D,) from `at` that minimises 1/2 s' (H + damping max(diag H, 1)) s + g' s within lower <= at
-    +
+    """Compute the step (D,) from `at` that minimises 1/2 s' (H + damping max(diag H, 1)) s + g' s within lower <= at +
     s <= upper.
 
     hessian, gradient: H (D, D) and g (D,).
@@ -396,7 +395,7 @@ class Evaluation(NamedTuple):
     """Cost at one pose and its derivatives.
 
     cost: half the weighted sum of robust squared residuals.
-    gradient: (D,) of the cost.
+    gradient: (D,) gradient of the cost.
     hessian: (D, D) Gauss-Newton approximation.
     counts: (C + 3, 2) number of rows per cue. Lines 0 to C - 1, views: forward and reverse contour rows. Line C, 2D key
         points, and line C + 1, 3D points: rows, 0. Line C + 2, depth: rows of surface points, rows of body in front of

@@ -21,12 +21,15 @@ NEAR = 0.05
 
 @kernel
 def project(p, vertices, chosen, seen, size, box):
-    """Project the chosen vertices (V, 3) with a camera p (3, 4) f4 about the root.
+    """Project some vertices into a picture.
+
+    p: (3, 4) float32 projection of points relative to the root's position.
+    vertices: (V, 3) m, relative to the root's position.
+    chosen: indices of the vertices to project.
 
     seen: (4, V) gets the pixels u and v, the depths, m, and the inverse depths (0: nearer than NEAR).
     size: (2,) width and height of the picture.
-    box: (4,) gets x0, x1, y0, y1 of the part of the picture in which the vertices in front of NEAR lie.
-    """
+    box: (4,) gets x0, x1, y0, y1 of the part of the picture in which the vertices in front of NEAR lie."""
     u, v, z, inverse = seen[0], seen[1], seen[2], seen[3]
     x0, x1, y0, y1 = f4(1e6), f4(-1e6), f4(1e6), f4(-1e6)
     for k in range(chosen.shape[0]):
@@ -118,7 +121,7 @@ def _weights(u, v, inverse, faces, face, nearest, bary):
 
 
 def inverse_depth(z: ArrayLike, near: float = NEAR) -> NDArray[np.float64]:
-    """Compute 1/m of depths (V,) m, 0 where they are below near m (or NaN)."""
+    """Compute the inverse depths (V,), 1/m, of depths z (V,), m; 0 where a depth is below `near` (m) or NaN."""
     depth = np.asarray(z, dtype=np.float64)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(depth > near, 1 / depth, 0.0)
@@ -171,10 +174,10 @@ def interpolate(
 ) -> NDArray[np.float32]:
     """Interpolate vertex values (V, K) at N drawn pixels.
 
-    face, bary: (N,) >= 0 and (N, 2) of `rasterize`.
-    faces: (F, 3).
-    Returns: (N, K).
-    """
+    face, bary: (N,) number of the face at each pixel, not negative, and (N, 2) weights of its second and third
+        corner, as `rasterize` returns them.
+    faces: (F, 3) vertices of each face.
+    Returns: (N, K) values at the pixels."""
     v, corners = np.asarray(values, dtype=f4), faces[face]
     first, second = bary[:, :1], bary[:, 1:]
     return (1 - first - second) * v[corners[:, 0]] + first * v[corners[:, 1]] + second * v[corners[:, 2]]

@@ -92,14 +92,13 @@ def choose(tracks: Sequence[PersonTrack]) -> int | None:
 
 
 def joined(tracks: Sequence[PersonTrack], names: Sequence[str], frame_rate: float) -> list[PersonTrack]:
-    """Join tracks that are one person before and after a gap; those seen most come first.
+    """Join tracks that are one person before and after a gap; the tracks seen in most frames and views come first.
 
     tracks: all tracks of the clip.
     names: names of the K key points.
     frame_rate: frames per second, Hz.
     Two tracks are joined where the bones have the same lengths, the place can be reached in the gap, and no other
-    person fits.
-    """
+    person fits."""
     left = sorted(tracks, key=lambda t: t.first)
     sizes = [_bones(t, names) for t in left]
     while True:
@@ -196,12 +195,12 @@ _BONES = (
 class AssociationSettings:
     """Settings of the association of detections with people.
 
-    gate: m, largest mean distance between prediction and detection.
+    gate: m, largest mean distance between the predicted points of a person and a detection of this person.
     birth: m, largest mean distance of the rays of two detections of a new person; the other pairs of its detections may
         have 1.5 times as much.
     near: m, largest distance of a ray that counts for a point.
     complete: m, largest distance at which a single free point completes a person.
-    limit: m; larger distances count as this.
+    limit: m, upper bound of a distance; larger distances are replaced by it.
     merge: m, two people nearer than this are one.
     apart: m, no new person starts nearer than this to another.
     patience: s without two views after which a track ends.
@@ -213,9 +212,8 @@ class AssociationSettings:
     walk, restart: m/s and m, largest distance of a person after a gap.
     alike: largest mean difference of the logarithms of bones' lengths of the same body.
     motion: share of the last step of a point that predicts the next one.
-    jump: m, a longer step predicts none.
-    objects: m, largest mean distance of the rays of one person's objects; large, because outlines are no points.
-    """
+    jump: m, after a step that is longer than this no motion is predicted.
+    objects: m, largest mean distance of the rays of one person's objects; large, because outlines are no points."""
 
     gate: float = 0.22
     birth: float = 0.10
@@ -244,15 +242,15 @@ def people_of(
     rig: CameraRig,
     frame_rate: float = 25.0,
 ) -> list[PersonTrack]:
-    """Find the people of a clip; those seen most come first.
+    """Find the people of a clip by matching the detections of all views; the people seen in most frames and views
+    come first.
 
     frame_rate: frames per second, Hz.
     candidates: per frame and view the detections (P, K, 3 or more) = (u px, v px, confidence, ...) in undistorted
-        pixels of the pinhole `rig`, confidence 0 where missing; None where there is none. Further columns are kept. A
-        candidate with fewer than four points is a part that may complete a person.
+        pixels of the pinhole `rig`, confidence 0 where missing; None where a view has no detections. Further columns
+        are kept. A candidate with fewer than four points is a part that may complete a person.
     names: names of the K points.
-    There is no person with one view alone, or with two that do not agree: see `hypose.evidence.one_person`.
-    """
+    There is no person with one view alone, or with two that do not agree: see `hypose.evidence.one_person`."""
     given = (view.shape[2] for frame in candidates for view in frame if view is not None and len(view))
     at = Association(names, rig, frame_rate, columns=max(given, default=3))
     for frame in candidates:
@@ -640,8 +638,7 @@ def object_points(mask: NDArray[np.uint8]) -> Array:
 def people_of_objects(points: Sequence[Mapping[str, Array]], rig: CameraRig) -> list[dict[int, str]]:
     """Match the objects of all views to people; people seen in most views and frames come first.
 
-    points: per view and object (S, 3, 2), undistorted px of the pinhole `rig` in S common frames (`object_points`);
-        NaN
+    points: per view and object (S, 3, 2), undistorted px of the pinhole `rig` in S common frames (`object_points`); NaN
         where the object is missing.
     Returns: people as {view: object}; an object that no other view shows is a person of its own."""
     at = [(c, name) for c, view in enumerate(points) for name in view]

@@ -35,8 +35,7 @@ def visibility(hull: Hull, rig: CameraRig, usable: NDArray[np.bool_] | None = No
     points leave no holes) and it faces the camera. The factor is -z_c . n_q, with the camera's optical axis z_c and the
     normal n_q.
     Returns: (C, S) factors, 0 where not seen; columns sum to 1, or are all 0 where no camera sees the point.
-    Source: Alcoverro 2014, eq. 2.16, normalised as after eq. 2.17.
-    """
+    Source: Alcoverro 2014, eq. 2.16, normalised as after eq. 2.17."""
     out = np.zeros((len(rig), len(hull.surface_points)))
     for c, camera in enumerate(rig):
         if usable is not None and not usable[c]:
@@ -103,13 +102,12 @@ def likely_clusters(
 ) -> tuple[Array, Array]:
     """Cluster the likely surface points: points within the tolerance of each other (single linkage on a kd-tree).
 
-    hull: whose surface points are used.
+    hull: visual hull with S surface points.
     settings: limits of a cluster.
     stature: height of the person, m; sizes grow in proportion to it.
-    probability: (S,) of the surface points.
+    probability: (S,) probability of each surface point.
     Returns: centres (E, 3), m, and mean probabilities (E,), largest cluster first.
-    Source: Alcoverro 2014, eq. 2.18 and the clustering after it.
-    """
+    Source: Alcoverro 2014, eq. 2.18 and the clustering after it."""
     from scipy.sparse import coo_matrix  # takes long to import
     from scipy.sparse.csgraph import connected_components  # takes long to import
     from scipy.spatial import KDTree  # takes long to import
@@ -169,17 +167,17 @@ def detect_ends(
     voxel: float = 0.03,
     settings: ClusterSettings = ClusterSettings(),
 ) -> tuple[Detections, Array]:
-    """Detect the unnamed body ends of one frame from a detector's maps, on the surface of the silhouettes' hull.
+    """Detect body ends (hands, head, feet), without names, in one frame: clusters of high detector probability on
+    the surface of the visual hull.
 
     stature: height of the person, m.
     voxel: edge length of the hull, m.
     settings: limits of a cluster.
-    maps: (C, h, w) probabilities.
+    maps: (C, h, w) probability of a body end at each pixel of the masks.
     centre: (3,) m, approximate place of the person (the start pose's pelvis); the hull is carved within 0.75 statures
         of it.
     Returns: the detections (none without a hull); the hull's centroid (3,), m, as the centre for the next frame.
-    With four views or more, one of them may miss a part of the person.
-    """
+    With four views or more, one of them may miss a part of the person."""
     reach = 0.75 * stature
     bounds = np.stack([centre - reach, centre + reach])
     try:

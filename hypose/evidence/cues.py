@@ -81,11 +81,10 @@ class PoseMemory(Generic[_Found]):
         return self._found.get(self._key(body, pose))
 
     def keep(self, body: Body, pose: Array, found: _Found) -> _Found:
-        """Store a result and return it.
+        """Store the result of a pose and return it.
 
-        pose: (D,).
-        found: its result.
-        """
+        pose: (D,) pose vector, rad and m.
+        found: its result."""
         self._found[self._key(body, pose)] = found
         return found
 
@@ -142,8 +141,7 @@ class SilhouetteEvidence(Evidence):
         return count(poses) if limb is not None else self._counts.all(body, poses, count)
 
     def overlap(self, body: Body, pose: Array) -> Array:
-        """Compute the intersection over union (C,) of the body at a pose (D,) and each view's mask; ignored pixels
-        do
+        """Compute the intersection over union (C,) of the body at a pose (D,) and each view's mask; ignored pixels do
         not count.
 
         Returns: (C,) overlap; NaN for views without a usable mask, or in which others hide nearly all of the body."""
@@ -219,8 +217,7 @@ class DepthEvidence(Evidence):
         ones.
 
         moving: (J,) the joints that differ; all else is as in the last pose. The first pose is the current limb.
-        outlines: function (slack, more) that gives the energies (N,) without depth; they may be infinite where they
-            are
+        outlines: function (slack, more) that gives the energies (N,) without depth; they may be infinite where they are
             certainly above `slack` times that of the first pose plus `more`.
         standing: the parts that do not move, where they are drawn already.
         Returns: (N,) energies; infinite for poses that were not compared in full, because only the best ones of a

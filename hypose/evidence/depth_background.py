@@ -189,12 +189,12 @@ def person_on_floor(depth: DepthMap, camera: Camera, room: DepthMap | None = Non
 
 
 def people_on_floor(depth: DepthMap, camera: Camera, room: DepthMap | None = None) -> Mask:
-    """Segment everything on the floor of a depth map (h, w), m, that may be a person, or a part of one next to another.
+    """Segment everything on the floor of a depth map (h, w), m, that may be a person, or a part of one next to
+    another.
 
     camera: camera of the map.
-    room: as for `person_on_floor`.
-    Returns: (h, w) 0 or 1.
-    """
+    room: (h, w) distance of the room, m, 0 = unknown (`unlike_people`).
+    Returns: (h, w) 0 or 1."""
     own = _standing(_without(depth, room), camera).people()
     return holes_filled(_calm(own), depth, np.zeros(depth.shape, dtype=np.bool_))
 

@@ -49,9 +49,8 @@ class SurfacePoints:
 
     points: (M, 3) m.
     normals: (M, 3) outward unit vectors.
-    sd: (M,) along the ray, m.
-    first: (C + 1,) points first[c] to first[c + 1] are those of view c.
-    """
+    sd: (M,) standard deviation along the ray, m.
+    first: (C + 1,) points first[c] to first[c + 1] are those of view c."""
 
     points: Array
     normals: Array
@@ -63,8 +62,7 @@ class SurfacePoints:
 class Depth:
     """Depth maps of one instant, one per view of a rig.
 
-    maps: (C, h, w) float32 m along the optical axis, 0 = hole, undistorted; views of different size are padded with
-        0,
+    maps: (C, h, w) float32 m along the optical axis, 0 = hole, undistorted; views of different size are padded with 0,
         see `rig.sizes`.
     person: (C, h, w) uint8, 1 = the person.
     usable: (C,) False for a view without a map, for example one that is no depth camera.

@@ -83,11 +83,12 @@ def occupied_space(frame: Frame, bounds: Array | None = None) -> Hull:
 
 
 def people_seen(frame: Frame, known: Sequence[Other] = (), *, floor: float = 0.0) -> list[HullPerson]:
-    """Find the people in a frame who are not known yet, the largest first: by depth where there is depth, else by the
-    hull.
+    """Find the people in a frame who are not known yet, in depth maps where the frame has some, else in the visual
+    hull; the largest come first.
 
-    floor: height of the floor, m.
-    """
+    known: people who are left out.
+
+    floor: height of the floor, m."""
     if frame.depth is not None:
         return people_in_depth(frame.depth, known, floor=floor)
     return [] if frame.silhouettes is None else people_in_hull(frame.silhouettes, known, floor=floor)

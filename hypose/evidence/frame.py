@@ -115,12 +115,11 @@ class Keypoints:
 
 @dataclass(frozen=True)
 class Detections:
-    """Body parts that a detector found; they drive kernels of the search.
+    """Body ends that a detector found in one frame; the search moves particles to them.
 
     points: (M, 3) in the world, m.
     score: (M,) score of the detector.
-    part: (M,) index of the part.
-    """
+    part: (M,) index of the part."""
 
     points: Array
     score: Array
@@ -137,8 +136,7 @@ class SensorReport:
     person: the sensor's number of the person; None when it sees no person (the arrays are empty).
     joint_names: (J,).
     positions: (J, 3) in the sensor's frame, m, NaN where missing.
-    state: (J,) uint8: 0 not tracked, 1 inferred, 2 tracked.
-    """
+    state: (J,) uint8, per joint: 0 not tracked, 1 inferred, 2 tracked."""
 
     sensor: str
     time: float

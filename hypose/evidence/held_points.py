@@ -21,7 +21,7 @@ _LEAST_POINTS = 6  # least points of a frame that show whether the others move
 
 
 def without_held(column: Sequence[Array | None], first: int = 0) -> tuple[list[Array | None], int]:
-    """Set the confidence of held key points of one view to 0.
+    """Set the confidence of key points of one view to 0 where a program only repeated ("held") the last position.
 
     A point is held where its position is exactly the same in three or more frames in succession while most other points
     of the view move; the first of these frames is a detection and stays.
@@ -29,8 +29,7 @@ def without_held(column: Sequence[Array | None], first: int = 0) -> tuple[list[A
     first: index of the first of the two columns with the positions (px) as the file gave them, which are compared; 0
         where u and v are those, 3 where u and v were undistorted and the given ones follow the confidence.
     Returns: the frames, copied and with confidence 0 at held points; and the number of held points. Where more than a
-        tenth of all positions are repeated (rounded too much, or too still to decide), nothing changes and it is 0.
-    """
+        tenth of all positions are repeated (rounded too much, or too still to decide), nothing changes and it is 0."""
     out = [None if people is None else people.copy() for people in column]
     seen = repeated = count = 0
     before: tuple[Array, NDArray[np.int64]] | None = None  # the people of the frame before, and for how long

@@ -193,13 +193,13 @@ def _free_cells(
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Decide for cubes (M,) whether this view surely shows no person there, and whether it possibly shows one.
 
-    camera: of the view.
+    camera: camera of the view.
     mask: (h, w) 0 or 1.
     sums: (h + 1, w + 1) its integral image.
-    centres: (M, 3) of the cubes, m.
+    centres: (M, 3) centres of the cubes, m.
     Returns: (M,) true where the whole cube projects into the image and on no pixel of a person; (M,) true where some
         pixel of a person may belong to it.
-    edge: of the cubes, m; 0: only their centres are tested.
+    edge: edge of the cubes, m; 0: only their centres are tested.
     """
     w, h = camera.size
     x = centres @ camera.camera_from_world[:3, :3].T + camera.camera_from_world[:3, 3]

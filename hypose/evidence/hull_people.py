@@ -145,12 +145,12 @@ def people_in_hull(
 
 
 def people_of_hull(hull: Hull, floor: float, most: int, surface: float = 0.0) -> list[HullPerson]:
-    """Split a hull into parts that stand on the floor; ghosts are included.
+    """Split a hull into parts that stand on the floor, one per person; parts that are no person (ghosts, where
+    silhouettes of different people intersect) are included.
 
     floor: height of the floor, m.
     most: largest number of people.
-    surface: least volume of a person where the voxels are only its surface, litres; 0: the voxels fill the person.
-    """
+    surface: least volume of a person where the voxels are only its surface, litres; 0: the voxels fill the person."""
     return [HullPerson(_part(hull, own, axis), axis) for axis, own in _axes(hull, floor, most, surface)]
 
 
@@ -228,8 +228,7 @@ def _stands(near: Array, nearby: float, litre: float, floor: float, surface: flo
     floor: height of the floor, m.
     surface: as for `people_of_hull`.
     nearby: litres within PART_OF_LARGER_M, of any person. Why: a part of something wide is no child; and a child's
-        surface
-    alone is no larger than that of furniture.
+        surface alone is no larger than that of furniture.
     """
     if not len(near) or near[:, 2].min() - floor > FROM_FLOOR:
         return False

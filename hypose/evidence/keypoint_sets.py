@@ -89,8 +89,7 @@ def arranged(names: Sequence[str], points: Array) -> tuple[str, Array, list[str]
     sets the smaller one).
 
     points: (..., K, 3).
-    Returns: name of the set; points (..., K', 3) in its order, confidence 0 where a point is missing; the given
-        names
+    Returns: name of the set; points (..., K', 3) in its order, confidence 0 where a point is missing; the given names
         that the set does not have.
     Raises: InputError where no set contains four of the names."""
     common = [common_name(n) for n in names]
@@ -111,11 +110,10 @@ def arranged(names: Sequence[str], points: Array) -> tuple[str, Array, list[str]
 
 
 def bone_excess(points: ArrayLike, keypoint_set: str) -> float:
-    """Compute by how much the bones of people are too long when their points are read as a given set.
+    """Compute by how much people's bones are too long if their points are read as points of a certain key-point set.
 
     points: (N, K, 3) px and confidence, of N people.
-    Returns: mean over bones of the median excess over their longest usual length, in units of it; NaN where too
-        little
+    Returns: mean over bones of the median excess over their longest usual length, in units of it; NaN where too little
         is seen. Right sets have about 0, others 1 and more."""
     p = np.asarray(points, dtype=np.float64)
     names = keypoint_names(keypoint_set)
@@ -153,8 +151,7 @@ def set_of_points(views: Sequence[Array], stated: str | None, usual: Sequence[st
     stated: name of the set that the user or the file states; None: not stated.
     usual: sets that are preferred where several have this number of points.
     Returns: name of the set; how it is known: "stated", "by their number" or "by the lengths of bones".
-    Raises: InputError, without the file's name, where the bones of the stated set are impossible and those of
-        another
+    Raises: InputError, without the file's name, where the bones of the stated set are impossible and those of another
         are not, or where no set has this number of points or fits."""
     count = views[0].shape[1]
     fitting = [s for s in [*usual, *KEYPOINT_SETS] if s in KEYPOINT_SETS and len(KEYPOINT_SETS[s]) == count]

@@ -91,8 +91,7 @@ def lasting_m(names: Sequence[str]) -> float:
     """Return the constant error of a set's key points, m per axis: the part that is the same in all views and
     frames, so that no scatter shows it.
 
-    It is known for BlazePose only: on rendered people (seeds 5200 to 5215) its points lay 10 to 20 mm from their
-        mean
+    It is known for BlazePose only: on rendered people (seeds 5200 to 5215) its points lay 10 to 20 mm from their mean
     offsets. 0 for other sets."""
     return 0.02 if tuple(names) == BLAZEPOSE_33 else 0.0
 
@@ -351,7 +350,7 @@ def thick_skeleton(
     """Draw a person as a mask: limbs `radius` px thick to either side, a filled torso, head and hands.
 
     points: (K, 3) px of that image; bones with an end below min_confidence are left out.
-    shape: (h, w) of the mask.
+    shape: (h, w) shape of the mask.
     """
     p = np.asarray(points, dtype=np.float64)
     mask = np.zeros(shape, np.uint8)

@@ -63,10 +63,12 @@ def one_person(
     """Find the person who is seen in most frames and views.
 
     frame_rate: frames per second, Hz.
-    candidates, names, rig: as in `hypose.evidence.association.people_of`.
+    candidates: per frame and view the detections (P, K, 3 or more) = (u px, v px, confidence, ...) in undistorted
+        pixels of `rig`, confidence 0 where missing; None where a view has none.
+    names: names of the K points.
+    rig: pinhole cameras.
     keep_misfits: the calibration itself is in doubt; a view that does not fit keeps the person who moves like the one
-        in the other views. Otherwise such a view is left out.
-    """
+        in the other views. Otherwise such a view is left out."""
     frames, views = len(candidates), len(rig)
     columns = [[frame[c] for frame in candidates] for c in range(views)]
     shown = np.array([[_how_many(people) > 0 for people in column] for column in columns]).T  # (T, C)

@@ -50,12 +50,11 @@ class ViewOutline:
 
 @dataclass(frozen=True)
 class Outlines:
-    """Outlines of all views; zero for views that are not usable. See ViewOutline for the fields.
+    """Outlines of the masks of all views of a frame; zero for views that are not usable.
 
     distance: (C, h, w), each view in its own size (sizes (C, 2)) at its corner (corners (C, 2)).
     points: (C, K, 2).
-    found, extent, shrunk: (C,).
-    """
+    found, extent, shrunk: (C,)."""
 
     distance: NDArray[np.float32]
     points: NDArray[np.float32]
@@ -135,7 +134,7 @@ def _outline_around(
     """Compute the outline of a person whom the function put(mask, corner (y, x)) draws into an empty part of the mask.
 
     box: y0, y1, x0, x1 around the person.
-    shape: (h, w) of the whole mask.
+    shape: (h, w) shape of the whole mask.
     count: number of outline points.
     working_height: px, see `outline_in_box`.
     """
@@ -189,8 +188,7 @@ def shared_outline(
 
     count: number of outline points. An outline of zeros is returned where too little of the person is known.
     working_height: a mask taller than this is shrunk before, px; None: it is not shrunk.
-    Returns: the outline; distances that depend on ignored pixels are NOT_KNOWN, and outline points next to them are
-        set
+    Returns: the outline; distances that depend on ignored pixels are NOT_KNOWN, and outline points next to them are set
         to -1e6, because the outline there may be another person's."""
     whose = tuple(int(n) for n in np.asarray(box))
     extent = max(whose[1] - whose[0], whose[3] - whose[2])

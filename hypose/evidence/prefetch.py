@@ -34,8 +34,7 @@ _Views = Callable[[], list[ViewOutline | None] | None]
 @dataclass(frozen=True)
 class _Made:
     """Results kept with silhouettes; views: function that waits for the outlines; stacked, masks: as returned by
-    `outlines`,
-    `prepared_masks`."""
+    `outlines`, `prepared_masks`."""
 
     views: _Views | None = None
     stacked: Outlines | None = None
@@ -94,8 +93,7 @@ def outlines(silhouettes: Silhouettes, count: int = OUTLINE_POINTS, working_heig
     """Compute the outlines of a frame's usable views, or take them from the cache.
 
     count: points per view.
-    working_height: as for `view_outline`.
-    """
+    working_height: for tracking: a mask taller than this is shrunk, px; None: it is not shrunk."""
     known: _Made = silhouettes.ahead or _NOTHING
     tracking = (count, working_height) == (OUTLINE_POINTS, WORKING_HEIGHT)
     if tracking and known.stacked is not None:
@@ -115,7 +113,7 @@ def _outline(
 ) -> ViewOutline:
     """Compute the outline of one view, of size (w, h), without the ignored pixels.
 
-    silhouettes: of the frame.
+    silhouettes: silhouettes of the frame.
     view: its index.
     count: number of points.
     working_height: as for `view_outline`.

@@ -34,7 +34,7 @@ class BodyShape:
     """Skin of a posed body as pinhole cameras see it.
 
     vertices: (V, 3) m.
-    faces: (F, 3) of a closed surface.
+    faces: (F, 3) faces of a closed surface.
     rig: the cameras.
     """
 
@@ -122,7 +122,7 @@ def _hide(ignored: NDArray[np.uint8], shape: StandingShape, view: int, share: fl
 
     ignored: changed in place.
     view: index of the view.
-    share: of the longer side of the box by which the silhouette is widened.
+    share: share of the longer side of the box by which the silhouette is widened.
     within: the region.
     """
     y0, y1, x0, x1 = shape.boxes[view].tolist()

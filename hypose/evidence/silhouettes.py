@@ -152,10 +152,9 @@ def _room(background: BackgroundModel, options: SilhouetteSettings) -> picture_t
     background: model of the empty room.
     options: threshold, least sd, and shadows.
     Foreground: some channel more than `threshold` sd from the mean. Shadow: the pixel's colour a is s b + rest, with
-        background
-    b, s in shadow_range, and a small rest. Source: Xu, Landabaso & Pardas 2005 (as used by Alcoverro 2014, section
-    2.4); the brightness and colour distortions are those of Horprasert et al. 1999. Deviation: the colour distortion is
-    in grey levels, not in sd, because with the small sd of clean video a soft shadow never passes.
+    background b, s in shadow_range, and a small rest. Source: Xu, Landabaso & Pardas 2005 (as used by Alcoverro 2014,
+    section 2.4); the brightness and colour distortions are those of Horprasert et al. 1999. Deviation: the colour
+    distortion is in grey levels, not in sd, because with the small sd of clean video a soft shadow never passes.
     """
     reach = options.threshold * np.maximum(background.sd, np.float32(options.min_sd))
     mean = np.ascontiguousarray(background.mean, dtype=np.float32)
@@ -247,7 +246,7 @@ def flag_collapsed(
 ) -> tuple[str, ...]:
     """Find the views whose mask cannot be trusted.
 
-    names: of the C cameras.
+    names: names of the C cameras.
     frame: its number, for the sentences.
     lowest, highest: the shares named below.
     areas: (C,) foreground pixels of this frame.
@@ -332,15 +331,14 @@ _LIMBS = tuple(
 def with_doubted_limbs(
     band: NDArray[np.uint8], mask: NDArray[np.uint8], points: ArrayLike, names: Sequence[str], height: float
 ) -> NDArray[np.uint8] | None:
-    """Widen the band (h, w) around every limb that the mask (h, w) does not confirm; None if it confirms all.
+    """Widen the search band (h, w) around every limb of the 2D skeleton that the mask (h, w) does not confirm.
 
     band: pixels near the 2D skeleton, to which the mask was cut.
     points: (K, 3) px and confidence.
-    names: of the points.
-    height: of the person, px.
-    A limb without its root point is left alone. If most complete limbs lie outside the mask, return a band of ones: the
-    skeleton is in the wrong place.
-    """
+    names: names of the points.
+    height: height of the person, px.
+    A limb without its root point is left alone. Returns: the widened band; None where the mask confirms all limbs; a
+    band of ones where most complete limbs lie outside the mask, because the skeleton is then in the wrong place."""
     p = np.asarray(points, dtype=np.float64)
     at = {n: p[k] for k, n in enumerate(names) if p[k, 2] > _MIN_CONFIDENCE}
     out = band.copy()

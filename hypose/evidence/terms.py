@@ -88,16 +88,17 @@ class ContourTerm(Term):
     usable: (C,).
     sizes: (C, 2) width, height.
     projections: (C, 3, 4) pinhole.
-    weight: of one row at the reference density (rows 6 px apart on a person 260 px tall, 130 outline points a view).
-    scale_px, coarse_scale_px: Geman-McClure scale of the distance.
-    row_spacing_px: distance of the forward rows along the body's outline.
+    weight: weight of one row at the reference density (rows 6 px apart on a person 260 px tall, 130 outline points a
+        view).
+    scale_px, coarse_scale_px: Geman-McClure scale of the distance, px: the final one, and that of the first
+        iterations.
+    row_spacing_px: distance of the forward rows along the body's outline, px.
     outline_count: K (at most 1000).
-    height_px: height of the person in the picture (median over the usable views).
+    height_px: height of the person in the picture, px (median over the usable views).
     shrunk: (C,) factor of the larger pixels in which sdf, outline, sizes and projections are; all other lengths are in
         the original pixels.
     corners: (C, 2), sdf_sizes: (C, 2): the part of each image that its sdf covers; rows outside cost as at infinite
-        distance.
-    """
+        distance."""
 
     sdf: NDArray[np.float32]
     outline: NDArray[np.float32]
@@ -260,8 +261,7 @@ def contour_term(
 
     weight: weight of one row (residual) at the reference density of rows, see `ContourTerm`.
     outline_count: points per view.
-    working_height: px, for tracking: views in which the person is 1.5 times as tall are computed in larger pixels,
-        and
+    working_height: px, for tracking: views in which the person is 1.5 times as tall are computed in larger pixels, and
         distances only around the person.
     Raises: EvidenceError where no view is left; views that are not usable, or have no outline away from the image
         border, are left out.
@@ -325,10 +325,10 @@ class DepthTerm(Term):
     maps: (C, h, w) float32 m, 0: unknown.
     sizes: (C, 2) width, height.
     projections: (C, 3, 4).
-    free_share: weight, per point, of body in front of what was seen.
+    free_share: weight, per point, of body parts in front of the measured surface.
     scale_m: Geman-McClure scale of a point's distance, m.
-    Body up to SLACK_M in front of what was seen costs nothing; beyond that its scale is FREE_SCALE_M.
-    """
+    A body part up to SLACK_M (m) in front of the measured surface costs nothing; beyond that, its robust scale is
+    FREE_SCALE_M (m)."""
 
     points: Array
     normals: Array

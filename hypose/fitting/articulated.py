@@ -255,7 +255,7 @@ def with_rows(known: Evaluation, pose: Array, body: Body, rows: Sequence[RowTerm
     """Add the cost and derivatives of row terms to an evaluation.
 
     known: evaluation of the other evidence at the pose.
-    pose: (D,).
+    pose: (D,) pose vector, rad and m.
     rows: the row terms.
     Returns: the new evaluation; its counts get one more line with the number of points.
     Raises: InputError where residuals have the wrong shape.

@@ -253,7 +253,8 @@ class _Clip(Problem[Array, tuple[Array, Array]]):
         """Compute the damped Newton step (T, D) with the dof that push against a limit held; None where not positive
         definite.
 
-        gradient: (T, D); hessian: (T, D, D) of each frame alone; q: (T, D) poses; damping: relative to the diagonal.
+        gradient: (T, D); hessian: (T, D, D) hessian of each frame alone; q: (T, D) poses; damping: relative to the
+            diagonal.
         """
         held = ((q <= self.lower + 1e-9) & (gradient > 0)) | ((q >= self.upper - 1e-9) & (gradient < 0))
         keep = ~held

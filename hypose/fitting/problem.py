@@ -191,7 +191,7 @@ class Rows(NamedTuple):
     point: (R, 3) m, world.
     slope: (R, 3) derivative of the residual by the point.
     residual: (R,) residuals, in the unit of the cue (px, m).
-    weight: (R,) of the squared residual, the derivative of the loss included.
+    weight: (R,) weight of the squared residual, the derivative of the loss included.
     view: (R,) camera of the residual.
     cost: robust cost of all residuals, including those without a row."""
 
@@ -245,7 +245,7 @@ class Posed:
     """Body in one frame.
 
     body: the body.
-    pose: (D,).
+    pose: (D,) pose vector, rad and m.
     vertices: (V, 3) m of its scoring mesh in the world.
     """
 
@@ -255,7 +255,7 @@ class Posed:
 
     @property
     def mesh(self) -> Mesh:
-        """The scoring mesh."""
+        """Coarse mesh of the body, which is compared with masks."""
         return self.body.coarse
 
     @cached_property

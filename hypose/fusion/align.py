@@ -58,7 +58,7 @@ class SensorBody:
 
     person: the sensor's number of the person.
     positions: (15, 3) m in the sensor's frame, NaN where missing.
-    state: (15,) of each joint: 0 missing, 1 inferred, 2 tracked.
+    state: (15,) state of each joint: 0 missing, 1 inferred, 2 tracked.
     """
 
     person: int

@@ -69,7 +69,7 @@ def remaining_uncertainty(
     states: (K, 15), their states.
     eyes: (K, 3) m, positions of the sensors, NaN where unknown.
     left: (3,) direction to the person's left, of any length.
-    lengths: (18,) m of joints.SKELETON_BONES, 0 where unknown.
+    lengths: (18,) m, lengths of joints.SKELETON_BONES, 0 where unknown.
     joints: (15, 3) m, the fused joints.
     variance: (15,) m^2 per axis, the part that averages out over frames and sensors.
     Returns: systematic variance (15,) m^2 per axis, and probability (15,) of an error above LARGE_ERROR_M.
@@ -99,13 +99,17 @@ def remaining_uncertainty(
 
 
 def seen_joints(positions: Array, states: NDArray[np.uint8], eyes: Array, left: Array, lengths: Array) -> Array:
-    """Compute the probability (K, 15) that each sensor sees each joint instead of guessing it, 0 where it reports none.
+    """Compute the probability (K, 15) that each sensor sees each joint instead of guessing it, 0 where it reports
+    none.
 
-    positions, states, eyes, left, lengths: as in `remaining_uncertainty`.
+    positions: (K, 15, 3) m, registered joints.
+    states: (K, 15) joint states (0 missing, 1 inferred, 2 tracked).
+    eyes: (K, 3) m, positions of the sensors, NaN where unknown.
+    left: (3,) direction to the person's left, of any length.
+    lengths: (18,) m, lengths of joints.SKELETON_BONES, 0 where unknown.
 
     A joint is doubted where the body hides it from the sensor, where the sensor sees the back, where its state is
-    inferred, and where its bone has an unusual length.
-    """
+    inferred, and where its bone has an unusual length."""
     to = eyes - positions[:, jt.TORSO]
     up = positions[:, jt.NECK] - (positions[:, jt.LEFT_HIP] + positions[:, jt.RIGHT_HIP]) / 2
     away = np.maximum(-_SIDE_SIGNS * _cosine(left, to), 0.0)
@@ -181,15 +185,14 @@ class FitSettings:
 class FitState:
     """Memory of the fit between two frames.
 
-    joints: (15, 3) m of the last frame; None before the first.
+    joints: (15, 3) m, joints of the last frame; None before the first.
     velocity: (15, 3) m/s of the last frame.
     time: s of that frame.
     seen: (15,) s, time at which each joint last had evidence.
     side: (3,) remembered direction to the person's left, a sum of unit vectors.
-    lengths: (18,) m of joints.SKELETON_BONES.
+    lengths: (18,) m, lengths of joints.SKELETON_BONES.
     samples: (18,) number of samples of each length.
-    fixed: whether the lengths were given and do not adapt.
-    """
+    fixed: whether the lengths were given and do not adapt."""
 
     joints: Array | None
     velocity: Array
@@ -224,8 +227,8 @@ class FitEstimate:
 def start_fit(lengths: ArrayLike | None = None) -> FitState:
     """Make the state before the first frame.
 
-    lengths: (18,) m of joints.SKELETON_BONES where known (0 = unknown), which are then kept; None: they are estimated
-        from the frames.
+    lengths: (18,) m, lengths of joints.SKELETON_BONES where known (0 = unknown), which are then kept; None: they are
+        estimated from the frames.
     """
     return FitState(
         None,

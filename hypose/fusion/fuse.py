@@ -69,7 +69,7 @@ class Fused:
     motion: the 15 common joints first, then the others of the set; without poses.
     shares: (T, 15, K) share of each sensor in each joint; of a swarm, the share in its population.
     registration: registration of the sensors; with "published" that of the last frame.
-    lengths: (18,) m of joints.SKELETON_BONES, 0 where unknown.
+    lengths: (18,) m, lengths of joints.SKELETON_BONES, 0 where unknown.
     sensor_names: names of the K sensors.
     """
 
@@ -212,7 +212,7 @@ def _fitted(
     states: (T, K, 15) joint states.
     times: (T,) s.
     eyes: (T, K, 3) m, positions of the sensors.
-    lengths: (18,) m of joints.SKELETON_BONES.
+    lengths: (18,) m, lengths of joints.SKELETON_BONES.
     """
     fit, settings = start_fit(lengths), FitSettings()
     for frame in zip(world, states, times.tolist(), eyes, strict=True):
@@ -302,7 +302,7 @@ def _motion(
     times: (T,) s.
     lost: (T,) whether the person is lost.
     n_sensors: (T,) number of sensors with evidence.
-    lengths: (18,) m of joints.SKELETON_BONES.
+    lengths: (18,) m, lengths of joints.SKELETON_BONES.
     provenance: facts on the origin of the motion, stored with it.
     """
     order = [jt.TORSO]

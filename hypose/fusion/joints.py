@@ -60,13 +60,12 @@ for the foot, the spine for the torso.
 
 @dataclass(frozen=True)
 class JointSet:
-    """Joints that a type of sensor reports.
+    """Description of the joints that a type of sensor reports.
 
     name: name of the set.
     joint_names: (J,) as the SDK writes them.
     common: (15,) index of each common joint in the set.
-    parent: (J,) index of the parent, -1 for the root.
-    """
+    parent: (J,) index of the parent, -1 for the root."""
 
     name: str
     joint_names: tuple[str, ...]

@@ -59,7 +59,7 @@ class LiveFrame:
 class LiveFuser:
     """Live fusion of the skeletons of several people from several sensors.
 
-    settings: of the output instants.
+    settings: settings of the output instants.
 
     Call `push` for every report as it arrives, and `poll` at the time `due()` or more often. All times are s of one
     monotonic host clock.
@@ -71,7 +71,11 @@ class LiveFuser:
         _warm_up()
 
     def push(self, report: SensorReport, now: float | None = None) -> bool:
-        """Add one report of one sensor; see `Aligner.push`."""
+        """Add one report of one sensor.
+
+        now: arrival on the host's monotonic clock, s; by default that of the report.
+        Returns: False where the report was not used, because it is too late or its time is implausible.
+        Raises: InputError for an unknown joint set, coordinates that are not metres, or too many sensors or persons."""
         return self.aligner.push(report, now)
 
     def due(self) -> float:

@@ -32,16 +32,15 @@ class PeopleSettings:
     forget: time for which an unseen person is remembered.
     blind: further time for which persons are remembered while no sensor reports at all, so that a pause of the whole
         machine creates no new person.
-    window: window of the skeletons from which a sensor is registered.
-    note: time between two skeletons of that window.
+    window: length of the time window of skeletons from which a sensor is registered.
+    note: time between two skeletons that are kept in this window.
     refit: time between two registrations of a sensor.
     attempt: time between two attempts to register an unregistered sensor.
     shots: least number of shared instants for a registration.
     residual: largest median distance of a registration.
     distinct: largest ratio of the score of the best pairing of persons to that of the next best.
     strays: number of instants without a match after which a sensor counts as moved.
-    most: largest number of persons.
-    """
+    most: largest number of persons."""
 
     gate: float = 0.6
     faithful: float = 0.2
@@ -494,7 +493,7 @@ def _fit(body: Array, ours: Array, iterations: int) -> tuple[Array, float] | Non
     """Estimate where a sensor stands from skeletons of the same person, robustly.
 
     body: (T, 15, 3) m in the sensor's frame.
-    ours: (T, 15, 3) m of the tracked person in the common frame.
+    ours: (T, 15, 3) m, joints of the tracked person in the common frame.
     iterations: largest number of weighted solves.
     Returns: common_from_sensor (4, 4) and the median distance, m; None with fewer than 20 common joints.
     """

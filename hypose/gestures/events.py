@@ -63,7 +63,7 @@ class _Watch:
 
 @dataclass(frozen=True)
 class EventState:
-    """Progress of every gesture between two frames."""
+    """State of the event detection between two frames: how long each gesture has been shown or released."""
 
     watches: Mapping[int, _Watch] = field(default_factory=dict)
 
@@ -122,7 +122,9 @@ def precision_recall(scores: Array, correct: NDArray[np.bool_], positives: int) 
 def average_precision(scores: Array, correct: NDArray[np.bool_], positives: int) -> float:
     """Compute the average precision: the mean precision at each correct detection, where missed gestures count 0.
 
-    scores, correct, positives: as in `precision_recall`.
-    """
+    scores: (N,) scores of the detections; a score of 0 is no detection.
+    correct: (N,) whether each detection is correct; among equal scores the wrong ones come first.
+    positives: number of true gestures.
+    Returns: 0 to 1."""
     precision, recall = precision_recall(scores, correct, positives)
     return float((precision * np.diff(recall, prepend=0.0)).sum())

@@ -133,9 +133,11 @@ def densities(
 ) -> list[Density]:
     """Compute the density of every gesture's votes in one picture alone; `settle` then finds the places.
 
-    depth, lens, forest_list, scratch: as in `localise`.
-    Raises: InputError where the forests do not fit each other.
-    """
+    depth: (h, w) uint16 mm, 0 = hole.
+    lens: lens parameters of the depth camera.
+    forest_list: one forest per gesture.
+    scratch: memory that is reused in every frame.
+    Raises: InputError where the forests do not fit each other."""
     s = settings.at(lens)
     if not forest_list:
         raise InputError("There is no forest to search with; train a gesture first.")
@@ -155,13 +157,15 @@ def densities(
 def settle(
     maps: Sequence[Density], depth: DepthImage, lens: DepthLens, settings: LocaliseSettings, scratch: Scratch
 ) -> list[Localisation]:
-    """Find the best place of every gesture from the densities of one picture and the memory of the last ones (eq. 3.4).
+    """Find the best place of every gesture from the densities of one picture and the memory of the last ones (eq.
+    3.4).
 
     maps: density of each gesture, of `densities`.
-    depth, lens, scratch: as in `localise`.
+    depth: (h, w) uint16 mm, 0 = hole.
+    lens: lens parameters of the depth camera.
+    scratch: memory of one stream, which holds the density of the last frames.
     Returns: one place per gesture.
-    Deviation: alpha is 1 (no memory) unless it is set; `hypose gesture` sets the printed 0.8.
-    """
+    Deviation: alpha is 1 (no memory) unless it is set; `hypose gesture` sets the printed 0.8."""
     s, out = settings.at(lens), []
     for gesture, (density, at) in enumerate(maps, 1):
         if s.adaptation_rate < 1:

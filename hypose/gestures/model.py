@@ -39,7 +39,7 @@ def check_gesture_name(name: str) -> None:
 class GestureModel:
     """Trained model of one gesture.
 
-    name: of the gesture.
+    name: name of the gesture.
     learner: the forest, with the state from which its training continues.
     threshold: score (cm^2) from which the gesture counts as shown; None: not known yet.
     history: sessions that it was trained on, plain values.

@@ -140,12 +140,11 @@ class PixelSampler:
 
 @dataclass(frozen=True)
 class Taught:
-    """Pixels that were learned from one frame.
+    """Record of the pixels that were learned from one frame.
 
     learned: number of pixels of the background and of the gesture.
     found: best place of the gesture before learning; None where it was not searched.
-    mined: whether hard negatives were learned at that place.
-    """
+    mined: whether hard negatives were learned at that place."""
 
     learned: tuple[int, int]
     found: Localisation | None

@@ -97,15 +97,14 @@ class Session:
 
 @dataclass(frozen=True)
 class Instruction:
-    """What to do in one frame.
+    """Instruction of a training session for one frame.
 
     phase: phase of the session.
     prompt: text to show to the person.
     left_s: time left in the phase, s; infinite in the test.
     learn: "gesture": learn the gesture in the box; "negative": learn negatives; None: learn nothing.
     segment: number of the learning segment to which the frame belongs (0 = none).
-    restart: whether the forest must return to its state at the start of the last segment.
-    """
+    restart: whether the forest must return to its state at the start of the last segment."""
 
     phase: Phase
     prompt: str
@@ -201,14 +200,13 @@ def _enter(s: Session, phase: Phase, time: float) -> Session:
 
 @dataclass(frozen=True)
 class Feedback:
-    """What to show for one frame.
+    """Result of one frame of a training session, to be shown to the person.
 
     instruction: instruction of the session.
     box: (x, y) px, where the gesture is to be shown.
     taught: what was learned; None: nothing.
     found: best place of the gesture in the frame; None where it was not searched.
-    threshold: current threshold, cm^2; None before it is known.
-    """
+    threshold: current threshold, cm^2; None before it is known."""
 
     instruction: Instruction
     box: tuple[float, float]

@@ -37,7 +37,7 @@ class Hypotheses:
     role: (*B, N) bit mask, bit k stands for role_names[k]; one number stands for all. Read it with `has`, write it with
         `marked`.
     role_names: names of the roles, at most 31.
-    covariance: (*B, N, D, D) of each single hypothesis, or None.
+    covariance: (*B, N, D, D) covariance of each single hypothesis, or None.
     columns: further arrays (*B, N, ...) by name, one row per hypothesis (a velocity, a cost).
     Raises: ValueError where shapes do not agree or a population is empty.
     """

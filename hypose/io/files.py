@@ -71,8 +71,10 @@ def open_file(path: str | Path, kind: str, limit: int, least: int = 1) -> Buffer
 def readable_size(path: str | Path, kind: str, limit: int) -> int:
     """Check a file as `open_file` does, for a library that opens it by its path.
 
-    Returns: size, bytes.
-    """
+    kind: the expected type of file in error messages.
+    limit: largest accepted size, bytes.
+    Returns: size of the file, bytes.
+    Raises: InputError as `open_file`."""
     with open_file(path, kind, limit) as stream:
         return os.fstat(stream.fileno()).st_size
 
@@ -90,9 +92,9 @@ def reason_of(error: OSError) -> str:
 def read_bytes(path: str | Path, kind: str, limit: int, least: int = 1) -> bytes:
     """Read the content of a file.
 
-    kind, limit, least: as for `open_file`.
-    Raises: InputError as `open_file`.
-    """
+    kind: the expected type of file in error messages, such as "a TRC file".
+    limit, least: largest and smallest accepted size, bytes.
+    Raises: InputError as `open_file`."""
     try:
         with open_file(path, kind, limit, least) as stream:
             return stream.read(limit)
@@ -103,9 +105,9 @@ def read_bytes(path: str | Path, kind: str, limit: int, least: int = 1) -> bytes
 def read_text(path: str | Path, kind: str, limit: int = MAX_TEXT_BYTES) -> str:
     r"""Read a UTF-8 text file, which may be empty; line ends become \n.
 
-    kind, limit: as for `open_file`.
-    Raises: InputError as `open_file`, and where the file is not UTF-8.
-    """
+    kind: the expected type of file in error messages.
+    limit: largest accepted size, bytes.
+    Raises: InputError as `open_file`, and where the file is not UTF-8."""
     try:
         return read_bytes(path, kind, limit, 0).decode("utf-8-sig").replace("\r\n", "\n")
     except UnicodeDecodeError:
@@ -113,7 +115,11 @@ def read_text(path: str | Path, kind: str, limit: int = MAX_TEXT_BYTES) -> str:
 
 
 def text_lines(path: str | Path, kind: str, limit: int = MAX_TEXT_BYTES) -> list[str]:
-    """Read the lines of a text file as `bounded_lines` does, all at once."""
+    """Read all lines of a text file at once, unpacked where its name ends in .gz.
+
+    kind: the expected type of file in error messages.
+    limit: largest size of the unpacked text, bytes.
+    Raises: InputError as `bounded_lines`."""
     return list(bounded_lines(path, kind, limit, limit))
 
 
@@ -122,11 +128,11 @@ def csv_rows(
 ) -> tuple[list[str], Iterator[tuple[int, list[str]]]]:
     """Read a CSV file row by row.
 
-    kind, limit: as for `bounded_lines`.
+    kind: the expected type of file in error messages.
+    limit: largest size of the unpacked text, bytes.
     Returns: the cells of the first line, and an iterator over the line number (from 2) and cells of each later line;
         empty lines are skipped.
-    Raises: InputError as `bounded_lines`, and for a line with another number of cells than the first.
-    """
+    Raises: InputError as `bounded_lines`, and for a line with another number of cells than the first."""
     lines = bounded_lines(path, kind, limit)
     names = _cells(next(lines, ""))
 
@@ -172,9 +178,9 @@ def numbers_of(where: str) -> Iterator[None]:
 def read_json(path: str | Path, kind: str, limit: int = MAX_JSON_BYTES) -> Any:
     """Read the value of a JSON file.
 
-    kind, limit: as for `open_file`.
-    Raises: InputError as `open_file`, and for invalid JSON.
-    """
+    kind: the expected type of file in error messages.
+    limit: largest accepted size, bytes.
+    Raises: InputError as `open_file`, and for invalid JSON."""
     try:
         return parse_json(read_bytes(path, kind, limit))
     except (ValueError, RecursionError) as error:
@@ -268,9 +274,9 @@ def write_bytes(path: str | Path, data: bytes, synced: bool = True) -> None:
     """Write a binary file whole or not at all.
 
     data: the content.
-    synced: as for `atomic_path`.
-    Raises: InputError where it cannot be written.
-    """
+    synced: wait until the data are on the disk before the file gets its name, so that a power cut cannot leave it
+        empty.
+    Raises: InputError where it cannot be written."""
     with atomic_path(path, synced) as temporary:
         temporary.write_bytes(data)
 

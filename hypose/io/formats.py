@@ -42,7 +42,8 @@ class Source:
         return csv_rows(self.path, self.kind)[0]
 
     def files(self, *endings: str) -> list[Path]:
-        """List the files of a folder whose names end so, in natural order; for a file, that file alone."""
+        """List the files of a folder whose names have one of the endings, in natural order (cam2 before cam10).
+        Where the source is a file, the list has this file alone."""
         if not self.path.is_dir():
             return [self.path]
         found = (p for p in self.path.iterdir() if p.name.lower().endswith(endings) and p.is_file())
@@ -56,16 +57,16 @@ def _by_name_alone(source: Source) -> bool:
 
 @dataclass(frozen=True)
 class Format:
-    """A file format.
+    """Description of a file format: names, and functions that recognise, read and write it.
 
     name: names of the programs that use it.
     suffixes: ends of its files' names, in lower case; "/" for a folder.
-    read: reader of a source, which may take more arguments, the same in a whole table; None where it is only written.
+    read: reader of a source, which may take more arguments, the same in a whole table; None where it is only
+        written.
     sniff: test whether a source with such a name has this format, by its content.
     write: writer, with the same arguments in a whole table; None where it is only read.
     limits: what the format cannot hold, for the documentation.
-    precision: largest difference between a value that is written and the same value read back, in the value's unit.
-    """
+    precision: largest difference between a value that is written and the same value read back, in the value's unit."""
 
     name: str
     suffixes: tuple[str, ...]
@@ -125,7 +126,7 @@ class FormatTable:
         raise InputError(f"{path} is not {self.kind} {known}{_looks_like(path)}; {self.advice}.")
 
     def listing(self) -> str:
-        """List the endings of readable files."""
+        """Format the list of the endings of readable files as text, for error messages."""
         endings = dict.fromkeys(s for f in self.formats if f.read is not None for s in f.suffixes if s[:1] in "./")
         return ", ".join("a folder" if s == "/" else s for s in endings)
 

@@ -140,8 +140,7 @@ def assess(
     findings: findings about the whole motion, from the checks before tracking and from the passes.
     cure: next step for the user where too many joints are likely wrong; None: a general one.
     most_lost: share of frames without the person above which the motion is not to be trusted.
-    Returns: UNTRUSTED where the person is lost too often, too many joints or a limb are likely wrong, or a finding
-        is
+    Returns: UNTRUSTED where the person is lost too often, too many joints or a limb are likely wrong, or a finding is
         INVALID; LOOK where a finding is to be reviewed or doubtful frames last long enough; GOOD otherwise."""
     found, gone = list(findings), motion.lost | motion.extrapolated
     looks = any(f.severity == REVIEW for f in findings)

@@ -318,10 +318,9 @@ def _free(name: str, taken: Sequence[str]) -> str:
 class RegisteredSensors:
     """Depth cameras in one common world.
 
-    rig: cameras in the world of the first.
+    rig: the cameras, all in the world frame of the first one.
     seconds: (C,) to add to each camera's times, s.
-    rough: first alignment of each of the other cameras.
-    """
+    rough: first, rough alignment of each camera but the first."""
 
     rig: CameraRig
     seconds: Array

@@ -129,7 +129,7 @@ def placed(frame: Frame, camera_from_world: Array) -> Frame:
 def _off(reported: Array, found: Array, pose: Array, share: float = 1.0) -> dict[int, tuple[float, float]]:
     """Measure by how much cameras are off, and keep those that are off by more than a share of the limits.
 
-    pose: (D,) of the person.
+    pose: (D,) pose of the person.
     Returns: by camera index, degrees, and metres at the person's place.
     """
     errors = [place_error(f, t, pose[:3]) for f, t in zip(found, reported, strict=True)]

@@ -310,7 +310,7 @@ def _click(path: Path, name: str, at: Any, size: tuple[int, int]) -> tuple[float
 
     path: path of the file, for messages.
     name, at: joint and its value in the file.
-    size: (width, height) of the picture.
+    size: (width, height) size of the picture.
     Raises: InputError where the joint does not exist, or its place is not two numbers inside the picture.
     """
     if name not in JOINT_NAMES:
@@ -507,7 +507,7 @@ def image_deviation(body: Body, poses: Array, frames: Iterable[Frame]) -> Array:
     points, the share of the joints that are far outside the mask.
 
     body: the person's body.
-    poses: (T, D); a pose that is not finite gives NaN.
+    poses: (T, D) pose vectors, rad and m; a pose that is not finite gives NaN.
     frames: T frames of one camera.
     Returns: (T,) 0 to 1; NaN where the picture shows too little of the person.
     """
@@ -552,7 +552,7 @@ def _far(body: Body, pose: Array, keypoints: Keypoints) -> float:
     """Compute the share of the seen key points of the limbs that are farther than SETTINGS.picture_far times the
     person's size in the picture from those of a posed body.
 
-    pose: (D,).
+    pose: (D,) pose vector, rad and m.
     keypoints: key points of one camera.
     Returns: 0 to 1; NaN where fewer than four key points of the limbs are seen.
     """
@@ -571,7 +571,7 @@ def _outside(body: Body, pose: Array, silhouettes: Silhouettes) -> float:
     """Compute the share of the joints of a posed body that are farther outside the mask than SETTINGS.picture_outside
     times the longer side of its box; joints outside the picture do not count.
 
-    pose: (D,).
+    pose: (D,) pose vector, rad and m.
     silhouettes: silhouettes of one camera.
     Returns: 0 to 1; NaN without a mask, or with no joint in the picture.
     """

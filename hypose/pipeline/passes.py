@@ -108,9 +108,9 @@ class ClipState:
     finder: finds several people; None: the clip is of one person.
     shared_masks: the masks also show other people.
     progress: called with stage, done, total.
-    people: their state after the frames that are tracked; empty before `find_people`. In the passes `AFTER_TRACKING`
-        the clip is of one person.
-    given: the caller gave the subject and its start pose.
+    people: state of each person after the frames that are tracked; empty before `find_people`. In the passes
+        `AFTER_TRACKING` the clip is of one person.
+    given: whether the caller gave the subject and its start pose, so that no search is needed.
     candidates: possible people who are not tracked at the end, see `TrackingSession`.
     complete: every frame was tracked.
     error: what ended tracking after some frames.
@@ -122,8 +122,7 @@ class ClipState:
     notes: sentences for the user.
     findings: reasons to distrust or review the motion, and remarks.
     places: corrected places of depth cameras.
-    trace: changes that the passes made so far.
-    """
+    trace: changes that the passes made so far."""
 
     source: FrameSource
     frame_rate: float

@@ -72,21 +72,22 @@ class RoughTrack:
     """Rough track of one person.
 
     body: body that was used.
-    poses: (D,) by frame number.
-    rivals: other possible starts with their frame numbers.
-    """
+    poses: pose (D,) by frame number.
+    rivals: other possible starts with their frame numbers."""
 
     body: Body
     poses: Mapping[int, Array]
     rivals: tuple[tuple[int, Start], ...] = ()
 
     def other(self, number: int, rig: CameraRig) -> Other | None:
-        """Return what this person hides from the views in a frame; None where the pose is not known."""
+        """Return the shape of this person in a frame as a person who hides others; None where the pose is not known."""
         pose = self.poses.get(number)
         return None if pose is None else Other(shape_of(self.body, pose, rig), SETTINGS.path_others_widened)
 
     def starts(self, numbers: Sequence[int]) -> tuple[tuple[int, Start], ...]:
-        """Return the start in the first of the frames `numbers` and the rivals, each with an index into `numbers`."""
+        """List possible starts of the person: the start in the first of the frames `numbers`, and the rivals.
+
+        Returns: pairs of an index into `numbers` and a start."""
         first = Start(self.body, self.poses[numbers[0]], np.inf)
         near = [(int(np.abs(np.array(numbers) - t).argmin()), s) for t, s in self.rivals]
         return (0, first), *near
@@ -97,8 +98,9 @@ def frame_of_person(
 ) -> Frame:
     """Return frame `number` as evidence for one of the people on paths; what the others hide is left out.
 
-    The others are known by their rough bodies, else by their hulls.
-    """
+    number, who: number of the frame, and index of the person in `paths`.
+    rough: rough bodies of the people, which show the pixels that they hide; where one is None, its part of the hull
+        does."""
     s = frame.silhouettes
     if s is None:
         return frame
@@ -145,7 +147,7 @@ def rough_bodies(
 ) -> list[RoughTrack | None]:
     """Track all people on paths roughly through the frames `numbers`.
 
-    rate: of these frames, Hz.
+    rate: rate of these frames, Hz.
     templates: per person the template, and the height (m) where known.
     Returns: one track per person; None where no start explains the masks.
     """

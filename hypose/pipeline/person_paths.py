@@ -71,9 +71,8 @@ def follow_places(
 
     frame_at: function that reads a frame by its number.
     frame_rate: Hz.
-    known: function of a frame number that gives the people who are tracked already; parts near them that are too
-        small for a
-        person, such as limbs, are left out."""
+    known: function of a frame number that gives the people who are tracked already; parts near them that are too small
+        for a person, such as limbs, are left out."""
     from scipy.optimize import linear_sum_assignment  # takes long to import
 
     paths: list[Path] = []
@@ -178,8 +177,7 @@ def said_of_places(wanted: Sequence[KnownPerson], count: int) -> tuple[str, ...]
 
     wanted: people with their places.
     count: number of people found.
-    Returns: one sentence; none where all places can be used, or one person was found.
-    """
+    Returns: one sentence; none where all places can be used, or one person was found."""
     early = [w for w in wanted if w.early]
     if not early or count < 2:
         return ()
@@ -277,6 +275,5 @@ def per_frame(motion: Motion, rows: np.ndarray) -> dict[str, np.ndarray]:
     """Select frames of a motion.
 
     rows: their numbers, or a (T,) mask.
-    Returns: by name of the field, the selected rows of each array that has one row per frame, for `replace`.
-    """
+    Returns: by name of the field, the selected rows of each array that has one row per frame, for `replace`."""
     return {k: v[rows] for k, v in vars(motion).items() if isinstance(v, np.ndarray) and len(v) == len(motion)}

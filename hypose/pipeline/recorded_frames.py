@@ -252,11 +252,13 @@ def _apart(people: Sequence[HullPerson]) -> int:
 
 
 def count_people(frame_at: Callable[[int], Frame], total: int, looks: int = 5) -> int:
-    """Count the people in the masks of a recording: median over frames spread over it.
+    """Count the people in the masks of a recording: the median over `looks` frames that are spread over it.
+
+    frame_at: function that reads a frame by its number.
+    total: number of frames.
 
     Children below a metre do not count, since objects have their size. A frame with fewer than three usable views does
-    not count, unless there is a depth camera.
-    """
+    not count, unless there is a depth camera."""
     found = []
     for t in np.unique(np.linspace(0, total - 1, min(total, looks)).astype(int)).tolist():
         with contextlib.suppress(HyposeError):

@@ -54,14 +54,13 @@ def correct_left_right(
     sure_start: bool = False,
     memory: Memory | None = None,
 ) -> tuple[list[FrameEstimate], list[range]]:
-    """Track stretches again in which left and right were exchanged.
+    """Find stretches of a tracked clip in which left and right were exchanged, and track them again.
 
-    estimates: of the frames 0, 1, ...
-    frames: reads a range of frames.
-    sure_start: frame 0 is known to be the right way round; what follows from it is kept.
+    estimates: estimates of the frames 0, 1, ...
+    frames: function that reads the frames of a range.
+    sure_start: left and right are known to be right in frame 0, so the frames that follow from it are kept.
     memory: what the recipe has learned about the person.
-    Returns: the corrected estimates, and the ranges of frames that were replaced.
-    """
+    Returns: the corrected estimates, and the ranges of frames that were replaced."""
     out = list(estimates)
     tried, replaced = set[int](), np.zeros(len(out), dtype=bool)
     while (at := _most_suspicious(out, tried)) is not None:
@@ -78,11 +77,10 @@ def correct_left_right(
 def retrack_start(
     tracker: Tracker, estimates: Sequence[FrameEstimate], frames: FrameRange, *, memory: Memory | None = None
 ) -> tuple[list[FrameEstimate], range]:
-    """Track the first frames backwards from a frame in which the person had been found, and keep that where it explains
-    them better.
+    """Track the first frames backwards from a frame in which the person had been found, and keep the new estimates
+    where they explain these frames better.
 
-    Returns: the estimates, and the range of frames that were replaced.
-    """
+    Returns: the estimates, and the range of frames that were replaced."""
     out, pace = list(estimates), pace_of(tracker)
     at = min(round(SETTINGS.sides_found_by * pace), len(out) - 1)
     if at < 1 or tracker.recipe.recover is None:
@@ -99,7 +97,10 @@ def retrack_start(
 
 
 def left_right_notes(replaced: Sequence[range]) -> tuple[str, ...]:
-    """Return a sentence for the user; none where nothing was exchanged."""
+    """Write the note for the user that left and right were corrected.
+
+    replaced: ranges of frames that were tracked again.
+    Returns: one sentence; empty where there is no such range."""
     if not replaced:
         return ()
     return (
@@ -108,7 +109,10 @@ def left_right_notes(replaced: Sequence[range]) -> tuple[str, ...]:
 
 
 def start_notes(replaced: range) -> tuple[str, ...]:
-    """Return a sentence for the user; none where nothing was replaced."""
+    """Write the note for the user that the first frames were tracked again.
+
+    replaced: range of frames that were tracked again.
+    Returns: one sentence; empty where the range is empty."""
     return (f"the start was wrong in {in_words([replaced])}; tracked again backwards",) if replaced else ()
 
 
@@ -197,13 +201,15 @@ def frames_forwards(frames: FrameRange, first: int, stop: int) -> Iterator[tuple
 
 
 def frames_backwards(frames: FrameRange, stop: int) -> Iterator[Frame]:
-    """Yield the frames stop - 1, stop - 2, ..., 0, of which some are read at once."""
+    """Yield the frames stop - 1, stop - 2, ..., 0. They are read in blocks, because videos are slow to read
+    backwards."""
     for end in range(stop, 0, -SETTINGS.sides_block):
         yield from list(frames(range(max(0, end - SETTINGS.sides_block), end)))[::-1]
 
 
 def with_last(backwards: Iterable[Frame]) -> Iterator[tuple[Frame, Frame | None]]:
-    """Yield frames that come backwards, each with the one before it in time."""
+    """Yield the frames of a sequence that runs backwards in time, each with the frame before it in time (None for
+    the first frame of the clip)."""
     return ((frame, last) for frame, last in pairwise(chain(backwards, (None,))) if frame is not None)
 
 

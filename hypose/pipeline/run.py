@@ -66,8 +66,7 @@ class TrackResult:
     judged: assessment of a result that was loaded from files; None: the assessment is computed from motion and
         findings.
     name: name of the person; empty where one person was tracked.
-    present: (T,) frames in which the person is there; in the others the motion is filled and marked as lost. None:
-        the
+    present: (T,) frames in which the person is there; in the others the motion is filled and marked as lost. None: the
         person is there in all frames."""
 
     motion: Motion
@@ -259,8 +258,7 @@ def track_people(
     count: most results; None: all people. Those beyond are tracked too, since they hide the others.
     wanted: prior knowledge of some of them.
     points: key points sorted by person, for the evidence 'keypoints' and 'both'.
-    folders: each person has a folder of their own in the results folder; else the motion of the one person who is
-        asked
+    folders: each person has a folder of their own in the results folder; else the motion of the one person who is asked
         for is written into it.
     kept: results (folder for files), record (provenance), resume (continue from the checkpoint) and progress
         (function of stage, done, total), the same as those of `track_source`.

@@ -213,7 +213,7 @@ def _scan_term(points: Array, normals: Array) -> DepthTerm:
 def unposed(body: Body, pose: ArrayLike, points_world: ArrayLike, weights: ArrayLike) -> Array:
     """Bring points of a posed surface back to the body's rest pose: the inverse of linear blend skinning.
 
-    pose: (D,) of the surface.
+    pose: (D,) pose of the surface.
     points_world: (P, 3) m in the world.
     weights: (P, J) dense skinning weights.
     Returns: (P, 3) m in the model frame at rest; skinning them again gives points_world.

@@ -91,8 +91,7 @@ def fuse_mixture(
     """Track a person from cameras and skeletons in one solve.
 
     source: frames with depth maps, silhouettes or both, in a world with z up.
-    skeletons: one per frame, of K sensors, with any known set of joints (`hypose.fusion.register.common_joints`),
-        each
+    skeletons: one per frame, of K sensors, with any known set of joints (`hypose.fusion.register.common_joints`), each
         in the sensor's frame; or a function that makes them from the motion of the cameras alone.
     results: folder for motion.npz and a checkpoint; None: nothing is written.
     record: provenance of the motion.
@@ -144,7 +143,7 @@ def skeleton_rows(
 ) -> tuple[SkeletonRows, Registration]:
     """Make evidence from skeletons (T) in the world of a motion (T) of the same person.
 
-    indices: (T,) of the frames.
+    indices: (T,) indices of the frames.
     Returns: the evidence, and the registration of the sensors; its sensor 0 is the motion itself. A sensor that stays
         apart from the motion is not registered and gives no evidence.
     """

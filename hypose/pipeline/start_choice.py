@@ -240,8 +240,7 @@ def best_ways(
     tried: further starts that may be right, each with its frame number.
     Raises: EvidenceError where no frame has a visual hull.
 
-    Why several frames: a hole in one mask cuts the hull, so other frames are used where the first leaves a doubt.
-        The
+    Why several frames: a hole in one mask cuts the hull, so other frames are used where the first leaves a doubt. The
     person's extent is the median height of the hulls."""
     numbers = sorted({0, len(frames) // 3, (2 * len(frames)) // 3}) if not tried else [len(frames) // 2]
     extent = _extent(template, frames, sorted({*numbers, 0, len(frames) // 6, len(frames) // 2, len(frames) - 1}))

@@ -84,7 +84,7 @@ class SubjectEstimate:
     body: in clothes, as cameras see it.
     naked: without clothes.
     factors: (K,) anthropometry.SHAPE_FACTORS relative to the template.
-    covariance: (K, K) of the factors.
+    covariance: (K, K) covariance of the factors.
     start: (D,) pose in the first frame used.
     frames: numbers of the fitted frames.
     poses: (F, D) poses in them.

@@ -130,8 +130,7 @@ def track_person(
 ) -> TrackResult:
     """Track one person in the frames of a recording.
 
-    Where the masks show several people, all are tracked, one is returned, and a note names the `command` that
-    returns
+    Where the masks show several people, all are tracked, one is returned, and a note names the `command` that returns
     all.
     body: the subject's own body; None: a body is fitted.
     method: recipe that replaces the recipe of the options.

@@ -116,13 +116,13 @@ def tracker_of(
 class TrackedPerson:
     """State of a person who is tracked.
 
-    name: of the person; empty where there is only one.
+    name: name of the person; empty where there is only one.
     subject: body and start.
     member: tracker and its state after the last tracked frame.
     requested: the result is wanted.
-    estimates: of each frame so far.
-    present: of each frame so far, whether the person is there.
-    hidden: of each frame so far, whether others hide the person from all views but one.
+    estimates: estimates of each frame so far.
+    present: for each frame so far, whether the person is there.
+    hidden: for each frame so far, whether others hide the person from all views but one.
     gone: number of frames since the person was last seen.
     track: number of the person's track of key points; None: not known yet.
     appearance: model of the clothes.
@@ -173,7 +173,7 @@ class TrackedPerson:
     def take(self, estimate: FrameEstimate, member: Member, present: bool = True, hidden: bool = False) -> None:
         """Add a tracked frame.
 
-        estimate: of the pose in it.
+        estimate: estimated pose in the frame, with its uncertainty.
         member: tracker and state after it.
         present: the person is there.
         hidden: others hide the person from all views but one.
@@ -208,10 +208,9 @@ class TrackingSession:
     checkpoint: file for the state after a part of the frames; None: nothing is written.
     identity: identity of the run; a checkpoint of another run is refused.
     every: least number of frames between two checkpoints.
-    held: progress of what `manager` does; an interruption in it counts after the frame.
+    held: progress function for the work of `manager`; an interruption during this work takes effect after the frame.
     candidates: (4,) per possible new person of the last look: place (2,) m, failed fits, frame of the next fit.
-    stopped: the user stopped `track`.
-    """
+    stopped: whether the user stopped `track`."""
 
     people: list[TrackedPerson]
     frame_rate: float

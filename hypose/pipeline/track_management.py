@@ -241,10 +241,10 @@ def returned(
     """Find which of the people who are away is the person in the hull.
 
     The following is compared. Place: no person walks faster than SETTINGS.newcomer_walking from where they were last
-        seen. Clothes, where pictures
-        show them: not too different. Body: about as tall as the hull. Of several, the one whose clothes are most
+    seen. Clothes, where pictures show them: not too different. Body: about as tall as the hull. Of several, the one
+    whose clothes are most
             alike
-        and whose body overlaps the masks best.
+            and whose body overlaps the masks best.
     Returns: the person and the pose (D,) now; None: none of them."""
     best: tuple[float, TrackedPerson, Array] | None = None
     for p in people:

@@ -27,8 +27,8 @@ class Corruptions:
     dead_camera: index of a camera whose images are black from a third of the recording on, -1 for none.
     desync: delay of each camera in frames; the c-th camera is late by desync[c % len], so (0, 1, 0, 2) delays the
         second camera by one frame and the fourth by two.
-    calibration_error: relative sd; 0.01 changes focal lengths and positions by 1 %.
-    """
+    calibration_error: relative standard deviation of the error of the calibration; 0.01 changes focal lengths and
+        positions by 1 %."""
 
     occluder: str = ""
     dropped: float = 0.0
@@ -63,13 +63,12 @@ def corruptions(*names: str) -> Corruptions:
 
 
 def smooth_noise(rng: np.random.Generator, shape: tuple[int, int], cell: float) -> NDArray[np.float32]:
-    """Draw smooth noise of standard deviation 0.8.
+    """Draw a picture of smooth random noise of standard deviation 0.8.
 
     rng: random numbers.
     shape: (h, w).
     cell: size of its waves, px.
-    Returns: (h, w) float32.
-    """
+    Returns: (h, w) float32."""
     h, w = shape
     s = max(1, round(cell))
     coarse = rng.normal(size=(h // s + 3, w // s + 3)).astype(np.float32)

@@ -83,7 +83,10 @@ def depth_rig(name: str, distance: float = 2.7, height: float = 1.2) -> CameraRi
 
 
 def turning(performance: Performance, subject: SyntheticSubject, heading: Array) -> Performance:
-    """Turn a performance about the vertical axis of the world by heading (T,) rad, frame by frame."""
+    """Turn the person of a performance about the vertical axis of the world, by another angle in each frame.
+
+    performance, subject: motion, and body of the person.
+    heading: (T,) angle in each frame, rad."""
     r = so3_exp(np.asarray(heading, dtype=np.float64)[:, None] * np.array([0, 0, 1.0]))
     rotations = np.einsum("tab,tjbc->tjac", r, performance.rotations)
     root = np.einsum("tab,tb->ta", r, performance.root)
@@ -208,12 +211,11 @@ def sensed(
 
     clean: (h, w) m without faults.
     camera: camera of the sensor.
-    faults: to add.
+    faults: faults to add.
     pattern: (h, w) m, fixed pattern of the sensor.
     others: number of other sensors that disturb it.
     hair: (h, w) pixels of hair, or None.
-    Returns: (h, w) m, 0 = hole, rounded to millimetres.
-    """
+    Returns: (h, w) m, 0 = hole, rounded to millimetres."""
     z = clean.astype(np.float32)
     h, w = z.shape
     kernel = np.ones((3, 3), np.uint8)

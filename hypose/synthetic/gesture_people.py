@@ -82,7 +82,9 @@ class HandShape:
     thumb: Array
 
     def towards(self, other: HandShape, t: float) -> HandShape:
-        """Interpolate to another shape by a share t."""
+        """Interpolate between this hand shape and another one.
+
+        t: share of the way, 0 (this shape) to 1 (the other)."""
         u, _, v = np.linalg.svd((1 - t) * self.thumb + t * other.thumb)
         return HandShape((1 - t) * self.flexion + t * other.flexion, (1 - t) * self.spread + t * other.spread, u @ v)
 
@@ -136,7 +138,7 @@ class GesturePerson:
 
     @property
     def ground(self) -> float:
-        """Height of the soles, m."""
+        """Height of the soles in the body's frame (z), m."""
         return float(self.vertices[:, 2].min())
 
     def hand_axes(self, side: str) -> tuple[Array, Array, float]:
@@ -237,7 +239,7 @@ class Puppet:
         self._placed = None
 
     def place(self) -> tuple[Array, Array]:
-        """Compute the rotations (51, 3, 3) and centres (51, 3) m of all joints."""
+        """Compute the rotations (51, 3, 3) and centres (51, 3), m, of all joints in the present pose."""
         if self._placed is not None:
             return self._placed
         p = self.person
@@ -323,10 +325,9 @@ class Puppet:
 def thumb_of(person: GesturePerson, side: str, x: Array) -> Array:
     """Compute the rotations of the thumb's joints relative to the hand.
 
-    person, side: whose hand.
+    person, side: the person, and "left" or "right" hand.
     x: rotation vector of the thumb's root (x[:3], rad) and two flexions (x[3:5], rad).
-    Returns: (3, 3, 3).
-    """
+    Returns: (3, 3, 3)."""
     base = person.joint(f"{side}_thumb_1")
     t = unit(person.joint(f"{side}_thumb_3") - base)
     axis = unit(np.cross(t, unit(person.joint(f"{side}_index_1") - person.joint(f"{side}_thumb_2"))))

@@ -29,7 +29,9 @@ class Keyframe:
     right: ArmGoal
 
     def towards(self, other: Keyframe, t: float) -> Keyframe:
-        """Interpolate to another pose by a share t."""
+        """Interpolate between this pose and another one.
+
+        t: share of the way, 0 (this pose) to 1 (the other)."""
         return Keyframe(
             (1 - t) * self.angles + t * other.angles,
             _blend(self.left, other.left, t),
@@ -67,9 +69,8 @@ def bend(puppet: Puppet, angles: Array) -> None:
 def apply(puppet: Puppet, frame: Keyframe) -> None:
     """Pose the whole person.
 
-    puppet: is posed.
-    frame: the pose.
-    """
+    puppet: person that is posed; it is changed in place.
+    frame: the pose."""
     bend(puppet, frame.angles)
     puppet.reach("left", frame.left)
     puppet.reach("right", frame.right)
@@ -82,7 +83,8 @@ def _angles(rng: np.random.Generator, amount: float) -> Array:
 
 
 class Doer:
-    """Person with a leading hand and the frame of the chest, in which the gestures below are written."""
+    """Person who performs gestures: the leading hand, and the frame of the chest, in which directions of arms are
+    given."""
 
     def __init__(self, puppet: Puppet, rng: np.random.Generator, leading: str, amount: float) -> None:
         self.puppet, self.rng, self.amount = puppet, rng, amount

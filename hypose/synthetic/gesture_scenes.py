@@ -137,7 +137,7 @@ class Setting:
 
     @cached_property
     def behind(self) -> NDArray[np.float32]:
-        """(480, 640) inverse depth of the empty room, 1/m."""
+        """Picture (480, 640) of the inverse depth of the empty room, 1/m."""
         inverse = np.zeros((PICTURE_SIZE[1], PICTURE_SIZE[0]), np.float32)
         depth_sensor.draw(transform(self.view, self.room.vertices), self.room.faces, _PINHOLE, inverse)
         return inverse
@@ -181,9 +181,9 @@ def live_person(number: int, name: str, rng: np.random.Generator, rate: float) -
     name: name of the gesture.
     rate: Hz.
 
-    After the first frame `send(True)` asks the person for the gesture, `send(False)` for anything else.
-    Raises: InputError for an unknown person or gesture.
-    """
+    After the first frame, the caller sends True to the generator where the person is to show the gesture, and False
+    where the person is to do anything else.
+    Raises: InputError for an unknown person or gesture."""
     people = load_people()
     if not 0 <= number < len(people):
         raise InputError(f"There is no simulated person {number}; they have the numbers 0 to {len(people) - 1}.")

@@ -174,7 +174,11 @@ def box(
     """Simulate shadow boxing from a guard, left foot forward: jabs and crosses about every 0.8 s, bobbing on planted
     feet.
 
-    Arguments as in `act`.
+    subject: the person.
+    duration, frame_rate: length, s, and frames per second, Hz.
+    rng: for random variation of size, speed, posture and timing; None: none.
+    amplitude, speed: factors of the size and speed of the movement.
+    Returns: the performance, about the origin.
     """
     take, t = Take(rng), sample_times(duration, frame_rate)
     guard = _pose(_GUARD)
@@ -207,7 +211,11 @@ def punch(
 ) -> Performance:
     """Simulate strong straight punches of the right hand from a relaxed stance, with wind-up, every 1.6 s.
 
-    Arguments as in `act`.
+    subject: the person.
+    duration, frame_rate: length, s, and frames per second, Hz.
+    rng: for random variation of size, speed, posture and timing; None: none.
+    amplitude, speed: factors of the size and speed of the movement.
+    Returns: the performance, about the origin.
     """
     take, t = Take(rng), sample_times(duration, frame_rate)
     rest = _pose(_RELAXED, {"up": -0.02})
@@ -245,7 +253,11 @@ def wave(
 ) -> Performance:
     """Simulate waving: raise the right arm, wave the forearm from side to side, lower it; again after a pause.
 
-    Arguments as in `act`.
+    subject: the person.
+    duration, frame_rate: length, s, and frames per second, Hz.
+    rng: for random variation of size, speed, posture and timing; None: none.
+    amplitude, speed: factors of the size and speed of the movement.
+    Returns: the performance, about the origin.
     """
     take, t = Take(rng), sample_times(duration, frame_rate)
     rest = _pose(_RELAXED)
@@ -427,7 +439,11 @@ def sit_down(
 ) -> Performance:
     """Simulate sitting down on an invisible chair 45 cm high, and standing up again; the trunk leads the movement.
 
-    Arguments as in `act`.
+    subject: the person.
+    duration, frame_rate: length, s, and frames per second, Hz.
+    rng: for random variation of size, speed, posture and timing; None: none.
+    amplitude, speed: factors of the size and speed of the movement.
+    Returns: the performance, about the origin.
     """
     return centred(_sit(subject, duration, frame_rate, rng, amplitude, speed))
 
@@ -442,7 +458,11 @@ def combo(
 ) -> Performance:
     """Simulate walk, jog, box and wave one after the other (HumanEva's combo also starts with walking and jogging).
 
-    Arguments as in `act`.
+    subject: the person.
+    duration, frame_rate: length, s, and frames per second, Hz.
+    rng: for random variation of size, speed, posture and timing; None: none.
+    amplitude, speed: factors of the size and speed of the movement.
+    Returns: the performance, about the origin.
     """
     parts = [(walk, 0.34), (jog, 0.24), (box, 0.22), (wave, 0.20)]
     blend, n = 0.5, round(duration * frame_rate)
@@ -492,7 +512,8 @@ def sample_times(duration: float, frame_rate: float) -> Array:
 
 
 class Take:
-    """Random variation of one take: factors near 1, offsets near 0; exactly 1 and 0 without an rng."""
+    """Random variation of one performance of a motion: factors near 1 and offsets near 0; exactly 1 and 0 without a
+    random generator."""
 
     def __init__(self, rng: np.random.Generator | None) -> None:
         self.rng = rng
@@ -618,7 +639,12 @@ def walk(
 ) -> Performance:
     """Simulate walking at about 1.2 m/s.
 
-    radius: radius of the circle, to the left, m (infinite: straight on). Other arguments as in `act`.
+    subject: the person.
+    duration, frame_rate: length, s, and frames per second, Hz.
+    rng: for random variation of size, speed, posture and timing; None: none.
+    amplitude, speed: factors of the size and speed of the movement.
+    radius: radius of the circle on which the person goes round to the left, m (infinite: straight on).
+    Returns: the performance, about the origin.
     """
     return _around(
         perform(_gait("walk", sample_times(duration, frame_rate), rng, amplitude, speed, radius, False), subject)
@@ -636,7 +662,12 @@ def jog(
 ) -> Performance:
     """Simulate slow running with short flights.
 
-    radius: radius of the circle, to the left, m (infinite: straight on). Other arguments as in `act`.
+    subject: the person.
+    duration, frame_rate: length, s, and frames per second, Hz.
+    rng: for random variation of size, speed, posture and timing; None: none.
+    amplitude, speed: factors of the size and speed of the movement.
+    radius: radius of the circle on which the person goes round to the left, m (infinite: straight on).
+    Returns: the performance, about the origin.
     """
     return _around(
         perform(_gait("jog", sample_times(duration, frame_rate), rng, amplitude, speed, radius, True), subject)

@@ -68,10 +68,9 @@ class Angles:
     name: name of the motion.
     times: (T,) s.
     values: (T,) by channel, one of CHANNELS; missing channels are 0.
-    stance: the feet stay planted there and the legs follow by inverse kinematics (leg channels are ignored); None: the
+    stance: positions of planted feet; the legs follow by inverse kinematics, and leg channels are ignored. None: the
         legs follow the channels, and the body travels as far as its feet push it.
-    turn_radius: radius of the circle on which it travels, m (infinite: straight).
-    """
+    turn_radius: radius of the circle on which it travels, m (infinite: straight)."""
 
     name: str
     times: Array
@@ -111,7 +110,8 @@ class Performance:
 
 
 class OfPerformance:
-    """Base class that gives an object with a `performance` the attributes of it."""
+    """Base class of objects with a `performance`; it gives them the times, frame rate, joints and rotations of this
+    performance."""
 
     performance: Performance
 
@@ -257,7 +257,7 @@ def _travel(angles: Angles, subject: SyntheticSubject, rotations: Array) -> tupl
 
     angles: angles of the motion.
     subject: the person.
-    rotations: (T, 19, 3, 3) of the joints, facing -y.
+    rotations: (T, 19, 3, 3) rotations of the joints, facing -y.
     Returns: root path (T, 3) m, and heading rotations (T, 3, 3) by which the rotations are to be turned.
     """
     times = angles.times

@@ -77,7 +77,7 @@ class Backdrop:
 
     image: (h, w, 3) float32 BGR.
     floor: (h, w) bool, pixels of the floor that nothing hides.
-    depth: (h, w) m of the occluders (inf elsewhere).
+    depth: (h, w) m, depth of the occluders (inf elsewhere).
     """
 
     image: Floats
@@ -220,12 +220,11 @@ class Sensor:
 
 
 def light_at(time: float, drift: float, phase: Array) -> Array:
-    """Compute the gain (3,) per colour channel at a time (s): slow drift of the light and its colour, periods of 20 to
-    90 s.
+    """Compute the brightness factor (3,) of each colour channel at a time (s); light and colour drift slowly, with
+    periods of 20 to 90 s.
 
     drift: relative size.
-    phase: (5,) phases of the waves, rad.
-    """
+    phase: (5,) phases of the waves, rad."""
     common = np.sin(2 * np.pi * time / 37.0 + phase[0]) + 0.6 * np.sin(2 * np.pi * time / 90.0 + phase[1])
     color = 0.35 * np.sin(2 * np.pi * time / 23.0 + phase[2:5])
     return 1 + drift * (common + color)
@@ -331,9 +330,9 @@ def shadow_mask(camera: Camera, faces: NDArray[np.int32], vertices: Array) -> ND
 def develop(picture: Floats, gain: Array, noise: NDArray[np.int16], rng: np.random.Generator) -> Image:
     """Convert a picture (h, w, 3) to 8 bit with the light's gain (3,) and sensor noise.
 
-    noise: bank (h + 64, w + 64, 3) of which each frame uses another window, mirrored at random.
-    Why: for a background model this is as good as new noise, and ten times faster.
-    """
+    noise: (h + 64, w + 64, 3) noise picture (`noise_bank`), of which each frame uses another window, mirrored at
+        random.
+    Why: for a background model this is as good as new noise, and ten times faster."""
     h, w = picture.shape[:2]
     y, x = rng.integers(0, 65, 2)
     grain = noise[y : y + h, x : x + w]
@@ -348,13 +347,13 @@ def develop(picture: Floats, gain: Array, noise: NDArray[np.int16], rng: np.rand
 
 
 def noise_bank(size: tuple[int, int], sd: float, rng: np.random.Generator) -> NDArray[np.int16]:
-    """Draw the bank of Gaussian noise for `develop`.
+    """Draw a picture of Gaussian noise that is larger than the frames, from which `develop` takes a window for each
+    frame.
 
-    size: (w, h) of the pictures, px.
+    size: (w, h) size of the pictures, px.
     sd: standard deviation, grey levels.
     rng: random numbers.
-    Returns: (h + 64, w + 64, 3) whole grey levels.
-    """
+    Returns: (h + 64, w + 64, 3) whole grey levels."""
     w, h = size
     return np.round(rng.normal(0, sd, (h + 64, w + 64, 3))).astype(np.int16)
 
@@ -375,7 +374,7 @@ def blend_shaded(
     """Blend a drawn mesh into a picture (h, w, 3), in place.
 
     face, bary: result of `rasterize` at samples x samples per pixel.
-    faces: (F, 3) of the mesh.
+    faces: (F, 3) faces of the mesh.
     values: (V, 5) per vertex: BGR colour, cosine to the light, and upward component of the normal.
     samples: samples per pixel and axis.
     light: (ambient, direct, sky).

@@ -73,7 +73,7 @@ def look_at(
     name: name of the camera.
     focal_px: focal length, px.
     size: (width, height), px.
-    distortion: (5,) of the lens, or None.
+    distortion: (5,) distortion of the lens, or None.
     """
     c, t = np.asarray(position, dtype=np.float64), np.asarray(target, dtype=np.float64)
     forward = (t - c) / np.linalg.norm(t - c)
@@ -97,8 +97,9 @@ def circle(
     """Make cameras cam1, cam2, ... on a circle of `radius` m about the z axis that look at `target` (3,) m.
 
     azimuths_deg, heights: degrees and m, of each camera.
-    focal_px, size, distortion: as in `look_at`.
-    """
+    focal_px: focal length, px.
+    size: (width, height), px.
+    distortion: (5,) distortion of the lens, or None."""
     return [
         look_at(
             f"cam{k + 1}",
@@ -179,8 +180,8 @@ class Scene(OfPerformance):
     def shown(self, view: int, index: int) -> int:
         """Return the frame that camera `view` shows as its frame `index`.
 
-        It is late by the camera's desynchronisation; a dropped frame shows the last one delivered before it.
-        """
+        The frame is earlier than `index` by the camera's delay (Corruptions.desync); in place of a dropped frame, it
+        is the last one delivered before."""
         while index > 0 and self._dropped[view, index]:
             index -= 1
         return max(0, index - self.corruption.desync[view % len(self.corruption.desync)])

@@ -27,7 +27,7 @@ class SyntheticSubject(Mesh):
 
     The mesh is at rest in the model frame: origin at the pelvis joint, x = the subject's left, y = backward, z = up.
 
-    name: of the subject.
+    name: name of the subject.
     joints: (19, 3) m in the model frame at rest.
     cloth_weight: (V,) 0..1, where clothes may lie.
     clothing_m: thickness of the clothes, m.
@@ -79,7 +79,9 @@ class SyntheticSubject(Mesh):
 
 @lru_cache(maxsize=1)
 def load_subjects() -> dict[str, SyntheticSubject]:
-    """Load the shipped subjects by name."""
+    """Load the synthetic people that are shipped with the package.
+
+    Returns: dictionary of the people by name."""
     file = resources.files("hypose.assets").joinpath("subjects.npz")
     with file.open("rb") as stream:
         data = dict(np.load(stream, allow_pickle=False))
@@ -106,8 +108,7 @@ def dress(subject: SyntheticSubject, thickness_m: float, rng: np.random.Generato
     """Dress a subject: move its surface outwards, joints stay.
 
     thickness_m: thickness of the clothes (<= 0.04 m); the displacement is 0.3 to 1 times this where cloth_weight is 1,
-        less
-        towards bare parts.
+        less towards bare parts.
     Returns: the dressed subject.
     Raises: InputError for a thickness outside the range.
 

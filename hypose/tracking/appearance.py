@@ -102,8 +102,7 @@ def appearance_in(body: Body, pose: Array, frame: Frame) -> Appearance:
     """Count the colours of a person's clothes in all views of a frame.
 
     pose: (D,) pose of the person in this frame.
-    Returns: counts of the pixels in the mask that show trunk and legs and that no other person covers; all 0 where
-        the
+    Returns: counts of the pixels in the mask that show trunk and legs and that no other person covers; all 0 where the
         frame has no pictures."""
     out = no_appearance()
     for s, colours in zip(frame.of(Silhouettes), frame.of(Colours), strict=False):

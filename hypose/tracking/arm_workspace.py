@@ -75,8 +75,8 @@ class ArmReach:
         """Compute how badly arms at given points fit the masks of a frame, in m^2, summed over the views.
 
         It is the area of the arm outside the masks minus the mask area that only this arm explains.
-        points: (N, 8, 3) in the parent's frame, m; pose: (D,) of the rest of the body; rest: what does not move, drawn
-            before.
+        points: (N, 8, 3) in the parent's frame, m; pose: (D,) pose of the rest of the body; rest: what does not move,
+            drawn before.
         cutoff: points are no longer counted once the score is above it.
         Returns: (N,) scores, exact up to the cutoff; larger ones are only known to be above it.
         """
@@ -173,8 +173,7 @@ def _points(
     """Compute the arm's points (N, 8, 3), m, in the parent's frame, for values (N, d) of its coordinates.
 
     the_way: as returned by `_way_to`; own: (d,) indices of the coordinates; chain: shoulder, elbow, wrist; tip: (3,) of
-        the hand in
-        the wrist's frame, m.
+        the hand in the wrist's frame, m.
     """
     way, tree = the_way
     poses = np.zeros((len(values), len(tree.axes)))

@@ -238,7 +238,7 @@ def pose_covariance(information: Array) -> Array:
 def angle_variance(skeleton: Skeleton, poses: Array, covariance: Array) -> Array:
     """Compute the variances (T, A) of the angles, rad^2 (m^2 of positions), from the covariances of poses: J C J^T.
 
-    poses: (T, D).
+    poses: (T, D) pose vectors, rad and m.
     covariance: C, (T, D, D), the root's rotation as a small rotation in the world.
     J is computed by differences; coordinates that share no angle are moved together.
     """

@@ -87,7 +87,7 @@ class DetectedLimb:
 
     joint: index of the ball joint; parent: parent of the joint that carries it.
     ball, hinge: index in the pose of the first coordinate of the ball joint, and of the coordinate of the hinge.
-    upper: (3,) hinge minus ball; lower: (3,) end minus hinge; axis: (3,) of the hinge; in the model frame at rest,
+    upper: (3,) hinge minus ball; lower: (3,) end minus hinge; axis: (3,) axis of the hinge; in the model frame at rest,
         m.
     The end is fixed to the hinge's segment (wrists do not move; an ankle's own freedom does not move its centre)."""
 
@@ -179,13 +179,11 @@ class DetectorDriven:
     limb: the posed part, which names the roles.
     noise: sd of a detection per axis, m.
     swivel, far_swivel: sd of the rotation about the line to the end, rad; far_swivel for a third of the members.
-    step: share of the members that change their kind per layer; least: smallest share of either kind.
-    Limbs are posed by analytic inverse kinematics. For the head, members take the least step, in units of sigma,
-    that
-    brings it to the detection (the gain of a Kalman update). Kinds: half of the members are posed at first; later,
-    where more than half of the survivors are of that kind, its share grows by `step`, otherwise it shrinks. Without
-    a
-    detection all members only diffuse and keep their kinds."""
+    step: share of the members that change their kind per layer; least: smallest share of either kind. Limbs are posed
+        by analytic inverse kinematics. For the head, members take the least step, in units of sigma, that brings it to
+        the detection (the gain of a Kalman update). Kinds: half of the members are posed at first; later, where more
+        than half of the survivors are of that kind, its share grows by `step`, otherwise it shrinks. Without a
+        detection all members only diffuse and keep their kinds."""
 
     body: Body
     ends: Landmarks

@@ -53,8 +53,8 @@ _NEXT: dict[str, tuple[str, ...]] = {
 
 @cache
 def groups_of(names: tuple[str, ...]) -> NDArray[np.int64]:
-    """Look up the group of each joint by its name; return (J,) indices in GROUPS, the last trunk group for unknown
-    names."""
+    """Look up the group of each joint by its name; return (J,) indices in GROUPS, the list of joint groups with a
+    model each; unknown names get the last group of the trunk."""
     parts = [name.rpartition("_")[2] for name in names]
     return np.array([next((g for g, own in enumerate(_PARTS) if part in own), TRUNK - 1) for part in parts])
 

@@ -52,8 +52,7 @@ class PreparedFrame:
     frame: the frame as it was read.
     body: body that is searched.
     evidence: cues of the frame, each prepared once.
-    prediction: (D,) pose predicted without the frame's evidence; prediction_weight: pull of solves to it, 1 / rad^2
-        in
+    prediction: (D,) pose predicted without the frame's evidence; prediction_weight: pull of solves to it, 1 / rad^2 in
         units of the robust rows' cost.
     usual_iou: usual overlap of the body with the masks so far; NaN: unknown.
     done: number of frames tracked before.
@@ -181,8 +180,7 @@ def view_count(prepared: PreparedFrame) -> int:
 
 @dataclass(frozen=True)
 class SilhouetteXor:
-    """Energy of hypotheses on silhouettes: E = sum over usable views of XOR(M_v, S_v) / C(S_v), so that the weight
-        is
+    """Energy of hypotheses on silhouettes: E = sum over usable views of XOR(M_v, S_v) / C(S_v), so that the weight is
     exp(-E).
 
     M_v: silhouette of the posed coarse mesh in view v; S_v: the mask; C: its number of foreground pixels (those
@@ -235,7 +233,8 @@ def limb_energy(
     whose energy is near that of the first one.
 
     frame: prepared frame.
-    poses: (N, D); moving: (J,) true for the joints that differ; rest: drawing of the parts that do not move; None:
+    poses: (N, D) pose vectors, rad and m; moving: (J,) true for the joints that differ; rest: drawing of the parts that
+        do not move; None:
         it is made.
     slack: poses that cost more than this many times the first pose may get an infinite energy.
     rest_depth: the parts that do not move, as depth cameras see them."""

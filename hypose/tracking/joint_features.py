@@ -166,7 +166,7 @@ def audit_frame(
 ) -> NDArray[np.float32]:
     """Compute the audit of one frame: how well the evidence supports each joint of a tracked pose.
 
-    pose: (D,).
+    pose: (D,) pose vector, rad and m.
     model: where key points sit on the body; None: key points are not used.
     exchanged: gain of the body with exchanged sides, NaN where it was not tried.
     Returns: (J, A) one column per measurement in AUDITED, which lists their names; NaN where the frame has no such
@@ -197,7 +197,7 @@ def _masks(
 ) -> None:
     """Fill the columns of out (J, A) that come from masks, except "loose"; "apart" only where apart_too.
 
-    pose: (D,) of the body.
+    pose: (D,) pose of the body.
     masks: the silhouettes, prepared for the scorer.
     """
     part = _part_of_joint(tuple(body.skeleton.joint_names))
@@ -253,7 +253,7 @@ def _span(reach: Array, nearby: float, most: int) -> tuple[int, int]:
 def _loose(body: Body, pose: Array, masks: PreparedMasks, index: int) -> Array:
     """Compute column "loose" (J,) of AUDITED by random small rotations of one arm; the arms take turns over the frames.
 
-    pose: (D,); masks: prepared for the scorer; index: index of the frame.
+    pose: (D,) pose vector, rad and m; masks: prepared for the scorer; index: index of the frame.
     Returns: (J,) m; NaN for an arm whose turn it is not, 0 for joints of no arm.
     """
     s, mesh, out = body.skeleton, body.coarse.arrays, np.zeros(len(body.skeleton.joint_names))
@@ -305,7 +305,7 @@ def _arms(body: Body) -> list[ArmReach]:
 def _points(body: Body, pose: Array, seen: Keypoints, model: KeypointModel) -> Array:
     """Compute the six columns (J, 6) of AUDITED from points_median to points_against.
 
-    pose: (D,); seen: key points of the frame; model: where they sit on the body.
+    pose: (D,) pose vector, rad and m; seen: key points of the frame; model: where they sit on the body.
     """
     names, points = tuple(body.skeleton.joint_names), np.nan_to_num(seen.points)
     expected = model.positions(body, pose)

@@ -136,7 +136,7 @@ class OffsetResiduals(NamedTuple):
 def residual_rows(body: Body, model: KeypointModel, keypoints: Sequence[Keypoints], poses: Array) -> OffsetResiduals:
     """Compute the residuals of key points, with exchanged sides corrected, about a body in given poses.
 
-    model: where the points sit on the body; keypoints: T frames; poses: (T, D).
+    model: where the points sit on the body; keypoints: T frames; poses: (T, D) pose vectors, rad and m.
     """
     rotations, world = body.skeleton.forward(poses)[0][:, model.joint], model.positions(body, poses)
     rig, (frames, count) = keypoints[0].rig, world.shape[:2]

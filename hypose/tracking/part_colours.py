@@ -37,8 +37,7 @@ def pictured_arms(
 
     arms: tables of the arms; frame: prepared frame; its `memory` holds the colour counts learnt so far; settings:
         settings for colours.
-    Returns: the pose (D,) and a term that holds the arms there in a solve; None when no colours are known, or
-        nothing
+    Returns: the pose (D,) and a term that holds the arms there in a solve; None when no colours are known, or nothing
         nearby is better."""
     if known_colours(frame, settings) is None:
         return None
@@ -166,10 +165,8 @@ def colour_scores(poses: Array, frame: PreparedFrame, settings: ColourSettings) 
     """Compute how badly the colours and edges of the pictures fit poses (N, D); zeros where no colours are known.
 
     frame: prepared frame; its `memory` holds the colour counts learnt so far; settings: settings for colours.
-    Returns: (N,) mean over the views of: the negative log-likelihood ratio (visible part against whole person),
-        summed
-        over the pixels and divided by the mask's area; plus the misfit of edges along the rims of arms in front of
-        the
+    Returns: (N,) mean over the views of: the negative log-likelihood ratio (visible part against whole person), summed
+        over the pixels and divided by the mask's area; plus the misfit of edges along the rims of arms in front of the
         body, divided by the square root of that area."""
     known = known_colours(frame, settings)
     if known is None:

@@ -101,8 +101,7 @@ def from_neighbours(around: NDArray[np.float32], frame_rate: float) -> NDArray[n
 
     frame_rate: Hz.
     Why: a joint that a frame hardly shows lies between its places in the neighbouring frames; the bound is their
-        covariance
-    plus how far the path may bend in between (NEIGHBOUR_M_S2).
+        covariance plus how far the path may bend in between (NEIGHBOUR_M_S2).
     around: (T, J, 3, 3) covariances computed from each frame by itself, m^2; NaN where a frame has none.
     Returns: (T, J, 3, 3) m^2."""
     given, out = around.astype(np.float64), around.astype(np.float64)

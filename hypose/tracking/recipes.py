@@ -75,9 +75,8 @@ def default(
 
     frame_rate: Hz.
     Layers: (1) a contour solve from the prediction, accurate to centimetres; (2) a search of single limbs around it
-        with
-    long-tailed steps (`LimbSearch`), because a local solve cannot move a limb by more than about 10 cm; (3) solves of
-    the search result and of alternative arms (rivals), of which the silhouettes choose the best.
+    with long-tailed steps (`LimbSearch`), because a local solve cannot move a limb by more than about 10 cm; (3) solves
+    of the search result and of alternative arms (rivals), of which the silhouettes choose the best.
     particles: number of hypotheses.
     iterations: number of iterations of a solve.
     rivals: largest number of poses kept from frame to frame, with the estimate.
@@ -144,8 +143,8 @@ def dd_hpf_rivals(body: Body, particles: int = 500, frame_rate: float = 25.0, ri
     """Build `published_recipes.dd_hpf_plus` with contour refinement, rival arms, a solved start, prediction and
     recovery.
 
-    The particles find what the detections show, the rivals what the detections miss.
-    """
+    The particles find limbs whose ends are detected; the rivals (alternative arms) find arms whose detection is
+    missing."""
     base = published.dd_hpf_plus(body, particles, frame_rate=frame_rate)
     layers = (
         *base.layers,
@@ -269,8 +268,7 @@ class LimbSearch:
     sigma: (D,) sd of a step.
     lower, upper: (D,) range in which a share `redrawn` of the hypotheses is drawn uniformly.
     long, longer: share of the steps that are lengthened, and the factor by which they are.
-    Why: with tens of hypotheses, resampling would leave most of them on values that are known to be worse. Poses
-        that
+    Why: with tens of hypotheses, resampling would leave most of them on values that are known to be worse. Poses that
         are certainly worse than the first hypothesis are not evaluated in full."""
 
     skeleton: Skeleton

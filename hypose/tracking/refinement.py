@@ -43,8 +43,7 @@ def anatomical_prior(skeleton: Skeleton, keypoints: bool = False) -> Quadratic:
     """Build a quadratic prior that weakly pulls every joint angle to the rest pose, more strongly where silhouettes
     hardly show the joint.
 
-    Weights, in units of the robust rows' cost: 0.09 for limbs, 1 for spine and neck, 4 for clavicles and ankles, 0
-    for
+    Weights, in units of the robust rows' cost: 0.09 for limbs, 1 for spine and neck, 4 for clavicles and ankles, 0 for
     the root.
     keypoints: the evidence has key points. Then LUMBAR_SD holds the flexion of the spine, because two points at the
         hips do not determine how the pelvis turns about them, and small errors of theirs turn it far."""
@@ -87,8 +86,7 @@ class ContourRefinement:
     best one.
 
     Refined are the set's mean, the hypothesis of least energy, and the prediction; the one with the least `mismatch`
-    wins. All hypotheses move by its step from the mean and keep their spread; the winner replaces the first one,
-    with
+    wins. All hypotheses move by its step from the mean and keep their spread; the winner replaces the first one, with
     the role SOLVED."""
 
     options: SolveSettings = SolveSettings()
@@ -113,8 +111,7 @@ class LaterLayer(Protocol):
         ...
 
     def before_search(self, h: Hypotheses, frame: PreparedFrame, /) -> None:
-        """Start, in the background, the work that depends on the hypothesis with the role SOLVED, not on the search
-        of
+        """Start, in the background, the work that depends on the hypothesis with the role SOLVED, not on the search of
         limbs.
 
         h: hypotheses after the first solve; frame: prepared frame; its `shared` gets the result."""

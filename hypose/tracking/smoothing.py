@@ -86,7 +86,7 @@ def pace_weights(pace: tuple[Array, Array], frame_rate: float) -> tuple[Array, A
 def own_pace(poses: Array, frame_rate: float, usual: tuple[Array, Array]) -> tuple[Array, Array]:
     """Measure the pace of a solved clip: its usual accelerations and speeds near each frame.
 
-    poses: (T, D); frame_rate: Hz.
+    poses: (T, D) pose vectors, rad and m; frame_rate: Hz.
     usual: (D,) usual accelerations and speeds. They are multiplied by one factor >= 1 for the whole body, that of its
         fastest coordinate (root mean square nearby in time).
     Returns: accelerations (T - 2, D); speeds (T - 1, D).
@@ -143,7 +143,7 @@ def smooth_poses(
     """Solve the poses (T, D) of a clip from those of its frames and the information on each.
 
     frame_rate: Hz; settings: limits and windows (default: ClipSettings()).
-    poses: (T, D); ignored in frames without evidence.
+    poses: (T, D) pose vectors, rad and m; ignored in frames without evidence.
     information: (T, D, D) inverse covariance of each frame's pose; zero in frames without evidence.
     contacts: points that stand still, per frame."""
     settings = settings or ClipSettings()
@@ -269,7 +269,7 @@ class Smoothed:
     motion: the smoothed motion.
     feet_before, feet: motion of the feet over the contacts that were found, before and after.
     one_by_one: (T, D) poses as tracked frame by frame.
-    covariance: (T, D, D) of the poses, from each frame alone.
+    covariance: (T, D, D) covariance of the poses, from each frame alone.
     """
 
     motion: Motion

@@ -57,7 +57,7 @@ def start_from_keypoints(
     Several arm poses and headings are tried; the solution with the least cost is returned.
     points_world: (K, 3) m; NaN where missing.
     joint: (K,) joint of each point; offset: (K, 3) its position in the joint's frame, m.
-    weight: (K,) of the points (default 1).
+    weight: (K,) weight of the points (default 1).
     Raises: EvidenceError where fewer than 6 points are known.
     """
     known = np.asarray(np.isfinite(points_world).all(1))

@@ -42,7 +42,7 @@ class KeypointSubject:
 
     body: the fitted body.
     keypoints: where the key points sit on it.
-    poses: (T, D); NaN where not solved.
+    poses: (T, D) pose vectors, rad and m; NaN where not solved.
     residual: (T, K) distances between the triangulated points and the fitted body, m.
     """
 

@@ -54,8 +54,7 @@ class TrackerSettings:
         'auto' (all there is).
     seed: seed of every random draw.
     frame_rate: Hz.
-    prediction_weight: pull of a solve to the prediction at 25 fps; it grows with the square of the frame rate, as
-        the
+    prediction_weight: pull of a solve to the prediction at 25 fps; it grows with the square of the frame rate, as the
         prediction's error shrinks.
     lost_share, lost_floor: lost when the mean IoU falls below this share of its usual value, or below this value.
     contour_weight: weight of one residual of a contour.
@@ -79,7 +78,7 @@ class TrackerSettings:
 class FrameEstimate:
     """Result of one frame.
 
-    pose: (D,); uncertainty: uncertainty of the pose and its joints.
+    pose: (D,) pose vector, rad and m; uncertainty: uncertainty of the pose and its joints.
     cost: 1 - `agreement` with the masks; NaN without masks.
     lost: the person is lost; extrapolated: there was no evidence; n_views: number of views with evidence.
     overlap: (C,) IoU of the body with each view's mask, NaN where not usable; empty when not computed.

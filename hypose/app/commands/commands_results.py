@@ -245,9 +245,10 @@ def cite(
 
 
 def tell_untrusted(results: Path) -> None:
-    """Print a line where the result (a folder, or its motion.npz) is not to be trusted; nothing where its assessment is
-    missing or unreadable.
-    """
+    """Print a warning line if the assessment of a result (a folder, or its motion.npz) says that it is not to be
+    trusted.
+
+    Nothing is printed where the assessment is missing or unreadable."""
     from hypose.pipeline.assessment import UNTRUSTED, load_assessment
 
     folder = results if results.is_dir() else results.parent

@@ -88,12 +88,12 @@ def _console(file: TextIO) -> Console:
 
 
 def say(text: str = "", style: str | None = None) -> None:
-    """Print one line of results; style: style of rich, for example "green"."""
+    """Print one line of results; style: a style of the package rich, for example "green", or None."""
     out().print(text, style=style, markup=False)
 
 
 def counted(count: int, what: str) -> str:
-    """Return a number with the noun that it counts: "1 frame", "2 frames"."""
+    """Format a number with its noun in the singular or plural: "1 frame", "2 frames"."""
     return f"{count} {what}{'s' * (count != 1)}"
 
 
@@ -241,16 +241,15 @@ def each(progress: ProgressCall, stage: str, items: Sequence[_Item]) -> Iterator
 
 
 def ignore(stage: str, done: int, total: int) -> None:
-    """Ignore the progress."""
+    """Do nothing: progress function for callers that want no progress shown."""
 
 
 @contextlib.contextmanager
 def ended_by_signals(ended: threading.Event) -> Iterator[None]:
     """Set an event at Ctrl-C, SIGTERM and a closed terminal inside the context, instead of interrupting the program.
 
-    ended: is set.
-    Why: the program finishes its work in order. Under nohup a closed terminal changes nothing.
-    """
+    ended: event that is set.
+    Why: the program finishes its work in order. Under nohup a closed terminal changes nothing."""
     hung_up = getattr(signal, "SIGHUP", None)
     numbers = [signal.SIGINT, signal.SIGTERM]
     if hung_up is not None and signal.getsignal(hung_up) != signal.SIG_IGN:  # under nohup it continues

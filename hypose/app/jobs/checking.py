@@ -308,12 +308,13 @@ def examine_recording(
 
 
 def write_findings(path: Path, found: Findings, report: PersonReport | None) -> None:
-    """Write the findings of a check as JSON for the studio: facts, warnings, findings, figures per view, name of the
-    page.
+    """Write the findings of a check as a JSON file for the studio.
+
+    The file has facts, warnings, findings, figures per view, and the name of the page.
+    path: file to write.
 
     found: result of `check_recording`.
-    report: result of `examine_recording`; None without one.
-    """
+    report: result of `examine_recording`; None without one."""
     value = {
         "healthy": not found.warnings and (report is None or report.healthy),
         "facts": found.facts,
@@ -380,7 +381,7 @@ def _hull_facts(
 def _hull_warnings(recording: Recording, heights: np.ndarray, ious: np.ndarray) -> list[str]:
     """List sentences on views that contradict the others, and on a hull of a height that no person has.
 
-    heights: (N,) of the hulls, m.
+    heights: (N,) heights of the hulls, m.
     ious: (N, C) IoU of each hull with each view's mask; NaN where the mask is unusable.
     """
     out = []

@@ -131,7 +131,9 @@ def papers_of(name: str) -> tuple[str, ...]:
 
 
 def formatted_papers(keys: Sequence[str], bibtex: bool) -> str:
-    """Format works by their keys as the lines of a list of references, or as BibTeX."""
+    """Format works (papers) as a list of references, one per line, or as BibTeX.
+
+    keys: keys of the works."""
     out = []
     for key in keys:
         kind, fields = PAPERS[key]

@@ -79,12 +79,11 @@ def compare(c: CompareCommand) -> None:
 def exceeded(
     compared: Sequence[Compared], mm: float | None, degrees: float | None, coverage: float | None
 ) -> list[str]:
-    """List a sentence for every limit that a comparison exceeds; None = no limit.
+    """List a sentence for every limit that a comparison exceeds. A limit of None is not checked.
 
     mm: largest RMSE of all joints, mm, each without its constant offset.
     degrees: largest RMSE of an angle without its constant offset.
-    coverage: least share inside our 90 % regions, mean over the joints.
-    """
+    coverage: least share inside our 90 % regions, mean over the joints."""
     out = []
     for _, other, found in compared:
         rmse = found.left_mm[2]
@@ -103,7 +102,10 @@ def exceeded(
 
 
 def mean_coverage(found: Comparison) -> float:
-    """Compute the mean over the joints of the share inside our 90 % regions; NaN where we have none."""
+    """Compute how often the other motion lies in our 90 % confidence regions: the share of the frames, mean over the
+    joints.
+
+    Returns: 0 to 1; NaN where our motion has no regions."""
     shares = [a.covered[SETTINGS.compare_levels.index(0.9)] for a in found.joints]
     known = [s for s in shares if np.isfinite(s)]
     return float(np.mean(known)) if known else float("nan")

@@ -47,11 +47,10 @@ class Correction:
     """Corrected pose of one frame.
 
     frame: number in the recording.
-    pose: (D,).
+    pose: (D,) corrected pose, rad and m.
     name: name of the saved clicks.
     since: first frame to track again, backwards from `frame`; None: `frame`.
-    until: frame after the last to track again; None: the end of the recording.
-    """
+    until: frame after the last to track again; None: the end of the recording."""
 
     frame: int
     pose: Array
@@ -152,7 +151,7 @@ class Backwards:
         return len(self._stream)
 
     def frame(self, index: int, /) -> Frame:
-        """Return frame `index` in reverse order; its number and time continue from the first of these."""
+        """Return frame `index` in reverse order; its number and time count upwards, as if the clip ran backwards."""
         number = len(self._stream) - 1 - index
         if number not in self._kept:
             first = number - number % _READ_AT_ONCE
@@ -180,7 +179,7 @@ _UNKNOWN = {
 def join(old: Motion, new: Motion, row: int, record: Mapping[str, Any] | None) -> Motion:
     """Replace rows of a motion by those of another one.
 
-    row: as returned by `old` in which `new` begins.
+    row: row of `old` in which `new` begins.
     record: added to the corrections in the provenance; None: nothing is added.
     Returns: the joined motion. Values that `new` does not have are those of `_UNKNOWN` in its rows.
     """

@@ -65,10 +65,9 @@ _FOOT_HEIGHT_M = 0.08  # of the ankle, which stands for the foot, above the floo
 class PersonResult:
     """Result of one person.
 
-    motion: in a world with z up.
+    motion: fused motion, in a world with z up.
     files: files that were written.
-    assessment: assessment of the motion.
-    """
+    assessment: assessment of the motion."""
 
     motion: Motion
     files: tuple[Path, ...]

@@ -89,10 +89,10 @@ def growing_model(path: Path, gesture: str) -> GestureModel:
 
 
 def replaced_model(path: Path, gesture: str, say: _Say) -> None:
-    """Say, before anything is learned, that a model file will be replaced.
+    """Tell the user, before anything is learned, that an existing model file will be replaced; nothing where it does
+    not exist.
 
-    Raises: InputError where the file is of another gesture, or no model.
-    """
+    Raises: InputError where the file is of another gesture, or no model."""
     try:
         old = load_model(path)
     except InputError:
@@ -255,7 +255,11 @@ _NOTHING = (
 
 @dataclass(frozen=True)
 class Watched:
-    """Result of one frame: time (s), the localised gestures, and the events."""
+    """Result of the search for gestures in one frame.
+
+    time: s.
+    found: best place of each gesture.
+    events: gestures that start or end in this frame."""
 
     time: float
     found: list[Localisation]
@@ -316,9 +320,8 @@ def loaded_forests(models: Sequence[GestureModel]) -> list[Forest]:
 def thresholds(models: Sequence[GestureModel], given: float | None) -> list[float]:
     """Return the threshold of every gesture, cm^2.
 
-    given: replaces those of the models; None: theirs.
-    Raises: InputError names the gesture that has none.
-    """
+    given: threshold that replaces those of all models; None: each model's own threshold is used.
+    Raises: InputError names the gesture that has none."""
     out = [m.threshold if given is None else given for m in models]
     for m, value in zip(models, out, strict=True):
         if value is None or value <= 0:

@@ -110,7 +110,7 @@ def split_names(text: str) -> tuple[str, ...]:
 
 
 def recording_of(command: TrackCommand) -> Recording:
-    """Load the recording of a command, limited to the wanted frames and camera."""
+    """Load the recording that a command names, limited to the frames and camera that the command selects."""
     loaded = choose_frames(load_recording(command.recording, command.calibration), command.frames)
     return one_view(loaded, command.camera) if command.camera is not None or command.of_picture else loaded
 
@@ -224,7 +224,10 @@ def _alone(tracked: TrackResult) -> tuple[PeopleResult, str]:
 
 
 def compile_before(progress: ProgressCall, *parts: str) -> None:
-    """Compile the kernels that a run needs; parts: names of parts, none: all that tracking needs."""
+    """Compile the kernels (compiled functions) that a run needs, before it starts.
+
+    progress: function (stage, done, total).
+    parts: names of kernel groups; without any, all groups that tracking needs."""
     warm_up(*parts, load=False, progress=lambda done, total: progress("compile", done, total))
 
 
@@ -316,7 +319,7 @@ def check_job(job: TrackJob) -> None:
 
 
 def record_of(job: TrackJob) -> dict[str, Any]:
-    """Build the provenance of a run: everything that influences the result."""
+    """Build the provenance of a run: versions, settings and hashes of the inputs that influence the result."""
     recording, options, people = job.recording, job.options, job.command.people
     frames = recording.frames
     settings = {
@@ -441,10 +444,10 @@ def remove_stale(results: ResultsFolder, written: Sequence[Path]) -> None:
 
 
 def worst_assessment(people: Sequence[TrackResult], absent: str = "") -> Assessment:
-    """Combine the assessments of several people: the worst word, with the sentences and frames of those who have it.
+    """Combine the assessments of several people: the worst word, with the sentences and frames of the people who
+    have it.
 
-    absent: sentence that the person who was asked for was not found; then the results are not to be trusted.
-    """
+    absent: sentence that the person who was asked for was not found; then the results are not to be trusted."""
     if absent:
         return Assessment(UNTRUSTED, (Finding("absent", (), absent),))
     assessments = {p.name: p.assessment for p in people}

@@ -114,9 +114,8 @@ def detect(
     """Detect key points with progress; an interrupted run says how to continue, and exits with code 130.
 
     target: folder to write to.
-    frames: frames of the recording; None: all.
-    resume: skip frames that have a file.
-    """
+    frames: frames of the recording to detect; None: all.
+    resume: skip frames that have a file."""
     with contextlib.ExitStack() as stack:
         stack.enter_context(claimed(target))
         progress = stack.enter_context(Stages())

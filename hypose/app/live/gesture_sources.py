@@ -26,12 +26,11 @@ _TEST_S = 2.0
 
 @dataclass(frozen=True)
 class Taken:
-    """One depth picture.
+    """One depth picture of a source.
 
     time: s.
     depth: (h, w) uint16 mm.
-    box: (x, y) px where the gesture is done, if the source provides it.
-    """
+    box: (x, y) px where the gesture is done, if the source provides it."""
 
     time: float
     depth: DepthImage
@@ -45,11 +44,11 @@ class GestureSource:
     name: name of the source.
     lens: lens parameters of the camera.
     size: (width, height), px.
-    take: take(phase) returns the next picture, None at the end. phase: what the person is asked to do; only the
-        simulated person does it.
-    close: releases the device.
-    clear: whether the last picture clearly shows the gesture, or clearly does not, where the source provides it.
-    """
+    take: function take(phase) that returns the next picture, None at the end; phase is the phase of the session,
+        which only a simulated person follows.
+    close: function that releases the device.
+    clear: function that returns whether the last picture clearly shows the gesture, or clearly does not; False where
+        the source does not provide it."""
 
     name: str
     lens: DepthLens

@@ -48,17 +48,16 @@ class FusionServerOptions:
     """Options of the live server.
 
     host: address to listen on.
-    udp, ws: ports; 0: any free one, None: none.
-    osc: HOST:PORT or None.
+    udp, ws: ports of UDP and WebSocket; 0: any free one, None: the protocol is not used.
+    osc: HOST:PORT to which results are sent by OSC; None: not sent.
     token: secret that senders and listeners must show; where it is missing, one is made unless only this computer can
         connect.
     record: new folder for a recording; None: nothing is recorded.
-    settings: of the output instants.
+    settings: settings of the output instants.
     lines_per_s, burst: limits of received lines.
     clients: most WebSocket connections.
     waiting: messages kept for a slow listener.
-    Raises: InputError where the token has an invalid form.
-    """
+    Raises: InputError where the token has an invalid form."""
 
     host: str = "127.0.0.1"
     udp: int | None = 9870

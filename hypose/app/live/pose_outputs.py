@@ -23,9 +23,8 @@ _WAITING = 8
 def pose_json(pose: LivePose, latency: float, cameras: tuple[str, ...]) -> str:
     """Encode one pose as a line of JSON.
 
-    latency: from the last picture's arrival, s.
-    cameras: names of the cameras.
-    """
+    latency: time since the arrival of the last picture, s.
+    cameras: names of the cameras."""
     m = pose.motion
     assert m.error_probability is not None and m.low_confidence_joints is not None
     names = np.array(m.skeleton.joint_names)
@@ -50,12 +49,11 @@ class PoseOutputs:
     """Listener of the live engine that sends poses to other programs.
 
     cameras: names of the cameras.
-    rate: Hz, for the hello message.
+    rate: rate of the poses, Hz, for the first message to each listener.
     ws: port on this computer, with /out for JSON.
-    udp, osc, vmc: HOST:PORT.
+    udp, osc, vmc: HOST:PORT of the receivers of JSON lines, OSC and VMC; None: not sent.
     clock: time (s) on which the arrival of pictures is measured.
-    Raises: InputError where a port or address cannot be used.
-    """
+    Raises: InputError where a port or address cannot be used."""
 
     def __init__(
         self,

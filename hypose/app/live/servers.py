@@ -90,17 +90,17 @@ class SocketServer:
     """WebSocket server of one event loop, whose clients listen to posted items, or send lines. A listener that is too
     slow loses its oldest items.
 
-    hello: gives the first item for a listener by the path it asks for; None: there is no such path.
+    hello: function of the path that a listener requests; returns the first item for this listener, or None where
+        there is no such path.
     waiting: items kept for a slow listener.
     clients: most connections at a time.
-    take: receives each line that a client sends to the path /in, and returns why it is ignored, else None; None: no
-        lines are taken.
+    take: function that receives each line that a client sends to the path /in, and returns why the line is ignored,
+        or None where it is used; None instead of a function: no lines are accepted.
     token: secret that clients must show; "": none, and pages of other computers are refused.
 
     Attributes:
     queues: of the listeners.
-    dropped: number of lost items.
-    """
+    dropped: number of lost items."""
 
     def __init__(
         self,
@@ -133,7 +133,7 @@ class SocketServer:
         return int(next(iter(self._server.sockets)).getsockname()[1])
 
     async def stop(self) -> None:
-        """Give the listeners time to receive what was posted, and close all connections."""
+        """Give the listeners time to receive the items that still wait, and close all connections."""
         self.post(None)
         for _ in range(100):
             if not self.queues:
@@ -225,13 +225,14 @@ class SocketListeners:
     """WebSocket server on ws://127.0.0.1:PORT in a thread of its own, for listeners of this computer.
 
     port: 0: any free one.
-    waiting, hello: as for `SocketServer`; by default any path is taken, and there is no first item.
+    waiting: items kept for a slow listener.
+    hello: function of the requested path that returns the first item for a listener; by default any path is
+        accepted, and there is no first item.
     Raises: InputError where the port cannot be used.
 
     Attributes:
     port: number of the port.
-    server: the server, which belongs to the thread.
-    """
+    server: the server, which belongs to the thread."""
 
     def __init__(self, port: int, waiting: int, hello: Callable[[str], str | None] = lambda path: "") -> None:
         self._loop = asyncio.new_event_loop()
@@ -252,7 +253,7 @@ class SocketListeners:
         self._loop.call_soon_threadsafe(self.server.post, what)
 
     def close(self) -> None:
-        """Send what was posted, and stop."""
+        """Send the items that still wait, and stop the server."""
         self._in_loop(self.server.stop())
         self._end_loop()
 

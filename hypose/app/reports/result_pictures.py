@@ -45,7 +45,7 @@ _SMALL = 640 * 480
 def tile_layout(sizes: Sequence[tuple[int, int]]) -> tuple[list[tuple[int, int, int, int]], tuple[int, int]]:
     """Arrange the views in tiles below a title bar, each at most 960 px wide and all together 1920 px.
 
-    sizes: (width, height) of the recorded pictures, px.
+    sizes: (width, height) sizes of the recorded pictures, px.
     Returns: (x, y, width, height) px of each view in the picture, and (width, height) px of the picture before it is
         cut to even numbers, which videos need.
     """
@@ -327,7 +327,7 @@ def close_up(
     image: (h, w, 3) BGR.
     camera: camera whose pixels are those of the image.
     points: (N, 3) m, world, of the person; the whole picture is shown where none of them is in front of the camera.
-    size: (width, height) of the cut picture, px.
+    size: (width, height) size of the cut picture, px.
     room: size of the part that is shown, relative to that of the points.
     Returns: the cut picture, grey beyond the borders of the image, and the camera whose pixels are those of it.
     """
@@ -386,11 +386,10 @@ class PictureRows:
 
 @dataclass(frozen=True)
 class OverlayRows:
-    """Pictures by row of the motion.
+    """Pictures that were drawn for a report, by row of the motion.
 
     stills: close-ups.
-    small: the recorded picture of every view as JPEG, b"" where there is none.
-    """
+    small: the recorded picture of every view as JPEG, b"" where there is none."""
 
     stills: dict[int, Image] = field(default_factory=dict)
     small: dict[int, list[bytes]] = field(default_factory=dict)
@@ -439,7 +438,7 @@ def write_overlay(
     """Draw people over their recording, several of them each in a colour of their own. The recorded pictures are read
     once.
 
-    path: of the video; not used without a video.
+    path: path of the video; not used without a video.
     source: gives the silhouettes; row i of the motions is frame i of the source, and recording.frames[i].
     wanted: rows that are drawn.
     Returns: stills and small pictures by row.
@@ -478,7 +477,7 @@ def _drawing(source: FrameSource, people: Sequence[Shown], row: int, number: int
     """Prepare the drawing of one row: masks, the bodies of the people whose pose is known, and a title that says how
     each fits.
 
-    number: of the frame.
+    number: number of the frame.
     """
     drawn, alarm = list[DrawnBody](), False
     parts = [f"frame {number}", f"{people[0].motion.times[row]:.2f} s"]

@@ -42,9 +42,8 @@ class Item:
 
     kind: kind of the item.
     id: opaque id.
-    path: resolved, inside the root.
-    changed: time of the last change, s.
-    """
+    path: its path inside the root, with links resolved.
+    changed: time of the last change, s."""
 
     kind: Kind
     id: str

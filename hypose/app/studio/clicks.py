@@ -355,12 +355,13 @@ def _pose(value: Any, body: Body) -> Array:
 
 
 def save(value: dict[str, Any], item: Item, catalog: Catalog, recordings: Recordings) -> dict[str, Any]:
-    """Fit the clicks of a request, and save both in starts/NAME.json of the recording; return the document.
+    """Fit a pose to the clicks of a request, and save clicks and pose in starts/NAME.json of the recording.
 
     value: the request as for `fit_clicks`, with name, camera, since and until.
     item: the recording.
-    Raises: InputError where a value cannot be used.
-    """
+    catalog, recordings: items and open recordings of the studio.
+    Returns: the saved document.
+    Raises: InputError where a value cannot be used."""
     name, starts = value.get("name") or f"frame-{value.get('frame')}", item.path / "starts"
     if not isinstance(name, str) or not is_name(name):
         raise InputError("Give the start a name of letters, digits, - and _.")

@@ -33,9 +33,12 @@ _ROLES = ("video", "background", "masks", "keypoints", "board")
 
 
 def list_folder(catalog: Catalog, folder: Path, within: bool) -> dict[str, Any]:
-    """List a folder: its subfolders and, with `within`, the files in and below it that can be part of a recording, each
-    with relative path and kind.
-    """
+    """List the content of a folder for the page.
+
+    catalog: items of the served folder.
+    within: whether to list the files in and below the folder too.
+    Returns: JSON values with the subfolders and, with `within`, the files that can be part of a recording, each with
+        relative path and kind."""
     entries = _entries(folder)
     found = list(_usable(entries, _DEPTH)) if within else []
     facts = [(p, _facts(p)) for p in found[:_MOST_LISTED]]

@@ -53,9 +53,8 @@ def open_feed(where: str, gesture: str, seed: int, catalog: Catalog) -> GestureS
 
     where: simulated:PERSON, session:ID or realsense. Why no others: a page must not open paths.
     gesture, seed: gesture and seed of a simulated person.
-    catalog: knows the sessions.
-    Raises: InputError for other sources.
-    """
+    catalog: items of the served folder, among them the sessions.
+    Raises: InputError for other sources."""
     kind, _, rest = where.partition(":")
     if kind == "simulated":
         person = digits(rest or "0", "the simulated person's number")
@@ -95,12 +94,12 @@ class GestureTopic(Topic):
         return {"t": "hello", "session": run and run.described()}
 
     def watched(self, pages: int) -> None:
-        """Show the last picture to a new page."""
+        """Send the last picture again when the number of watching pages changes."""
         if pages and (run := self.running) is not None:
             run.requests.put("again")
 
     async def heard(self, message: dict[str, Any]) -> None:
-        """Start a session, or pass a message to the running one."""
+        """Handle a message of a page: start a session, or pass the message to the running session."""
         if message["t"] == "start":
             await asyncio.to_thread(self._start, message)
         elif (run := self.running) is None:

@@ -145,7 +145,7 @@ class Controls:
     def change(self, message: Mapping[str, Any], size: tuple[int, int]) -> bool:
         """Apply a message that changes box, threshold, hold or map.
 
-        size: (width, height) of the pictures, px; a box outside is moved to the border.
+        size: (width, height) size of the pictures, px; a box outside is moved to the border.
         Returns: False where the message is none of these.
         Raises: InputError where its value is not possible.
         """
@@ -204,7 +204,7 @@ class Training:
 
     @property
     def asks(self) -> str:
-        """Phase that the next picture should show."""
+        """Phase of the session that the next picture should show, a word."""
         return self.trainer.session.phase
 
     @property
@@ -375,7 +375,12 @@ class Watching:
         self._scratch, self._state, self.paused = Scratch(), EventState(), False
 
     def frame(self, taken: Taken, controls: Controls, commands: Sequence[Command], fresh: bool) -> _Step:
-        """Process a picture; arguments as in `Training.frame`."""
+        """Search for the gestures in a picture.
+
+        taken: the picture.
+        controls: settings of the page.
+        commands: not used.
+        fresh: False: the picture was processed before."""
         for c in commands:
             self.paused = c == "pause" if c in ("pause", "continue") else self.paused
         began = clock.perf_counter()

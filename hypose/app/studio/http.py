@@ -121,8 +121,8 @@ async def _body_of(request: Request) -> dict[str, Any]:
 def object_of(data: str | bytes | bytearray, what: str) -> dict[str, Any]:
     """Parse the JSON object of a message or request, of limited depth.
 
-    what: its name in the InputError.
-    """
+    what: name of the object, for the message.
+    Raises: InputError where the data are no JSON object."""
     try:
         value = parse_json(data)
     except (ValueError, RecursionError):
@@ -147,10 +147,9 @@ def request_number(value: Any, what: str, low: float, high: float) -> float:
     """Return a number of a request after checking it.
 
     value: value of the request.
-    what: what it is, for the message.
+    what: name of the value, for the message.
     low, high: least and largest value.
-    Raises: InputError where it is no number from low to high.
-    """
+    Raises: InputError where it is no number from low to high."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise InputError(f"There is no number for {what} in {_short(value)}; give {low:g} to {high:g}.")
     if not low <= value <= high:  # NaN is neither
@@ -162,10 +161,9 @@ def whole(value: Any, what: str, low: int, high: int) -> int:
     """Return a whole number of a request after checking it.
 
     value: value of the request.
-    what: what it is, for the message.
+    what: name of the value, for the message.
     low, high: least and largest value.
-    Raises: InputError where it is no whole number from low to high.
-    """
+    Raises: InputError where it is no whole number from low to high."""
     if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
         raise InputError(f"{_capital(what)} cannot be {_short(value)}; give a whole number from {low} to {high}.")
     return value
@@ -175,11 +173,10 @@ def text(value: Any, what: str, longest: int, advice: str) -> str:
     """Return a text of a request after checking it.
 
     value: value of the request.
-    what: what it is, for the message.
+    what: name of the value, for the message.
     longest: most letters.
     advice: next step for the user where it is missing.
-    Raises: InputError where it is empty, too long or no text.
-    """
+    Raises: InputError where it is empty, too long or no text."""
     if not isinstance(value, str) or not value.strip():
         raise InputError(f"There is no {what}; {advice}.")
     if len(value) > longest:
@@ -191,10 +188,9 @@ def request_choice(value: Any, what: str, allowed: Sequence[str]) -> str:
     """Return a word of a request after checking it.
 
     value: value of the request.
-    what: what it is, for the message.
+    what: name of the value, for the message.
     allowed: words of which it must be one.
-    Raises: InputError lists the allowed words.
-    """
+    Raises: InputError lists the allowed words."""
     if not isinstance(value, str) or value not in allowed:
         words = f"{', '.join(allowed[:-1])} or {allowed[-1]}" if len(allowed) > 1 else "".join(allowed)
         raise InputError(f"There is no {what} {_short(value)}; choose {words}.")
@@ -205,9 +201,8 @@ def digits(value: str, what: str) -> int:
     """Parse a whole number from an address or query, from 0 with at most nine digits.
 
     value: the text.
-    what: what it is, for the message.
-    Raises: InputError where it is no such number.
-    """
+    what: name of the value, for the message.
+    Raises: InputError where it is no such number."""
     if not value.isascii() or not value.isdigit() or len(value) > 9:
         raise InputError(f"{_capital(what)} must be a whole number, {_short(value)} is none.")
     return int(value)

@@ -32,9 +32,8 @@ Message = Mapping[str, Any]
 
 
 class Topic:
-    """Topic that pages listen and send messages to. All methods are called in the server's event loop; name: its part
-    of the address.
-    """
+    """Topic that pages listen and send messages to. All methods are called in the server's event loop; name: name of
+    the topic, a part of the address."""
 
     name = ""
 
@@ -51,7 +50,8 @@ class Topic:
 
 
 class Hub:
-    """Connections of a server. `post` and `picture` may be called from any thread, and never wait."""
+    """WebSocket connections of a server with the pages that listen to its topics. `post` and `picture` may be called
+    from any thread, and never wait."""
 
     def __init__(self) -> None:
         self._topics: dict[str, Topic] = {}
@@ -88,7 +88,9 @@ class Hub:
         return bool(self._pages[topic])
 
     def post(self, topic: str, message: Message | str, key: Hashable = None) -> None:
-        """Send a message (or its JSON) to all pages of a topic. Of messages with the same key only the newest waits."""
+        """Send a message (or its JSON text) to all pages that listen to a topic.
+
+        key: key of waiting messages with the same key only the newest is kept; None: all are kept."""
         if self.listens(topic):
             text = message if isinstance(message, str) else _text(message)
             self._later(lambda: [page.put(text, key) for page in self._pages[topic]])

@@ -35,13 +35,12 @@ walks.
 class Plan:
     """Command of a job.
 
-    arguments: as returned by `hypose`.
+    arguments: arguments of the command `hypose`.
     title: for the page.
     recording, result: ids; the result may not exist yet.
-    resumable: the same command with --resume continues.
-    folder: where an unfinished motion keeps its state.
-    makes: id of the recording that the job makes.
-    """
+    resumable: whether the same command with --resume continues an unfinished job.
+    folder: folder in which an unfinished motion keeps its state; None: there is none.
+    makes: id of the recording that the job makes; None: it makes none."""
 
     arguments: tuple[str, ...]
     title: str
@@ -208,10 +207,11 @@ def next_step(
 ) -> tuple[str, dict[str, Any]] | None:
     """Find the next job on the way from the videos of a recording to a motion.
 
+    folder, recording: folder of the recording, and the loaded recording.
     after: kind of the job that has just ended, which is not tried again.
     anyway: continue whatever the check found.
-    Returns: kind and options; None where the user must act (a board, a finding to correct), or where the motion exists.
-    """
+    Returns: kind and options; None where the user must act (a board, a finding to correct), or where the motion
+        exists."""
     views = recording.views
     if uncalibrated(folder):
         person = len(views) > 1 and recording.subject_height is not None and not board_files(folder)

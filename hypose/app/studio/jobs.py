@@ -148,7 +148,7 @@ class _StudioJob:
 
 
 class Jobs(Topic):
-    """All jobs of a server. Changes are posted to the topic."""
+    """Topic of all jobs of a server; every change of a job is sent to the pages that listen."""
 
     name = "jobs"
 

@@ -79,9 +79,8 @@ def _reported(path: Path | None) -> str | None:
 
 
 class LiveTopic(Topic):
-    """Topic of something that runs at most once per server, and continues without a page. hello()["running"] is False,
-    or describes the run.
-    """
+    """Base class of the topic of a live run, of which there is at most one per server, and which continues without a
+    page. hello()["running"] is False, or describes the run."""
 
     joints: Mapping[str, Any] = {}
     """Names and parents of the joints, for pages."""
@@ -98,7 +97,7 @@ class LiveTopic(Topic):
         return {"t": "hello", "running": self._running or False, **self.joints}
 
     async def heard(self, message: dict[str, Any]) -> None:
-        """Handle start or stop."""
+        """Handle a message of a page: start or stop the live run."""
         if message["t"] == "stop":
             return await self.stop()
         if message["t"] != "start":
@@ -113,7 +112,9 @@ class LiveTopic(Topic):
         self._hub.post(self.name, self.hello())
 
     async def stop(self, why: str = "") -> None:
-        """Stop and inform the pages; why: the sentence for them where there is no other."""
+        """Stop the live run and inform the pages.
+
+        why: sentence for the pages, where the run itself gives none."""
         async with self._changing:
             running, self._running = self._running, None
             await self._parts.aclose()
@@ -205,7 +206,7 @@ class CameraTopic(LiveTopic):
         self._watching: asyncio.Task[None] | None = None
 
     async def heard(self, message: dict[str, Any]) -> None:
-        """Handle start, stop, or room: learn the empty room again."""
+        """Handle a message of a page: start or stop the live run, or learn the empty room again ("room")."""
         if message["t"] != "room":
             return await super().heard(message)
         if self._running is None or self._engine is None:

@@ -200,7 +200,7 @@ _EDGE = (70, 60, 255)  # BGR; the same pink as in the report
 
 
 class Recordings:
-    """Open recordings, for several threads."""
+    """Recordings that the studio has open; several threads may use it."""
 
     def __init__(self, catalog: Catalog) -> None:
         self._catalog, self._lock = catalog, threading.Lock()
@@ -215,7 +215,10 @@ class Recordings:
             return opened.recording
 
     def shown(self, item: Item, results: Sequence[str]) -> dict[str, Any]:
-        """Return all facts about a recording for the page; results: ids of its results."""
+        """Collect the facts about a recording that the page shows.
+
+        results: ids of the recording's results.
+        Returns: JSON values."""
         made = item.path.with_name(f"{item.path.name}-in-step")
         common = {
             "in_step": self._catalog.id_of("recording", made) if (made / "recording.toml").is_file() else None,
@@ -321,8 +324,7 @@ class Recordings:
         memory for it.
 
         folder: folder of the recording.
-        frames: first frame and end of the rows; None: all frames.
-        """
+        frames: frame of the first row, and the frame after that of the last row; None: all frames."""
         key = folder, frames, _stamp(folder)
         opened = self._open.get(key)
         if opened is None:  # reading it may take seconds, which others need not wait for; it opens no video yet

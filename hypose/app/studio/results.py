@@ -30,11 +30,10 @@ Stamp = tuple[float | None, ...]
 
 
 class Results:
-    """What the View screen shows of results. Several threads may use it.
+    """Provider of the data that the View screen of the studio shows of results. Several threads may use it.
 
     catalog: items of the served folder.
-    recordings: open recordings of the studio.
-    """
+    recordings: open recordings of the studio."""
 
     def __init__(self, catalog: Catalog, recordings: Recordings) -> None:
         self._catalog, self._recordings = catalog, recordings

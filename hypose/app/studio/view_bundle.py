@@ -51,12 +51,11 @@ _THREADS = 2
 
 @dataclass(frozen=True)
 class Rivals:
-    """Other poses that the evidence allows.
+    """Other poses that the evidence of a motion's frames allows.
 
     rows: (N,) rows of the motion that have another pose.
-    joints: (N, R, J, 3) m of these, best first; NaN where a frame has fewer.
-    weights: (T, 1 + R), first the weight of the motion's own pose.
-    """
+    joints: (N, R, J, 3) m, joints of the R other poses, best first; NaN where a frame has fewer.
+    weights: (T, 1 + R) probabilities; column 0 is that of the motion's own pose."""
 
     rows: NDArray[np.int64]
     joints: NDArray[np.float32]
@@ -64,10 +63,11 @@ class Rivals:
 
     @classmethod
     def of(cls, joints: Array, weights: Array) -> Rivals | None:
-        """Make them from all modes: joints (T, K, J, 3) with weights (T, K), the motion's own first.
+        """Make the rivals from all modes of a clip.
 
-        Returns: at most MOST_RIVALS other poses; None where there are none.
-        """
+        joints, weights: (T, K, J, 3) m and (T, K); the first mode of each frame is the motion's own pose.
+
+        Returns: at most MOST_RIVALS other poses; None where there are none."""
         if joints.shape[1] < 2:
             return None
         others = joints[:, 1 : 1 + MOST_RIVALS]
@@ -76,7 +76,7 @@ class Rivals:
 
     @classmethod
     def of_motion(cls, motion: Motion) -> Rivals | None:
-        """Make them from the rivals in a motion; None where there are none."""
+        """Make the rivals from the other poses that a motion keeps; None where it keeps none."""
         if motion.rivals is None or motion.rival_weights is None or not motion.rival_weights.any():
             return None
         others = motion.rival_weights.astype(np.float64)
@@ -415,7 +415,8 @@ def in_recording(recording: Recording | None, motion: Motion, body: Body | None,
 
 
 def first_frame(motion: Motion) -> int:
-    """Return the recording's frame of row 0, where the motion contains it; else 0."""
+    """Return the number of the recording's frame that is row 0 of a motion, from the motion's provenance; 0 where it
+    is not known."""
     with contextlib.suppress(TypeError, KeyError, IndexError, ValueError, OverflowError):
         return int(motion.provenance["settings"]["frames"][0])
     return 0

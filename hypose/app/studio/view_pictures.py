@@ -100,9 +100,9 @@ class OpenRecording:
     needed first.
 
     recording: the recording.
-    frames: first frame and end of the rows; None: all frames, so that a row is a frame.
-    users: number of users at present.
-    """
+    frames: frame of the first row, and the frame after that of the last row; None: all frames, so that row numbers
+        are frame numbers.
+    users: number of users at present."""
 
     def __init__(self, recording: Recording, frames: tuple[int, int] | None = None) -> None:
         self.recording, self._frames = recording, frames

@@ -62,10 +62,11 @@ def numbers_if_any(
 ) -> Array | None:
     """Get the finite numbers of a table's first key that is present.
 
-    where, keys, shapes: as for `numbers`.
-    Returns: None where the table has none of the keys.
-    Raises: CalibrationError where the entry is wrong.
-    """
+    where: start of the error messages.
+    keys: alternative names of the entry.
+    shapes: accepted shapes; none for a row of any length.
+    Returns: array of one of the shapes; None where the table has none of the keys.
+    Raises: CalibrationError where the entry is wrong."""
     key = next((k for k in keys if table.get(k) is not None), None)
     if key is None:
         return None

@@ -74,14 +74,13 @@ def _video_cameras(
 
 
 def read_qualisys(source: Source, rig: RigFile) -> None:
-    """Add the cameras of Qualisys Track Manager's XML.
+    """Add the cameras of a calibration of Qualisys Track Manager (XML) to a rig.
 
     Intrinsics are in 1/64 px, the translation is the camera's position in mm, the rotation is world_from_camera stored
     by columns, of a camera that looks along -z with y up (rotated by pi about x into OpenCV's).
 
     Why: Pose2Sim divides the distortion coefficients by 64 as well. They belong to normalised coordinates, and without
-        the division they agree with a chessboard calibration of the same cameras, so they are not divided here.
-    """
+        the division they agree with a chessboard calibration of the same cameras, so they are not divided here."""
 
     def is_video(element: Element) -> bool:
         return any(m in element.get("model", "").lower() for m in ("video", "hybrid", "none"))
@@ -112,15 +111,14 @@ _PIXEL_UNITS = 1e-5
 
 
 def read_vicon(source: Source, rig: RigFile) -> None:
-    """Add the cameras of Vicon's XML.
+    """Add the cameras of a Vicon calibration (XML) to a rig.
 
     FOCAL_LENGTH and PRINCIPAL_POINT are in px, ORIENTATION is the quaternion (x, y, z, w) of camera_from_world,
     POSITION is that of the camera in mm, VICON_RADIAL2 is "name cx cy k1 k2 k3", VICON_RADIAL is "k1 k2".
 
     The radial coefficients are used as OpenCV's, as in Pose2Sim and OpenCap. Coefficients so small that they can only
     belong to radii in pixels are converted from Vicon's own model, u = c + (1 + k1 r^2 + k2 r^4)(d - c), which gives
-    undistorted positions u from distorted positions d.
-    """
+    undistorted positions u from distorted positions d."""
     from scipy.spatial.transform import Rotation  # takes long to import
 
     def is_video(element: Element) -> bool:
@@ -174,7 +172,7 @@ def _straightened(coefficients: Array, focal: float, radius: float) -> Array:
 
 
 def read_motive(source: Source, rig: RigFile) -> None:
-    """Add the cameras of Motive's XML (see the module)."""
+    """Add the cameras of a calibration of OptiTrack Motive (XML) to a rig; the module describes the format."""
     left, rig.unit = [], "m"
     for i, element in enumerate(sorted(source.document.iter("Camera"), key=lambda e: natural_key(e.get("Serial", "")))):
         name = element.get("Serial") or f"cam_{i + 1}"
@@ -290,12 +288,11 @@ def opencap_files(path: Path) -> list[Path]:
 
 
 def read_opencap(source: Source, rig: RigFile) -> None:
-    """Add the cameras of an OpenCap pickle or a folder of them, with z up.
+    """Add the cameras of an OpenCap pickle, or of a folder of such pickles, to a rig; the world has z up.
 
     A folder may have the layout Videos/Cam0/cameraIntrinsicsExtrinsics.pickle.
 
-    Raises: CalibrationError where a file is not valid.
-    """
+    Raises: CalibrationError where a file is not valid."""
     files = opencap_files(source.path)
     if len(files) > 100:
         raise CalibrationError(f"{rig.path} holds {len(files)} .pickle files; give the folder of the cameras' alone.")

@@ -53,13 +53,12 @@ _PAIRS = (("intri.yml", "extri.yml"), ("Intrinsic.yml", "Extrinsic.yml"))
 
 
 def read_tables(source: Source, rig: RigFile) -> None:
-    """Add the cameras of TOML, JSON, YAML or XML tables, one table per camera.
+    """Add the cameras of a TOML, JSON, YAML or XML document with one table per camera to a rig.
 
     The source is a file with all cameras, or a folder with one XML or YAML file per camera. A camera file without a
     camera name gets the name of the file (of its folder, if the file name is a common one).
 
-    Raises: CalibrationError where a value is missing or wrong; it names the file, the camera and the key.
-    """
+    Raises: CalibrationError where a value is missing or wrong; it names the file, the camera and the key."""
     files = lens_files(source)
     documents = [parse_document(file) for file in files]
     tables = {k: v for f, d in zip(files, documents, strict=True) for k, v in tables_of(d, _file_name(f)).items()}
@@ -123,7 +122,7 @@ def easymocap_pair(path: Path) -> tuple[Path, Path] | None:
 
 
 def read_easymocap(source: Source, rig: RigFile) -> None:
-    """Add the cameras of EasyMocap's pair of files."""
+    """Add the cameras of EasyMocap's pair of files (intri.yml and extri.yml) to a rig."""
     pair = easymocap_pair(source.path)
     assert pair is not None  # its format was recognised by it
     rig.path = pair[0].parent

@@ -75,7 +75,9 @@ class KeypointTable:
     timed: bool = False
 
     def sample(self) -> Array:
-        """Collect the people (N, K, 3) of at most 60 frames, evenly spread; (0, 0, 3) where there are no people."""
+        """Collect the key points (N, K, 3) of all N people in at most 60 frames, evenly spread.
+
+        Returns: u, v, score of each point; an array (0, 0, 3) where there are no people."""
         numbers = sorted(self.people)
         # every 60th part of the file gives one frame, its first with a person
         parts = np.array_split(np.array(numbers), min(_SAMPLED, max(1, len(numbers))))

@@ -267,9 +267,9 @@ def check_keypoints(
     names: names of the views.
     rig: calibrated cameras of the views.
     frames: frames of the video that are checked.
-    stored: per view as in `ViewKeypoints.frame`.
-    Raises: InputError where they were misread: another picture size, y upwards, or mirrored.
-    """
+    stored: per view (width, height) of the pictures whose pixels the file uses, px; None where they are those of the
+        calibrated picture.
+    Raises: InputError where they were misread: another picture size, y upwards, or mirrored."""
     some = evenly_spread(frames.start, frames.stop, _CHECKED)
     people: list[list[Array | None]] = []
     for view, name, camera, size in zip(views, names, rig, stored, strict=True):
@@ -328,19 +328,19 @@ class DetectedKeypoints:
     with_masks: bool
 
     def view(self, name: str) -> Path:
-        """Path of a view's folder."""
+        """Return the path of a view's folder of key points."""
         return self.folder / file_name(name)
 
     def file(self, view: str, frame: int) -> Path:
-        """Path of the key points of a view and frame."""
+        """Return the path of the key-point file of a view and frame."""
         return self.view(view) / f"{file_name(view)}_{frame:012d}_keypoints.json"
 
     def masks(self, view: str) -> Path:
-        """Path of a view's folder of masks."""
+        """Return the path of a view's folder of masks."""
         return self.view(view) / MASKS
 
     def mask(self, view: str, frame: int) -> Path:
-        """Path of the mask of a view and frame."""
+        """Return the path of the mask file of a view and frame."""
         return self.masks(view) / f"{frame:06d}.png"
 
     def covers(self, frames: range) -> bool:

@@ -44,12 +44,11 @@ def filled_poses(motion: Motion, path: str | Path) -> Array:
 
 
 def local_joint_rotations(skeleton: Skeleton, poses: Array) -> Array:
-    """Compute the rotation of each joint relative to its parent, in the axes of the file.
+    """Compute the rotation of each joint relative to its parent, in the axes of animation files (y up).
 
     skeleton: the skeleton with J joints.
     poses: (T, D) pose vectors, rad and m.
-    Returns: (T, J, 3, 3) parent_from_joint; world_from_joint for the root.
-    """
+    Returns: (T, J, 3, 3) parent_from_joint; world_from_joint for the root."""
     world_from_joint, _ = skeleton.forward(poses)
     local = world_from_joint.copy()
     for j, p in enumerate(skeleton.parents):

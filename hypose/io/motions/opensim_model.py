@@ -60,10 +60,9 @@ def shoulder_places(skeleton: Skeleton, poses: Array) -> tuple[tuple[str, ...], 
     """Compute the shoulder coordinates: the displacement of each shoulder's centre by the clavicle, from its place at
     rest.
 
-    skeleton: the tracked body's.
+    skeleton: skeleton of the tracked body.
     poses: (T, D) pose vectors.
-    Returns: 4 coordinate names; (T, 4) m, forwards and up relative to the chest, right and left.
-    """
+    Returns: 4 coordinate names; (T, 4) m, forwards and up relative to the chest, right and left."""
     columns = {}
     for s, side, _ in _SIDES:
         y, z = skeleton.dofs_of(f"{side}_clavicle")

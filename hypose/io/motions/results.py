@@ -120,7 +120,7 @@ class ResultsFolder:
         return self.path / "checkpoint.npz"
 
     def file(self, name: str) -> Path:
-        """Path of a file in this folder."""
+        """Return the path of a file in this folder."""
         return self.path / name
 
     def write_text(self, name: str, text: str) -> Path:
@@ -243,14 +243,13 @@ def _bad(path: Path, what: str, reason: object, next_step: str) -> InputError:
 
 @dataclass(frozen=True)
 class Archive:
-    """A kind of .npz file and its arrays.
+    """Description of one kind of .npz file: its name and the arrays that it holds.
 
     what: its name in error messages.
     next_step: last part of the error messages.
     layout: its arrays.
     finite: names of the arrays that must not hold NaN or infinity.
-    optional: names of the arrays that may be absent.
-    """
+    optional: names of the arrays that may be absent."""
 
     what: str
     next_step: str
@@ -596,7 +595,7 @@ _MODES = Archive(
 
 
 def save_modes(modes: Modes, path: str | Path) -> None:
-    """Write the hypotheses of a monocular track as modes.npz, whole or not at all."""
+    """Write the modes (possible poses of each frame) of a monocular track as modes.npz, completely or not at all."""
     write_archive(path, {**modes_arrays(modes), "format": np.array(_FORMAT)})
 
 

@@ -88,10 +88,9 @@ class PackedMask:
 class PendingMasks:
     """Masks and outlines of one frame that worker threads compute.
 
-    lanes: executor of each view, which runs its tasks in order.
+    lanes: executor of each view, which runs the tasks of this view in order.
     make: function of view and frame that makes a mask.
-    index: number of the frame.
-    """
+    index: number of the frame."""
 
     def __init__(self, lanes: Sequence[Executor], make: Callable[[int, int], PackedMask], index: int) -> None:
         self._done = [lane.submit(make, c, index) for c, lane in enumerate(lanes)]
@@ -168,9 +167,9 @@ class FrameSettings:
     longer_side: working size, px of the longer image side; images are never enlarged.
     silhouettes: settings of the masks; None for key points only, and then nothing is decoded.
     band: keep masks only within a thick skeleton drawn from the key points, where there are any.
-    people: there are several people; masks then keep all their parts, no area is unusual, and there is no band.
-    colours: add the colours of the pictures within the masks.
-    """
+    people: whether there are several people; masks then keep the parts of all people, no mask is rejected for its
+        area, and there is no band.
+    colours: add the colours of the pictures within the masks."""
 
     longer_side: int = 480
     silhouettes: SilhouetteSettings | None = field(default_factory=SilhouetteSettings)
@@ -357,15 +356,14 @@ class FrameStream:
     recording: the recording to read.
     options: settings; by default the usual ones, with the recording's settings for masks.
     backgrounds: one model per view; built where None.
-    progress: as for `build_backgrounds`.
+    progress: called with ("background", done, total) for every picture that is read to build the background models.
 
     Attributes:
     rig: pinhole cameras of the working size.
     keypoints: key points of the person per frame; None where there are none.
-    doubted: the same with the key points of views that do not fit, for diagnostics of the calibration.
+    doubted: key points per frame that include those of views that do not fit, for diagnostics of the calibration.
     others: number of other people that the key points show.
-    Raises: InputError where the recording has no frames.
-    """
+    Raises: InputError where the recording has no frames."""
 
     def __init__(
         self,
@@ -432,7 +430,7 @@ class FrameStream:
 
     @property
     def tells_apart(self) -> bool:
-        """Whether the masks of at least one view separate several objects."""
+        """Whether at least one view has masks of several separate objects."""
         return any(s.objects is not None and len(s.objects.objects) > 1 for s in self._sources)
 
     @property

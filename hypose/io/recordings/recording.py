@@ -210,11 +210,10 @@ class PersonSettings:
     """Known data of one person of a recording, from a [[person]] table.
 
     name: name of the person and of the folder of their results.
-    height: m.
+    height: stature, m; None: not known.
     body: path of the person's own body, as `hypose subject` writes it.
     place: (x, y) on the floor, m, at `time`.
-    time: s from the first frame.
-    """
+    time: s from the first frame."""
 
     name: str
     height: float | None = None

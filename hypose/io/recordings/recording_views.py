@@ -24,13 +24,15 @@ _ALIKE = 1.005
 class ViewSettings:
     """The files and settings of one camera's view. Paths exist; None where not given.
 
-    video, images, masks, background, keypoints, depth: see the keys in `hypose.io.recordings.recording`.
-    image_shift: px to add to image coordinates of the calibrated size.
+    video, images, depth: video file, folder of images, or folder of depth maps.
+    masks: video or folder of masks.
+    background: video, photo or folder that shows the empty room.
+    keypoints: file or folder of key points.
+    image_shift: (x, y) to add to image coordinates, px of the calibrated size.
     accept_scaled: images of another shape were stretched, not cut.
     first_mask: number of the first frame's files, for masks of one folder per object; None for the view's lowest
         number.
-    rate: frames/s at which the video is read by its time stamps; None to read it frame by frame.
-    """
+    rate: frames/s at which the video is read by its time stamps; None to read it frame by frame."""
 
     name: str
     video: Path | None = None
@@ -152,7 +154,7 @@ def check_picture_size(
 def check_background(view: ViewSettings, camera: Camera, size: tuple[int, int] | None) -> None:
     """Check that the background of a view fits its pictures.
 
-    size: (width, height) of the view's pictures.
+    size: (width, height) size of the view's pictures.
     Raises: InputError where it does not fit.
     """
     assert view.background is not None

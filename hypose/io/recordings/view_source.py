@@ -55,8 +55,7 @@ class DepthPreparer:
 
     camera: the calibrated camera.
     small: the pinhole camera of the working size.
-    shift: px of the calibrated size, added to image positions.
-    """
+    shift: (x, y) that is added to positions in the stored maps, px of the calibrated size."""
 
     def __init__(self, camera: Camera, small: Camera, shift: tuple[float, float]) -> None:
         self._camera, self._size, self._shift = camera, small.size, shift
@@ -178,11 +177,11 @@ def places_in_stored(
 ) -> NDArray[np.float32]:
     """Compute where the pixels of the undistorted picture lie in a stored picture.
 
-    size: (width, height) of the undistorted picture.
-    shift: px of the calibrated size, added to image positions.
-    stored: (width, height) of the stored picture.
-    Returns: (h, w, 2) px.
-    """
+    size: (width, height) size of the undistorted picture.
+    camera: calibrated camera.
+    shift: (x, y) that is added to positions in the stored picture, px of the calibrated size.
+    stored: (width, height) size of the stored picture.
+    Returns: (h, w, 2) px."""
     moved = np.array(shift) * stored / np.array(camera.size)
     return np.asarray(np.stack(camera.undistort_maps(size, stored), -1) - moved, dtype=np.float32)
 
@@ -192,8 +191,7 @@ class Preparer:
 
     camera: the calibrated camera.
     small: the pinhole camera of the working size.
-    shift: px of the calibrated size, added to image positions.
-    """
+    shift: (x, y) that is added to positions in the stored pictures, px of the calibrated size."""
 
     def __init__(self, camera: Camera, small: Camera, shift: tuple[float, float]) -> None:
         self.size = small.size
@@ -340,7 +338,8 @@ class ViewSource:
 
     @property
     def furnished(self) -> tuple[DepthBackground | None, float]:
-        """The empty room before a depth camera; see `DepthSource.furnished`."""
+        """Background model of the room before a depth camera, with the things that stand still in the recording, and
+        the visible area of these things, m^2; (None, 0) for other cameras."""
         return self.depth.furnished if self.depth else (None, 0.0)
 
     @property

@@ -114,11 +114,10 @@ class DepthFrame:
 
 @dataclass(frozen=True)
 class DepthFile:
-    """A recording of one depth camera, or a connected one.
+    """Depth maps of one depth camera, from a recording or from the connected camera.
 
     camera: the lens; its pose is the identity.
-    frames: depth maps, each read once; times in s from the first, with gaps where frames were lost.
-    """
+    frames: depth maps, each read once; times in s from the first, with gaps where frames were lost."""
 
     camera: Camera
     frames: Iterator[DepthFrame]

@@ -59,7 +59,7 @@ class SensorStream:
 
     @property
     def rate(self) -> float:
-        """Instants per second, from the median step; 30 for a single instant."""
+        """Number of instants per second, Hz, from the median time step; 30 for a single instant."""
         return float(1 / np.median(np.diff(self.times))) if len(self.times) > 1 else 30.0
 
     @property
@@ -380,7 +380,7 @@ def join_observations(
 
 
 def shifted(stream: SensorStream, seconds: float) -> SensorStream:
-    """Shift the times of a stream forward by some seconds."""
+    """Copy a stream with `seconds` added to all its times."""
     return replace(stream, times=stream.times + seconds)
 
 

@@ -299,9 +299,9 @@ class VideoReader:
 def open_video(path: str | Path, threads: int | None = None, rate: float | None = None) -> VideoReader:
     """Open a video file, a folder of images (natural order) or one image.
 
-    threads, rate: as for `VideoReader`.
-    Raises: InputError where it does not exist or cannot be read.
-    """
+    threads: number of threads that decode a video; None for all.
+    rate: frames/s at which a video is read by its time stamps; None: frame by frame.
+    Raises: InputError where it does not exist or cannot be read."""
     path = Path(path)
     if not path.exists():
         raise InputError(f"{path} does not exist; check the file name in recording.toml.")

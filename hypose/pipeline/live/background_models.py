@@ -215,7 +215,7 @@ class PackedDepth:
     """Depth of the person at one instant, cut out to save memory.
 
     millimetres: (C, h, w) depth, mm, in one box of all maps; 0 outside the person.
-    corner: (row, column) of the box's first pixel in the maps.
+    corner: (row, column) position of the box's first pixel in the maps.
     usable: (C,) views with depth.
     """
 

@@ -45,14 +45,14 @@ from hypose.pipeline.settings import SETTINGS
 class LiveView:
     """One camera of a live run.
 
-    address: as `open_camera` takes it.
-    shift: px of the calibrated size that are added to image positions.
-    background: of the empty room, where known.
+    name: name of the camera.
+    address: device number, URL, video or folder of pictures, as `open_camera` takes it.
+    shift: (x, y) offset that is added to positions in the stored pictures, px of the calibrated size.
+    background: background model of the empty room, where known.
     stretched: accept pictures of another shape than calibrated.
     depth: it is a depth camera (`open_depth_camera`).
     depth_background: background of a depth camera, where known.
-    loop_s: period after which a video begins again, s; None: it ends.
-    """
+    loop_s: period after which a video begins again, s; None: it ends."""
 
     name: str
     address: str
@@ -86,11 +86,10 @@ class CaptureRequest:
 
     pause: time from the last instant to the next wanted one, s.
     bodies: vertices (V, 3) m and faces (F, 3) of the tracked people; empty: their places are not known.
-    following: a person is tracked.
+    following: whether a person is being tracked.
     pictures: pictures are wanted too.
     learn: learn the empty room again.
-    offsets: (C,) delays of the cameras, s; None: unchanged.
-    """
+    offsets: (C,) delays of the cameras, s; None: unchanged."""
 
     pause: float = 0.0
     bodies: tuple[tuple[Array, NDArray[np.int32]], ...] = ()
@@ -102,11 +101,13 @@ class CaptureRequest:
 
 @dataclass(frozen=True)
 class CaptureResult:
-    """One instant as the cameras showed it; where there is none yet (time is NaN), the state of the cameras.
+    """Masks and pictures of one instant from all cameras, with the state of the cameras; without an instant yet,
+    only the state (time is NaN).
 
     time: on the common clock, s.
-    arrival: of its last picture, on this computer's clock, s.
-    views: per camera, packed mask (h, ceil(w / 8)) and outline; None without a picture.
+    arrival: time of arrival of its last picture, on this computer's clock, s.
+    views: per camera, packed mask (h, ceil(w / 8)) and its outline (None: empty mask); None for a camera without a
+        picture.
     jpegs: pictures as they were stored, where wanted.
     cameras: status of each camera.
     instants: number of instants so far.
@@ -114,8 +115,7 @@ class CaptureResult:
     learning: the empty room is being learned.
     made: time spent on the masks, s.
     depths: (h, w) mm of each depth camera.
-    empty: stored maps of the empty room, after it was learned.
-    """
+    empty: depth maps of the empty room as PNG, per camera, after the room was learned."""
 
     cameras: tuple[FeedStatus, ...]
     instants: int
@@ -367,11 +367,12 @@ def _opener(view: LiveView, size: tuple[int, int], rate: float, begin: float) ->
 
 
 class CaptureProcess:
-    """Capture in another process: call `ask`, then `answer`; between the two there is time for other work.
+    """Cameras with their masks in another process: call `ask` to send a request, and `answer` to receive its result;
+    between the two the caller can do other work.
 
-    stop: once it is set, nothing is waited for, also while cameras are being opened; then only `close` may be called.
-    Raises: InputError where a camera cannot be opened.
-    """
+    stop: event; once it is set, no call waits any more, also while cameras are being opened, and only `close` may be
+        called.
+    Raises: InputError where a camera cannot be opened."""
 
     def __init__(
         self, rig: CameraRig, views: Sequence[LiveView], options: CaptureOptions, stop: threading.Event | None = None

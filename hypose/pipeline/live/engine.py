@@ -54,11 +54,10 @@ class LiveTrackingOptions:
     """Options of live tracking.
 
     capture: options of capture.
-    person: see `LivePersonOptions`.
+    person: recipe and seed of tracking, and prior knowledge of the person.
     people: most people that are tracked.
-    measure: fit bodies and find the cameras' offsets in the background.
-    pictures: listeners want the pictures.
-    """
+    measure: whether bodies are fitted, and the time offsets of the cameras estimated, while tracking runs.
+    pictures: whether the results for listeners contain the pictures."""
 
     capture: CaptureOptions = field(default_factory=CaptureOptions)
     person: LivePersonOptions = LivePersonOptions()
@@ -100,8 +99,7 @@ class LiveResult:
 
     captured: what the cameras showed.
     frame: the frame that was tracked.
-    poses: one per tracked person.
-    """
+    poses: one per tracked person."""
 
     captured: CaptureResult
     frame: Frame

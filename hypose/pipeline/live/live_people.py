@@ -54,10 +54,9 @@ STATE_EMPTY, STATE_SEARCHING, STATE_TRACKING, STATE_LOST = "no_person", "looking
 class LivePersonOptions:
     """Options of tracking a person live.
 
-    track: recipe and seed.
+    track: options of tracking, of which recipe and seed are used.
     height: m, where known.
-    body: the person's own body, where known; then none is fitted.
-    """
+    body: the person's own body, where known; then none is fitted."""
 
     track: TrackOptions = TrackOptions()
     height: float | None = None
@@ -74,7 +73,7 @@ class FoundPerson:
 
     body: body of the track.
     state: state of the tracker.
-    time: of the state, s.
+    time: time of the state, s.
     step_s: time of the last step, s.
     """
 
@@ -125,7 +124,7 @@ class LiveSearch:
 
         others: people who are tracked already.
         most: most people to search.
-        body, height: of the new person, where known; height in m.
+        body, height: body and height of the new person, where known; height in m.
         """
         with self._lock:
             if not self._found:
@@ -298,10 +297,10 @@ class LiveTrack:
     the result; then `pose` gives the pose, and `judge` updates its error probabilities.
 
     found: body and state that the search found.
-    number: see `LivePose`.
+    number: number of the person, from 1.
     rig: cameras of the masks.
-    rate: of the frames, Hz.
-    executor: runs duels, see `_Duel`.
+    rate: rate of the frames, Hz.
+    executor: runs duels, in which the tracked pose is compared with the body whose sides are exchanged.
     work: fits body and offsets; None: neither is done.
     sync: the cameras' offsets are still to be found.
     shared: there may be other people in the masks.
@@ -309,8 +308,7 @@ class LiveTrack:
     Attributes:
     body: the person's own body; None: not known yet.
     offsets: (C,) delays of the cameras, s; None: not known yet.
-    given_up: the person has been lost for too long.
-    """
+    given_up: the person has been lost for too long."""
 
     def __init__(
         self,
@@ -360,8 +358,8 @@ class LiveTrack:
 
         whole: frame with all people.
         frame: frame with the evidence of this person.
-        state: of the tracker after it.
-        estimate: of the pose in it.
+        state: state of the tracker after it.
+        estimate: estimated pose in the frame, with its uncertainty.
         """
         passed = frame.time - self._time
         self._now, self.state = _Now(whole, frame, self.tracker, estimate), state

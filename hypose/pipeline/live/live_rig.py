@@ -24,13 +24,13 @@ from hypose.pipeline.settings import SETTINGS
 class LiveRig:
     """Cameras of a live run.
 
-    rig, views: in one order.
-    rate: Hz.
+    rig, views: calibrated cameras, and how each is opened, in the same order.
+    rate: frame rate, Hz.
     silhouettes: how masks are made.
-    height: of the person, m, where known.
+    height: height of the person, m, where known.
     notes: for the user.
-    no_background: a recording is played without a picture of the empty room; the background is guessed from its videos.
-    """
+    no_background: a recording is played without a picture of the empty room; the background is guessed from its
+        videos."""
 
     rig: CameraRig
     views: tuple[LiveView, ...]

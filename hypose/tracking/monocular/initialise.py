@@ -83,8 +83,7 @@ def initialise(
     rivals: largest number of hypotheses.
     floor: height in the world of the floor that the person stands on, m; None: unknown.
     Raises: EvidenceError where fewer than 6 points are seen.
-    Deviation: several headings and mirrored limbs are tried; the paper has one start. In stages 2 and 3 the
-        proportions
+    Deviation: several headings and mirrored limbs are tried; the paper has one start. In stages 2 and 3 the proportions
         are searched one after the other, because the contour's cost has jumps."""
     camera = checked_picture(frame).camera
     chosen = body_dofs(template.skeleton) if active is None else np.asarray(active, dtype=np.int64)
@@ -222,7 +221,7 @@ def _contour_cost(
     search: settings of the cost.
     points_on: places the picture's points on a body.
     frame: with the picture.
-    pose: (D,).
+    pose: (D,) pose vector, rad and m.
     """
     light = without_display(template)
 

@@ -99,7 +99,7 @@ def grey(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
 def mask_contours(picture: Picture, settings: MonoSettings) -> ContourTerm | None:
     """Build the term of the outer contour against the picture's mask; None without a mask, or where it has no outline.
 
-    settings: of the cost; with mask weight 0 the term is left out.
+    settings: settings of the cost; with mask weight 0 the term is left out.
     """
     if picture.mask is None or settings.mask_weight <= 0:
         return None
@@ -343,9 +343,9 @@ def field_of(image: NDArray[np.uint8], settings: MonoSettings) -> NDArray[np.flo
 class MonoSolution(NamedTuple):
     """Pose at a minimum of the cost.
 
-    pose: (D,).
+    pose: (D,) pose vector, rad and m.
     evidence: cost without flow, by which hypotheses are ranked.
-    gradient: (A,) of the full cost.
+    gradient: (A,) gradient of the full cost.
     hessian: (A, A) of evidence, flow and rest posture.
     counts: (7,) numbers of nodes, as in MonoWorkspace.
     """
@@ -360,12 +360,11 @@ class MonoSolution(NamedTuple):
 class PictureEvidence(NamedTuple):
     """Evidence and priors of one hypothesis in one picture.
 
-    fixed: parts of the problem that stay.
+    fixed: parts of the problem that do not change from frame to frame.
     arrays: edges and flow.
     contours: outline of the mask, where there is one.
-    points: key points or clicked joints, where there are any.
-    prediction: pull of the active dof to their prediction; None: none.
-    """
+    points: key points or clicked joints; None: there are none.
+    prediction: pull of the active dof to their prediction; None: none."""
 
     fixed: Fixed
     arrays: PictureArrays
@@ -433,9 +432,10 @@ class PictureProblem(Problem[Array, tuple[Array, Array]]):
             yield floor_rows(posed, fixed.floor)
 
     def propose(self, state: Array, equations: tuple[Array, Array], damping: float) -> tuple[Array, float] | None:
-        """Propose the next pose, and its distance in longest steps; None: no step is expected to lower the cost by
-        LEAST_GAIN.
-        """
+        """Propose the next pose from a state (pose) and its normal equations.
+
+        Returns: pose (D,), and its distance from the state as a multiple of the longest allowed step; None where no
+            step is expected to lower the cost by LEAST_GAIN."""
         (hessian, gradient), fixed = equations, self.evidence.fixed
         rejected = state is self._from
         self._reach = 0.35 * min(self._reach, self._length) if rejected else min(1.0, 2 * self._reach)
@@ -455,7 +455,7 @@ class PictureProblem(Problem[Array, tuple[Array, Array]]):
 def score(pose: Array, evidence: PictureEvidence, ws: MonoWorkspace) -> float:
     """Compute the cost by which hypotheses are ranked: all but flow, whose targets differ between hypotheses.
 
-    pose: (D,).
+    pose: (D,) pose vector, rad and m.
     evidence, ws: evidence and priors, and scratch memory.
     Source: Sminchisescu & Triggs 2001, section 3.2. Deviation: the printed cost is the edge term alone; here priors,
         interpenetration and, where given, masks, 2D points and the floor are included.

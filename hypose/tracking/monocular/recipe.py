@@ -56,11 +56,9 @@ def solve_clip(clip: Clip, active: NDArray[np.int64]) -> tuple[Motion, tuple[str
     clip: tracked forwards, with its frames.
 
     Frames in which the person was lost are bridged. Feet are not held where they seem to stand, as they are with
-    several
-    cameras: their depth is too uncertain for that.
+    several cameras, because the depth of feet is too uncertain in one view.
     active: (A,) dof that are estimated.
-    Returns: the motion; notes (none).
-    """
+    Returns: the motion; notes (none)."""
     tracker, motion, total = clip.tracker, clip.motion, len(clip.motion)
     body = tracker.body
     modes = modes_of(clip.estimates)
